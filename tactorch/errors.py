@@ -1,0 +1,29 @@
+"""The errors that tactorch raises on purpose.
+
+Every message names the file, field or value at fault and says what to do. The command line
+prints the message alone; anything that is not a `TactorchError` is a defect and shows a traceback.
+"""
+
+
+class TactorchError(Exception):
+    """Base of all errors raised on purpose."""
+
+
+class FileError(TactorchError):
+    """A file or folder is missing, unreadable or not of the expected format."""
+
+
+class MeshError(TactorchError):
+    """A mesh cannot be used: inverted, degenerate, disconnected, non-finite..."""
+
+
+class RecordingError(TactorchError):
+    """A recording of presses is inconsistent or physically implausible."""
+
+
+class ConfigError(TactorchError):
+    """A setting has a value that cannot be used."""
+
+
+class ConvergenceError(TactorchError):
+    """Equilibrium was not found: the load collapses the object, or nothing holds it."""

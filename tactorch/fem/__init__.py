@@ -1,0 +1,25 @@
+"""Quasi-static finite elements of soft bodies, differentiable. Units: mm, N, MPa, tonne/mm^3."""
+
+from tactorch.fem.body import SoftBody
+from tactorch.fem.elements import ELEMENTS, Discretisation, Element, make_element
+from tactorch.fem.linearization import Linearization
+from tactorch.fem.materials import MATERIALS, make_material
+from tactorch.fem.newton import Equilibrated, Newton, NewtonOptions
+from tactorch.fem.parallel import map_cases
+from tactorch.fem.supports import Supports
+
+__all__ = [
+    "ELEMENTS",
+    "MATERIALS",
+    "Discretisation",
+    "Element",
+    "Equilibrated",
+    "Linearization",
+    "Newton",
+    "NewtonOptions",
+    "SoftBody",
+    "Supports",
+    "make_element",
+    "make_material",
+    "map_cases",
+]

@@ -1,0 +1,199 @@
+"""Internal forces and tangent of a body at given displacements, on the CPU.
+
+The compiled kernels do isotropic materials; any other material goes through its own tensors.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from tactorch.fem import kernels
+from tactorch.fem.elements import Discretisation
+from tactorch.fem.materials import Dilatation, Distortion, IsotropicMaterial, LinearElastic, Material
+
+_NO_MEAN = np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Unit response of all elements at one displacement field.
+
+    Attributes:
+        F: Deformation gradient at the points.
+        j: det F at the points.
+        energy: Energy of each element per unit modulus, mm^3.
+        forces: Nodal forces of each element per unit modulus, mm^2 (the columns of eq. 11).
+        derivatives: Derivatives of the energy by the invariants; None for general materials.
+    """
+
+    F: Float[np.ndarray, "m q 3 3"]
+    invariants: Float[np.ndarray, "3 m q"]
+    energy: Float[np.ndarray, " m"]
+    forces: Float[np.ndarray, "m k 3"]
+    derivatives: Distortion | None
+    mean: Dilatation | None
+
+    @property
+    def worst(self) -> tuple[int, float]:
+        """Element with the smallest det F, and that value."""
+        j = self.invariants[2].min(axis=1)
+        return int(j.argmin()), float(j.min())
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """A discretised body of one material, ready to be evaluated.
+
+    Attributes:
+        discretisation: Mesh and element.
+        material: Energy per unit modulus.
+        poisson: Poisson's ratio, one for all or one per element.
+        points: Rest positions, mm.
+    """
+
+    discretisation: Discretisation
+    material: Material
+    poisson: float | Float[np.ndarray, " m"]
+    points: Float[np.ndarray, "n 3"]
+
+    @cached_property
+    def _geometry(self) -> tuple[np.ndarray, np.ndarray]:
+        gradients, weights = self.discretisation.geometry(torch.tensor(self.points))
+        return np.ascontiguousarray(gradients.numpy()), np.ascontiguousarray(weights.numpy())
+
+    @property
+    def gradients(self) -> Float[np.ndarray, "m q k 3"]:
+        """Shape gradients, 1/mm."""
+        return self._geometry[0]
+
+    @property
+    def weights(self) -> Float[np.ndarray, "m q"]:
+        """Volumes of the quadrature points, mm^3."""
+        return self._geometry[1]
+
+    @cached_property
+    def volumes(self) -> Float[np.ndarray, " m"]:
+        """Volumes of the elements, mm^3."""
+        return self.weights.sum(axis=1)
+
+    @property
+    def barrier(self) -> bool:
+        """Whether an inverted element is refused (all but linear elasticity)."""
+        return not isinstance(self.material, LinearElastic)
+
+    def _per_point(self) -> float | np.ndarray:
+        """Poisson's ratio, shaped to broadcast over points."""
+        return self.poisson if np.ndim(self.poisson) == 0 else np.asarray(self.poisson)[:, None]
+
+    def respond(self, u: Float[np.ndarray, "nodes 3"]) -> Response | None:
+        """Evaluate all elements; None if one is turned inside out."""
+        shape = self.weights.shape
+        F, invariants = np.empty((*shape, 3, 3)), np.empty((3, *shape))
+        kernels.kinematics(self.discretisation.nodes, self.gradients, u, F, invariants)
+        if self.barrier and not invariants[2].min() > 0.0:
+            return None
+        if isinstance(self.material, IsotropicMaterial):
+            return self._isotropic(self.material, F, invariants)
+        return self._general(F, invariants)
+
+    def _isotropic(
+        self, material: IsotropicMaterial, F: np.ndarray, invariants: np.ndarray
+    ) -> Response:
+        i1, i2, j = invariants
+        poisson = self._per_point()
+        shape = material.distortion(i1, i2, j, np.log(j), poisson)
+        mean = None
+        if self.discretisation.element.mean_dilatation:
+            average = (self.weights * j).sum(axis=1) / self.volumes
+            mean = material.dilatation(average, np.log(average), self.poisson)
+            dj, djj = shape.dj + np.reshape(mean.dj, (-1, 1)), shape.djj
+            energy = (self.weights * shape.psi).sum(axis=1) + self.volumes * mean.psi
+        else:
+            volume = material.dilatation(j, np.log(j), poisson)
+            dj, djj = shape.dj + volume.dj, shape.djj + volume.djj
+            energy = (self.weights * (shape.psi + volume.psi)).sum(axis=1)
+        d = shape._replace(dj=dj, djj=djj)
+        stress = np.empty_like(F)
+        full = [np.ascontiguousarray(np.broadcast_to(x, j.shape)) for x in (d.d1, d.d2, d.dj)]
+        kernels.stress(F, invariants, *full, stress)
+        return Response(F, invariants, energy, self._forces(stress), d, mean)
+
+    def _general(self, F: np.ndarray, invariants: np.ndarray) -> Response:
+        gradient, poisson = torch.from_numpy(F), torch.as_tensor(self._per_point(), dtype=torch.float64)
+        density = self.material.energy(gradient, poisson).numpy()
+        stress = np.ascontiguousarray(self.material.stress(gradient, poisson).numpy())
+        energy = (self.weights * density).sum(axis=1)
+        return Response(F, invariants, energy, self._forces(stress), None, None)
+
+    def _forces(self, stress: np.ndarray) -> np.ndarray:
+        out = np.empty((len(stress), self.gradients.shape[2], 3))
+        kernels.element_forces(self.gradients, stress, self.weights, out)
+        return out
+
+    def internal_force(
+        self, response: Response, youngs: Float[np.ndarray, " m"]
+    ) -> Float[np.ndarray, "nodes 3"]:
+        """Assemble the nodal elastic forces, N."""
+        out = np.zeros((self.discretisation.n_nodes, 3))
+        kernels.scatter_forces(self.discretisation.nodes, response.forces, youngs, out)
+        return out
+
+    def tangent(
+        self, response: Response, youngs: Float[np.ndarray, " m"]
+    ) -> Float[np.ndarray, " nnz"]:
+        """Assemble the upper-triangle values of the elastic tangent, N/mm."""
+        values = np.zeros(self.discretisation.pattern.nnz)
+        self._add_tangent(response, youngs, self.discretisation.slots, values)
+        return values
+
+    def _add_tangent(
+        self, response: Response, youngs: np.ndarray, slots: np.ndarray, values: np.ndarray
+    ) -> None:
+        weights = self.weights * youngs[:, None]
+        if response.derivatives is None:
+            kernels.scatter_blocks(self._general_blocks(response, weights), slots, values)
+            return
+        coefficients = np.empty((9, *self.weights.shape))
+        for row, derivative in zip(coefficients, response.derivatives[1:], strict=True):
+            row[...] = derivative
+        mean = _NO_MEAN
+        if response.mean is not None:
+            mean = np.broadcast_to(response.mean.djj, youngs.shape) / (self.volumes * youngs)
+        kernels.tangent(
+            self.gradients, response.F, response.invariants, coefficients, weights, mean,
+            slots, values,
+        )  # fmt: skip
+
+    def _general_blocks(self, response: Response, weights: np.ndarray) -> np.ndarray:
+        """Upper-triangle entries of the element matrices of a general material."""
+        moduli = self.material.tangent(
+            torch.from_numpy(response.F), torch.as_tensor(self._per_point(), dtype=torch.float64)
+        )
+        gradients = torch.from_numpy(self.gradients)
+        dense = torch.einsum(
+            "mq,mqaI,mqiIjJ,mqbJ->maibj", torch.from_numpy(weights), gradients, moduli, gradients
+        ).reshape(len(weights), 3 * gradients.shape[2], -1)
+        rows, cols = self.discretisation.entry_rows_cols
+        return np.ascontiguousarray(dense.numpy()[:, rows, cols])
+
+    def definite_tangent(
+        self, response: Response, youngs: Float[np.ndarray, " m"]
+    ) -> Float[np.ndarray, " nnz"]:
+        """Assemble the tangent with each element's negative eigenvalues set to zero."""
+        rows, cols = self.discretisation.entry_rows_cols
+        m, entries = self.discretisation.slots.shape
+        blocks = np.zeros(m * entries)
+        own = np.arange(m * entries, dtype=np.int32).reshape(m, entries)
+        self._add_tangent(response, youngs, own, blocks)
+        size = self.discretisation.unknowns.shape[1]
+        dense = np.zeros((m, size, size))
+        dense[:, rows, cols] = dense[:, cols, rows] = blocks.reshape(m, entries)
+        eigenvalues, vectors = np.linalg.eigh(dense)
+        positive = (vectors * np.maximum(eigenvalues, 0.0)[:, None, :]) @ vectors.swapaxes(1, 2)
+        values = np.zeros(self.discretisation.pattern.nnz)
+        chosen = np.ascontiguousarray(positive[:, rows, cols])
+        kernels.scatter_blocks(chosen, self.discretisation.slots, values)
+        return values

@@ -1,0 +1,209 @@
+"""A soft body: the one object that users of the mechanics hold."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from tactorch.errors import ConfigError
+from tactorch.fem import loads
+from tactorch.fem.assembly import Assembly
+from tactorch.fem.elements import Discretisation, make_element
+from tactorch.fem.equilibrium import Equilibrium, Problem
+from tactorch.fem.materials import Material
+from tactorch.fem.newton import Equilibrated, Newton, NewtonOptions
+from tactorch.fem.supports import Supports
+from tactorch.linalg import SolverPool
+from tactorch.mesh import TetMesh
+
+
+class SoftBody:
+    """A mesh of one hyperelastic material whose Young's modulus varies by element.
+
+    Args:
+        mesh: The rest shape, mm.
+        material: Energy per unit modulus.
+        element: "tet4" (the paper's) or "tet10" (free of locking).
+        solver: "auto", "pardiso", "superlu" or "multigrid".
+        newton: Settings of the equilibrium search.
+
+    Example:
+        >>> body = SoftBody(mesh, NeoHookean(0.45))
+        >>> push = body.pressure("z+", 0.01)
+        >>> u = body.solve(youngs, push, Supports(fixed=bottom))
+    """
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        material: Material,
+        *,
+        element: str = "tet4",
+        solver: str = "auto",
+        newton: NewtonOptions | None = None,
+    ) -> None:
+        """Set up the discretisation; patterns are analysed at first use."""
+        self.mesh = mesh
+        self.material = material
+        self.newton = newton or NewtonOptions()
+        self.discretisation = Discretisation(mesh, make_element(element))
+        self._solver = solver
+        self.assembly = Assembly(self.discretisation, material, material.poisson, mesh.points)
+
+    @cached_property
+    def pool(self) -> SolverPool:
+        """Analysed solvers, shared by all load cases."""
+        d = self.discretisation
+        backend = self._solver
+        modes = d.rigid_modes if backend in ("auto", "multigrid") else None
+        return SolverPool(d.pattern, backend, modes)
+
+    @property
+    def n_nodes(self) -> int:
+        """Nodes of the element mesh: the mesh's points, then midsides (tet10)."""
+        return self.discretisation.n_nodes
+
+    def pressure(
+        self,
+        surface: str | Int[np.ndarray, " k"],
+        pressure_mpa: float | Tensor,
+        points: Float[Tensor, "n 3"] | None = None,
+    ) -> Float[Tensor, "nodes 3"]:
+        """Nodal forces (N) of a dead pressure; see `tactorch.fem.loads.pressure_forces`."""
+        return loads.pressure_forces(self.discretisation, surface, pressure_mpa, points)
+
+    def traction(
+        self,
+        surface: str | Int[np.ndarray, " k"],
+        traction_mpa: Sequence[float] | Float[Tensor, "3"],
+        points: Float[Tensor, "n 3"] | None = None,
+    ) -> Float[Tensor, "nodes 3"]:
+        """Nodal forces (N) of a dead traction; see `tactorch.fem.loads.traction_forces`."""
+        vector = torch.as_tensor(traction_mpa, dtype=torch.float64)
+        return loads.traction_forces(self.discretisation, surface, vector, points)
+
+    def gravity(
+        self,
+        density: float,
+        gravity: Sequence[float] | Float[Tensor, "3"] = (0.0, 0.0, -9810.0),
+        points: Float[Tensor, "n 3"] | None = None,
+    ) -> Float[Tensor, "nodes 3"]:
+        """Nodal weights (N); density in tonne/mm^3 (silicone: 1.07e-9), gravity in mm/s^2."""
+        vector = torch.as_tensor(gravity, dtype=torch.float64)
+        return loads.gravity_forces(self.discretisation, density, vector, points)
+
+    def search(
+        self,
+        youngs: Float[np.ndarray, " m"],
+        forces: Float[np.ndarray, "n 3"],
+        supports: Supports,
+        case: int = 0,
+    ) -> Newton:
+        """Set up the equilibrium search of one load case, for use without autograd.
+
+        Raises:
+            ConfigError: a shape or value cannot be used.
+        """
+        self._check(youngs, forces)
+        return Newton(
+            self.assembly,
+            self.pool,
+            np.ascontiguousarray(youngs, dtype=np.float64),
+            np.ascontiguousarray(self.discretisation.pad(forces), dtype=np.float64),
+            supports.case(case, self.discretisation),
+            self.newton,
+        )
+
+    def _check(self, youngs: np.ndarray, forces: np.ndarray) -> None:
+        check_youngs(youngs, self.mesh.n_tets)
+        if forces.shape[-2:] not in ((self.mesh.n_points, 3), (self.n_nodes, 3)):
+            raise ConfigError(
+                f"forces have shape {forces.shape}; expected ({self.mesh.n_points}, 3), one row "
+                "per mesh node, in N, or a batch of those."
+            )
+        if not np.all(np.isfinite(forces)):
+            raise ConfigError("forces contain NaN or infinity; give 0 N at nodes without load.")
+
+    def equilibrate(
+        self,
+        youngs: Float[np.ndarray, " m"],
+        forces: Float[np.ndarray, "n 3"],
+        supports: Supports,
+        *,
+        start: Float[np.ndarray, "nodes 3"] | None = None,
+    ) -> Equilibrated:
+        """Find one equilibrium without autograd; failure is a value with a reason."""
+        return self.search(youngs, forces, supports).run(start)
+
+    def solve(
+        self,
+        youngs: Float[Tensor, " m"],
+        forces: Float[Tensor, "*cases n 3"],
+        supports: Supports,
+        *,
+        poisson: Float[Tensor, "*m"] | None = None,
+        points: Float[Tensor, "n 3"] | None = None,
+        start: Float[np.ndarray, "*cases nodes 3"] | None = None,
+    ) -> Float[Tensor, "*cases nodes 3"]:
+        """Displacement at equilibrium (eq. 5), differentiable to second order.
+
+        Load cases batch along a leading axis of `forces` and are solved side by side.
+
+        Args:
+            youngs: Young's modulus of each element, MPa.
+            forces: Nodal forces, N.
+            supports: What holds the body, the same for all cases or one each.
+            poisson: Poisson's ratio, if differentiated or other than the material's.
+            points: Rest positions, mm, if differentiated or other than the mesh's.
+            start: Displacements to start from, mm.
+
+        Returns:
+            Displacement of every node, mm.
+
+        Raises:
+            ConfigError: a shape, type or value cannot be used.
+            ConvergenceError: the load collapses the object, or nothing holds it.
+        """
+        for name, value in (("youngs", youngs), ("forces", forces), ("poisson", poisson),
+                            ("points", points)):  # fmt: skip
+            if value is not None and value.dtype != torch.float64:
+                raise ConfigError(f"{name} is {value.dtype}; mechanics needs torch.float64.")
+        if forces.ndim not in (2, 3):
+            raise ConfigError(f"forces have {forces.ndim} dimensions; expected (cases,) n, 3.")
+        single = forces.ndim == 2
+        batch = self.discretisation.pad(forces[None] if single else forces)
+        begin = None if start is None else (start[None] if single else start)
+        self._check(youngs.detach().numpy(), batch.detach().numpy())
+        problem = Problem(self.assembly, self.pool, self.newton, supports, begin)
+        ratio = torch.as_tensor(self.assembly.poisson, dtype=torch.float64)
+        u = Equilibrium.apply(
+            youngs,
+            ratio if poisson is None else poisson,
+            batch,
+            torch.tensor(self.mesh.points) if points is None else points,
+            problem,
+        )
+        return u[0] if single else u
+
+
+def check_youngs(youngs: Float[np.ndarray, " k"], n_tets: int) -> None:
+    """Refuse moduli that cannot be used.
+
+    Raises:
+        ConfigError: wrong length, not finite, or not positive.
+    """
+    if youngs.shape != (n_tets,):
+        raise ConfigError(
+            f"youngs has shape {youngs.shape}; the mesh has {n_tets} elements, so ({n_tets},) "
+            "is expected."
+        )
+    bad = ~(np.isfinite(youngs) & (youngs > 0))
+    if bad.any():
+        first = int(np.flatnonzero(bad)[0])
+        raise ConfigError(
+            f"youngs[{first}] = {youngs[first]} MPa ({bad.sum()} such elements); Young's modulus "
+            "must be finite and positive. Use the lower bound 0.001 MPa for a hole."
+        )

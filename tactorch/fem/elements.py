@@ -1,0 +1,208 @@
+"""Finite elements on straight-sided tetrahedra, and what they need of a mesh.
+
+An element is a table: the derivatives of its shape functions with respect to the barycentric
+coordinates at its quadrature points. Everything else follows from the vertices.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from tactorch.errors import ConfigError
+from tactorch.linalg import SymmetricPattern
+from tactorch.mesh import TetMesh
+
+_EDGES = tuple(combinations(range(4), 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Element:
+    """Shape-function table of an element type.
+
+    Attributes:
+        name: How users call it.
+        table: d N_k / d L_c at each point, (points, nodes, 4), L barycentric.
+        rule: Share of the volume of each point, (points,).
+        surface_rule: Share of a face's area of its (3 vertices, 3 midsides).
+        volume_rule: Share of the volume of its nodes.
+        mean_dilatation: Whether the dilatation is averaged over the element.
+    """
+
+    name: str
+    table: Float[np.ndarray, "points nodes 4"]
+    rule: Float[np.ndarray, " points"]
+    surface_rule: tuple[float, float]
+    volume_rule: tuple[float, float]
+    mean_dilatation: bool
+
+    @property
+    def quadratic(self) -> bool:
+        """Whether edges carry midside nodes."""
+        return self.table.shape[1] == 10
+
+
+def _linear() -> Element:
+    return Element(
+        "tet4", np.eye(4)[None], np.ones(1), (1.0 / 3.0, 0.0), (0.25, 0.0), mean_dilatation=False
+    )
+
+
+def _quadratic() -> Element:
+    near, far = 0.5854101966249685, 0.1381966011250105
+    points = np.full((4, 4), far) + (near - far) * np.eye(4)
+    table = np.zeros((4, 10, 4))
+    for q, L in enumerate(points):
+        for a in range(4):
+            table[q, a, a] = 4.0 * L[a] - 1.0
+        for k, (a, b) in enumerate(_EDGES):
+            table[q, 4 + k, a], table[q, 4 + k, b] = 4.0 * L[b], 4.0 * L[a]
+    return Element(
+        "tet10", table, np.full(4, 0.25), (0.0, 1.0 / 3.0), (-0.05, 0.2), mean_dilatation=True
+    )
+
+
+ELEMENTS = {"tet4": _linear(), "tet10": _quadratic()}
+
+
+def make_element(name: str) -> Element:
+    """Return an element by name.
+
+    `tet4` is the plain linear tetrahedron of the paper; it locks as Poisson's ratio nears 0.5.
+    `tet10` is quadratic with the dilatation averaged over each element (Simo, Taylor and Pister,
+    1985; Q2/P0 on tetrahedra), free of locking up to 0.499; it has about eight times the unknowns.
+
+    Raises:
+        ConfigError: the name is unknown.
+    """
+    if name not in ELEMENTS:
+        raise ConfigError(f"element '{name}' is unknown; choose one of {', '.join(ELEMENTS)}.")
+    return ELEMENTS[name]
+
+
+@dataclass(frozen=True, eq=False)
+class Discretisation:
+    """A mesh seen through an element: nodes, couplings, geometry.
+
+    The first `mesh.n_points` nodes are the mesh's own; midside nodes follow.
+    """
+
+    mesh: TetMesh
+    element: Element
+
+    @cached_property
+    def edges(self) -> Int[np.ndarray, "edges 2"]:
+        """End points of the edges that carry midside nodes; none for linear elements."""
+        return self._edge_table[0]
+
+    @cached_property
+    def _edge_table(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unique edges, and the edge of each local edge of each tetrahedron."""
+        if not self.element.quadratic:
+            return np.empty((0, 2), dtype=np.int64), np.empty((self.mesh.n_tets, 0), np.int64)
+        ends = np.sort(self.mesh.tets[:, np.array(_EDGES)], axis=2).reshape(-1, 2)
+        unique, inverse = np.unique(ends, axis=0, return_inverse=True)
+        return unique, inverse.reshape(-1, len(_EDGES))
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes, midsides included."""
+        return self.mesh.n_points + len(self.edges)
+
+    @cached_property
+    def nodes(self) -> Int[np.ndarray, "m k"]:
+        """Nodes of each element: vertices, then midsides."""
+        midsides = self.mesh.n_points + self._edge_table[1]
+        return np.ascontiguousarray(np.concatenate([self.mesh.tets, midsides], axis=1))
+
+    @cached_property
+    def positions(self) -> Float[np.ndarray, "nodes 3"]:
+        """Rest position of every node, mm."""
+        points = self.mesh.points
+        return np.concatenate([points, points[self.edges].mean(axis=1)])
+
+    def extend(self, values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "nodes 3"]:
+        """Continue a vertex field to the midsides by averaging the ends."""
+        return np.concatenate([values, values[self.edges].mean(axis=1)])
+
+    def pad(self, values: Any) -> Any:
+        """Continue vertex loads to the midsides with zeros; full-length input is kept."""
+        missing = self.n_nodes - values.shape[-2]
+        if missing == 0:
+            return values
+        if isinstance(values, Tensor):
+            return torch.nn.functional.pad(values, (0, 0, 0, missing))
+        return np.concatenate([values, np.zeros((*values.shape[:-2], missing, 3))], axis=-2)
+
+    @cached_property
+    def _entry_pairs(self) -> Int[np.ndarray, "entries 2"]:
+        """Local unknowns (row, column) of each stored entry, in the order of the kernels."""
+        k = self.element.table.shape[1]
+        pairs = [
+            (3 * a + i, 3 * b + j)
+            for a in range(k)
+            for b in range(a, k)
+            for i in range(3)
+            for j in range(i if a == b else 0, 3)
+        ]
+        return np.array(pairs)
+
+    @cached_property
+    def unknowns(self) -> Int[np.ndarray, "m k3"]:
+        """Unknowns of each element, node by node."""
+        return (3 * self.nodes[:, :, None] + np.arange(3)).reshape(len(self.nodes), -1)
+
+    @cached_property
+    def pattern(self) -> SymmetricPattern:
+        """Sparsity of the tangent."""
+        # Node pairs first: nine times fewer keys to sort than unknowns.
+        k = self.nodes.shape[1]
+        first, second = np.triu_indices(k)
+        n = self.n_nodes
+        low = np.minimum(self.nodes[:, first], self.nodes[:, second]).ravel()
+        high = np.maximum(self.nodes[:, first], self.nodes[:, second]).ravel()
+        keys = np.unique(low * np.int64(n) + high)
+        offsets = np.arange(3)
+        rows = (3 * (keys // n))[:, None, None] + offsets[:, None] + 0 * offsets
+        cols = (3 * (keys % n))[:, None, None] + offsets + 0 * offsets[:, None]
+        return SymmetricPattern.from_pairs(3 * n, rows, cols)
+
+    @cached_property
+    def slots(self) -> Int[np.ndarray, "m entries"]:
+        """Stored entry of the pattern for each element entry."""
+        pairs = self._entry_pairs
+        return self.pattern.slots(self.unknowns[:, pairs[:, 0]], self.unknowns[:, pairs[:, 1]])
+
+    @property
+    def entry_rows_cols(self) -> tuple[Int[np.ndarray, " entries"], Int[np.ndarray, " entries"]]:
+        """Rows and columns, within an element matrix, of each stored entry."""
+        return self._entry_pairs[:, 0], self._entry_pairs[:, 1]
+
+    @cached_property
+    def rigid_modes(self) -> Float[np.ndarray, "unknowns 6"]:
+        """Three translations and three rotations about the centre, scaled to unit size."""
+        x, y, z = ((self.positions - self.positions.mean(0)) / self.mesh.diagonal).T
+        modes = np.zeros((self.n_nodes, 3, 6))
+        modes[:, np.arange(3), np.arange(3)] = 1.0
+        modes[:, 1, 3], modes[:, 2, 3] = -z, y
+        modes[:, 2, 4], modes[:, 0, 4] = -x, z
+        modes[:, 0, 5], modes[:, 1, 5] = -y, x
+        return modes.reshape(-1, 6)
+
+    def geometry(
+        self, points: Float[Tensor, "n 3"]
+    ) -> tuple[Float[Tensor, "m q k 3"], Float[Tensor, "m q"]]:
+        """Shape gradients (1/mm) and point volumes (mm^3), differentiable in the rest points."""
+        corners = points[torch.tensor(self.mesh.tets)]
+        sides = corners[:, 1:] - corners[:, :1]
+        inverse = torch.linalg.inv(sides).mT
+        barycentric = torch.cat([-inverse.sum(1, keepdim=True), inverse], dim=1)
+        table = torch.from_numpy(self.element.table).to(points)
+        gradients = torch.einsum("qkc,mcd->mqkd", table, barycentric)
+        volumes = torch.linalg.det(sides) / 6.0
+        return gradients, volumes[:, None] * torch.from_numpy(self.element.rule).to(points)

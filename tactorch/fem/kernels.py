@@ -1,0 +1,262 @@
+"""Element kernels compiled with Numba: the inner loops of the mechanics on the CPU.
+
+Every kernel releases the GIL, so that load cases run side by side in threads. They know no
+material: the energy's derivatives with respect to the invariants I1, I2, J are handed in.
+
+For a node with shape gradient g: p = dI1/dF g = 2 F g, t = dI2/dF g, c = dJ/dF g = cof(F) g.
+"""
+
+from typing import Any, no_type_check
+
+import numba
+import numpy as np
+
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "cache": True,
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+    "error_model": "numpy",
+}
+
+
+@no_type_check
+@numba.njit(**_OPTIONS)
+def kinematics(nodes, gradients, u, F, invariants):
+    """Fill F (m, q, 3, 3) and invariants (3, m, q) from displacements u (n, 3)."""
+    for e in range(gradients.shape[0]):
+        for q in range(gradients.shape[1]):
+            for i in range(3):
+                for k in range(3):
+                    F[e, q, i, k] = 1.0 if i == k else 0.0
+            for a in range(gradients.shape[2]):
+                node = nodes[e, a]
+                for i in range(3):
+                    ui = u[node, i]
+                    for k in range(3):
+                        F[e, q, i, k] += ui * gradients[e, q, a, k]
+            trace = 0.0
+            square = 0.0
+            for i in range(3):
+                for k in range(3):
+                    c = 0.0
+                    for r in range(3):
+                        c += F[e, q, r, i] * F[e, q, r, k]
+                    square += c * c
+                    if i == k:
+                        trace += c
+            invariants[0, e, q] = trace
+            invariants[1, e, q] = 0.5 * (trace * trace - square)
+            invariants[2, e, q] = (
+                F[e, q, 0, 0] * (F[e, q, 1, 1] * F[e, q, 2, 2] - F[e, q, 1, 2] * F[e, q, 2, 1])
+                + F[e, q, 0, 1] * (F[e, q, 1, 2] * F[e, q, 2, 0] - F[e, q, 1, 0] * F[e, q, 2, 2])
+                + F[e, q, 0, 2] * (F[e, q, 1, 0] * F[e, q, 2, 1] - F[e, q, 1, 1] * F[e, q, 2, 0])
+            )
+
+
+@no_type_check
+@numba.njit(inline="always")
+def _cofactor(M, cof):
+    for i in range(3):
+        i1 = (i + 1) % 3
+        i2 = (i + 2) % 3
+        for k in range(3):
+            k1 = (k + 1) % 3
+            k2 = (k + 2) % 3
+            cof[i, k] = M[i1, k1] * M[i2, k2] - M[i1, k2] * M[i2, k1]
+
+
+@no_type_check
+@numba.njit(**_OPTIONS)
+def stress(F, invariants, d1, d2, dj, out):
+    """Fill P (m, q, 3, 3), the stress per unit modulus."""
+    cof = np.empty((3, 3))
+    for e in range(F.shape[0]):
+        for q in range(F.shape[1]):
+            M = F[e, q]
+            _cofactor(M, cof)
+            s1 = 2.0 * d1[e, q]
+            s2 = 2.0 * d2[e, q]
+            i1 = invariants[0, e, q]
+            for i in range(3):
+                for k in range(3):
+                    out[e, q, i, k] = (s1 + s2 * i1) * M[i, k] + dj[e, q] * cof[i, k]
+            if s2 != 0.0:
+                for i in range(3):
+                    for j in range(3):
+                        b = M[i, 0] * M[j, 0] + M[i, 1] * M[j, 1] + M[i, 2] * M[j, 2]
+                        for k in range(3):
+                            out[e, q, i, k] -= s2 * b * M[j, k]
+
+
+@no_type_check
+@numba.njit(**_OPTIONS)
+def element_forces(gradients, P, weights, out):
+    """Fill the elements' nodal forces (m, k, 3): sum over points of weight * P g."""
+    for e in range(gradients.shape[0]):
+        for a in range(gradients.shape[2]):
+            for i in range(3):
+                total = 0.0
+                for q in range(gradients.shape[1]):
+                    total += weights[e, q] * (
+                        P[e, q, i, 0] * gradients[e, q, a, 0]
+                        + P[e, q, i, 1] * gradients[e, q, a, 1]
+                        + P[e, q, i, 2] * gradients[e, q, a, 2]
+                    )
+                out[e, a, i] = total
+
+
+@no_type_check
+@numba.njit(**_OPTIONS)
+def scatter_forces(nodes, forces, scale, out):
+    """Add scale[e] * forces[e] to the nodal vector `out` (n, 3)."""
+    for e in range(nodes.shape[0]):
+        for a in range(nodes.shape[1]):
+            node = nodes[e, a]
+            for i in range(3):
+                out[node, i] += scale[e] * forces[e, a, i]
+
+
+@no_type_check
+@numba.njit(**_OPTIONS)
+def gather_dot(nodes, forces, x, out):
+    """Fill out[e, :] = sum over the element's nodes of forces[e] * x, x of shape (n, 3, k)."""
+    columns = x.shape[2]
+    for e in range(nodes.shape[0]):
+        for c in range(columns):
+            out[e, c] = 0.0
+        for a in range(nodes.shape[1]):
+            node = nodes[e, a]
+            for i in range(3):
+                f = forces[e, a, i]
+                for c in range(columns):
+                    out[e, c] += f * x[node, i, c]
+
+
+@no_type_check
+@numba.njit(**_OPTIONS)
+def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values):
+    """Add the element tangents to the stored entries `values` of the symmetric matrix.
+
+    coefficients (9, m, q): d1, d2, dj, d11, d12, d1j, d22, d2j, djj per unit modulus;
+    weights (m, q): modulus times volume of the point; mean (m,): modulus times U'' over volume
+    where the dilatation is averaged, else empty; slots (m, 3k(3k+1)/2): where the entries of the
+    upper triangle go, block by block.
+    """
+    k = gradients.shape[2]
+    cof = np.empty((3, 3))
+    B = np.empty((3, 3))
+    p = np.empty((k, 3))
+    t = np.zeros((k, 3))
+    c = np.empty((k, 3))
+    yp = np.zeros((k, 3))
+    yt = np.zeros((k, 3))
+    yc = np.empty((k, 3))
+    block = np.empty((3, 3))
+    average = np.zeros((k, 3))
+    for e in range(gradients.shape[0]):
+        if mean.shape[0] > 0:
+            average[:] = 0.0
+        for q in range(gradients.shape[1]):
+            M = F[e, q]
+            g = gradients[e, q]
+            w = weights[e, q]
+            d1 = w * coefficients[0, e, q]
+            d2 = w * coefficients[1, e, q]
+            dj = w * coefficients[2, e, q]
+            d11 = w * coefficients[3, e, q]
+            d12 = w * coefficients[4, e, q]
+            d1j = w * coefficients[5, e, q]
+            d22 = w * coefficients[6, e, q]
+            d2j = w * coefficients[7, e, q]
+            djj = w * coefficients[8, e, q]
+            i1 = invariants[0, e, q]
+            second = d2 != 0.0 or d22 != 0.0
+            first = second or d11 != 0.0 or d1j != 0.0
+            _cofactor(M, cof)
+            for a in range(k):
+                for i in range(3):
+                    p[a, i] = 2.0 * (M[i, 0] * g[a, 0] + M[i, 1] * g[a, 1] + M[i, 2] * g[a, 2])
+                    c[a, i] = cof[i, 0] * g[a, 0] + cof[i, 1] * g[a, 1] + cof[i, 2] * g[a, 2]
+                    yc[a, i] = djj * c[a, i]
+            if second:
+                for i in range(3):
+                    for j in range(3):
+                        B[i, j] = M[i, 0] * M[j, 0] + M[i, 1] * M[j, 1] + M[i, 2] * M[j, 2]
+                for a in range(k):
+                    for i in range(3):
+                        t[a, i] = (
+                            i1 * p[a, i] - B[i, 0] * p[a, 0] - B[i, 1] * p[a, 1] - B[i, 2] * p[a, 2]
+                        )
+            if first:
+                for a in range(k):
+                    for i in range(3):
+                        yp[a, i] = d11 * p[a, i] + d12 * t[a, i] + d1j * c[a, i]
+                        yt[a, i] = d12 * p[a, i] + d22 * t[a, i] + d2j * c[a, i]
+                        yc[a, i] += d1j * p[a, i] + d2j * t[a, i]
+            if mean.shape[0] > 0:
+                for a in range(k):
+                    for i in range(3):
+                        average[a, i] += weights[e, q] * c[a, i]
+            entry = 0
+            for a in range(k):
+                for b in range(a, k):
+                    dot = g[a, 0] * g[b, 0] + g[a, 1] * g[b, 1] + g[a, 2] * g[b, 2]
+                    # d2J: the cross product of the gradients, carried by F
+                    x0 = g[a, 1] * g[b, 2] - g[a, 2] * g[b, 1]
+                    x1 = g[a, 2] * g[b, 0] - g[a, 0] * g[b, 2]
+                    x2 = g[a, 0] * g[b, 1] - g[a, 1] * g[b, 0]
+                    z0 = dj * (M[0, 0] * x0 + M[0, 1] * x1 + M[0, 2] * x2)
+                    z1 = dj * (M[1, 0] * x0 + M[1, 1] * x1 + M[1, 2] * x2)
+                    z2 = dj * (M[2, 0] * x0 + M[2, 1] * x1 + M[2, 2] * x2)
+                    for i in range(3):
+                        for j in range(3):
+                            block[i, j] = c[a, i] * yc[b, j]
+                    if first:
+                        for i in range(3):
+                            for j in range(3):
+                                block[i, j] += p[a, i] * yp[b, j] + t[a, i] * yt[b, j]
+                    diagonal = 2.0 * d1 * dot
+                    if second:
+                        half = (p[a, 0] * p[b, 0] + p[a, 1] * p[b, 1] + p[a, 2] * p[b, 2]) * 0.25
+                        diagonal += 2.0 * d2 * (i1 * dot - half)
+                        for i in range(3):
+                            for j in range(3):
+                                block[i, j] += 2.0 * d2 * (
+                                    0.5 * p[a, i] * p[b, j] - 0.25 * p[b, i] * p[a, j] - B[i, j] * dot
+                                )
+                    block[0, 0] += diagonal
+                    block[1, 1] += diagonal
+                    block[2, 2] += diagonal
+                    block[0, 1] += z2
+                    block[0, 2] -= z1
+                    block[1, 0] -= z2
+                    block[1, 2] += z0
+                    block[2, 0] += z1
+                    block[2, 1] -= z0
+                    if a == b:
+                        for i in range(3):
+                            for j in range(i, 3):
+                                values[slots[e, entry]] += block[i, j]
+                                entry += 1
+                    else:
+                        for i in range(3):
+                            for j in range(3):
+                                values[slots[e, entry]] += block[i, j]
+                                entry += 1
+        if mean.shape[0] > 0:
+            entry = 0
+            for a in range(k):
+                for b in range(a, k):
+                    for i in range(3):
+                        for j in range(i if a == b else 0, 3):
+                            values[slots[e, entry]] += mean[e] * average[a, i] * average[b, j]
+                            entry += 1
+
+
+@no_type_check
+@numba.njit(**_OPTIONS)
+def scatter_blocks(blocks, slots, values):
+    """Add dense element matrices (m, entries) to the stored entries of the symmetric matrix."""
+    for e in range(blocks.shape[0]):
+        for entry in range(slots.shape[1]):
+            values[slots[e, entry]] += blocks[e, entry]

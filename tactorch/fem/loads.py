@@ -1,0 +1,113 @@
+"""Nodal forces of pressures, tractions and gravity; all of them differentiable in the rest shape.
+
+Loads are dead: a pressure or traction is per area of the rest shape and keeps its direction.
+"""
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from tactorch.errors import ConfigError
+from tactorch.fem.elements import Discretisation
+from tactorch.mesh import select_face
+
+
+def surface_triangles(
+    discretisation: Discretisation, surface: str | Int[np.ndarray, " k"]
+) -> Int[np.ndarray, "k 3"]:
+    """Vertices of the triangles of a named face ("z+") or of given surface triangles.
+
+    Raises:
+        ConfigError: no triangle is selected, or an index is outside the surface.
+    """
+    mesh = discretisation.mesh
+    chosen = select_face(mesh, surface) if isinstance(surface, str) else np.asarray(surface)
+    count = len(mesh.surface.triangles)
+    if len(chosen) == 0 or chosen.min() < 0 or chosen.max() >= count:
+        raise ConfigError(
+            f"surface {surface!r} selects no triangle or one outside 0..{count - 1}; name a flat "
+            "side (x-, x+, y-, y+, z-, z+) or give indices into mesh.surface.triangles."
+        )
+    return mesh.surface.triangles[chosen]
+
+
+def traction_forces(
+    discretisation: Discretisation,
+    surface: str | Int[np.ndarray, " k"],
+    traction_mpa: Float[Tensor, "3"],
+    points: Float[Tensor, "n 3"] | None = None,
+) -> Float[Tensor, "nodes 3"]:
+    """Consistent nodal forces (N) of a uniform traction (MPa) on a surface.
+
+    Args:
+        discretisation: The mesh and element.
+        surface: Name of a flat side, or indices into `mesh.surface.triangles`.
+        traction_mpa: Force per rest area.
+        points: Rest positions, mm; the mesh's own by default.
+    """
+    triangles = surface_triangles(discretisation, surface)
+    areas = _area_vectors(discretisation, triangles, points).norm(dim=1)
+    return _spread(discretisation, triangles, areas[:, None] * traction_mpa)
+
+
+def pressure_forces(
+    discretisation: Discretisation,
+    surface: str | Int[np.ndarray, " k"],
+    pressure_mpa: float | Tensor,
+    points: Float[Tensor, "n 3"] | None = None,
+) -> Float[Tensor, "nodes 3"]:
+    """Consistent nodal forces (N) of a pressure (MPa) pushing inward along the rest normals."""
+    triangles = surface_triangles(discretisation, surface)
+    vectors = _area_vectors(discretisation, triangles, points)
+    return _spread(discretisation, triangles, -pressure_mpa * vectors)
+
+
+def gravity_forces(
+    discretisation: Discretisation,
+    density: float,
+    gravity: Float[Tensor, "3"],
+    points: Float[Tensor, "n 3"] | None = None,
+) -> Float[Tensor, "nodes 3"]:
+    """Nodal weights (N), eq. (4), of a density (tonne/mm^3) in a field of gravity (mm/s^2)."""
+    _, weights = discretisation.geometry(_rest(discretisation, points))
+    at_vertex, at_midside = discretisation.element.volume_rule
+    nodes = torch.from_numpy(discretisation.nodes)
+    shares = torch.tensor([at_vertex] * 4 + [at_midside] * (nodes.shape[1] - 4))
+    per_node = density * weights.sum(1)[:, None, None] * shares[:, None].double() * gravity
+    out = torch.zeros(discretisation.n_nodes, 3, dtype=torch.float64)
+    return out.index_add(0, nodes.reshape(-1), per_node.reshape(-1, 3))
+
+
+def _rest(discretisation: Discretisation, points: Tensor | None) -> Tensor:
+    return torch.tensor(discretisation.mesh.points) if points is None else points
+
+
+def _area_vectors(
+    discretisation: Discretisation, triangles: np.ndarray, points: Tensor | None
+) -> Tensor:
+    """Outward normals times areas, (k, 3)."""
+    a, b, c = _rest(discretisation, points)[torch.tensor(triangles)].unbind(1)
+    return 0.5 * torch.linalg.cross(b - a, c - a)
+
+
+def _spread(discretisation: Discretisation, triangles: np.ndarray, totals: Tensor) -> Tensor:
+    """Share each triangle's force among its nodes."""
+    at_vertex, at_midside = discretisation.element.surface_rule
+    out = torch.zeros(discretisation.n_nodes, 3, dtype=torch.float64)
+    for corner in range(3):
+        out = out.index_add(0, torch.from_numpy(triangles[:, corner]), at_vertex * totals)
+    if at_midside:
+        for corner in range(3):
+            ends = triangles[:, [corner, (corner + 1) % 3]]
+            out = out.index_add(0, _midsides(discretisation, ends), at_midside * totals)
+    return out
+
+
+def _midsides(discretisation: Discretisation, ends: np.ndarray) -> Tensor:
+    """Midside node of each edge given by its end points."""
+    n = discretisation.mesh.n_points
+    low, high = np.sort(ends, axis=1).T
+    edges = discretisation.edges
+    found = np.searchsorted(edges[:, 0] * n + edges[:, 1], low * n + high)
+    return torch.from_numpy(n + found)

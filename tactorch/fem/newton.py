@@ -1,0 +1,278 @@
+"""Newton-Raphson on the total energy (eq. 5, 6), made to survive what touch does to soft bodies.
+
+Line search on the energy; no step through an inverted element; the tangent projected to
+positive semi-definite, element by element, only where the true one is indefinite; the full load
+first, and steps that shrink and grow where that fails.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConvergenceError
+from tactorch.fem.assembly import Assembly, Response
+from tactorch.fem.linearization import Linearization, hold
+from tactorch.fem.supports import HeldCase
+from tactorch.linalg import IndefiniteError, SolverPool, Status
+from tactorch.linalg.pool import Lease
+
+_ARMIJO = 1e-4
+_ROUND_OFF = 1e-11  # relative energy change below which energies no longer compare
+
+
+@dataclass(frozen=True)
+class NewtonOptions:
+    """Settings of the equilibrium search.
+
+    Attributes:
+        rtol: Residual force at convergence, relative to the applied and support forces.
+        max_iterations: Cap within one load step.
+        min_load_step: Fraction of the load below which a step is given up.
+        min_line_step: Fraction of a Newton step below which the line search is given up.
+    """
+
+    rtol: float = 1e-10
+    max_iterations: int = 40
+    min_load_step: float = 1.0 / 512.0
+    min_line_step: float = 1.0 / 4096.0
+
+
+@dataclass(eq=False)
+class Equilibrated:
+    """What the search found.
+
+    Attributes:
+        displacement: Nodal displacements, mm.
+        converged: Whether they are an equilibrium.
+        reason: Why the search ended, in words.
+        iterations: Newton iterations over all load steps.
+        load_steps: Load steps taken (one when the full load worked at once).
+        energies: Total energy (N mm) before and after each iteration of the last load step.
+        residual: Largest unbalanced force, relative.
+        response: Element responses at `displacement`.
+    """
+
+    displacement: Float[np.ndarray, "nodes 3"]
+    converged: bool
+    reason: str
+    iterations: int
+    load_steps: int
+    residual: float
+    energies: list[float] = field(default_factory=list)
+    response: Response | None = None
+    _lease: Lease | None = None
+
+    def require(self) -> "Equilibrated":
+        """Return self, or raise.
+
+        Raises:
+            ConvergenceError: no equilibrium was found; the message says why and what to try.
+        """
+        if not self.converged:
+            raise ConvergenceError(self.reason)
+        return self
+
+
+class Newton:
+    """One load case: a body, its moduli, its supports and its forces."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        pool: SolverPool,
+        youngs: Float[np.ndarray, " m"],
+        forces: Float[np.ndarray, "nodes 3"],
+        held: HeldCase,
+        options: NewtonOptions | None = None,
+    ) -> None:
+        """Take the problem; nothing is computed yet."""
+        self.assembly = assembly
+        self.pattern = pool.pattern
+        self.youngs = youngs
+        self.forces = forces
+        self.held = held
+        self.options = options or NewtonOptions()
+        self._fixed = held.fixed.ravel()
+        self._lease = pool.lease()
+
+    def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> Equilibrated:
+        """Find the equilibrium, warm from `start` if given."""
+        rest = np.zeros_like(self.forces)
+        if not self.held.holds:
+            reason = (
+                "Nothing holds the object: fewer than three degrees of freedom are fixed or on "
+                "springs. Fix a face, or give springs."
+            )
+            return Equilibrated(rest, False, reason, 0, 0, np.inf)
+        found = self._at_load(1.0, rest if start is None else start)
+        if not found.converged:
+            found = self._in_steps(found.iterations)
+        found._lease = self._lease
+        return found
+
+    def linearize(self, found: Equilibrated) -> Linearization:
+        """Return the tangent at an equilibrium, with Newton's factorisation at hand."""
+        assert found.response is not None
+        values = hold(self.pattern, self._tangent(found.response), self._fixed)
+        fresh = found.iterations == 0
+        if fresh and self._lease.factor(values) is Status.INDEFINITE:
+            raise ConvergenceError("The tangent at the start is not positive definite.")
+        return Linearization(self.pattern, values, self._lease, self._fixed, exact=fresh)
+
+    def _in_steps(self, spent: int) -> Equilibrated:
+        """Walk up from the unloaded state; shrink the step on failure, grow it on ease."""
+        load, step, taken = 0.0, 0.25, 0
+        u = np.zeros_like(self.forces)
+        while load < 1.0:
+            target = min(1.0, load + step)
+            found = self._at_load(target, u)
+            spent += found.iterations
+            if found.converged:
+                taken, load, u = taken + 1, target, found.displacement
+                if found.iterations <= 8:
+                    step *= 2.0
+            else:
+                step *= 0.5
+            if step < self.options.min_load_step:
+                reason = f"{self._collapse(u)} It carried {load:.0%} of the load. {found.reason}"
+                return Equilibrated(u, False, reason, spent, taken, found.residual)
+        found.iterations, found.load_steps = spent, taken
+        return found
+
+    def _collapse(self, u: np.ndarray) -> str:
+        """Say where the body gives way."""
+        response = self.assembly.respond(u)
+        if response is None:
+            return "The start is already inverted."
+        element, j = response.worst
+        x, y, z = self.assembly.points[self.assembly.discretisation.mesh.tets[element]].mean(0)
+        return (
+            f"The load collapses the object: element {element} near ({x:.3g}, {y:.3g}, {z:.3g}) mm "
+            f"with {self.youngs[element]:.3g} MPa is squeezed to {j:.2g} of its volume. Lower the "
+            "forces, check their unit (N) and that of the moduli (MPa), or spread the load."
+        )
+
+    def _tangent(self, response: Response) -> np.ndarray:
+        values = self.assembly.tangent(response, self.youngs)
+        values[self.pattern.diagonal] += self.held.springs.ravel()
+        return values
+
+    def _definite_tangent(self, response: Response) -> np.ndarray:
+        values = self.assembly.definite_tangent(response, self.youngs)
+        values[self.pattern.diagonal] += self.held.springs.ravel()
+        return values
+
+    def _energy(self, response: Response, u: np.ndarray, load: float) -> tuple[float, float]:
+        """Total energy, and the size of its terms (for judging round-off)."""
+        elastic = float(self.youngs @ response.energy)
+        springs = 0.5 * float((self.held.springs * u * u).sum())
+        work = load * float((self.forces * u).sum())
+        return elastic + springs - work, abs(elastic) + springs + abs(work)
+
+    def _residual(self, response: Response, u: np.ndarray, load: float) -> tuple[np.ndarray, float]:
+        """Unbalanced forces (flat, zero at fixed unknowns), and the scale to judge them by."""
+        internal = self.assembly.internal_force(response, self.youngs) + self.held.springs * u
+        balance = (internal - load * self.forces).ravel()
+        scale = max(np.abs(internal).max(), load * np.abs(self.forces).max())
+        return np.where(self._fixed, 0.0, balance), float(scale)
+
+    def _at_load(self, load: float, start: np.ndarray) -> Equilibrated:
+        """Newton at one load factor."""
+        u = start.copy()
+        response = self.assembly.respond(u)
+        if response is None:
+            return Equilibrated(u, False, "The start has inverted elements.", 0, 0, np.inf)
+        jump = np.where(self.held.fixed, load * self.held.prescribed - u, 0.0).ravel()
+        energies: list[float] = []
+        reason, relative = f"No convergence in {self.options.max_iterations} iterations.", np.inf
+        for iteration in range(self.options.max_iterations + 1):
+            residual, scale = self._residual(response, u, load)
+            size = float(np.abs(residual).max())
+            relative = size / scale if scale > 0 else size
+            if not jump.any():
+                energies.append(self._energy(response, u, load)[0])
+                if relative <= self.options.rtol or size <= self._floor():
+                    return self._found(u, iteration, energies, relative, response)
+            if iteration == self.options.max_iterations:
+                break
+            step = self._step(response, residual, jump)
+            if jump.any():
+                # Prescribed displacements are entered at once; energies do not compare here.
+                trial = self.assembly.respond(u + step)
+                if trial is None:
+                    reason = "The prescribed displacements invert an element."
+                    break
+                u, response, jump = u + step, trial, np.zeros_like(jump)
+                continue
+            moved = self._search(u, response, residual, step, load)
+            if moved is None:
+                if relative <= 1e3 * self.options.rtol:
+                    return self._found(u, iteration, energies, relative, response)
+                reason = "The line search found no lower energy."
+                break
+            u, response = moved
+        return Equilibrated(u, False, reason, iteration, 0, relative, energies)
+
+    def _found(
+        self, u: np.ndarray, iteration: int, energies: list[float], relative: float, at: Response
+    ) -> Equilibrated:
+        return Equilibrated(u, True, "forces in balance", iteration, 1, relative, energies, at)
+
+    def _floor(self) -> float:
+        """Force that round-off alone makes (N)."""
+        return 1e-15 * float(self.youngs.max()) * self.assembly.discretisation.mesh.diagonal ** 2
+
+    def _step(self, response: Response, residual: np.ndarray, jump: np.ndarray) -> np.ndarray:
+        """Newton step; fixed unknowns move by `jump`."""
+        values = self._tangent(response)
+        step = self._solve(values, residual, jump)
+        if step is None or (not jump.any() and residual @ step > 0.0):
+            step = self._solve(self._definite_tangent(response), residual, jump)
+        if step is None:  # semi-definite and singular: shift it
+            values = self._definite_tangent(response)
+            values[self.pattern.diagonal] *= 1.0 + 1e-6
+            step = self._solve(values, residual, jump)
+        if step is None:
+            raise ConvergenceError(
+                "The tangent stays singular: a part of the object is not held, or moduli span "
+                "too many decades. Check fixed nodes, springs and the range of Young's modulus."
+            )
+        return step.reshape(-1, 3)
+
+    def _solve(
+        self, values: np.ndarray, residual: np.ndarray, jump: np.ndarray
+    ) -> np.ndarray | None:
+        """Solve for the step; None if the matrix is not positive definite."""
+        if self._lease.factor(hold(self.pattern, values, self._fixed)) is Status.INDEFINITE:
+            return None
+        rhs = -residual
+        if jump.any():
+            rhs = rhs - self.pattern.product(values, jump)
+        rhs[self._fixed] = 0.0
+        try:
+            return self._lease.solve(rhs) + jump
+        except IndefiniteError:
+            return None
+
+    def _search(
+        self, u: np.ndarray, response: Response, residual: np.ndarray, step: np.ndarray, load: float
+    ) -> tuple[np.ndarray, Response] | None:
+        """Shorten the step until no element inverts and the energy falls enough."""
+        energy, size = self._energy(response, u, load)
+        slope = float(residual @ step.ravel())
+        noise = _ROUND_OFF * size
+        fraction = 1.0
+        while fraction >= self.options.min_line_step:
+            trial_u = u + fraction * step
+            trial = self.assembly.respond(trial_u)
+            if trial is not None:
+                change = self._energy(trial, trial_u, load)[0] - energy
+                if change <= _ARMIJO * fraction * slope:
+                    return trial_u, trial
+                if abs(slope) <= noise and abs(change) <= noise:
+                    # Energies no longer compare: accept what lowers the residual.
+                    after = np.abs(self._residual(trial, trial_u, load)[0]).max()
+                    return (trial_u, trial) if after < np.abs(residual).max() else None
+            fraction *= 0.5
+        return None

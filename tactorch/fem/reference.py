@@ -1,0 +1,67 @@
+"""The mechanics in plain torch operations: any device, any order of differentiation.
+
+The compiled kernels are checked against these, and second derivatives come from them.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from tactorch.fem.elements import Discretisation
+from tactorch.fem.materials import IsotropicMaterial, Material
+
+
+def deformation_gradient(
+    discretisation: Discretisation,
+    u: Float[Tensor, "*cases nodes 3"],
+    gradients: Float[Tensor, "m q k 3"],
+) -> Float[Tensor, "*cases m q 3 3"]:
+    """F = I + sum over nodes of u (x) g, at every point."""
+    nodes = torch.from_numpy(discretisation.nodes).to(u.device)
+    one = torch.eye(3, dtype=u.dtype, device=u.device)
+    return one + torch.einsum("...mki,mqkI->...mqiI", u[..., nodes, :], gradients)
+
+
+def element_energy(
+    discretisation: Discretisation,
+    material: Material,
+    u: Float[Tensor, "*cases nodes 3"],
+    poisson: Float[Tensor, "*m"],
+    points: Float[Tensor, "n 3"],
+) -> Float[Tensor, "*cases m"]:
+    """Energy of each element per unit modulus (mm^3), eq. (2) summed over its volume."""
+    gradients, weights = discretisation.geometry(points)
+    F = deformation_gradient(discretisation, u, gradients)
+    per_point = poisson[..., None] if poisson.ndim else poisson
+    averaged = discretisation.element.mean_dilatation and isinstance(material, IsotropicMaterial)
+    if not averaged:
+        return (weights * material.energy(F, per_point)).sum(-1)
+    assert isinstance(material, IsotropicMaterial)
+    i1, i2, j = material.invariants(F)
+    volumes = weights.sum(-1)
+    mean = (weights * j).sum(-1) / volumes
+    shape = material.distortion(i1, i2, j, torch.log(j), per_point).psi
+    dilatation = material.dilatation(mean, torch.log(mean), poisson).psi
+    return (weights * shape).sum(-1) + volumes * dilatation
+
+
+def element_work(
+    discretisation: Discretisation,
+    material: Material,
+    u: Float[Tensor, "*cases nodes 3"],
+    v: Float[Tensor, "*cases nodes 3"],
+    poisson: Float[Tensor, "*m"],
+    points: Float[Tensor, "n 3"],
+) -> Float[Tensor, "*cases m"]:
+    """Virtual work of each element's unit force (eq. 11) on `v`: P1(F) : grad v, mm^3."""
+    gradients, weights = discretisation.geometry(points)
+    F = deformation_gradient(discretisation, u, gradients)
+    one = torch.eye(3, dtype=u.dtype, device=u.device)
+    change = deformation_gradient(discretisation, v, gradients) - one
+    per_point = poisson[..., None] if poisson.ndim else poisson
+    averaged = discretisation.element.mean_dilatation and isinstance(material, IsotropicMaterial)
+    if not averaged:
+        return (weights * (material.stress(F, per_point) * change).sum((-2, -1))).sum(-1)
+    assert isinstance(material, IsotropicMaterial)
+    stress = material.averaged_stress(F, weights, poisson)
+    return (weights * (stress * change).sum((-2, -1))).sum(-1)

@@ -1,0 +1,59 @@
+"""Files that are either whole or absent."""
+
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tactorch.errors import FileError
+
+
+@contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Give a temporary sibling of `path` to write to; rename it to `path` on success.
+
+    A process killed in between leaves `path` as it was. The temporary file keeps the suffix,
+    because many writers choose their format by it.
+
+    Args:
+        path: The file to create or replace; its folder is created.
+
+    Yields:
+        The temporary path.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{target.stem}.{uuid.uuid4().hex[:8]}.part{target.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def require_file(path: str | Path, what: str) -> Path:
+    """Return `path` as a `Path`, or raise `FileError` naming it and `what` it should be."""
+    found = Path(path)
+    if not found.is_file():
+        hint = _nearest(found)
+        raise FileError(f"{what} not found: '{found}' is not a file.{hint}")
+    return found
+
+
+def require_folder(path: str | Path, what: str) -> Path:
+    """Return `path` as a `Path`, or raise `FileError` naming it and `what` it should be."""
+    found = Path(path)
+    if not found.is_dir():
+        raise FileError(f"{what} not found: '{found}' is not a folder.{_nearest(found)}")
+    return found
+
+
+def _nearest(path: Path) -> str:
+    """Say what does exist beside a missing path."""
+    parent = path.parent
+    if not parent.is_dir():
+        return f" Nor does its folder '{parent}' exist; check the spelling."
+    names = sorted(p.name for p in parent.iterdir() if not p.name.startswith("."))[:6]
+    listing = ", ".join(names) if names else "nothing"
+    return f" Its folder holds: {listing}."

@@ -1,0 +1,221 @@
+"""The text format of the published tactile-elastography cases.
+
+A folder holds (n nodes, m tetrahedra; degrees of freedom are x y z of node 0, of node 1, ...):
+
+| file | what | unit |
+|---|---|---|
+| mesh.msh | gmsh tetrahedra | m |
+| presses/force<i>.txt | 3n external nodal forces | N |
+| presses/pnt<i>.txt | 3n coordinates of the deformed nodes | m |
+| presses/A-<i>.txt | `row col value`: zero-length springs that hold the object | N/m |
+| presses/B-<i>.txt | `row col 1`: observed degrees of freedom | |
+| youngs_true.txt | m true moduli, may be absent | Pa |
+| youngs_reference_result.txt | m reconstructed moduli of the authors, may be absent | Pa |
+
+Any number of presses, numbered in any way. What the files do not say, and a forward solve tells:
+the authors' solver got the mesh with six decimals of a metre (`round_rest_m`), halved the volume
+term of the paper's energy (`lame_factor`), and one case's truth is not what its presses were made
+with (`relabel_truth`). Equation (3) of the paper squares the stiffness of the springs if read
+literally; in the files the force is stiffness times displacement.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import FileError, RecordingError
+from tactorch.files import require_file, require_folder
+from tactorch.importers.text_tables import read_diagonal, read_numbers
+from tactorch.mesh import TetMesh, read_mesh
+from tactorch.recording import MaterialSpec, Press, Recording
+
+_MM_PER_M = 1e3
+_PA_PER_MPA = 1e6
+_PARTS = {
+    "force": "nodal forces",
+    "pnt": "deformed positions",
+    "A-": "springs",
+    "B-": "observed degrees of freedom",
+}
+# A level of the truth is meant when it is this close to the number given for it.
+_LEVEL_TOLERANCE = 1e-3
+
+
+def import_published(
+    folder: str | Path,
+    *,
+    poisson: float = 0.49,
+    lame_factor: float = 0.5,
+    round_rest_m: float | None = 1e-6,
+    relabel_truth: Mapping[float, float] | None = None,
+    noise_mm: float | None = None,
+) -> Recording:
+    """Read a case in the published text format (see the module's docstring).
+
+    Args:
+        folder: The folder of the case.
+        poisson: Poisson's ratio of the material.
+        lame_factor: Factor on Lame's first parameter; the published presses have 0.5.
+        round_rest_m: Round rest positions to multiples of this, m; None leaves them. Without it
+            the published cases have a constant pre-stress in every press.
+        relabel_truth: Moduli of the truth to correct, from given to right value, MPa. The
+            published box-torus needs `{3.0: 1.5}`.
+        noise_mm: Standard deviation of the noise of the positions, mm, if known.
+
+    Returns:
+        A recording with a spring for every held degree of freedom, presses in order of their
+        numbers, `direction` the unit vector of the total force, and `step` the rank of a press
+        by force among those of the same direction and supports.
+
+    Raises:
+        FileError: A file is missing or malformed; names file, line where it can, and remedy.
+        MeshError: The mesh cannot be used.
+        RecordingError: The files are readable but do not make a sound recording.
+    """
+    root = require_folder(folder, "published case")
+    mesh = _read_rest(root / "mesh.msh", round_rest_m)
+    numbers = _press_files(require_folder(root / "presses", "presses of the published case"))
+    presses = [_read_press(number, files, mesh, noise_mm) for number, files in numbers.items()]
+    truth = _read_moduli(root / "youngs_true.txt", "true moduli", mesh)
+    return Recording(
+        mesh,
+        tuple(_with_steps(presses)),
+        MaterialSpec("neo_hookean", poisson, {"lame_factor": lame_factor}),
+        truth=_relabelled(truth, relabel_truth or {}, root / "youngs_true.txt"),
+        reference=_read_moduli(root / "youngs_reference_result.txt", "reference moduli", mesh),
+        provenance={
+            "importer": "published",
+            "case": root.resolve().name,
+            "presses": list(numbers),
+            "round_rest_m": round_rest_m,
+            "relabel_truth": [[old, new] for old, new in (relabel_truth or {}).items()],
+        },
+    )
+
+
+def _read_rest(path: Path, round_rest_m: float | None) -> TetMesh:
+    mesh = read_mesh(require_file(path, "mesh of the published case"), unit="m")
+    if round_rest_m is None:
+        return mesh
+    if not round_rest_m > 0:
+        raise RecordingError(f"round_rest_m is {round_rest_m}; give a length in m, or None")
+    # Dividing by a whole number of steps per metre keeps the decimals exact (0.005 m is 5 mm).
+    steps_per_mm = 1 / (round_rest_m * _MM_PER_M)
+    return TetMesh.create(np.round(mesh.points * steps_per_mm) / steps_per_mm, mesh.tets)
+
+
+def _press_files(folder: Path) -> dict[int, dict[str, Path]]:
+    """Find the files of each press: number -> part -> path, in order of the numbers."""
+    pattern = re.compile(rf"({'|'.join(_PARTS)})(\d+)\.txt")
+    found: dict[int, dict[str, Path]] = {}
+    for path in sorted(folder.iterdir()):
+        match = pattern.fullmatch(path.name)
+        if match is None:
+            continue
+        files = found.setdefault(int(match[2]), {})
+        if match[1] in files:
+            raise FileError(
+                f"'{path}' and '{files[match[1]]}' have the same press number; remove one"
+            )
+        files[match[1]] = path
+    if not found:
+        raise FileError(
+            f"'{folder}' holds no press; files force1.txt, pnt1.txt, A-1.txt, B-1.txt are needed"
+        )
+    for number, files in sorted(found.items()):
+        for part, what in _PARTS.items():
+            if part not in files:
+                raise FileError(
+                    f"press {number} lacks '{folder / f'{part}{number}.txt'}' ({what}); "
+                    f"add it, or remove the other files of press {number}"
+                )
+    return dict(sorted(found.items()))
+
+
+def _read_press(
+    number: int, files: dict[str, Path], mesh: TetMesh, noise_mm: float | None
+) -> Press:
+    size = 3 * mesh.n_points
+    reason = f"x y z for each of the {mesh.n_points} nodes of the mesh"
+    forces = read_numbers(files["force"], "nodal forces", size, reason).reshape(-1, 3)
+    deformed_m = read_numbers(files["pnt"], "deformed positions", size, reason).reshape(-1, 3)
+    springs = read_diagonal(files["A-"], "springs", size).reshape(-1, 3) / _MM_PER_M
+    observed = _read_observed(files["B-"], size).reshape(-1, 3)
+    total = forces.sum(axis=0)
+    length = float(np.linalg.norm(total))
+    # A press may push from two sides: a total that is round-off gives no direction.
+    pushes = length > 1e-9 * float(np.abs(forces).sum())
+    try:
+        return Press(
+            forces,
+            observed,
+            deformed_m * _MM_PER_M - mesh.points,
+            springs=springs,
+            noise_mm=noise_mm,
+            direction=total / length if pushes else None,
+            name=str(number),
+        )
+    except RecordingError as error:
+        raise RecordingError(f"'{files['force'].parent}', {error}") from error
+
+
+def _read_observed(path: Path, size: int) -> np.ndarray:
+    values = read_diagonal(path, "observed degrees of freedom", size)
+    odd = values[(values != 0) & (values != 1)]
+    if len(odd):
+        raise FileError(
+            f"'{path}' has the value {odd[0]:g}; an observed degree of freedom has the value 1"
+        )
+    return values == 1
+
+
+def _with_steps(presses: list[Press]) -> list[Press]:
+    """Number the load steps of presses that share direction and supports, lightest first."""
+    kinds: dict[tuple[bytes, bytes], list[Press]] = {}
+    for press in presses:
+        push = np.zeros(3) if press.direction is None else press.direction
+        # Adding zero makes -0.0 and 0.0 the same bytes.
+        key = ((np.round(push, 6) + 0.0).tobytes(), press.springs.tobytes())
+        kinds.setdefault(key, []).append(press)
+    steps: dict[str, int] = {}
+    for kind in kinds.values():
+        kind.sort(key=lambda press: float(np.linalg.norm(press.total_force)))
+        steps.update({press.name: step for step, press in enumerate(kind)})
+    return [replace(press, step=steps[press.name]) for press in presses]
+
+
+def _read_moduli(path: Path, what: str, mesh: TetMesh) -> Float[np.ndarray, " m"] | None:
+    if not path.exists():
+        return None
+    reason = f"one for each of the {mesh.n_tets} tetrahedra of the mesh"
+    return read_numbers(path, what, mesh.n_tets, reason) / _PA_PER_MPA
+
+
+def _relabelled(
+    truth: Float[np.ndarray, " m"] | None, relabel: Mapping[float, float], path: Path
+) -> Float[np.ndarray, " m"] | None:
+    if not relabel:
+        return truth
+    if truth is None:
+        raise FileError(f"relabel_truth is given, but '{path}' does not exist; leave it out")
+    corrected = truth.copy()
+    for old, new in relabel.items():
+        matches = np.isclose(truth, old, rtol=_LEVEL_TOLERANCE, atol=0.0)
+        if not matches.any():
+            raise RecordingError(
+                f"relabel_truth: no element of '{path}' has {old:g} MPa; its moduli are "
+                f"{_levels(truth)}. Name one of these, in MPa"
+            )
+        corrected[matches] = new
+    return corrected
+
+
+def _levels(truth: Float[np.ndarray, " m"]) -> str:
+    levels = np.unique(truth)
+    if len(levels) > 6:
+        return f"{len(levels)} different ones from {levels[0]:g} to {levels[-1]:g} MPa"
+    return ", ".join(f"{level:g}" for level in levels) + " MPa"

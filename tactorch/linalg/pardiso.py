@@ -1,0 +1,132 @@
+"""PARDISO of Intel MKL, through the library that pypardiso finds.
+
+The phases are called apart (analyse, factor, solve), the matrix is handed over as its upper
+triangle, and Cholesky is used: error -4 then says that the matrix is not positive definite.
+Reference: oneMKL developer reference, "pardiso" (iparm table).
+"""
+
+import ctypes
+import weakref
+from functools import cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.linalg.pattern import SymmetricPattern
+from tactorch.linalg.protocol import Status
+
+_CHOLESKY = 2
+_ANALYSE, _FACTOR, _SOLVE, _RELEASE = 11, 22, 33, -1
+_NOT_POSITIVE_DEFINITE = -4
+_ERRORS = {
+    -1: "inconsistent input",
+    -2: "not enough memory",
+    -3: "reordering failed",
+    -8: "32-bit index overflow",
+}
+
+
+@cache
+def _library() -> Any | None:
+    """Load MKL once; None where pypardiso or its library is not installed."""
+    try:
+        from pypardiso import PyPardisoSolver
+
+        return PyPardisoSolver().libmkl
+    except (ImportError, OSError):
+        return None
+
+
+def available() -> bool:
+    """Say whether PARDISO can be used here."""
+    return _library() is not None
+
+
+def set_local_threads(count: int) -> int:
+    """Set MKL's thread count for the calling thread (0: the default); return the previous one."""
+    return int(_library().MKL_Set_Num_Threads_Local(ctypes.c_int(count)))  # type: ignore[union-attr]
+
+
+@cache
+def _entry() -> Any:
+    """PARDISO's entry point, free of the argument types that pypardiso attaches to its own."""
+    function = _library()["pardiso"]  # type: ignore[index]
+    function.restype = None
+    return function
+
+
+def _int(value: int) -> Any:
+    return ctypes.byref(ctypes.c_int32(value))
+
+
+def _call(pt: np.ndarray, iparm: np.ndarray, phase: int, arrays: dict[str, Any]) -> int:
+    """Run one phase; return PARDISO's error code."""
+    error = ctypes.c_int32(0)
+    pattern: SymmetricPattern = arrays["pattern"]
+    rhs, out = arrays["rhs"], arrays["out"]
+    pointer = ctypes.c_void_p
+    _entry()(
+        pointer(pt.ctypes.data), _int(1), _int(1), _int(_CHOLESKY), _int(phase),
+        _int(pattern.size), pointer(arrays["values"].ctypes.data),
+        pointer(pattern.indptr.ctypes.data), pointer(pattern.indices.ctypes.data),
+        pointer(0), _int(1 if rhs.ndim == 1 else rhs.shape[1]), pointer(iparm.ctypes.data),
+        _int(0), pointer(rhs.ctypes.data), pointer(out.ctypes.data), ctypes.byref(error),
+    )  # fmt: skip
+    return error.value
+
+
+def _release(pt: np.ndarray, iparm: np.ndarray, arrays: dict[str, Any]) -> None:
+    """Give PARDISO's memory back."""
+    _call(pt, iparm, _RELEASE, arrays)
+
+
+class Pardiso:
+    """Sparse Cholesky; see `tactorch.linalg.Solver`.
+
+    Raises:
+        RuntimeError: PARDISO failed for a reason other than indefiniteness (memory, say).
+    """
+
+    name = "pardiso"
+
+    def __init__(self, pattern: SymmetricPattern) -> None:
+        """Analyse the pattern (fill-reducing order and symbolic factorisation)."""
+        self.pattern = pattern
+        self._pt = np.zeros(64, dtype=np.int64)
+        self._iparm = np.zeros(64, dtype=np.int32)
+        self._iparm[0] = 1  # the values below, not the defaults
+        self._iparm[1] = 2  # nested dissection (METIS)
+        self._iparm[34] = 1  # indices count from zero
+        none = np.zeros(1)
+        self._empty = {"pattern": pattern, "values": none, "rhs": none, "out": none}
+        # Symbolic analysis reads no values when matching and scaling are off.
+        self._run(_ANALYSE, np.ones(pattern.nnz), none, none)
+        self._values = none
+        self._finalizer = weakref.finalize(self, _release, self._pt, self._iparm, self._empty)
+
+    def _run(self, phase: int, values: np.ndarray, rhs: np.ndarray, out: np.ndarray) -> int:
+        arrays = {"pattern": self.pattern, "values": values, "rhs": rhs, "out": out}
+        code = _call(self._pt, self._iparm, phase, arrays)
+        if code not in (0, _NOT_POSITIVE_DEFINITE):
+            raise RuntimeError(
+                f"PARDISO failed in phase {phase}: error {code} ({_ERRORS.get(code, 'see MKL')}); "
+                f"{self.pattern.size} unknowns. Use solver=superlu or solver=multigrid."
+            )
+        return code
+
+    def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
+        """Factor; indefinite matrices are reported, not raised."""
+        if not np.all(np.isfinite(values)):
+            return Status.INDEFINITE
+        self._values = np.ascontiguousarray(values)
+        none = self._empty["rhs"]
+        code = self._run(_FACTOR, self._values, none, none)
+        return Status.INDEFINITE if code == _NOT_POSITIVE_DEFINITE else Status.OK
+
+    def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
+        """Solve for all columns of `rhs` in one call."""
+        b = np.asfortranarray(rhs, dtype=np.float64)
+        out = np.empty_like(b, order="F")
+        self._run(_SOLVE, self._values, b, out)
+        return out

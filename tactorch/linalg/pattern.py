@@ -1,0 +1,86 @@
+"""The sparsity pattern of a symmetric matrix, kept as its upper triangle."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float, Int
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetricPattern:
+    """Upper triangle in compressed rows; every row begins with its diagonal entry.
+
+    Attributes:
+        indptr: Start of each row, (size + 1,).
+        indices: Column of each entry, sorted within a row, (nnz,).
+    """
+
+    indptr: Int[np.ndarray, " rows_plus_one"]
+    indices: Int[np.ndarray, " nnz"]
+
+    @staticmethod
+    def from_pairs(size: int, rows: Int[np.ndarray, "..."], cols: Int[np.ndarray, "..."]) -> (
+        "SymmetricPattern"
+    ):
+        """Build the pattern of all `(row, col)` couplings, either triangle, and the diagonal."""
+        low, high = np.minimum(rows, cols).ravel(), np.maximum(rows, cols).ravel()
+        diagonal = np.arange(size)
+        keys = np.unique(
+            np.concatenate([low * np.int64(size) + high, diagonal * np.int64(size) + diagonal])
+        )
+        indptr = np.searchsorted(keys // size, np.arange(size + 1)).astype(np.int32)
+        return SymmetricPattern(indptr, (keys % size).astype(np.int32))
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return len(self.indptr) - 1
+
+    @property
+    def nnz(self) -> int:
+        """Number of stored entries."""
+        return len(self.indices)
+
+    @cached_property
+    def rows(self) -> Int[np.ndarray, " nnz"]:
+        """Row of each entry."""
+        return np.repeat(np.arange(self.size, dtype=np.int32), np.diff(self.indptr))
+
+    @property
+    def diagonal(self) -> Int[np.ndarray, " size"]:
+        """Position of each diagonal entry among the stored values."""
+        return self.indptr[:-1]
+
+    def slots(
+        self, rows: Int[np.ndarray, "*shape"], cols: Int[np.ndarray, "*shape"]
+    ) -> Int[np.ndarray, "*shape"]:
+        """Position among the stored values of each coupling `(row, col)`, either triangle."""
+        low, high = np.minimum(rows, cols), np.maximum(rows, cols)
+        keys = self.rows.astype(np.int64) * self.size + self.indices
+        return np.searchsorted(keys, low.astype(np.int64) * self.size + high).astype(np.int32)
+
+    @cached_property
+    def _mirror(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Full pattern (indptr, indices) and, for each of its entries, its stored value."""
+        upper = sp.csr_matrix(
+            (np.arange(1, self.nnz + 1), self.indices, self.indptr), shape=(self.size,) * 2
+        )
+        lower = sp.triu(upper, k=1, format="csr").T
+        full = (upper + lower).tocsr()
+        full.sort_indices()
+        return full.indptr, full.indices, full.data - 1
+
+    def full(self, values: Float[np.ndarray, " nnz"]) -> sp.csr_matrix:
+        """Return both triangles as a SciPy matrix."""
+        indptr, indices, source = self._mirror
+        return sp.csr_matrix((values[source], indices, indptr), shape=(self.size,) * 2)
+
+    def product(
+        self, values: Float[np.ndarray, " nnz"], x: Float[np.ndarray, "size *k"]
+    ) -> Float[np.ndarray, "size *k"]:
+        """Return the product of the symmetric matrix with `x`."""
+        upper = sp.csr_matrix((values, self.indices, self.indptr), shape=(self.size,) * 2)
+        diagonal = values[self.diagonal]
+        return upper @ x + upper.T @ x - (diagonal * x.T).T

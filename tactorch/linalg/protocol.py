@@ -1,0 +1,39 @@
+"""What every sparse solver offers."""
+
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.linalg.pattern import SymmetricPattern
+
+
+class Status(Enum):
+    """Outcome of a factorisation: a value, because an indefinite tangent is information."""
+
+    OK = "positive definite"
+    INDEFINITE = "not positive definite"
+
+
+class IndefiniteError(ArithmeticError):
+    """An iterative solver met a direction of negative curvature while solving."""
+
+
+class Solver(Protocol):
+    """An analysed pattern that can be factored with new values any number of times.
+
+    A solver keeps one factorisation at a time and belongs to one thread at a time; take several
+    from a `SolverPool` to keep several factorisations.
+    """
+
+    name: str
+    pattern: SymmetricPattern
+
+    def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
+        """Factor the matrix with these upper-triangle values."""
+        ...
+
+    def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
+        """Solve with the last factorisation, for one or many right-hand sides."""
+        ...

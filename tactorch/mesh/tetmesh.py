@@ -1,0 +1,180 @@
+"""The tetrahedral mesh: data that is sound from the moment it exists, and never changes."""
+
+import hashlib
+import logging
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tactorch.mesh.checks import as_cells, as_points, check_elements, check_faces
+from tactorch.mesh.geometry import area_vectors, bounding_box, frozen, signed_volumes
+from tactorch.mesh.parts import Adjacency, Surface
+from tactorch.mesh.topology import LOCAL_FACES, FaceMatch, match_edges, match_faces
+from tactorch.mesh.values import Rows
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TetMesh:
+    """Linear tetrahedra in mm; n nodes, m elements.
+
+    Construction copies, makes read-only and checks: non-finite points, indices out of range,
+    repeated vertices, unreferenced nodes, duplicate, degenerate, inverted or overlapping elements
+    and disconnected parts raise `MeshError`. Use `create` for meshes of unknown orientation.
+
+    Attributes:
+        points: Node positions, mm, float64.
+        tets: Node indices of each element, positively oriented, int64.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    tets: Int[np.ndarray, "m 4"]
+
+    def __post_init__(self) -> None:
+        points = as_points(self.points)
+        tets = as_cells(self.tets, 4, len(points))
+        object.__setattr__(self, "points", frozen(points))
+        object.__setattr__(self, "tets", frozen(tets))
+        check_elements(points, tets)
+        check_faces(self._faces, self.n_tets)
+
+    @classmethod
+    def create(cls, points: Rows, tets: Rows, repair: bool = True) -> "TetMesh":
+        """Build a mesh from anything array-like.
+
+        Args:
+            points: (n, 3) node positions, mm.
+            tets: (m, 4) node indices.
+            repair: Swap the last two vertices of inverted elements; otherwise refuse them.
+                Nodes and elements keep their order either way.
+
+        Returns:
+            The mesh.
+
+        Raises:
+            MeshError: The mesh cannot be used; the message names the nodes or elements.
+        """
+        nodes = as_points(points)
+        cells = as_cells(tets, 4, len(nodes))
+        if repair:
+            inverted = signed_volumes(nodes, cells) < 0
+            cells[inverted] = cells[inverted][:, [0, 1, 3, 2]]
+            if inverted.any():
+                logger.info("Reoriented %d of %d elements.", inverted.sum(), len(cells))
+        return cls(nodes, cells)
+
+    def __repr__(self) -> str:
+        """Say the size, not the arrays."""
+        return f"TetMesh({self.n_points} nodes, {self.n_tets} tets, {self.diagonal:.4g} mm across)"
+
+    def __reduce__(self) -> tuple[type["TetMesh"], tuple[np.ndarray, np.ndarray]]:
+        """Pickle and copy the data only, so that a copy is checked and read-only too."""
+        return type(self), (self.points, self.tets)
+
+    @property
+    def n_points(self) -> int:
+        """Number of nodes."""
+        return len(self.points)
+
+    @property
+    def n_tets(self) -> int:
+        """Number of elements."""
+        return len(self.tets)
+
+    @cached_property
+    def volumes(self) -> Float[np.ndarray, " m"]:
+        """Volume of each element, mm^3, positive."""
+        return frozen(signed_volumes(self.points, self.tets))
+
+    @cached_property
+    def centroids(self) -> Float[np.ndarray, "m 3"]:
+        """Centroid of each element, mm."""
+        return frozen(self.points[self.tets].mean(axis=1))
+
+    @cached_property
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest corner of the bounding box, mm."""
+        return frozen(bounding_box(self.points))
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Length of the bounding box's diagonal, mm."""
+        return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The boundary triangles, turned outward."""
+        owners, local = np.divmod(self._faces.boundary, 4)
+        triangles = self.tets[owners[:, None], LOCAL_FACES[local]]
+        vectors = area_vectors(self.points, triangles)
+        areas = np.linalg.norm(vectors, axis=1)
+        normals = vectors / areas[:, None]
+        return Surface(frozen(triangles), frozen(normals), frozen(areas), frozen(owners))
+
+    @cached_property
+    def adjacency(self) -> Adjacency:
+        """Pairs of elements that share a face."""
+        pairs = self._faces.pairs // 4
+        owners, local = np.divmod(self._faces.pairs[:, 0], 4)
+        shared = self.tets[owners[:, None], LOCAL_FACES[local]]
+        areas = np.linalg.norm(area_vectors(self.points, shared), axis=1)
+        apart = self.centroids[pairs[:, 0]] - self.centroids[pairs[:, 1]]
+        return Adjacency(frozen(pairs), frozen(areas), frozen(np.linalg.norm(apart, axis=1)))
+
+    @cached_property
+    def vertex_areas(self) -> Float[np.ndarray, " n"]:
+        """One third of the boundary triangles around each node, mm^2; zero inside."""
+        corners = self.surface.triangles.ravel()
+        thirds = np.repeat(self.surface.areas / 3.0, 3)
+        return frozen(np.bincount(corners, weights=thirds, minlength=self.n_points))
+
+    @property
+    def edges(self) -> Int[np.ndarray, "k 2"]:
+        """The edges, each once, smaller node first, sorted."""
+        return self._edges[0]
+
+    @property
+    def tet_edges(self) -> Int[np.ndarray, "m 6"]:
+        """Each element's edges 01, 02, 03, 12, 13, 23 as rows of `edges`."""
+        return self._edges[1]
+
+    def content_hash(self) -> str:
+        """Return a SHA-256 of points and elements: equal for equal meshes on every machine."""
+        digest = hashlib.sha256(f"tetmesh 1 {self.n_points} {self.n_tets} ".encode())
+        digest.update((self.points + 0.0).astype("<f8").tobytes())  # -0.0 becomes 0.0
+        digest.update(self.tets.astype("<i8").tobytes())
+        return digest.hexdigest()
+
+    @cached_property
+    def _faces(self) -> FaceMatch:
+        return match_faces(self.tets, self.n_points)
+
+    @cached_property
+    def _edges(self) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "m 6"]]:
+        edges, tet_edges = match_edges(self.tets, self.n_points)
+        return frozen(edges), frozen(tet_edges)
+
+
+def compact(
+    points: Rows, cells: Rows
+) -> tuple[Float[np.ndarray, "r 3"], Int[np.ndarray, "m w"], Int[np.ndarray, " r"]]:
+    """Drop the points that no cell uses, and renumber; the order stays.
+
+    Args:
+        points: (n, 3) positions.
+        cells: (m, w) indices: tetrahedra or triangles.
+
+    Returns:
+        The points kept, the cells renumbered, and the old index of each point kept.
+
+    Raises:
+        MeshError: An array has a wrong shape, or an index is out of range.
+    """
+    nodes = as_points(points)
+    width = np.shape(cells)[-1] if np.ndim(cells) == 2 else 4
+    rows = as_cells(cells, width, len(nodes), "cells")
+    kept = np.unique(rows)
+    return nodes[kept], np.searchsorted(kept, rows), kept

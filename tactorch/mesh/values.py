@@ -1,0 +1,49 @@
+"""Checked numbers for shapes and generators."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tactorch.errors import ConfigError
+
+#: Rows of numbers, in whatever holds them (numpy's own `ArrayLike` defeats runtime checkers).
+Rows = np.ndarray | Sequence[Any]
+#: Three numbers likewise.
+Vector = np.ndarray | Sequence[Any]
+Real = float | int | np.floating | np.integer
+
+
+def vector(name: str, value: Vector) -> tuple[float, float, float]:
+    """Return three finite numbers as a tuple, or raise `ConfigError` naming the field."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{name}={value!r} must be three numbers.") from error
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ConfigError(f"{name}={value!r} must be three finite numbers.")
+    return (float(array[0]), float(array[1]), float(array[2]))
+
+
+def sizes(name: str, value: Vector | Real) -> tuple[float, float, float]:
+    """Return three positive numbers; one number stands for three equal ones."""
+    three = vector(name, value if isinstance(value, np.ndarray | Sequence) else [value] * 3)
+    if min(three) <= 0:
+        raise ConfigError(f"{name}={value!r} must be positive.")
+    return three
+
+
+def positive(name: str, value: Real) -> float:
+    """Return a positive finite number, or raise `ConfigError` naming the field."""
+    if not (np.isfinite(value) and value > 0):
+        raise ConfigError(f"{name}={value!r} must be a positive number.")
+    return float(value)
+
+
+def unit_vector(name: str, value: Vector) -> tuple[float, float, float]:
+    """Return the vector scaled to length 1, or raise `ConfigError` if it has no direction."""
+    array = np.array(vector(name, value))
+    length = float(np.linalg.norm(array))
+    if length < 1e-12:
+        raise ConfigError(f"{name}={value!r} has no direction; give a non-zero vector.")
+    return vector(name, array / length)

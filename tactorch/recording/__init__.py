@@ -1,0 +1,7 @@
+"""Recordings: presses on a soft object, what was measured, and the file that holds them."""
+
+from tactorch.recording.material import MaterialSpec
+from tactorch.recording.press import Press
+from tactorch.recording.recording import Recording
+
+__all__ = ["MaterialSpec", "Press", "Recording"]

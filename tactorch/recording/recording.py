@@ -1,0 +1,172 @@
+"""A recording: a soft object, the presses on it, and what is known beside them."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import InitVar, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import RecordingError
+from tactorch.mesh import TetMesh
+from tactorch.recording.arrays import real_array, require_finite
+from tactorch.recording.material import MaterialSpec
+from tactorch.recording.plausibility import check_units
+from tactorch.recording.press import Press
+from tactorch.recording.support import free_motion
+
+
+def _no_gravity() -> Float[np.ndarray, "3"]:
+    return np.zeros(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Everything that a reconstruction starts from. Units: mm, N, MPa, tonne/mm^3.
+
+    Attributes:
+        mesh: The object at rest, n nodes (mm) and m tetrahedra.
+        presses: At least one press.
+        material: The constitutive law with all but Young's modulus.
+        truth: True Young's modulus per element, (m,), MPa, where it is known.
+        reference: Somebody else's reconstruction, (m,), MPa, to compare with; never used to solve.
+        provenance: Where the data come from, as plain JSON values.
+        density: Mass density, tonne/mm^3; None where weight plays no part.
+        gravity: Acceleration of gravity, (3,), mm/s^2; default zero.
+        check_units: Refuse magnitudes that suggest a wrong unit (`tactorch.recording.plausibility`
+            lists the limits). Not stored.
+
+    Raises:
+        RecordingError: The parts do not fit each other, nothing holds or loads the object, or a
+            value suggests a wrong unit.
+    """
+
+    mesh: TetMesh
+    presses: tuple[Press, ...]
+    material: MaterialSpec
+    truth: Float[np.ndarray, " m"] | None = None
+    reference: Float[np.ndarray, " m"] | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+    density: float | None = None
+    gravity: Float[np.ndarray, "3"] = field(default_factory=_no_gravity)
+    check_units: InitVar[bool] = True
+
+    def __post_init__(self, check_units_: bool) -> None:
+        """Convert and check; the order puts the likeliest cause of trouble first."""
+        object.__setattr__(self, "presses", tuple(self.presses))
+        if not self.presses:
+            raise RecordingError("presses is empty; a recording needs at least one press")
+        for name in ("truth", "reference"):
+            object.__setattr__(self, name, self._moduli(name))
+        object.__setattr__(self, "provenance", _plain(self.provenance))
+        self._check_weight()
+        for press in self.presses:
+            press.validate(self.mesh.n_points)
+        if check_units_:
+            check_units(self.mesh.diagonal, self.presses, self.truth)
+        self._check_loads_and_supports()
+
+    def save(self, path: str | Path) -> None:
+        """Write the recording to an HDF5 file (see `tactorch.recording.storage`), whole or not."""
+        from tactorch.recording.storage import save_recording
+
+        save_recording(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path, *, check_units: bool = True) -> "Recording":
+        """Read a recording that `save` wrote.
+
+        Args:
+            path: The HDF5 file.
+            check_units: As on construction.
+
+        Raises:
+            FileError: The file is missing, truncated or not HDF5.
+            RecordingError: It is HDF5 but not a sound recording; names the dataset.
+        """
+        from tactorch.recording.storage import load_recording
+
+        return load_recording(path, check_units=check_units)
+
+    def select(self, indices: Sequence[int]) -> "Recording":
+        """Return the recording with only the presses at `indices` (from 0), in that order.
+
+        Raises:
+            RecordingError: No index, or one that is out of range.
+        """
+        for index in indices:
+            if not 0 <= index < len(self.presses):
+                raise RecordingError(
+                    f"press {index} was asked for, but the recording has {len(self.presses)}, "
+                    f"numbered 0 to {len(self.presses) - 1}"
+                )
+        chosen = tuple(self.presses[index] for index in indices)
+        return replace(self, presses=chosen, check_units=False)
+
+    def summary(self) -> str:
+        """Describe the recording in a few lines of text."""
+        from tactorch.recording.summary import summary
+
+        return summary(self)
+
+    def _moduli(self, name: str) -> Float[np.ndarray, " m"] | None:
+        value = getattr(self, name)
+        if value is None:
+            return None
+        array = real_array(value, (self.mesh.n_tets,), f"{name} (one modulus per element)")
+        require_finite(array, name)
+        if (array <= 0).any():
+            where = int(np.argmin(array))
+            raise RecordingError(
+                f"{name} is {array[where]:g} MPa at element {where}; moduli are above 0. "
+                "Give holes a small modulus, such as 0.001 MPa"
+            )
+        return array
+
+    def _check_weight(self) -> None:
+        object.__setattr__(self, "gravity", real_array(self.gravity, (3,), "gravity"))
+        require_finite(self.gravity, "gravity")
+        if self.density is None:
+            if self.gravity.any():
+                raise RecordingError("gravity is given without density; give density in tonne/mm^3")
+            return
+        object.__setattr__(self, "density", float(self.density))
+        if not 0 <= self.density < 1e-6:
+            raise RecordingError(
+                f"density is {self.density:g} tonne/mm^3; kg/m^3 or g/cm^3 given? "
+                "Water has 1e-9 tonne/mm^3"
+            )
+
+    def _check_loads_and_supports(self) -> None:
+        weight = bool(self.density) and bool(self.gravity.any())
+        known: dict[bytes, str | None] = {}
+        for press in self.presses:
+            if not (weight or press.forces.any() or press.prescribed.any()):
+                raise RecordingError(
+                    f"{press.label}: forces are all 0 and nothing is prescribed, so nothing "
+                    "presses the object; give its forces, or leave the press out"
+                )
+            key = press.held.tobytes()
+            if key not in known:
+                known[key] = free_motion(self.mesh.points, press.held)
+            if known[key] is not None:
+                raise RecordingError(
+                    f"{press.label}: nothing holds the object; it can {known[key]}. "
+                    "Fix more degrees of freedom, or give them springs"
+                )
+
+
+def _plain(provenance: dict[str, Any]) -> dict[str, Any]:
+    """Return `provenance` as JSON would give it back, so that saving changes nothing."""
+    try:
+        plain = json.loads(json.dumps(provenance, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise RecordingError(
+            f"provenance holds something that JSON cannot: {error}; use text, finite numbers, "
+            "lists and dictionaries"
+        ) from error
+    if not isinstance(plain, dict):
+        raise RecordingError(f"provenance is {provenance!r}; give a dictionary")
+    return plain

@@ -1,0 +1,280 @@
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from tactorch.errors import FileError, RecordingError
+from tactorch.mesh import box_mesh
+from tactorch.recording import MaterialSpec, Press, Recording
+
+Make = Callable[..., Recording]
+ARRAYS = ("forces", "observed", "displacement", "springs", "fixed", "prescribed")
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=6,
+)
+
+
+def numbers(shape: Any, low: float, high: float) -> st.SearchStrategy[np.ndarray]:
+    return hnp.arrays(np.float64, shape, elements=st.floats(low, high))
+
+
+# The strategies draw plain values only: the type checker that watches the classes draws random
+# numbers of its own, which Hypothesis does not want to see while it draws.
+@st.composite
+def presses(draw: st.DrawFn, n: int) -> dict[str, Any]:
+    """Draw what Press(**fields) takes."""
+    observed = draw(hnp.arrays(np.bool_, (n, 3)))
+    fixed = draw(hnp.arrays(np.bool_, (n, 3)))
+    fixed[0], observed[0] = False, True
+    forces = draw(numbers((n, 3), -5, 5))
+    forces[0, 0] = 1.0
+    return {
+        "forces": forces,
+        "observed": observed,
+        "displacement": draw(numbers((n, 3), -5, 5)),
+        "springs": draw(numbers((n, 3), 0.01, 10)),
+        "fixed": fixed,
+        "prescribed": np.where(fixed, draw(numbers((n, 3), -1, 1)), 0.0),
+        "noise_mm": draw(st.none() | st.floats(0, 1)),
+        "weights": draw(st.none() | numbers((n, 3), 1e-3, 10)),
+        "step": draw(st.integers(0, 1000)),
+        "direction": draw(st.none() | st.sampled_from(list(np.eye(3)))),
+        # HDF5 text ends at a NUL, and cannot hold half a surrogate pair.
+        "name": draw(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"))),
+    }
+
+
+@st.composite
+def recordings(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw what Recording(**fields) takes, with parts for mesh, presses and material."""
+    cells = draw(st.integers(1, 2))
+    moduli = numbers(6 * cells, 1e-3, 10)
+    return {
+        "mesh": ((draw(st.floats(1, 100)),) * 3, (1, 1, cells)),
+        "presses": draw(st.lists(presses(4 * cells + 4), min_size=1, max_size=3)),
+        "material": ("law", draw(st.floats(0, 0.49)), {"a": draw(st.floats(-1, 1))}),
+        "truth": draw(st.none() | moduli),
+        "reference": draw(st.none() | moduli),
+        "provenance": draw(st.dictionaries(st.text(max_size=5), JSON, max_size=3)),
+        "density": 1e-9,
+        "gravity": draw(numbers(3, -1e4, 1e4)),
+    }
+
+
+def build(parts: dict[str, Any]) -> Recording:
+    return Recording(
+        **{
+            **parts,
+            "mesh": box_mesh(*parts["mesh"]),
+            "presses": tuple(Press(**fields) for fields in parts["presses"]),
+            "material": MaterialSpec(*parts["material"]),
+        },
+        check_units=False,
+    )
+
+
+def same(a: np.ndarray | None, b: np.ndarray | None) -> None:
+    assert (a is None) == (b is None)
+    if a is not None and b is not None:
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+
+
+@settings(max_examples=40)
+@given(recordings())
+def test_round_trip_changes_nothing(
+    tmp_path_factory: pytest.TempPathFactory, parts: dict[str, Any]
+) -> None:
+    recording = build(parts)
+    path = tmp_path_factory.mktemp("trip") / "recording.h5"
+    recording.save(path)
+    loaded = Recording.load(path, check_units=False)
+    assert loaded.mesh.content_hash() == recording.mesh.content_hash()
+    assert loaded.material == recording.material
+    assert loaded.provenance == recording.provenance
+    assert loaded.density == recording.density
+    for name in ("truth", "reference", "gravity"):
+        same(getattr(loaded, name), getattr(recording, name))
+    assert len(loaded.presses) == len(recording.presses)
+    for one, other in zip(loaded.presses, recording.presses, strict=True):
+        for name in (*ARRAYS, "weights", "direction"):
+            same(getattr(one, name), getattr(other, name))
+        assert (one.name, one.step, one.noise_mm) == (other.name, other.step, other.noise_mm)
+
+
+@pytest.fixture
+def saved(record: Make, tmp_path: Path) -> Path:
+    path = tmp_path / "case.h5"
+    record({"noise_mm": 0.01}, truth=np.full(48, 0.2)).save(path)
+    return path
+
+
+def test_absent_density_stays_absent(saved: Path) -> None:
+    assert Recording.load(saved).density is None
+
+
+def test_file_is_as_documented(saved: Path) -> None:
+    with h5py.File(saved) as file:
+        assert dict(file.attrs) == {
+            "format": "tactorch-recording",
+            "version": 1,
+            "units": "mm, N, MPa, tonne/mm^3",
+        }
+        assert set(file) == {"mesh", "material", "gravity", "provenance", "truth", "presses"}
+        press = file["presses/0000"]
+        assert set(press) == set(ARRAYS)
+        assert press["observed"].dtype == np.uint8
+        assert press["forces"].dtype == np.float64
+        assert file["mesh/tets"].dtype == np.int64
+        assert press["springs"].compression == "gzip"
+
+
+def test_failed_save_leaves_the_old_file(
+    saved: Path, record: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = saved.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr("tactorch.recording.storage._write_press", full)
+    with pytest.raises(FileError, match=r"cannot write recording '.*case\.h5': No space"):
+        record().save(saved)
+    assert saved.read_bytes() == before
+    assert [path.name for path in saved.parent.iterdir()] == ["case.h5"]
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"recording not found: '.*none\.h5'"):
+        Recording.load(tmp_path / "none.h5")
+
+
+@pytest.mark.parametrize("content", [b"", b"point data\n1 2 3\n"])
+def test_other_files(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "case.h5"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=r"case\.h5' is not an HDF5 file"):
+        Recording.load(path)
+
+
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.999])
+def test_truncated_files(saved: Path, part: float) -> None:
+    content = saved.read_bytes()
+    saved.write_bytes(content[: int(len(content) * part)])
+    with pytest.raises(FileError, match=r"case\.h5' is damaged or cut short .*copy it again"):
+        Recording.load(saved)
+
+
+def test_damaged_dataset(saved: Path) -> None:
+    with h5py.File(saved) as file:
+        chunk = file["presses/0000/forces"].id.get_chunk_info(0)
+    content = bytearray(saved.read_bytes())
+    content[chunk.byte_offset + chunk.size // 2] ^= 0xFF
+    saved.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"case\.h5' dataset 'presses/0000/forces' is damaged"):
+        Recording.load(saved)
+
+
+@settings(max_examples=150)
+@given(st.data())
+def test_no_flipped_byte_escapes_as_another_error(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "flipped.h5"
+    if not path.exists():
+        mesh = box_mesh(10.0, 1)
+        whole = np.ones((8, 3))
+        press = Press(whole, whole > 0, whole, springs=whole)
+        Recording(mesh, (press,), MaterialSpec("neo_hookean", 0.3)).save(path)
+    content = bytearray(path.read_bytes())
+    content[data.draw(st.integers(0, len(content) - 1))] ^= data.draw(st.integers(1, 255))
+    broken = path.with_name("broken.h5")
+    broken.write_bytes(content)
+    try:
+        Recording.load(broken)
+    except (FileError, RecordingError) as error:
+        assert "broken.h5" in str(error)
+
+
+def drop(name: str) -> Callable[[h5py.File], None]:
+    return lambda file: file.__delitem__(name)
+
+
+def put(name: str, value: Any) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        if name in file:
+            del file[name]
+        file[name] = value
+
+    return change
+
+
+def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        if value is None:
+            del file[group].attrs[name]
+        else:
+            file[group].attrs[name] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (mark("/", "format", None), "has format None"),
+        (mark("/", "format", "other"), "has format 'other'"),
+        (mark("/", "version", 2), "has version 2, and this tactorch reads up to 1; upgrade"),
+        (mark("/", "version", 0), "has version 0, which never existed"),
+        (mark("/", "version", "one"), "attribute 'version' of '/' is 'one'; int is needed"),
+        (mark("/", "units", "m"), "is in units 'm'"),
+        (drop("mesh/points"), "lacks dataset 'mesh/points'"),
+        (drop("mesh"), "lacks dataset 'mesh/points'"),
+        (put("mesh/points", np.zeros((27, 2))), r"'mesh/points' has shape \(27, 2\); \(any, 3\)"),
+        (put("mesh/points", np.zeros((27, 3))), "dataset 'mesh' is not a sound mesh"),
+        (put("mesh/tets", np.zeros((48, 4))), "'mesh/tets' has dtype float64; int64 is needed"),
+        (drop("material"), "lacks group 'material'"),
+        (mark("material", "poisson", 0.6), "'material' is not sound: .*poisson is 0.6"),
+        (mark("material", "parameters", "{"), "'material/parameters' is not JSON"),
+        (mark("material", "parameters", "[1]"), "a JSON object is needed"),
+        (drop("provenance"), "lacks dataset 'provenance'"),
+        (put("provenance", 3.0), "dataset 'provenance' is not text"),
+        (put("truth", np.ones(7)), r"'truth' has shape \(7,\); \(48\) is needed"),
+        (put("truth", -np.ones(48)), "does not hold together: truth is -1"),
+        (drop("presses"), "lacks group 'presses'"),
+        (drop("presses/0000"), "lacks dataset 'presses/0000/forces'"),
+        (mark("presses", "count", 2), "lacks dataset 'presses/0001/forces'"),
+        (mark("presses", "count", 0), "presses is empty"),
+        (drop("presses/0000/springs"), "lacks dataset 'presses/0000/springs'"),
+        (put("presses/0000/forces", np.zeros((9, 3))), r"forces' has shape \(9, 3\); \(27, 3\)"),
+        (put("presses/0000/forces", np.full((27, 3), "x", "S1")), r"forces' has dtype \|S1"),
+        (put("presses/0000/forces", np.full((27, 3), np.nan)), "'presses/0000' is not sound"),
+        (put("presses/0000/observed", np.ones((27, 3))), "observed' has dtype float64; uint8"),
+        (put("presses/0000/observed", np.full((27, 3), 2, np.uint8)), "other than 0 and 1"),
+        (put("presses/0000/direction", np.ones(2)), r"direction' has shape \(2,\); \(3\)"),
+        (mark("presses/0000", "noise_mm", "x"), "attribute 'noise_mm' of 'presses/0000'"),
+    ],
+)
+def test_refuses_by_file_and_dataset(
+    saved: Path, change: Callable[[h5py.File], None], says: str
+) -> None:
+    with h5py.File(saved, "r+") as file:
+        change(file)
+    with pytest.raises(RecordingError, match=rf"^recording '.*case\.h5' .*{says}"):
+        Recording.load(saved)
+
+
+def test_suspects_units_when_loading(saved: Path) -> None:
+    with h5py.File(saved, "r+") as file:
+        file["truth"][:] = 200.0
+    with pytest.raises(RecordingError, match=r"case\.h5' .*kPa"):
+        Recording.load(saved)
+    assert Recording.load(saved, check_units=False).truth is not None
