@@ -53,6 +53,7 @@ def import_published(
     round_rest_m: float | None = 1e-6,
     relabel_truth: Mapping[float, float] | None = None,
     noise_mm: float | None = None,
+    check_units: bool = True,
 ) -> Recording:
     """Read a case in the published text format (see the module's docstring).
 
@@ -65,6 +66,7 @@ def import_published(
         relabel_truth: Moduli of the truth to correct, from given to right value, MPa. The
             published box-torus needs `{3.0: 1.5}`.
         noise_mm: Standard deviation of the noise of the positions, mm, if known.
+        check_units: Refuse magnitudes that suggest a wrong unit, as `Recording` does.
 
     Returns:
         A recording with a spring for every held degree of freedom, presses in order of their
@@ -94,6 +96,7 @@ def import_published(
             "round_rest_m": round_rest_m,
             "relabel_truth": [[old, new] for old, new in (relabel_truth or {}).items()],
         },
+        check_units=check_units,
     )
 
 
@@ -143,6 +146,7 @@ def _read_press(
     reason = f"x y z for each of the {mesh.n_points} nodes of the mesh"
     forces = read_numbers(files["force"], "nodal forces", size, reason).reshape(-1, 3)
     deformed_m = read_numbers(files["pnt"], "deformed positions", size, reason).reshape(-1, 3)
+    _check_same_unit(files["pnt"], deformed_m, mesh)
     springs = read_diagonal(files["A-"], "springs", size).reshape(-1, 3) / _MM_PER_M
     observed = _read_observed(files["B-"], size).reshape(-1, 3)
     total = forces.sum(axis=0)
@@ -161,6 +165,17 @@ def _read_press(
         )
     except RecordingError as error:
         raise RecordingError(f"'{files['force'].parent}', {error}") from error
+
+
+def _check_same_unit(path: Path, deformed_m: Float[np.ndarray, "n 3"], mesh: TetMesh) -> None:
+    """Refuse deformed positions that span ten times more or less than the mesh."""
+    span = float(np.linalg.norm(np.ptp(deformed_m, axis=0)))
+    rest = mesh.diagonal / _MM_PER_M
+    if not 0.1 < span / rest < 10.0:
+        raise FileError(
+            f"'{path}' holds deformed positions {span:.3g} m across, of a mesh {rest:.3g} m "
+            "across; both must be in metres: convert the one that is not"
+        )
 
 
 def _read_observed(path: Path, size: int) -> np.ndarray:

@@ -259,7 +259,7 @@ def _merged(
 ) -> tuple[Float[np.ndarray, "r 3"], Int[np.ndarray, "k 3"]]:
     """Merge vertices that coincide exactly, and drop those that no triangle uses."""
     faces = as_cells(triangles, 3, len(vertices), "triangles")
-    _, first, same = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+    _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     points, cells, _ = compact(vertices, first[same.reshape(-1)][faces])
     return points, cells
 

@@ -26,7 +26,7 @@ def warn_of_units(what: str, diagonal_mm: float, unit: str) -> None:
     if low <= diagonal_mm <= high:
         return
     number = diagonal_mm / MM_PER_UNIT[unit]
-    likely = [u for u, mm in MM_PER_UNIT.items() if low <= number * mm <= high and u != unit]
+    likely = [u for u, mm in MM_PER_UNIT.items() if low <= number * mm <= high]
     hint = " or ".join(f"unit='{u}' ({number * MM_PER_UNIT[u]:.4g} mm)" for u in likely)
     advice = f"Is it {hint}?" if hint else "Check the unit and scale of the file."
     warnings.warn(

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -14,33 +14,20 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
-from scipy.ndimage import gaussian_filter
 
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.mesh import TetMesh
 from tactorch.viz._figure import new_figure, save_figure
 from tactorch.viz.contact import ContactPatch, arrow_places, contact_patches, cut_triangles
+from tactorch.viz.outline import Outline
 from tactorch.viz.sampling import IN_PLANE, Slice, slice_body
+from tactorch.viz.scale import colour_scale
 
 LABEL = "Young's modulus (MPa)"
 _AXES = "xyz"
 _CONTACT = "#D55E00"  # vermilion: apart from every colour of viridis and cividis
-# The truth's contour runs where its logarithm departs from the background by this share of
-# its largest departure.
-_CONTOUR = 0.4
-# Within this share of the largest departure the truth counts as background.
-_PLAIN = 0.1
-# Black below white dashes: seen on any colour.
-_CONTOUR_LINES: tuple[tuple[str, float, Literal["-", "--"]], ...] = (
-    ("black", 1.8, "-"),
-    ("white", 1.1, "--"),
-)
-# Steps of single elements are smoothed away over this share of an element's size.
-_BLUR = 0.4
 _ARROW = 0.13  # length of arrows as a share of the longest side
 _PANEL_INCHES = 1.7
-# Lone elements above this multiple of nearly all others do not stretch the colour scale.
-_OUTLIER = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +38,8 @@ class _Look:
     cmap: str
     window_mm: np.ndarray
     arrow_mm: float
-    outlines: np.ndarray
     patches: list[ContactPatch]
-    contour: np.ndarray | None
-    blur_pixels: float
+    outline: Outline | None
 
 
 def plot_slices(
@@ -130,14 +115,12 @@ def slice_figure(
     patches = [] if pressed is None else contact_patches(mesh, pressed)
     arrow = _ARROW * float(np.ptp(mesh.bounds, axis=0).max())
     look = _Look(
-        norm=_norm(maps, scale, limits_mpa),
+        norm=colour_scale(maps, scale, limits_mpa),
         cmap=cmap,
         window_mm=_window(mesh, patches, arrow),
         arrow_mm=arrow,
-        outlines=mesh.surface.triangles,
         patches=patches,
-        contour=None if truth is None else _departure(mesh, maps["truth"]),
-        blur_pixels=_BLUR * _element_size(mesh) / float(np.ptp(mesh.bounds, axis=0).max()) * pixels,
+        outline=None if truth is None else Outline.of(mesh, maps["truth"]),
     )
     if not truth_rows:
         maps.pop("truth", None)
@@ -182,57 +165,6 @@ def _checked(name: str, values: np.ndarray, mesh: TetMesh) -> np.ndarray:
     return values
 
 
-def _norm(maps: dict[str, np.ndarray], scale: str, limits: tuple[float, float] | None) -> Normalize:
-    """Choose one colour scale for all panels."""
-    if scale not in ("linear", "log"):
-        raise ConfigError(f"scale '{scale}' is not known; choose linear or log.")
-    low, high = limits if limits is not None else _limits(maps, scale)
-    if not low < high:
-        raise ConfigError(f"limits_mpa ({low}, {high}): the first must be less than the second.")
-    if scale == "linear":
-        return Normalize(low, high)
-    if low <= 0:
-        raise ConfigError(f"scale 'log' needs moduli above zero, but the lowest is {low} MPa.")
-    return LogNorm(low, high)
-
-
-def _limits(maps: dict[str, np.ndarray], scale: str) -> tuple[float, float]:
-    """Span the truth and nearly all of the reconstruction."""
-    values = maps["reconstruction"]
-    high = min(float(values.max()), _OUTLIER * float(np.percentile(values, 99.5)))
-    low = float(values.min())
-    if low > 0:
-        low = max(low, float(np.percentile(values, 0.5)) / _OUTLIER)
-    if "truth" in maps:
-        high = max(float(np.percentile(values, 99.5)), float(maps["truth"].max()))
-        low = min(float(np.percentile(values, 0.5)), float(maps["truth"].min()))
-    if scale == "linear":
-        low = min(low, 0.0)
-    return (low, high) if high > low else (0.5 * low, 1.5 * low or 1.0)
-
-
-def _element_size(mesh: TetMesh) -> float:
-    """Return the edge, mm, of a cube that holds six mean elements."""
-    return float(np.cbrt(6.0 * mesh.volumes.mean()))
-
-
-def _departure(mesh: TetMesh, truth: np.ndarray) -> np.ndarray | None:
-    """Return how far the truth departs from its background, 0 to 1.
-
-    None where there are no inclusions to outline: a uniform truth, or one that varies everywhere.
-    """
-    order = np.argsort(truth)
-    run = np.cumsum(mesh.volumes[order])
-    background = truth[order[np.searchsorted(run, 0.5 * run[-1])]]
-    floor = 1e-6 * max(float(np.abs(truth).max()), 1e-300)
-    departure = np.abs(np.log(np.maximum(truth, floor) / max(float(background), floor)))
-    largest = float(departure.max())
-    plain = float(mesh.volumes[departure < _PLAIN * largest].sum())
-    if largest <= 1e-9 or plain < 0.5 * float(mesh.volumes.sum()):
-        return None
-    return departure / largest
-
-
 def _window(mesh: TetMesh, patches: list[ContactPatch], arrow: float) -> np.ndarray:
     """Return (2, 3) corners of the part of space shown: the body, and room for arrows."""
     margins = np.full((2, 3), 0.25 * arrow)
@@ -266,10 +198,10 @@ def _draw(axes: Axes, mesh: TetMesh, piece: Slice, values: np.ndarray, look: _Lo
         cmap=look.cmap,
         norm=look.norm,
     )
-    outline = cut_triangles(mesh.points, look.outlines, piece.axis, piece.position_mm)
+    outline = cut_triangles(mesh.points, mesh.surface.triangles, piece.axis, piece.position_mm)
     axes.add_collection(LineCollection(list(outline), colors="0.4", linewidths=0.6))
-    if look.contour is not None:
-        _draw_contour(axes, piece, look.contour, look.blur_pixels)
+    if look.outline is not None:
+        look.outline.draw(axes, piece)
     _draw_contact(axes, mesh, piece, look)
     across, up = IN_PLANE[piece.axis]
     # As wide in mm for every axis: one scale of length throughout the picture.
@@ -278,29 +210,6 @@ def _draw(axes: Axes, mesh: TetMesh, piece: Slice, values: np.ndarray, look: _Lo
     axes.set_xlim(middle - widest / 2, middle + widest / 2)
     axes.set_ylim(*look.window_mm[:, up])
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _draw_contour(axes: Axes, piece: Slice, departure: np.ndarray, blur: float) -> None:
-    """Outline the true inclusions."""
-    shown = _blurred(piece.values(departure), blur)
-    if shown.count() == 0 or not float(shown.min()) < _CONTOUR < float(shown.max()):
-        return
-    for colour, width, style in _CONTOUR_LINES:
-        axes.contour(
-            *piece.centres_mm(),
-            shown,
-            levels=[_CONTOUR],
-            colors=colour,
-            linewidths=width,
-            linestyles=style,
-        )
-
-
-def _blurred(values: np.ma.MaskedArray, sigma: float) -> np.ma.MaskedArray:
-    """Smooth over `sigma` pixels, inside the body only."""
-    inside = gaussian_filter((~values.mask).astype(float), sigma)
-    smooth = gaussian_filter(values.filled(0.0), sigma) / np.maximum(inside, 1e-12)
-    return np.ma.masked_array(smooth, values.mask)
 
 
 def _draw_contact(axes: Axes, mesh: TetMesh, piece: Slice, look: _Look) -> None:
@@ -336,7 +245,8 @@ def _label(axes_row: np.ndarray, slices: Sequence[Slice], name: str, row: int, n
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(4))
         if first:
-            axes.set_title(f"{_AXES[piece.axis]} = {piece.position_mm:.3g} mm", fontsize=9)
+            position = round(piece.position_mm, 6) + 0.0  # no -0, no 1e-16
+            axes.set_title(f"{_AXES[piece.axis]} = {position:.4g} mm", fontsize=9)
         if last:
             axes.set_xlabel(f"{across} (mm)", fontsize=9)
     axes_row[0].set_ylabel(f"{name}\n{up} (mm)" if name else f"{up} (mm)", fontsize=9)
@@ -370,9 +280,8 @@ def _legend(figure: Figure, look: _Look) -> None:
     if look.patches:
         handles.append(Line2D([], [], color=_CONTACT, linewidth=2.5))
         labels.append("contact (arrows: direction of the force)")
-    if look.contour is not None:
-        lines = [Line2D([], [], color=c, linewidth=w, linestyle=s) for c, w, s in _CONTOUR_LINES]
-        handles.append(tuple(lines))
+    if look.outline is not None:
+        handles.append(Outline.handle())
         labels.append("true inclusion")
     if handles:
         figure.legend(

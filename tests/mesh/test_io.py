@@ -299,3 +299,18 @@ def test_surfaces_that_are_none(tmp_path: Path) -> None:
     path.write_text("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(MeshError, match=r"points\.obj': vertices hold NaN"):
         read_surface(path)
+
+
+@pytest.mark.external
+@pytest.mark.parametrize(
+    ("case", "nodes", "tets"), [("box-3", 340, 1130), ("box-torus", 722, 3130)]
+)
+def test_published_meshes(shared_data: Path, case: str, nodes: int, tets: int) -> None:
+    path = shared_data / "published-elastography" / case / "mesh.msh"
+    mesh = read_mesh(path, unit="m")
+    assert (mesh.n_points, mesh.n_tets) == (nodes, tets)
+    assert mesh.volumes.sum() == pytest.approx(1000.0, rel=1e-3)
+    content = meshio.gmsh.read(str(path))
+    np.testing.assert_array_equal(mesh.points, content.points * 1000.0)
+    in_file = content.cells_dict["tetra"]
+    np.testing.assert_array_equal(np.sort(mesh.tets, axis=1), np.sort(in_file, axis=1))

@@ -69,7 +69,9 @@ def test_cylinder_for_real(cache: Path) -> None:
 def test_default_edge_length_is_a_tenth_of_the_diagonal(cache: Path, runs: list[float]) -> None:
     tetrahedralize(VERTICES, TRIANGLES)
     tetrahedralize(VERTICES, TRIANGLES, edge_length_mm=3)
-    np.testing.assert_allclose(runs, [np.sqrt(3.0), 3.0])
+    # A vertex that no triangle uses is no part of the object.
+    tetrahedralize(np.vstack((VERTICES, (99, 99, 99))), TRIANGLES, relative_edge_length=0.05)
+    np.testing.assert_allclose(runs, [np.sqrt(3.0), 3.0, np.sqrt(3.0) / 2])
 
 
 def test_cache_answers_equal_inputs_only(cache: Path, runs: list[float]) -> None:

@@ -82,6 +82,7 @@ def test_surface_against_brute_force(mesh: TetMesh) -> None:
     boundary = {face: owners[0] for face, owners in seen.items() if len(owners) == 1}
     found = map(tuple, np.sort(mesh.surface.triangles, axis=1).tolist())
     assert dict(zip(found, mesh.surface.owners.tolist(), strict=True)) == boundary
+    assert (np.diff(mesh.surface.owners) >= 0).all()
     shared = sorted(tuple(owners) for owners in seen.values() if len(owners) == 2)
     assert list(map(tuple, mesh.adjacency.pairs.tolist())) == shared
 

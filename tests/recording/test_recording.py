@@ -34,9 +34,7 @@ def test_summary_says_what_is_in_it(record: Make, box: TetMesh) -> None:
 
 
 def test_summary_of_weight_and_reference(record: Make, box: TetMesh) -> None:
-    text = record(
-        density=1e-9, gravity=DOWN, reference=np.full(box.n_tets, 0.3)
-    ).summary()
+    text = record(density=1e-9, gravity=DOWN, reference=np.full(box.n_tets, 0.3)).summary()
     assert "truth: unknown\nreference: 0.3 MPa\nweight: 1e-09 tonne/mm^3 under 9.81 m/s^2" in text
 
 
