@@ -37,11 +37,17 @@ class Sensitivity:
 
     def times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " p"]:
         """Return S du/de times a change of the moduli (MPa), mm."""
+        return self.displacement_change(change).ravel()[self.observed]
+
+    def displacement_change(
+        self, change: Float[np.ndarray, " m"]
+    ) -> Float[np.ndarray, "nodes 3"]:
+        """Return du/de times a change of the moduli (MPa) at all nodes, mm."""
         force = np.zeros((self.assembly.discretisation.n_nodes, 3))
         kernels.scatter_forces(
             self.assembly.discretisation.nodes, self.response.forces, change, force
         )
-        return -self.tangent.solve(force.ravel())[self.observed]
+        return -self.tangent.solve(force.ravel()).reshape(-1, 3)
 
     def transpose_times(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " m"]:
         """Return the transpose of S du/de times observed weights: the adjoint gradient (eq. 12)."""

@@ -2,11 +2,9 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.mesh.locate import locate
 from tactorch.metrics.checks import check_on_mesh
 
 
@@ -63,6 +61,10 @@ def _voxels(
     mesh: TetMesh, count: int
 ) -> tuple[Int[np.ndarray, "v v v"], Bool[np.ndarray, "v v v"]]:
     """Return each voxel's element of nearest centroid, and whether its centre is in the body."""
+    from scipy.spatial import cKDTree
+
+    from tactorch.mesh.locate import locate
+
     low, high = mesh.bounds
     axes = [low[i] + (high[i] - low[i]) * (np.arange(count) + 0.5) / count for i in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -69,7 +69,7 @@ class Recording:
         self._check_loads_and_supports()
 
     def save(self, path: str | Path) -> None:
-        """Write the recording to an HDF5 file (see `tactorch.recording.storage`), whole or not."""
+        """Write the recording to an HDF5 file (see `tactorch.recording.schema`), whole or not."""
         from tactorch.recording.storage import save_recording
 
         save_recording(self, path)

@@ -80,6 +80,27 @@ def test_an_element_at_the_bound_hides_no_inclusion(mesh: TetMesh, cells: Cells)
     np.testing.assert_array_equal(found.elements, block)
 
 
+def test_background_is_the_median_not_the_mean(mesh: TetMesh, cells: Cells) -> None:
+    """Beside a large stiff part, 0.65 is past half way from 0.2 to 1, but not from the mean."""
+    stiff, medium = cells((0, 0, 0), (4, 3, 2)), cells((0, 3, 0), (4, 4, 1))
+    youngs = np.where(stiff, 1.0, np.where(medium, 0.65, 0.2))
+    found = find_inclusion(mesh, youngs)
+    assert found is not None
+    np.testing.assert_array_equal(found.elements, stiff | medium)
+
+
+def test_background_is_what_fills_the_volume() -> None:
+    """One thick layer of five is most of the body, though a fifth of its elements."""
+    mesh = box_mesh((5.0, 5.0, 5.0), 5)
+    points = mesh.points.copy()
+    points[:, 0] = np.where(points[:, 0] > 0, points[:, 0] + 9, 0)
+    mesh = TetMesh.create(points, mesh.tets)
+    thick = mesh.centroids[:, 0] < 10
+    found = find_inclusion(mesh, np.where(thick, 0.2, 1.0))
+    assert found is not None
+    np.testing.assert_array_equal(found.elements, ~thick)
+
+
 def test_an_even_map_has_none(mesh: TetMesh) -> None:
     assert find_inclusion(mesh, np.full(mesh.n_tets, 0.2)) is None
     assert find_inclusion(mesh, np.linspace(0.2, 0.203, mesh.n_tets)) is None

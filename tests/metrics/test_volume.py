@@ -36,22 +36,24 @@ def test_constant_fields_follow_the_formula(mesh: TetMesh) -> None:
 
 
 def test_voxels_outside_the_body_do_not_count() -> None:
-    """An L shape: three of the four quarters of a block, wrong in a strip beside the gap."""
-    block = box_mesh((8.0, 8.0, 8.0), 8)
+    """An L of two right and one wrong quarter of a block; the gap takes what is nearest."""
+    block = box_mesh((8.8, 8.0, 8.0), 8)
     x, y, _ = block.centroids.T
-    kept = ~((x > 4) & (y > 4))
+    kept = ~((x > 4.4) & (y > 4))
     nodes, tets = np.unique(block.tets[kept], return_inverse=True)
     body = TetMesh.create(block.points[nodes], tets.reshape(-1, 4))
     x, y, _ = body.centroids.T
-    truth, youngs = np.full(body.n_tets, 0.2), np.where((x < 4) & (y > 4), 0.8, 0.2)
-    # Two voxels a cell and windows of three voxels: the voxels whose window sees one level only
-    # have a similarity by formula, those astride of the two levels are the same as in a box.
-    right, wrong = 1.0, (2 * 0.2 * 0.8 + 1e-4) / (0.2**2 + 0.8**2 + 1e-4)
-    edge = ssim(body, youngs, truth, voxels=16, window=3)
-    inner = 14 * 14 - 7 * 7  # voxels of one layer: inside the L, off the border of the grid
-    least = (inner - 8 * 7) * right / inner  # 7 x 7 wrong ones, and 7 astride that may be 0
-    most = (inner - 7 * 6) / inner * right + 7 * 6 / inner * wrong
-    assert least <= edge <= most
+    truth, youngs = np.full(body.n_tets, 0.2), np.where((x < 4.4) & (y > 4), 5.0, 0.2)
+    i, j, _ = np.indices((8, 8, 8))
+    wrong = ((i < 4) & (j >= 4)) | ((i >= 4) & (j > i))
+    _, similarity = structural_similarity(
+        np.where(wrong, 5.0, 0.2), np.full((8,) * 3, 0.2), win_size=3, data_range=1.0, full=True
+    )
+    gap = (i >= 4) & (j >= 4)
+    inner = (slice(1, -1),) * 3
+    expected = similarity[inner][~gap[inner]].mean()
+    assert ssim(body, youngs, truth, voxels=8, window=3) == pytest.approx(expected)
+    assert abs(similarity[inner].mean() - expected) > 0.03
 
 
 @pytest.mark.parametrize("window", [4, 1, 25])

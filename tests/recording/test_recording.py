@@ -76,6 +76,8 @@ def test_weight_is_a_load(record: Make) -> None:
         ([(0, 0), (0, 1), (0, 2)], "it can turn about"),
         ([(i, 2) for i in range(27)], "it can (slide along [xy]|turn about z)"),
         ([(i, j) for i in range(27) for j in (0, 1)], "it can slide along z"),
+        # Opposite corners of the box, where no motion is parallel to an axis.
+        ([(0, 0), (0, 1), (0, 2), (26, 0), (26, 1), (26, 2)], "it can turn about"),
         # Two nodes on the z axis of the box leave the turn about it.
         ([(0, 0), (0, 1), (0, 2), (2, 0), (2, 1), (2, 2)], "it can turn about z"),
     ],

@@ -179,14 +179,18 @@ def test_truncated_files(saved: Path, part: float) -> None:
         Recording.load(saved)
 
 
-def test_damaged_dataset(saved: Path) -> None:
-    with h5py.File(saved) as file:
-        chunk = file["presses/0000/forces"].id.get_chunk_info(0)
-    content = bytearray(saved.read_bytes())
-    content[chunk.byte_offset + chunk.size // 2] ^= 0xFF
-    saved.write_bytes(content)
-    with pytest.raises(RecordingError, match=r"case\.h5' dataset 'presses/0000/forces' is damaged"):
-        Recording.load(saved)
+@pytest.mark.parametrize("name", ["presses/0000/forces", "gravity"])
+def test_damaged_dataset(record: Make, tmp_path: Path, name: str) -> None:
+    """Also of numbers too few for gzip to shrink."""
+    path = tmp_path / "case.h5"
+    record(density=1e-9, gravity=np.array([1234.5678, 2345.6789, -9812.3456])).save(path)
+    with h5py.File(path) as file:
+        chunk = file[name].id.get_chunk_info(0)
+    content = bytearray(path.read_bytes())
+    content[chunk.byte_offset + chunk.size // 2] ^= 0x01
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=rf"case\.h5' dataset '{name}' is damaged"):
+        Recording.load(path)
 
 
 @settings(max_examples=150)
@@ -226,6 +230,11 @@ def put(name: str, value: Any) -> Callable[[h5py.File], None]:
     return change
 
 
+def invert(file: h5py.File) -> None:
+    tets = file["mesh/tets"]
+    tets[0] = tets[0][[1, 0, 2, 3]]
+
+
 def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
     def change(file: h5py.File) -> None:
         if value is None:
@@ -249,6 +258,7 @@ def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
         (drop("mesh"), "lacks dataset 'mesh/points'"),
         (put("mesh/points", np.zeros((27, 2))), r"'mesh/points' has shape \(27, 2\); \(any, 3\)"),
         (put("mesh/points", np.zeros((27, 3))), "dataset 'mesh' is not a sound mesh"),
+        (invert, "dataset 'mesh' is not a sound mesh: .*inverted"),
         (put("mesh/tets", np.zeros((48, 4))), "'mesh/tets' has dtype float64; int64 is needed"),
         (drop("material"), "lacks group 'material'"),
         (mark("material", "poisson", 0.6), "'material' is not sound: .*poisson is 0.6"),

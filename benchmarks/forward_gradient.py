@@ -1,0 +1,218 @@
+"""Forward solve and gradient, side by side with torch-fem in one process.
+
+A cube of plain tetrahedra, clamped at the bottom, under a compressive dead traction of 0.1 MPa
+on top: E = 1 MPa, Poisson's ratio 0.45, the paper's Neo-Hookean energy (eq. 2). The gradient is
+that of the mean vertical displacement of the top with respect to every element's modulus, timed
+apart from the forward solve that precedes it.
+
+    python benchmarks/forward_gradient.py [--small-only] [--repeats 7] [--out FOLDER]
+
+How it is kept fair: models are built, and everything compiled, before the clock starts; both
+solve to the same relative residual in one load increment with the same exact boundary conditions
+and the same nodal forces; torch-fem runs with each of its linear solvers (direct, which is
+PARDISO, and conjugate gradients with algebraic multigrid) and the faster one counts; the two
+packages take turns, so that other work on the machine hits both.
+
+The table goes to the terminal and, with the machine's description, to a Markdown and a JSON
+file; the last line printed is one JSON object with the figures.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import torch
+from machine import describe_machine
+from torch import Tensor
+from torchfem import Solid
+from torchfem.materials import Hyperelastic3D
+
+from tactorch.fem import SoftBody, Supports, make_material
+from tactorch.mesh import TetMesh, box_mesh, face_nodes
+
+POISSON = 0.45
+TRACTION_MPA = (0.0, 0.0, -0.1)
+SIZE_MM = 10.0
+RTOL = 1e-10  # of the residual force; tactorch's default
+PACKAGES = (
+    "tactorch", "torch-fem", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl", "pyamg",
+)  # fmt: skip
+
+Solve = Callable[[Tensor], Tensor]
+
+
+@dataclass
+class Contestant:
+    """One package with one linear solver: its solve, its times and its answers."""
+
+    name: str
+    solve: Solve
+    forward: list[float] = field(default_factory=list)
+    gradient: list[float] = field(default_factory=list)
+    displacement: np.ndarray = field(default_factory=lambda: np.empty(0))
+    slope: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+    def run(self, count: int, top: Tensor, keep: bool) -> None:
+        """Solve and differentiate once, on `count` elements; record the times if `keep`."""
+        youngs = torch.ones(count, dtype=torch.float64, requires_grad=True)
+        begin = time.perf_counter()
+        u = self.solve(youngs)
+        solved = time.perf_counter()
+        mean = u[top, 2].mean()
+        middle = time.perf_counter()
+        (slope,) = torch.autograd.grad(mean, youngs)
+        end = time.perf_counter()
+        self.displacement, self.slope = u.detach().numpy(), slope.numpy()
+        if keep:
+            self.forward.append(solved - begin)
+            self.gradient.append(end - middle)
+
+
+def tactorch_solve(body: SoftBody, forces: Tensor, fixed: np.ndarray) -> Solve:
+    """Return the solve of this package."""
+    supports = Supports(fixed=fixed)
+    return lambda youngs: body.solve(youngs, forces, supports)
+
+
+def torchfem_solve(mesh: TetMesh, forces: Tensor, fixed: np.ndarray, method: str) -> Solve:
+    """Return torch-fem's solve with one of its linear solvers."""
+    model = Solid(torch.tensor(mesh.points), torch.tensor(mesh.tets), None)
+    model.forces = forces
+    model.constraints = torch.tensor(fixed)
+
+    def solve(youngs: Tensor) -> Tensor:
+        model.material = Hyperelastic3D(neo_hookean, youngs[:, None])
+        return model.solve(
+            rtol=RTOL, atol=1e-30, method=method, differentiable_parameters=youngs
+        )[0]
+
+    return solve
+
+
+def neo_hookean(F: Tensor, params: Tensor) -> Tensor:
+    """Energy density of eq. (2) at one point; `params` holds Young's modulus."""
+    mu = 0.5 * params[0] / (1.0 + POISSON)
+    lam = 2.0 * mu * POISSON / (1.0 - 2.0 * POISSON)
+    C = F.T @ F
+    log_j = 0.5 * torch.logdet(C)  # torch-fem's advice: det's second derivative is not finite
+    return 0.5 * mu * (C.trace() - 3.0) - mu * log_j + 0.5 * lam * log_j**2
+
+
+def compare(divisions: int, repeats: int) -> dict[str, float]:
+    """Run one cube; print a table and return its figures."""
+    mesh = box_mesh(SIZE_MM, divisions, tets_per_cell=5)
+    top = torch.from_numpy(face_nodes(mesh, "z+"))
+    fixed = np.zeros((mesh.n_points, 3), dtype=bool)
+    fixed[face_nodes(mesh, "z-")] = True
+    body = SoftBody(mesh, make_material("neo_hookean", POISSON))
+    forces = body.traction("z+", TRACTION_MPA)
+    ours = Contestant("tactorch", tactorch_solve(body, forces, fixed))
+    theirs = [
+        Contestant(f"torch-fem, {name}", torchfem_solve(mesh, forces, fixed, method))
+        for method, name in (("direct", "PARDISO"), ("cg", "CG + AMG"))
+    ]
+    for contestant in (ours, *theirs):
+        contestant.run(mesh.n_tets, top, keep=False)
+    for _ in range(repeats):
+        for contestant in (ours, *theirs):
+            contestant.run(mesh.n_tets, top, keep=True)
+    figures = summarise(mesh, ours, theirs)
+    print(table(figures), flush=True)
+    return figures
+
+
+def summarise(mesh: TetMesh, ours: Contestant, theirs: list[Contestant]) -> dict:
+    """Return times, ratios to the faster of `theirs`, and differences of the answers."""
+    rows = {c.name: (median(c.forward), median(c.gradient)) for c in (ours, *theirs)}
+    mine = rows[ours.name]
+    return {
+        "elements": mesh.n_tets,
+        "nodes": mesh.n_points,
+        "repeats": len(ours.forward),
+        "seconds": {name: {"forward": f, "gradient": g} for name, (f, g) in rows.items()},
+        "forward_ratio": min(rows[c.name][0] for c in theirs) / mine[0],
+        "gradient_ratio": min(rows[c.name][1] for c in theirs) / mine[1],
+        "displacement_difference": max(
+            difference(ours.displacement, c.displacement) for c in theirs
+        ),
+        "gradient_difference": max(difference(ours.slope, c.slope) for c in theirs),
+    }
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest difference, relative to the largest value."""
+    return float(np.abs(a - b).max() / np.abs(b).max())
+
+
+def table(figures: dict) -> str:
+    """Format one cube's figures as a Markdown table."""
+    lines = [
+        f"### {figures['elements']:,} tetrahedra, {figures['nodes']:,} nodes "
+        f"(median of {figures['repeats']})",
+        "",
+        "| | forward, s | gradient, s |",
+        "|---|---:|---:|",
+    ]
+    for name, seconds in figures["seconds"].items():
+        lines.append(f"| {name} | {seconds['forward']:.4f} | {seconds['gradient']:.4f} |")
+    lines += [
+        f"| **times faster** | **{figures['forward_ratio']:.1f}** "
+        f"| **{figures['gradient_ratio']:.1f}** |",
+        "",
+        f"Largest relative difference of the answers: displacement "
+        f"{figures['displacement_difference']:.1e}, gradient "
+        f"{figures['gradient_difference']:.1e}.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def headline(cubes: dict[str, dict]) -> dict[str, float]:
+    """Return the figures of the last line."""
+    out = {
+        f"{kind}_ratio_{size}": round(figures[f"{kind}_ratio"], 2)
+        for size, figures in cubes.items()
+        for kind in ("forward", "gradient")
+    }
+    for kind in ("displacement", "gradient"):
+        out[f"{kind}_difference"] = max(f[f"{kind}_difference"] for f in cubes.values())
+    return out
+
+
+def write(folder: Path, machine: dict, cubes: dict[str, dict], figures: dict[str, float]) -> None:
+    """Write forward_gradient.json and forward_gradient.md."""
+    folder.mkdir(parents=True, exist_ok=True)
+    record = {"machine": machine, "cubes": cubes, "figures": figures}
+    (folder / "forward_gradient.json").write_text(json.dumps(record, indent=2) + "\n")
+    text = ["# Forward solve and gradient, side by side with torch-fem", ""]
+    text += ["`python benchmarks/forward_gradient.py`; what is solved stands at its top.", ""]
+    text += [table(f) for f in cubes.values()]
+    text += ["## Machine", "", *(f"- {key}: {value}" for key, value in machine.items()), ""]
+    (folder / "forward_gradient.md").write_text("\n".join(text))
+
+
+def main() -> None:
+    """Run the comparison."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--small-only", action="store_true", help="leave the large cube out")
+    parser.add_argument("--repeats", type=int, default=7, help="of the small cube (default 7)")
+    parser.add_argument("--large-repeats", type=int, default=2, help="default 2")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
+    options = parser.parse_args()
+    torch.set_default_dtype(torch.float64)  # torch-fem makes its arrays in the default type
+    cubes = {"small": compare(8, options.repeats)}
+    if not options.small_only:
+        cubes["large"] = compare(23, options.large_repeats)
+    figures = headline(cubes)
+    if not options.small_only:
+        write(options.out, describe_machine(PACKAGES), cubes, figures)
+    print(json.dumps(figures))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""From a recording to a reconstruction, in one call."""
+
+import logging
+from dataclasses import asdict, dataclass, field, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError
+from tactorch.fem import NewtonOptions
+from tactorch.inverse.monitor import Monitor, OutOfTime
+from tactorch.inverse.noise import NoiseModel
+from tactorch.inverse.objective import Objective
+from tactorch.inverse.optimizers import GaussNewton, Optimizer, make_optimizer
+from tactorch.inverse.parameterization import Bounds, make_parameterization
+from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.progress import progress
+from tactorch.inverse.reconstruction import Reconstruction
+from tactorch.inverse.regularization import make_regularizer
+from tactorch.recording import Recording
+from tactorch.versions import versions
+
+_log = logging.getLogger(__name__)
+START_MPA = 0.2
+
+
+@dataclass
+class Settings:
+    """Everything but the recording that decides an inversion.
+
+    Attributes:
+        optimizer: A name ("gauss_newton", "tnc", "lbfgs") or an optimizer.
+        parameterization: "log", "scaled" or "identity".
+        regularization: "total_variation", "smoothness" or "none".
+        edge: Jump of log-modulus below which total variation is quadratic.
+        bounds: Limits of Young's modulus.
+        noise: Standard deviations for presses that do not state theirs.
+        element: "tet4" or "tet10".
+        solver: "auto", "pardiso", "superlu" or "multigrid".
+        newton: Settings of the equilibrium search.
+        max_seconds: Time limit, or None.
+    """
+
+    optimizer: str | Optimizer = field(default_factory=GaussNewton)
+    parameterization: str = "log"
+    regularization: str = "total_variation"
+    edge: float = 0.03
+    bounds: Bounds = field(default_factory=Bounds)
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    element: str = "tet4"
+    solver: str = "auto"
+    newton: NewtonOptions = field(default_factory=NewtonOptions)
+    max_seconds: float | None = None
+
+
+def invert(
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    start_mpa: float | Float[np.ndarray, " m"] = START_MPA,
+    checkpoint: str | Path | None = None,
+    resume: str | Path | None = None,
+    show_progress: bool | None = None,
+) -> Reconstruction:
+    """Reconstruct the map of Young's modulus (eq. 8).
+
+    The truth and the reference that a recording may carry are never read. An interruption
+    (Ctrl-C) or the time limit keeps the best map so far.
+
+    Args:
+        recording: Presses on an object.
+        settings: How to invert; Gauss-Newton on log-moduli with total variation by default.
+        start_mpa: Start, one modulus for all elements or one each, MPa.
+        checkpoint: File to save the state to every few seconds.
+        resume: Checkpoint to continue from.
+        show_progress: Whether to show a progress line; by default at a terminal.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+        ConvergenceError: the start has no equilibrium under the recorded forces.
+        FileError: the checkpoint to resume cannot be read.
+    """
+    settings = settings or Settings()
+    objective = make_objective(recording, settings)
+    optimizer = settings.optimizer
+    if isinstance(optimizer, str):
+        optimizer = make_optimizer(optimizer)
+    path = None if checkpoint is None else Path(checkpoint)
+    monitor = Monitor(max_seconds=settings.max_seconds, checkpoint=path)
+    if resume is not None:
+        monitor.restore(Path(resume), recording.mesh.n_tets)
+    x = objective.parameterization.parameters(_start(start_mpa, recording, settings.bounds))
+    x = x if monitor.best is None else monitor.best
+    if settings.noise.assumed(recording):
+        _log.warning(
+            "The recording does not state its noise; %.2g of the signal is assumed (noise.relative)."
+            " Too small a value overfits.",
+            settings.noise.relative,
+        )
+    with progress(optimizer.name, show_progress) as update:
+        monitor.on_record = update
+        reason = _run(optimizer, objective, x, monitor)
+    monitor.save()
+    return _result(recording, settings, optimizer, objective, monitor, reason)
+
+
+def make_objective(recording: Recording, settings: Settings) -> Objective:
+    """Combine data, parameterisation and prior as the settings say."""
+    problem = InverseProblem(
+        recording,
+        element=settings.element,
+        solver=settings.solver,
+        noise=settings.noise,
+        newton=settings.newton,
+    )
+    return Objective(
+        problem,
+        make_parameterization(settings.parameterization, settings.bounds),
+        make_regularizer(settings.regularization, recording.mesh, edge=settings.edge),
+    )
+
+
+def _start(
+    start_mpa: float | np.ndarray, recording: Recording, bounds: Bounds
+) -> Float[np.ndarray, " m"]:
+    m = recording.mesh.n_tets
+    start = np.asarray(start_mpa, dtype=np.float64)
+    if start.ndim and start.shape != (m,):
+        raise ConfigError(f"start_mpa has shape {start.shape}; expected one modulus or ({m},).")
+    if not np.all((start >= bounds.lower) & (start <= bounds.upper)):
+        raise ConfigError(
+            f"start_mpa spans {start.min():g} to {start.max():g} MPa, outside the bounds "
+            f"[{bounds.lower:g}, {bounds.upper:g}] MPa."
+        )
+    return np.full(m, float(start)) if start.ndim == 0 else start
+
+
+def _run(optimizer: Optimizer, objective: Objective, x: np.ndarray, monitor: Monitor) -> str:
+    """Run to an end; interruptions keep the best so far."""
+    try:
+        return optimizer.minimize(objective, x, monitor)
+    except OutOfTime:
+        return "time limit reached"
+    except KeyboardInterrupt:
+        if monitor.best is None:
+            raise
+        return "interrupted"
+
+
+def _result(
+    recording: Recording,
+    settings: Settings,
+    optimizer: Optimizer,
+    objective: Objective,
+    monitor: Monitor,
+    reason: str,
+) -> Reconstruction:
+    point = monitor.point
+    if point is None:  # resumed and stopped before a step
+        assert monitor.best is not None
+        point = objective.at(monitor.best)
+    n = recording.mesh.n_points
+    return Reconstruction(
+        mesh=recording.mesh,
+        youngs=point.youngs,
+        displacements=np.stack([u[:n] for u in point.evaluation.displacements]),
+        history=monitor.history,
+        stop_reason=reason,
+        seconds=monitor.seconds,
+        config={
+            "settings": _plain(settings),
+            "optimizer": {"name": optimizer.name, **_plain(optimizer)},
+            "material": _plain(recording.material),
+            "recording": recording.provenance,
+            "versions": versions(),
+        },
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Settings as plain JSON values."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {k: _plain(v) for k, v in asdict(value).items()}
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)

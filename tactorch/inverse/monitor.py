@@ -1,0 +1,146 @@
+"""What watches an optimizer: history, progress, checkpoints, and reasons to stop."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import FileError
+from tactorch.files import atomic_path, require_file
+from tactorch.inverse.objective import Point
+
+_log = logging.getLogger(__name__)
+_PERIOD = 10.0  # seconds between checkpoints at most
+
+
+class OutOfTime(Exception):
+    """The time limit was reached; the monitor holds the best map so far."""
+
+
+@dataclass
+class Monitor:
+    """Keeps the best map and its history; optimizers report every accepted iterate.
+
+    Attributes:
+        max_seconds: Time limit.
+        checkpoint: File to save the state to, or None.
+        on_record: Called with each record of the history (a progress bar, say).
+        history: Per iteration: iteration, evaluations, seconds, misfit (mm^2, eq. 7), chi2 (mean
+            squared residual in standard deviations), objective, weight of the prior, step
+            (largest change of a parameter), damping.
+        state: The optimizer's own numbers, for resuming.
+    """
+
+    max_seconds: float | None = None
+    checkpoint: Path | None = None
+    on_record: Callable[[dict[str, Any]], None] | None = None
+    history: list[dict[str, Any]] = field(default_factory=list)
+    state: dict[str, float] = field(default_factory=dict)
+    best: Float[np.ndarray, " m"] | None = None
+    point: Point | None = None
+    _began: float = field(default_factory=time.perf_counter)
+    _spent: float = 0.0
+    _saved: float = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Time spent, earlier runs of a resumed inversion included."""
+        return self._spent + time.perf_counter() - self._began
+
+    @property
+    def iteration(self) -> int:
+        """Iterations so far."""
+        return self.history[-1]["iteration"] if self.history else 0
+
+    def accept(self, point: Point, **record: float) -> None:
+        """Take `point` as the best so far.
+
+        Raises:
+            OutOfTime: the time limit is reached.
+        """
+        self.best, self.point = point.x, point
+        entry = {
+            "iteration": len(self.history),
+            "evaluations": point.objective.problem.evaluations,
+            "seconds": self.seconds,
+            "misfit": point.evaluation.misfit_mm2,
+            "chi2": point.evaluation.chi2,
+            **record,
+        }
+        self.history.append(entry)
+        _log.info("%s", describe(entry))
+        if self.on_record is not None:
+            self.on_record(entry)
+        if time.perf_counter() - self._saved > _PERIOD:
+            self.save()
+        self.check_time()
+
+    def check_time(self) -> None:
+        """Raise `OutOfTime` if the time limit is reached."""
+        if self.max_seconds is not None and self.seconds > self.max_seconds:
+            raise OutOfTime
+
+    def save(self) -> None:
+        """Write the checkpoint; a killed process leaves the previous one whole."""
+        self._saved = time.perf_counter()
+        if self.checkpoint is None or self.best is None:
+            return
+        names = sorted({key for entry in self.history for key in entry})
+        table = [[entry.get(name, np.nan) for name in names] for entry in self.history]
+        with atomic_path(self.checkpoint) as path:
+            np.savez(
+                path,
+                x=self.best,
+                seconds=self.seconds,
+                history=np.array(table, dtype=np.float64),
+                history_names=np.array(names),
+                state=np.array(list(self.state.values()), dtype=np.float64),
+                state_names=np.array(list(self.state), dtype=str),
+            )
+
+    def restore(self, path: Path, n_unknowns: int) -> None:
+        """Continue from a checkpoint.
+
+        Raises:
+            FileError: it is missing, unreadable, or of another problem.
+        """
+        source = require_file(path, "checkpoint")
+        try:
+            with np.load(source, allow_pickle=False) as data:
+                saved = {name: data[name] for name in data.files}
+            table, names = saved["history"], saved["history_names"]
+            self.history = [_entry(names, row) for row in table]
+            self.state = dict(zip(saved["state_names"].tolist(), saved["state"], strict=True))
+            self.best, self._spent = saved["x"], float(saved["seconds"])
+        except (OSError, ValueError, KeyError, EOFError) as error:
+            raise FileError(
+                f"checkpoint '{source}' cannot be read ({error}); start anew without resume."
+            ) from error
+        if self.best.shape != (n_unknowns,):
+            raise FileError(
+                f"checkpoint '{source}' is for {len(self.best)} moduli but the recording has "
+                f"{n_unknowns}: it belongs to another mesh. Start anew without resume."
+            )
+
+
+def _entry(names: np.ndarray, row: np.ndarray) -> dict[str, Any]:
+    whole = ("iteration", "evaluations")
+    values = zip(names.tolist(), row.tolist(), strict=True)
+    return {k: int(v) if k in whole else v for k, v in values if not np.isnan(v)}
+
+
+def describe(entry: dict[str, Any]) -> str:
+    """One line of text about an iteration."""
+    parts = [
+        f"iteration {entry['iteration']:>4}",
+        f"{entry['seconds']:7.1f} s",
+        f"misfit {entry['misfit']:.4e} mm2",
+        f"chi2 {entry['chi2']:.3e}",
+    ]
+    parts += [f"{key} {entry[key]:.2g}" for key in ("weight", "step") if key in entry]
+    return "  ".join(parts)

@@ -1,0 +1,58 @@
+"""How far each datum is believed: the standard deviation of every observed displacement."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactorch.errors import ConfigError
+from tactorch.recording import Press, Recording
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Standard deviations for presses that do not state their noise.
+
+    Attributes:
+        relative: Noise as a fraction of the root mean square of all observed displacements; also
+            a floor for stated noise, since no model is exact.
+        mm: Noise in mm, overriding what the recording says.
+    """
+
+    relative: float = 1e-4
+    mm: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        if not 0 < self.relative < 1:
+            raise ConfigError(
+                f"noise.relative={self.relative}: give a fraction of the signal in (0, 1)."
+            )
+        if self.mm is not None and not self.mm > 0:
+            raise ConfigError(f"noise.mm={self.mm}: give a standard deviation above 0 mm, or null.")
+
+    def deviations(self, recording: Recording) -> list[float]:
+        """Return the standard deviation of each press's displacements, mm."""
+        floor = self.relative * signal_rms(recording.presses)
+        return [max(self._stated(press, floor), floor) for press in recording.presses]
+
+    def assumed(self, recording: Recording) -> bool:
+        """Say whether the noise of some press is assumed, for want of a statement."""
+        return self.mm is None and any(press.noise_mm is None for press in recording.presses)
+
+    def _stated(self, press: Press, default: float) -> float:
+        if self.mm is not None:
+            return self.mm
+        return default if press.noise_mm is None else press.noise_mm
+
+
+def signal_rms(presses: tuple[Press, ...]) -> float:
+    """Root mean square of all observed displacements, mm.
+
+    Raises:
+        ConfigError: all observed displacements are zero.
+    """
+    values = np.concatenate([press.displacement[press.data] for press in presses])
+    rms = float(np.sqrt(np.mean(values**2)))
+    if rms == 0.0:
+        raise ConfigError("all observed displacements are zero: the presses moved nothing.")
+    return rms

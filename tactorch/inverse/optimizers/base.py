@@ -1,0 +1,50 @@
+"""What the optimizers share."""
+
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError
+from tactorch.inverse.monitor import Monitor
+from tactorch.inverse.objective import Objective
+
+
+class Optimizer(Protocol):
+    """Moves parameters from a start until it has a reason to stop."""
+
+    name: str
+
+    def minimize(
+        self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
+    ) -> str:
+        """Minimise; the monitor holds the best parameters.
+
+        Returns:
+            The reason for stopping, in words.
+
+        Raises:
+            ConvergenceError: the start itself has no equilibrium.
+            OutOfTime: raised by the monitor.
+        """
+        ...
+
+
+def require_positive(**values: float) -> None:
+    """Refuse settings that are not above zero.
+
+    Raises:
+        ConfigError: names the setting.
+    """
+    for name, value in values.items():
+        if not value > 0:
+            raise ConfigError(f"optimizer.{name}={value} must be above 0.")
+
+
+def projected_gradient(
+    x: Float[np.ndarray, " m"], gradient: Float[np.ndarray, " m"], limits: tuple[float, float]
+) -> Float[np.ndarray, " m"]:
+    """The gradient without the components that push against a bound."""
+    low, high = limits
+    blocked = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
+    return np.where(blocked, 0.0, gradient)

@@ -1,0 +1,162 @@
+"""Gauss-Newton with Levenberg-Marquardt damping, within bounds.
+
+Each step solves (J^T J + weight * prior + damping) step = -gradient over the parameters that are
+not held at a bound; J = d residuals / d x is the full sensitivity matrix (eq. 13). Damping grows
+when the objective does not fall as foretold, and shrinks when it does.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse.monitor import Monitor
+from tactorch.inverse.objective import Objective, Point
+from tactorch.inverse.optimizers.base import projected_gradient, require_positive
+from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_step
+from tactorch.inverse.optimizers.weight import Cooling
+
+_GOOD, _POOR = 0.75, 0.25
+_SPACES = ("auto", "data", "parameter")
+
+
+@dataclass
+class GaussNewton:
+    """Settings of the method.
+
+    Attributes:
+        max_iterations: Limit of accepted steps.
+        tolerance: Relative fall of the objective, at a settled weight, at which to stop.
+        weight: Weight of the prior, or None to lower it until the data are fitted to their noise.
+        damping: First damping, relative to the mean diagonal of J^T J.
+        max_trials: Steps tried at one iterate before giving up.
+        space: Where to solve: "data" (p x p), "parameter" (m x m), or "auto" by size.
+    """
+
+    max_iterations: int = 60
+    tolerance: float = 1e-3
+    weight: float | None = None
+    damping: float = 1e-6
+    max_trials: int = 12
+    space: str = "auto"
+    name: str = field(default="gauss_newton")
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        require_positive(
+            max_iterations=self.max_iterations, tolerance=self.tolerance, damping=self.damping,
+            max_trials=self.max_trials,
+        )  # fmt: skip
+        if self.space not in _SPACES:
+            raise ConfigError(
+                f"optimizer.space={self.space} is unknown; choose {', '.join(_SPACES)}."
+            )
+
+    def minimize(
+        self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
+    ) -> str:
+        """See `Optimizer.minimize`."""
+        point = objective.at(start)
+        cooling = Cooling.start(objective, start, self.weight, monitor.state)
+        damping = monitor.state.get("damping", self.damping)
+        settled = "the objective no longer falls" if cooling.fixed else ""
+        if not monitor.history:
+            self._report(monitor, point, cooling, damping, 0.0)
+        while monitor.iteration < self.max_iterations:
+            before = point.value(cooling.weight)
+            trial = self._step(objective, point, cooling.weight, damping)
+            if trial is None:
+                return "no step lowers the objective any more"
+            after, damping = trial
+            step = float(np.abs(after.x - point.x).max())
+            fall = before - after.value(cooling.weight)
+            point = after
+            self._report(monitor, point, cooling, damping, step)
+            if settled and fall <= self.tolerance * point.value(cooling.weight):
+                return settled
+            settled = settled or cooling.lower(point.evaluation.chi2)
+        return "iteration limit reached"
+
+    @staticmethod
+    def _report(
+        monitor: Monitor, point: Point, cooling: Cooling, damping: float, step: float
+    ) -> None:
+        monitor.state = {**cooling.state(), "damping": damping}
+        monitor.accept(
+            point, objective=point.value(cooling.weight), weight=cooling.weight, step=step,
+            damping=damping,
+        )  # fmt: skip
+
+    def _step(
+        self, objective: Objective, point: Point, weight: float, damping: float
+    ) -> tuple[Point, float] | None:
+        """Try steps, damping more each time, until one lowers the objective."""
+        limits = objective.parameterization.limits
+        gradient = point.jacobian.T @ point.evaluation.residuals + weight * point.penalty_gradient
+        free = projected_gradient(point.x, gradient, limits) != 0.0
+        if not free.any():
+            return None
+        diagonal = np.einsum("ij,ij->j", point.jacobian, point.jacobian)
+        unit = float(diagonal.mean())
+        for _ in range(self.max_trials):
+            shift = np.full(int(free.sum()), damping * unit)
+            change = self._solve(point, gradient, free, weight, shift)
+            if change is not None:
+                trial = self._try(objective, point, change)
+                if trial is not None:
+                    ratio = self._gain(point, trial, gradient, weight)
+                    if ratio > 0:
+                        return trial, _next_damping(damping, ratio)
+            damping = 10.0 * damping
+        return None
+
+    def _solve(
+        self, point: Point, gradient: np.ndarray, free: np.ndarray, weight: float, shift: np.ndarray
+    ) -> np.ndarray | None:
+        everything = bool(free.all())
+        jacobian = point.jacobian if everything else point.jacobian[:, free]
+        prior = weight * point.penalty_curvature
+        prior = prior if everything else prior[free][:, free]
+        in_data = self.space == "data" or (self.space == "auto" and _data_is_cheaper(jacobian))
+        solve = data_space_step if in_data else parameter_space_step
+        step = solve(jacobian, gradient[free], prior, shift)
+        if step is None or not np.all(np.isfinite(step)):
+            return None
+        change = np.zeros_like(gradient)
+        change[free] = step
+        return change
+
+    @staticmethod
+    def _try(objective: Objective, point: Point, change: np.ndarray) -> Point | None:
+        """Evaluate a step cut to the bounds; None where some press finds no equilibrium."""
+        cap = objective.parameterization.max_step
+        x = np.clip(point.x + np.clip(change, -cap, cap), *objective.parameterization.limits)
+        try:
+            return objective.at(x, point)
+        except ConvergenceError:
+            return None
+
+    @staticmethod
+    def _gain(point: Point, trial: Point, gradient: np.ndarray, weight: float) -> float:
+        """Fall of the objective over the fall that the quadratic model foretells."""
+        change = trial.x - point.x
+        image = point.jacobian @ change
+        curved = image @ image + weight * (change @ (point.penalty_curvature @ change))
+        foretold = -(gradient @ change + 0.5 * curved)
+        fallen = point.value(weight) - trial.value(weight)
+        if foretold <= 0:  # the bounds turned the step uphill in the model
+            return 1e-3 if fallen > 0 else -1.0
+        return float(fallen / foretold)
+
+
+def _data_is_cheaper(jacobian: np.ndarray) -> bool:
+    """Fewer data than unknowns by enough to pay for the sparse solves."""
+    data, unknowns = jacobian.shape
+    return data < 0.8 * unknowns
+
+
+def _next_damping(damping: float, ratio: float) -> float:
+    if ratio > _GOOD:
+        return max(0.2 * damping, 1e-12)
+    return damping if ratio > _POOR else 4.0 * damping

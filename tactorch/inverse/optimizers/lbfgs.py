@@ -1,0 +1,67 @@
+"""Limited-memory BFGS with bounds, the prior's weight lowered in stages."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.inverse.monitor import Monitor
+from tactorch.inverse.objective import Objective
+from tactorch.inverse.optimizers.base import require_positive
+from tactorch.inverse.optimizers.scipy_bounded import BoundedRun
+from tactorch.inverse.optimizers.weight import Cooling
+
+
+@dataclass
+class LBFGS:
+    """SciPy's L-BFGS-B (Byrd, Lu, Nocedal and Zhu, 1995).
+
+    Attributes:
+        max_iterations: Limit over all stages.
+        stage_iterations: Iterations at one weight of the prior, when it is chosen by cooling.
+        memory: Number of gradient pairs.
+        ftol: Relative change of the objective at which a stage ends.
+        weight: Weight of the prior, or None to lower it until the data are fitted to their noise.
+    """
+
+    max_iterations: int = 500
+    stage_iterations: int = 40
+    memory: int = 30
+    ftol: float = 1e-9
+    weight: float | None = None
+    name: str = "lbfgs"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        require_positive(
+            max_iterations=self.max_iterations,
+            stage_iterations=self.stage_iterations,
+            memory=self.memory,
+            ftol=self.ftol,
+        )
+
+    def minimize(
+        self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
+    ) -> str:
+        """See `Optimizer.minimize`."""
+        cooling = Cooling.start(objective, start, self.weight, monitor.state)
+        x = start
+        while True:
+            left = self.max_iterations - monitor.iteration
+            if left <= 0:
+                return "iteration limit reached"
+            run = BoundedRun(objective, monitor, cooling.weight)
+            stage = left if cooling.fixed else min(left, self.stage_iterations)
+            result = run.run(
+                "L-BFGS-B",
+                x,
+                {"maxiter": stage, "maxcor": self.memory, "ftol": self.ftol, "gtol": 1e-12},
+            )
+            assert run.point is not None
+            x = run.point.x
+            if cooling.fixed:
+                return "iteration limit reached" if result.nit >= left else str(result.message)
+            reason = cooling.lower(run.point.evaluation.chi2)
+            monitor.state = cooling.state()
+            if reason:
+                return reason

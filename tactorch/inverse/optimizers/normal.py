@@ -1,0 +1,65 @@
+"""The linear system of a Gauss-Newton step, in parameter space or in data space."""
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from tactorch.linalg import Solver, SymmetricPattern, analyse
+
+# Data space divides by the damping where the prior says nothing (a uniform shift).
+_SMALLEST_SHIFT = 1e-9
+
+
+def parameter_space_step(
+    jacobian: Float[np.ndarray, "p m"],
+    gradient: Float[np.ndarray, " m"],
+    prior: sp.csr_matrix,
+    shift: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " m"] | None:
+    """Solve (J^T J + prior + shift) step = -gradient by Cholesky; None if it breaks down."""
+    matrix = jacobian.T @ jacobian
+    coo = prior.tocoo()
+    np.add.at(matrix, (coo.row, coo.col), coo.data)
+    matrix[np.diag_indices_from(matrix)] += shift
+    try:
+        factor = sl.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+    except sl.LinAlgError:
+        return None
+    return -sl.cho_solve(factor, gradient, check_finite=False)
+
+
+def data_space_step(
+    jacobian: Float[np.ndarray, "p m"],
+    gradient: Float[np.ndarray, " m"],
+    prior: sp.csr_matrix,
+    shift: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " m"] | None:
+    """Solve the same system through p x p matrices (Woodbury), for fewer data than unknowns.
+
+    With A = prior + shift, sparse: step = -A^-1 g + A^-1 J^T (1 + J A^-1 J^T)^-1 J A^-1 g.
+    """
+    solver, values = _sparse_part(prior, np.maximum(shift, _SMALLEST_SHIFT * shift.max()))
+    solver.factor(values)
+    plain = solver.solve(gradient)
+    spread = solver.solve(np.asfortranarray(jacobian.T))
+    inner = jacobian @ spread
+    inner[np.diag_indices_from(inner)] += 1.0
+    try:
+        factor = sl.cho_factor(inner, lower=True, overwrite_a=True, check_finite=False)
+    except sl.LinAlgError:
+        return None
+    return spread @ sl.cho_solve(factor, jacobian @ plain, check_finite=False) - plain
+
+
+def _sparse_part(prior: sp.csr_matrix, shift: np.ndarray) -> tuple[Solver, np.ndarray]:
+    """Analysed solver and stored values of prior + diagonal."""
+    coo = prior.tocoo()
+    pattern = SymmetricPattern.from_pairs(
+        len(shift), coo.row.astype(np.int64), coo.col.astype(np.int64)
+    )
+    values = np.zeros(pattern.nnz)
+    upper = coo.row <= coo.col
+    np.add.at(values, pattern.slots(coo.row[upper], coo.col[upper]), coo.data[upper])
+    values[pattern.diagonal] += shift
+    return analyse(pattern, "auto"), values

@@ -1,0 +1,136 @@
+"""What the optimizer moves instead of Young's modulus itself."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Limits of Young's modulus, MPa; the paper's by default."""
+
+    lower: float = 0.001
+    upper: float = 100.0
+
+    def __post_init__(self) -> None:
+        """Check that both are positive and ordered."""
+        if not 0 < self.lower < self.upper < np.inf:
+            raise ConfigError(
+                f"bounds [{self.lower}, {self.upper}] MPa: need 0 < lower < upper; use 0.001 for "
+                "the modulus of a hole."
+            )
+
+
+@dataclass(frozen=True)
+class Parameterization(ABC):
+    """A map, element by element, from a parameter x to Young's modulus (MPa).
+
+    Attributes:
+        bounds: Limits of the modulus.
+    """
+
+    bounds: Bounds = Bounds()
+
+    @abstractmethod
+    def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the moduli of parameters, MPa."""
+
+    @abstractmethod
+    def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return d youngs / d x, MPa."""
+
+    @abstractmethod
+    def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the parameters of moduli."""
+
+    @property
+    def max_step(self) -> float:
+        """Largest change of a parameter that one Gauss-Newton step may make."""
+        return np.inf
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The bounds, as parameters."""
+        low, high = self.parameters(np.array([self.bounds.lower, self.bounds.upper]))
+        return float(low), float(high)
+
+
+class Identity(Parameterization):
+    """X is the modulus, MPa."""
+
+    def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the moduli of parameters, MPa."""
+        return x
+
+    def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return d youngs / d x, MPa."""
+        return np.ones_like(x)
+
+    def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the parameters of moduli."""
+        return np.asarray(youngs, dtype=np.float64)
+
+
+class Scaled(Parameterization):
+    """Youngs = lower + x (upper - lower), the linear scaling of the paper's program."""
+
+    @property
+    def _range(self) -> float:
+        return self.bounds.upper - self.bounds.lower
+
+    def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the moduli of parameters, MPa."""
+        return np.maximum(self.bounds.lower + self._range * x, self.bounds.lower)
+
+    def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return d youngs / d x, MPa."""
+        return np.full_like(x, self._range)
+
+    def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the parameters of moduli."""
+        return (youngs - self.bounds.lower) / self._range
+
+
+class Log(Parameterization):
+    """Youngs = exp(x): relative changes count, positivity is built in."""
+
+    @property
+    def max_step(self) -> float:
+        """A factor of e^2 a step: beyond it the linearisation says nothing."""
+        return 2.0
+
+    def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the moduli of parameters, MPa."""
+        return np.exp(x)
+
+    def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return d youngs / d x, MPa."""
+        return np.exp(x)
+
+    def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the parameters of moduli."""
+        return np.log(youngs)
+
+
+PARAMETERIZATIONS: dict[str, type[Parameterization]] = {
+    "identity": Identity,
+    "scaled": Scaled,
+    "log": Log,
+}
+
+
+def make_parameterization(name: str, bounds: Bounds | None = None) -> Parameterization:
+    """Make a parameterisation by name.
+
+    Raises:
+        ConfigError: the name is unknown.
+    """
+    if name not in PARAMETERIZATIONS:
+        raise ConfigError(
+            f"parameterization '{name}' is unknown; choose one of {', '.join(PARAMETERIZATIONS)}."
+        )
+    return PARAMETERIZATIONS[name](bounds or Bounds())

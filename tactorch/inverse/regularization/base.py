@@ -1,0 +1,67 @@
+"""What a prior is: a convex penalty on the logarithm of Young's modulus.
+
+Priors act on log-moduli whatever the parameterisation, since tissue differs by factors.
+"""
+
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from tactorch.mesh import TetMesh
+
+
+class Regularizer(Protocol):
+    """Penalty on a field of log-moduli, one value an element."""
+
+    name: str
+
+    def value(self, field: Float[np.ndarray, " m"]) -> float:
+        """Return the penalty (dimensionless)."""
+        ...
+
+    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+        """Return a positive semi-definite matrix Q, the penalty's majorant at `field`.
+
+        Q times `field` is the exact gradient, so Q serves Gauss-Newton and gradient methods.
+        """
+        ...
+
+
+class NoPrior:
+    """The absence of a prior."""
+
+    name = "none"
+
+    def __init__(self, mesh: TetMesh) -> None:
+        """Take the mesh for the number of elements."""
+        self._size = mesh.n_tets
+
+    def value(self, field: Float[np.ndarray, " m"]) -> float:
+        """Return zero."""
+        return 0.0
+
+    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+        """Return an empty matrix."""
+        return sp.csr_matrix((self._size, self._size))
+
+
+def jumps(mesh: TetMesh) -> sp.csr_matrix:
+    """Return the matrix that takes a field to its jumps across interior faces, (faces, m)."""
+    pairs = mesh.adjacency.pairs
+    faces = np.arange(len(pairs))
+    ones = np.ones(len(pairs))
+    return sp.csr_matrix(
+        (
+            np.concatenate([ones, -ones]),
+            (np.concatenate([faces, faces]), np.concatenate([pairs[:, 0], pairs[:, 1]])),
+        ),
+        shape=(len(pairs), mesh.n_tets),
+    )
+
+
+def relative_areas(mesh: TetMesh) -> Float[np.ndarray, " faces"]:
+    """Areas of interior faces over their mean."""
+    areas = mesh.adjacency.areas
+    return areas / areas.mean() if len(areas) else areas

@@ -1,0 +1,44 @@
+"""Measurement noise of a given signal-to-noise ratio."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tactorch.errors import ConfigError
+from tactorch.mesh.values import Real
+
+
+def noise_level(signal: Float[np.ndarray, " k"], snr_db: Real) -> float:
+    """Return the standard deviation sigma for which 20 log10(rms(signal) / sigma) is `snr_db`.
+
+    Raises:
+        ConfigError: `snr_db` is not finite.
+    """
+    if not np.isfinite(snr_db):
+        raise ConfigError(f"snr_db={snr_db!r} must be a finite number of decibels, or None.")
+    return float(np.sqrt(np.mean(np.square(signal))) * 10.0 ** (-float(snr_db) / 20.0))
+
+
+def add_noise(
+    displacement: Float[np.ndarray, "n 3"],
+    observed: Bool[np.ndarray, "n 3"],
+    snr_db: Real,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "n 3"], float]:
+    """Add white Gaussian noise to the observed degrees of freedom of one press.
+
+    Args:
+        displacement: Exact displacement, mm.
+        observed: The degrees of freedom that are the signal; all three components count alike.
+        snr_db: Signal-to-noise ratio, see `noise_level`.
+        rng: Where the noise comes from.
+
+    Returns:
+        The noisy displacement, mm, and the standard deviation of the noise, mm.
+
+    Raises:
+        ConfigError: `snr_db` is not finite.
+    """
+    sigma = noise_level(displacement[observed], snr_db)
+    noisy = displacement.copy()
+    noisy[observed] += sigma * rng.standard_normal(int(observed.sum()))
+    return noisy, sigma

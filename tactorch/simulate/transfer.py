@@ -1,0 +1,87 @@
+"""Displacements of one mesh at the nodes of another."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from tactorch.errors import MeshError
+from tactorch.fem import Discretisation
+from tactorch.mesh import LOCAL_EDGES, TetMesh
+from tactorch.mesh.locate import locate
+
+# Elements of nearest centroid looked at for a point outside the mesh.
+_CANDIDATES = 64
+# How far outside a point may be, as a share of the diagonal: meshes of one curved body differ.
+_OUTSIDE = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """Interpolation with the element's own shape functions.
+
+    Linear (barycentric) in a linear element, quadratic in a quadratic one.
+
+    Attributes:
+        nodes: Nodes that each target point takes its value from.
+        weights: Their weights; they sum to 1.
+    """
+
+    nodes: Int[np.ndarray, "p k"]
+    weights: Float[np.ndarray, "p k"]
+
+    @classmethod
+    def between(cls, source: Discretisation, points: Float[np.ndarray, "p 3"]) -> "Transfer":
+        """Prepare the interpolation from `source` to points (mm).
+
+        Points just outside, as happens between two meshes of one curved surface, continue the
+        field of the nearest element.
+
+        Raises:
+            MeshError: A point is further outside than 1 % of the diagonal.
+        """
+        mesh = source.mesh
+        elements = locate(mesh, points)
+        outside = np.flatnonzero(elements < 0)
+        if outside.size:
+            elements[outside] = _nearest_elements(mesh, points[outside])
+        L = _barycentric(mesh, elements, points)
+        if source.element.quadratic:
+            a, b = np.array(LOCAL_EDGES).T
+            weights = np.concatenate((L * (2.0 * L - 1.0), 4.0 * L[:, a] * L[:, b]), axis=1)
+        else:
+            weights = L
+        return cls(source.nodes[elements], weights)
+
+    def __call__(self, values: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "p 3"]:
+        """Return the field of nodal values (midsides included) at the target points."""
+        return np.einsum("pk,pkd->pd", self.weights, values[self.nodes])
+
+
+def _barycentric(
+    mesh: TetMesh, elements: Int[np.ndarray, " p"], points: Float[np.ndarray, "p 3"]
+) -> Float[np.ndarray, "p 4"]:
+    corners = mesh.points[mesh.tets[elements]]
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    rest = np.linalg.solve(edges, (points - corners[:, 0])[:, :, None])[:, :, 0]
+    return np.column_stack((1.0 - rest.sum(axis=1), rest))
+
+
+def _nearest_elements(mesh: TetMesh, points: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
+    """Return the element nearest to each point outside the mesh."""
+    count = min(_CANDIDATES, mesh.n_tets)
+    _, near = cKDTree(mesh.centroids).query(points, k=np.arange(1, count + 1))
+    repeated = np.repeat(points, count, axis=0)
+    L = _barycentric(mesh, near.ravel(), repeated).clip(0.0)
+    L /= L.sum(axis=1, keepdims=True)
+    inside = np.einsum("pc,pcd->pd", L, mesh.points[mesh.tets[near.ravel()]])
+    distances = np.linalg.norm(inside - repeated, axis=1).reshape(near.shape)
+    best = distances.argmin(axis=1)
+    off = float(distances.min(axis=1).max())
+    if off > _OUTSIDE * mesh.diagonal:
+        raise MeshError(
+            f"A node of the mesh lies {off:.4g} mm outside the fine mesh: the two are not of the"
+            " same body. Mesh the same phantom twice."
+        )
+    return near[np.arange(len(near)), best]

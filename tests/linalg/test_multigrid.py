@@ -1,0 +1,92 @@
+"""Multigrid on what it is for: a clamped elastic cube."""
+
+import numpy as np
+import pytest
+
+from tactorch.fem import Supports, SoftBody, make_material
+from tactorch.fem.linearization import hold
+from tactorch.linalg import analyse
+from tactorch.linalg.multigrid import Multigrid
+from tactorch.mesh import box_mesh, face_nodes
+
+
+def stiffness(divisions: int):
+    """Pattern, values, rigid modes and load of a cube of soft material, clamped below."""
+    mesh = box_mesh(10.0, divisions)
+    body = SoftBody(mesh, make_material("neo_hookean", 0.45))
+    d = body.discretisation
+    fixed = np.zeros((mesh.n_points, 3), dtype=bool)
+    fixed[face_nodes(mesh, "z-")] = True
+    rest = body.assembly.respond(np.zeros((d.n_nodes, 3)))
+    values = body.assembly.tangent(rest, np.ones(mesh.n_tets))
+    load = body.traction("z+", [0.02, 0.0, -0.1]).numpy().ravel()
+    return d.pattern, hold(d.pattern, values, fixed.ravel()), d.rigid_modes, load
+
+
+def iterations(solver: Multigrid, load: np.ndarray, monkeypatch) -> int:
+    """Count preconditioner applications of one solve."""
+    count = 0
+    inner = solver._preconditioner
+
+    class Counted:
+        def __matmul__(self, x):
+            nonlocal count
+            count += 1
+            return inner @ x
+
+    monkeypatch.setattr(solver, "_preconditioner", Counted())
+    solver.solve(load)
+    monkeypatch.undo()
+    return count
+
+
+def test_rigid_modes_keep_iterations_few_and_the_answer_is_the_direct_one(monkeypatch):
+    pattern, values, modes, load = stiffness(9)
+    with_modes = Multigrid(pattern, modes)
+    with_modes.factor(values)
+    without = Multigrid(pattern)
+    without.factor(values)
+    few = iterations(with_modes, load, monkeypatch)
+    many = iterations(without, load, monkeypatch)
+    assert few <= 40  # twelve digits of residual
+    assert few < 0.75 * many
+    direct = analyse(pattern, "superlu")
+    direct.factor(values)
+    expected = direct.solve(load)
+    np.testing.assert_allclose(
+        with_modes.solve(load), expected, rtol=0, atol=1e-9 * np.abs(expected).max()
+    )
+
+
+def test_kept_aggregates_serve_new_values():
+    pattern, values, modes, load = stiffness(7)
+    solver = Multigrid(pattern, modes)
+    solver.factor(values)
+    solver.factor(2.0 * values)
+    twice = solver.solve(load)
+    fresh = Multigrid(pattern, modes)
+    fresh.factor(values)
+    np.testing.assert_allclose(2.0 * twice, fresh.solve(load), rtol=0, atol=1e-9)
+
+
+def test_a_solve_that_does_not_get_there_says_so():
+    pattern, values, modes, load = stiffness(7)
+    solver = Multigrid(pattern, modes, max_iterations=2)
+    solver.factor(values)
+    with pytest.raises(RuntimeError, match=r"residual of .*2 iterations.*solver=pardiso"):
+        solver.solve(load)
+
+
+def test_equilibrium_by_multigrid_is_that_of_the_direct_solver():
+    mesh = box_mesh(10.0, 5)
+    fixed = np.zeros((mesh.n_points, 3), dtype=bool)
+    fixed[face_nodes(mesh, "z-")] = True
+    found = {}
+    for solver in ("superlu", "multigrid"):
+        body = SoftBody(mesh, make_material("neo_hookean", 0.45), solver=solver)
+        forces = body.pressure("z+", 0.1).numpy()
+        found[solver] = body.equilibrate(np.ones(mesh.n_tets), forces, Supports(fixed=fixed))
+        assert found[solver].converged, found[solver].reason
+    np.testing.assert_allclose(
+        found["multigrid"].displacement, found["superlu"].displacement, rtol=0, atol=1e-8
+    )

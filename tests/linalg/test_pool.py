@@ -1,0 +1,83 @@
+import gc
+import threading
+
+import numpy as np
+import pytest
+
+from tactorch.linalg import SolverPool, Status, available, pool
+
+
+@pytest.fixture
+def analyses(monkeypatch) -> list[str]:
+    """Names of the backends analysed so far."""
+    made: list[str] = []
+    analyse = pool.analyse
+
+    def counted(pattern, backend, modes):
+        made.append(backend)
+        return analyse(pattern, backend, modes)
+
+    monkeypatch.setattr(pool, "analyse", counted)
+    return made
+
+
+def test_a_collected_lease_gives_its_solver_back(lattice, analyses):
+    solvers = SolverPool(lattice(0).pattern)
+    lease = solvers.lease()
+    del lease
+    gc.collect()
+    again = solvers.lease()
+    assert len(analyses) == 1
+    other = solvers.lease()  # the first is on loan
+    assert len(analyses) == 2
+    del again, other
+
+
+def test_a_closed_lease_gives_its_solver_back_once(lattice, analyses):
+    solvers = SolverPool(lattice(0).pattern)
+    lease = solvers.lease()
+    lease.close()
+    lease.close()
+    keep = [solvers.lease(), solvers.lease()]
+    assert len(analyses) == 2  # not three, and the one solver is not lent twice
+    assert len(keep) == 2
+
+
+def test_nothing_is_analysed_before_the_first_lease(lattice, analyses):
+    SolverPool(lattice(0).pattern)
+    assert analyses == []
+
+
+@pytest.mark.parametrize("backend", available())
+def test_leases_hold_factorisations_of_their_own(backend, lattice):
+    systems = [lattice(0), lattice(1)]
+    solvers = SolverPool(systems[0].pattern, backend)
+    leases = [solvers.lease() for _ in systems]
+    for lease, system in zip(leases, systems, strict=True):
+        assert lease.factor(system.values) is Status.OK
+    rhs = np.ones(systems[0].pattern.size)
+    for lease, system in zip(leases, systems, strict=True):
+        expected = np.linalg.solve(system.dense, rhs)
+        np.testing.assert_allclose(lease.solve(rhs), expected, rtol=0, atol=1e-11)
+
+
+def test_threads_share_a_pool(lattice):
+    systems = [lattice(seed) for seed in range(3)]
+    solvers = SolverPool(systems[0].pattern)
+    rhs = np.ones(systems[0].pattern.size)
+    wrong: list[int] = []
+
+    def work(i: int) -> None:
+        for _ in range(20):
+            lease = solvers.lease()
+            lease.factor(systems[i].values)
+            if not np.allclose(systems[i].dense @ lease.solve(rhs), rhs, atol=1e-11):
+                wrong.append(i)
+            lease.close()
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []

@@ -1,0 +1,51 @@
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError
+from tactorch.mesh import Box, Cylinder, TetMesh
+from tactorch.phantoms import Phantom
+
+
+def mean_edge(mesh: TetMesh) -> float:
+    ends = mesh.points[mesh.edges]
+    return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean())
+
+
+@pytest.mark.parametrize("size", [(10.0, 10.0, 10.0), (10.0, 20.0, 5.0)])
+@pytest.mark.parametrize("length", [1.0, 1.7, 3.0])
+def test_structured_mesh_keeps_below_the_edge_length(
+    size: tuple[float, float, float], length: float
+) -> None:
+    phantom = Phantom(Box((1.0, 2.0, 3.0), size))
+    mesh = phantom.mesh(length)
+    assert 0.7 * length < mean_edge(mesh) <= length
+    np.testing.assert_allclose(mesh.bounds, phantom.body.bounds(), atol=1e-12)
+
+
+def test_default_is_a_tenth_of_the_diagonal() -> None:
+    phantom = Phantom(Box(size_mm=(10.0, 10.0, 10.0)))
+    target = 0.1 * np.sqrt(300.0)
+    assert 0.8 * target < mean_edge(phantom.mesh()) <= target
+    assert mean_edge(phantom.mesh(relative_edge_length=0.2)) > target
+
+
+def test_cylinder_is_meshed_by_tetwild() -> None:
+    phantom = Phantom(Cylinder((0.0, 0.0, 5.0), 5.0, 10.0))
+    mesh = phantom.mesh(3.0)
+    assert mesh.volumes.sum() == pytest.approx(np.pi * 250.0, rel=0.02)
+    assert phantom.on_mesh(mesh).shape == (mesh.n_tets,)
+
+
+@pytest.mark.parametrize(
+    ("body", "settings", "message"),
+    [
+        (Box(), {"generator": "gmsh"}, "generator='gmsh'"),
+        (Cylinder(), {"generator": "structured"}, "not a Cylinder"),
+        (Box(), {"edge_length_mm": 0.0}, "edge_length_mm"),
+        (Box(), {"edge_length_mm": 1e-3}, "cells"),
+        (Box(), {"relative_edge_length": -0.1}, "relative_edge_length"),
+    ],
+)
+def test_wrong_settings_are_refused(body: Box | Cylinder, settings: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Phantom(body).mesh(**settings)
