@@ -31,7 +31,7 @@ def shape_to_config(shape: Shape) -> dict[str, Any]:
     )
 
 
-def shape_from_config(config: Mapping[str, Any], where: str) -> Shape:
+def shape_from_config(config: Any, where: str) -> Shape:
     """Make a shape from what `shape_to_config` returns; fields left out take their defaults.
 
     Args:
@@ -53,7 +53,7 @@ def shape_from_config(config: Mapping[str, Any], where: str) -> Shape:
         raise ConfigError(f"{where}: {error}") from error
 
 
-def as_mapping(config: Mapping[str, Any], where: str) -> dict[str, Any]:
+def as_mapping(config: Any, where: str) -> dict[str, Any]:
     """Return a copy as a dictionary, or raise `ConfigError`."""
     if not isinstance(config, Mapping):
         raise ConfigError(f"{where} is {config!r}; give a dictionary.")

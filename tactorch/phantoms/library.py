@@ -38,9 +38,10 @@ def cube_sphere(
     inclusion_mpa: Real = _HARD,
 ) -> Phantom:
     """A cube with a ball whose centre is `depth` below the middle of the top, in sides."""
+    body = _cube(side_mm)
     center = _scaled(side_mm, (0.5, 0.5, 1.0 - float(depth)))
     ball = Sphere(center, float(radius) * float(side_mm))
-    return Phantom(_cube(side_mm), [(ball, inclusion_mpa)], youngs_mpa)
+    return Phantom(body, [(ball, inclusion_mpa)], youngs_mpa)
 
 
 def cube_shallow_sphere(**changes: Any) -> Phantom:
@@ -61,8 +62,9 @@ def cube_box(
     inclusion_mpa: Real = _HARD,
 ) -> Phantom:
     """A cube with a cuboid; centre and edge lengths in sides."""
+    body = _cube(side_mm)
     inside = Box(_scaled(side_mm, center), _scaled(side_mm, size))
-    return Phantom(_cube(side_mm), [(inside, inclusion_mpa)], youngs_mpa)
+    return Phantom(body, [(inside, inclusion_mpa)], youngs_mpa)
 
 
 def cube_cylinder(
@@ -75,9 +77,10 @@ def cube_cylinder(
     inclusion_mpa: Real = _HARD,
 ) -> Phantom:
     """A cube with a cylinder; centre, radius and height in sides."""
+    body = _cube(side_mm)
     r, h = _scaled(side_mm, (radius, height))
     inside = Cylinder(_scaled(side_mm, center), r, h, axis)
-    return Phantom(_cube(side_mm), [(inside, inclusion_mpa)], youngs_mpa)
+    return Phantom(body, [(inside, inclusion_mpa)], youngs_mpa)
 
 
 def cube_ellipsoid(
@@ -88,19 +91,21 @@ def cube_ellipsoid(
     inclusion_mpa: Real = _HARD,
 ) -> Phantom:
     """A cube with an ellipsoid; centre and semi-axes in sides."""
+    body = _cube(side_mm)
     inside = Ellipsoid(_scaled(side_mm, center), _scaled(side_mm, radii))
-    return Phantom(_cube(side_mm), [(inside, inclusion_mpa)], youngs_mpa)
+    return Phantom(body, [(inside, inclusion_mpa)], youngs_mpa)
 
 
 def cube_two_tiers(
     side_mm: Real = 10.0, youngs_mpa: Real = _SOFT, inclusion_mpa: Real = _HARD
 ) -> Phantom:
     """A cube with a cake of two tiers, in the manner of Fig. 4(a)."""
+    body = _cube(side_mm)
     tiers: list[tuple[Shape, Real]] = []
     for height, radius in ((0.4, 0.3), (0.6, 0.15)):
         r, thick = _scaled(side_mm, (radius, 0.2))
         tiers.append((Cylinder(_scaled(side_mm, (0.5, 0.5, height)), r, thick), inclusion_mpa))
-    return Phantom(_cube(side_mm), tiers, youngs_mpa)
+    return Phantom(body, tiers, youngs_mpa)
 
 
 def cylinder_sphere(

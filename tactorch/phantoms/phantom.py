@@ -183,7 +183,7 @@ class Phantom:
         return Inclusion(shape, modulus)
 
 
-def _entry(entry: Mapping[str, Any], index: int) -> tuple[Shape, float]:
+def _entry(entry: Any, index: int) -> tuple[Shape, float]:
     where = f"phantom.inclusions[{index}]"
     values = as_mapping(entry, where)
     if "youngs_mpa" not in values:

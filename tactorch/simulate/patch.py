@@ -95,15 +95,24 @@ def _clip(
 
     One edge of `convex` at a time cuts off what is to its right (Sutherland and Hodgman, 1974).
     """
-    for start, end in zip(convex, np.roll(convex, -1, axis=0), strict=True):
-        edge = end - start
-        left = edge[0] * (polygon[:, 1] - start[1]) - edge[1] * (polygon[:, 0] - start[0])
-        if (left >= 0).all():
-            continue
+    edges = np.roll(convex, -1, axis=0) - convex
+    sides = _left_of(convex[:, None], edges[:, None], polygon)
+    if (sides <= 0).all(axis=1).any():
+        return polygon[:0]
+    # An edge that has the whole polygon on its left leaves it as it is, now and later.
+    for i in np.flatnonzero((sides < 0).any(axis=1)):
+        left = _left_of(convex[i], edges[i], polygon)
         if (left <= 0).all():
             return polygon[:0]
-        polygon = _cut(polygon, left)
+        if (left < 0).any():
+            polygon = _cut(polygon, left)
     return polygon
+
+
+def _left_of(starts: np.ndarray, edges: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Twice the area between edges and points, positive where a point is to the left."""
+    offsets = points - starts
+    return edges[..., 0] * offsets[..., 1] - edges[..., 1] * offsets[..., 0]
 
 
 def _cut(

@@ -81,7 +81,7 @@ def _nearest_elements(mesh: TetMesh, points: Float[np.ndarray, "p 3"]) -> Int[np
     off = float(distances.min(axis=1).max())
     if off > _OUTSIDE * mesh.diagonal:
         raise MeshError(
-            f"A node of the mesh lies {off:.4g} mm outside the fine mesh: the two are not of the"
-            " same body. Mesh the same phantom twice."
+            f"A node of the mesh lies about {off:.3g} mm outside the fine mesh: the two are not of"
+            " the same body. Mesh the same phantom twice."
         )
     return near[np.arange(len(near)), best]

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh import Box, Cylinder, Ellipsoid, Shape, Sphere, box_mesh
 from tactorch.phantoms import PHANTOMS, Inclusion, Phantom, make_phantom
+from tactorch.phantoms.sampling import lattice
 
 CUBE = Box((5.0, 5.0, 5.0), (10.0, 10.0, 10.0))
 SHAPES: list[Shape] = [
@@ -40,14 +41,25 @@ def test_elements_take_the_value_at_their_centroid(shape: Shape) -> None:
 
 
 def test_volume_average_finds_the_volume_of_the_inclusion() -> None:
-    phantom, mesh = Phantom(CUBE, [(Sphere((5.0, 5.0, 5.0), 2.0), 1.2)]), box_mesh(10.0, 5)
-
-    def volume(samples: int) -> float:
-        return float(mesh.volumes @ (phantom.on_mesh(mesh, samples) - 0.2))
-
+    phantom = Phantom(CUBE, [(Sphere((4.83, 5.21, 5.07), 2.0), 1.2)])
+    mesh = box_mesh(10.0, 5)
     exact = 4.0 / 3.0 * np.pi * 8.0
-    assert volume(6) == pytest.approx(exact, rel=0.01)
-    assert abs(volume(1) / exact - 1.0) > 0.02
+    found = [float(mesh.volumes @ (phantom.on_mesh(mesh, s) - 0.2)) / exact for s in (1, 8)]
+    assert found[1] == pytest.approx(1.0, rel=5e-3)
+    assert abs(found[0] - 1.0) > 2e-2
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 7])
+def test_means_are_exact_to_their_degree(samples: int) -> None:
+    shares = lattice(samples)
+    assert len(shares) == samples * (samples + 1) * (samples + 2) // 6
+    assert (shares > 0).all()
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(shares.mean(axis=0), 0.25, rtol=1e-14)
+    if samples > 1:
+        # Over a tetrahedron the mean of L_a L_b is 1/20, of L_a^2 it is 1/10.
+        moments = shares.T @ shares / len(shares)
+        np.testing.assert_allclose(moments, (1.0 + np.eye(4)) / 20.0, rtol=1e-13)
 
 
 def test_average_of_uniform_phantom_is_uniform() -> None:

@@ -45,5 +45,5 @@ def test_points_just_outside_continue_the_field() -> None:
 
 def test_points_far_outside_are_refused() -> None:
     source = Discretisation(box_mesh(10.0, 3), make_element("tet4"))
-    with pytest.raises(MeshError, match="1 mm outside"):
+    with pytest.raises(MeshError, match="mm outside the fine mesh"):
         Transfer.between(source, np.array([(5.0, 5.0, 11.0)]))

@@ -17,7 +17,13 @@ from tactorch.inverse.optimizers.base import projected_gradient, require_positiv
 from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_step
 from tactorch.inverse.optimizers.weight import Cooling
 
-_GOOD, _POOR = 0.75, 0.25
+# The prior bears what the data do not see; damping is for the nonlinearity alone, so it starts
+# small, falls after every step that was foretold at all, and jumps where a step failed.
+_POOR = 0.1
+# While the weight of the prior falls, the path follows a valley that is narrow where the noise is
+# small: the data misfit may rise a little on the way, else the steps along it become tiny.
+_LEEWAY = 2.0
+_LEAST, _LEAST_RAISED = 1e-12, 1e-4
 _SPACES = ("auto", "data", "parameter")
 
 
@@ -65,7 +71,7 @@ class GaussNewton:
             self._report(monitor, point, cooling, damping, 0.0)
         while monitor.iteration < self.max_iterations:
             before = point.value(cooling.weight)
-            trial = self._step(objective, point, cooling.weight, damping)
+            trial = self._step(objective, point, cooling.weight, damping, not settled)
             if trial is None:
                 return "no step lowers the objective any more"
             after, damping = trial
@@ -89,26 +95,27 @@ class GaussNewton:
         )  # fmt: skip
 
     def _step(
-        self, objective: Objective, point: Point, weight: float, damping: float
+        self, objective: Objective, point: Point, weight: float, damping: float, cooling: bool
     ) -> tuple[Point, float] | None:
-        """Try steps, damping more each time, until one lowers the objective."""
+        """Try steps, damping more each time, until one is good enough."""
         limits = objective.parameterization.limits
         gradient = point.jacobian.T @ point.evaluation.residuals + weight * point.penalty_gradient
         free = projected_gradient(point.x, gradient, limits) != 0.0
         if not free.any():
             return None
         diagonal = np.einsum("ij,ij->j", point.jacobian, point.jacobian)
-        unit = float(diagonal.mean())
+        diagonal += weight * point.penalty_curvature.diagonal()
         for _ in range(self.max_trials):
-            shift = np.full(int(free.sum()), damping * unit)
+            shift = damping * diagonal[free]
             change = self._solve(point, gradient, free, weight, shift)
             if change is not None:
                 trial = self._try(objective, point, change)
                 if trial is not None:
                     ratio = self._gain(point, trial, gradient, weight)
-                    if ratio > 0:
+                    lead = trial.evaluation.chi2 / point.evaluation.chi2
+                    if ratio > 0 or (cooling and lead < _LEEWAY):
                         return trial, _next_damping(damping, ratio)
-            damping = 10.0 * damping
+            damping = 10.0 * max(damping, _LEAST_RAISED)
         return None
 
     def _solve(
@@ -157,6 +164,4 @@ def _data_is_cheaper(jacobian: np.ndarray) -> bool:
 
 
 def _next_damping(damping: float, ratio: float) -> float:
-    if ratio > _GOOD:
-        return max(0.2 * damping, 1e-12)
-    return damping if ratio > _POOR else 4.0 * damping
+    return max(0.2 * damping, _LEAST) if ratio > _POOR else damping

@@ -65,8 +65,8 @@ class Cooling:
 
 
 def ruling_weight(objective: Objective, x: Float[np.ndarray, " m"]) -> float:
-    """A weight at which the prior outweighs the data: balance of diagonals times a hundred."""
+    """A weight at which the prior outweighs the data: the balance of diagonals."""
     point = objective.at(x)
     data = np.einsum("ij,ij->", point.jacobian, point.jacobian)
     prior = point.penalty_curvature.diagonal().sum()
-    return 100.0 * float(data / prior)
+    return float(data / prior)
