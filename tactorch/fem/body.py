@@ -98,7 +98,7 @@ class SoftBody:
     def search(
         self,
         youngs: Float[np.ndarray, " m"],
-        forces: Float[np.ndarray, "n 3"],
+        forces: Float[np.ndarray, "loaded 3"],
         supports: Supports,
         case: int = 0,
     ) -> Newton:
@@ -127,10 +127,28 @@ class SoftBody:
         if not np.all(np.isfinite(forces)):
             raise ConfigError("forces contain NaN or infinity; give 0 N at nodes without load.")
 
+    def _check_rest(self, poisson: Tensor | None, points: Tensor | None) -> None:
+        if poisson is not None:
+            ratio = poisson.detach()
+            if ratio.shape not in ((), (self.mesh.n_tets,)):
+                raise ConfigError(
+                    f"poisson has shape {tuple(ratio.shape)}; expected one, or {self.mesh.n_tets}."
+                )
+            if not bool(((ratio > -1.0) & (ratio < 0.5)).all()):
+                raise ConfigError("poisson must lie in (-1, 0.5) everywhere.")
+        if points is not None:
+            if points.shape != (self.mesh.n_points, 3):
+                raise ConfigError(
+                    f"points have shape {tuple(points.shape)}; expected ({self.mesh.n_points}, 3)."
+                )
+            _, weights = self.discretisation.geometry(points.detach())
+            if not bool((weights > 0).all()):
+                raise ConfigError("points invert an element, or are not finite.")
+
     def equilibrate(
         self,
         youngs: Float[np.ndarray, " m"],
-        forces: Float[np.ndarray, "n 3"],
+        forces: Float[np.ndarray, "loaded 3"],
         supports: Supports,
         *,
         start: Float[np.ndarray, "nodes 3"] | None = None,
@@ -141,7 +159,7 @@ class SoftBody:
     def solve(
         self,
         youngs: Float[Tensor, " m"],
-        forces: Float[Tensor, "*cases n 3"],
+        forces: Float[Tensor, "*cases loaded 3"],
         supports: Supports,
         *,
         poisson: Float[Tensor, "*m"] | None = None,
@@ -174,9 +192,15 @@ class SoftBody:
         if forces.ndim not in (2, 3):
             raise ConfigError(f"forces have {forces.ndim} dimensions; expected (cases,) n, 3.")
         single = forces.ndim == 2
+        self._check(youngs.detach().numpy(), forces.detach().numpy())
+        self._check_rest(poisson, points)
         batch = self.discretisation.pad(forces[None] if single else forces)
+        supports.require_cases(len(batch))
         begin = None if start is None else (start[None] if single else start)
-        self._check(youngs.detach().numpy(), batch.detach().numpy())
+        if begin is not None and begin.shape != batch.shape:
+            raise ConfigError(
+                f"start has shape {begin.shape}; expected {tuple(batch.shape)}, all element nodes."
+            )
         problem = Problem(self.assembly, self.pool, self.newton, supports, begin)
         ratio = torch.as_tensor(self.assembly.poisson, dtype=torch.float64)
         u = Equilibrium.apply(

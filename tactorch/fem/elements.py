@@ -75,7 +75,8 @@ def make_element(name: str) -> Element:
 
     `tet4` is the plain linear tetrahedron of the paper; it locks as Poisson's ratio nears 0.5.
     `tet10` is quadratic with the dilatation averaged over each element (Simo, Taylor and Pister,
-    1985; Q2/P0 on tetrahedra), free of locking up to 0.499; it has about eight times the unknowns.
+    1985), free of locking up to 0.499; it has about eight times the unknowns. Materials that do not
+    give their `dilatation` apart (linear, Saint Venant-Kirchhoff) are integrated as they are.
 
     Raises:
         ConfigError: the name is unknown.
@@ -131,10 +132,19 @@ class Discretisation:
         return np.concatenate([values, values[self.edges].mean(axis=1)])
 
     def pad(self, values: Any) -> Any:
-        """Continue vertex loads to the midsides with zeros; full-length input is kept."""
+        """Continue vertex loads to the midsides with zeros; full-length input is kept.
+
+        Raises:
+            ConfigError: the field is neither over the mesh nodes nor over all nodes.
+        """
         missing = self.n_nodes - values.shape[-2]
         if missing == 0:
             return values
+        if values.shape[-2:] != (self.mesh.n_points, 3):
+            raise ConfigError(
+                f"a nodal field has shape {tuple(values.shape)}; expected ({self.mesh.n_points}, 3)"
+                f", one row per mesh node (or all {self.n_nodes} element nodes), or a batch."
+            )
         if isinstance(values, Tensor):
             return torch.nn.functional.pad(values, (0, 0, 0, missing))
         return np.concatenate([values, np.zeros((*values.shape[:-2], missing, 3))], axis=-2)
@@ -204,5 +214,6 @@ class Discretisation:
         barycentric = torch.cat([-inverse.sum(1, keepdim=True), inverse], dim=1)
         table = torch.from_numpy(self.element.table).to(points)
         gradients = torch.einsum("qkc,mcd->mqkd", table, barycentric)
-        volumes = torch.linalg.det(sides) / 6.0
+        # The triple product: det's second derivative is not finite on regular shapes.
+        volumes = (sides[:, 0] * torch.linalg.cross(sides[:, 1], sides[:, 2])).sum(-1) / 6.0
         return gradients, volumes[:, None] * torch.from_numpy(self.element.rule).to(points)

@@ -14,19 +14,6 @@ _SWEEPS = 4
 _MANY = 4
 
 
-def hold(
-    pattern: SymmetricPattern, values: Float[np.ndarray, " nnz"], fixed: Bool[np.ndarray, " size"]
-) -> Float[np.ndarray, " nnz"]:
-    """Replace the rows and columns of fixed unknowns by a diagonal, keeping the pattern."""
-    if not fixed.any():
-        return values
-    held = fixed[pattern.rows] | fixed[pattern.indices]
-    out = np.where(held, 0.0, values)
-    diagonal = pattern.diagonal[fixed]
-    out[diagonal] = np.abs(values[pattern.diagonal]).mean()
-    return out
-
-
 @dataclass(eq=False)
 class Linearization:
     """K at an equilibrium, with a factorisation at hand.

@@ -73,8 +73,10 @@ def gravity_forces(
     _, weights = discretisation.geometry(_rest(discretisation, points))
     at_vertex, at_midside = discretisation.element.volume_rule
     nodes = torch.from_numpy(discretisation.nodes)
-    shares = torch.tensor([at_vertex] * 4 + [at_midside] * (nodes.shape[1] - 4))
-    per_node = density * weights.sum(1)[:, None, None] * shares[:, None].double() * gravity
+    shares = torch.tensor(
+        [at_vertex] * 4 + [at_midside] * (nodes.shape[1] - 4), dtype=torch.float64
+    )
+    per_node = density * weights.sum(1)[:, None, None] * shares[:, None] * gravity
     out = torch.zeros(discretisation.n_nodes, 3, dtype=torch.float64)
     return out.index_add(0, nodes.reshape(-1), per_node.reshape(-1, 3))
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem.assembly import Assembly, Response
-from tactorch.fem.linearization import Linearization, hold
+from tactorch.fem.linearization import Linearization
 from tactorch.fem.supports import HeldCase
 from tactorch.linalg import IndefiniteError, SolverPool, Status
 from tactorch.linalg.pool import Lease
@@ -27,14 +27,16 @@ class NewtonOptions:
 
     Attributes:
         rtol: Residual force at convergence, relative to the applied and support forces.
-        max_iterations: Cap within one load step.
+        max_iterations: Cap at the full load.
+        max_step_iterations: Cap within one load step, once the full load at once has failed.
         min_load_step: Fraction of the load below which a step is given up.
         min_line_step: Fraction of a Newton step below which the line search is given up.
     """
 
     rtol: float = 1e-10
     max_iterations: int = 40
-    min_load_step: float = 1.0 / 512.0
+    max_step_iterations: int = 12
+    min_load_step: float = 1.0 / 128.0
     min_line_step: float = 1.0 / 4096.0
 
 
@@ -99,22 +101,27 @@ class Newton:
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> Equilibrated:
         """Find the equilibrium, warm from `start` if given."""
         rest = np.zeros_like(self.forces)
-        if not self.held.holds:
+        if not self._is_held():
             reason = (
-                "Nothing holds the object: fewer than three degrees of freedom are fixed or on "
-                "springs. Fix a face, or give springs."
+                "Nothing holds the object: it can still move or turn as a whole. Fix a face (three "
+                "nodes that are not in line), or give springs."
             )
             return Equilibrated(rest, False, reason, 0, 0, np.inf)
-        found = self._at_load(1.0, rest if start is None else start)
+        found = self._at_load(1.0, rest if start is None else start, self.options.max_iterations)
         if not found.converged:
             found = self._in_steps(found.iterations)
         found._lease = self._lease
         return found
 
+    def _is_held(self) -> bool:
+        """Whether the supports resist all six rigid motions."""
+        modes = self.assembly.discretisation.rigid_modes[self.held.held.ravel()]
+        return len(modes) >= 6 and int(np.linalg.matrix_rank(modes, tol=1e-8)) == 6
+
     def linearize(self, found: Equilibrated) -> Linearization:
         """Return the tangent at an equilibrium, with Newton's factorisation at hand."""
         assert found.response is not None
-        values = hold(self.pattern, self._tangent(found.response), self._fixed)
+        values = self.pattern.hold(self._tangent(found.response), self._fixed)
         fresh = found.iterations == 0
         if fresh and self._lease.factor(values) is Status.INDEFINITE:
             raise ConvergenceError("The tangent at the start is not positive definite.")
@@ -126,7 +133,7 @@ class Newton:
         u = np.zeros_like(self.forces)
         while load < 1.0:
             target = min(1.0, load + step)
-            found = self._at_load(target, u)
+            found = self._at_load(target, u, self.options.max_step_iterations)
             spent += found.iterations
             if found.converged:
                 taken, load, u = taken + 1, target, found.displacement
@@ -177,16 +184,16 @@ class Newton:
         scale = max(np.abs(internal).max(), load * np.abs(self.forces).max())
         return np.where(self._fixed, 0.0, balance), float(scale)
 
-    def _at_load(self, load: float, start: np.ndarray) -> Equilibrated:
-        """Newton at one load factor."""
+    def _at_load(self, load: float, start: np.ndarray, cap: int) -> Equilibrated:
+        """Newton at one load factor, `cap` iterations at most."""
         u = start.copy()
         response = self.assembly.respond(u)
         if response is None:
             return Equilibrated(u, False, "The start has inverted elements.", 0, 0, np.inf)
         jump = np.where(self.held.fixed, load * self.held.prescribed - u, 0.0).ravel()
         energies: list[float] = []
-        reason, relative = f"No convergence in {self.options.max_iterations} iterations.", np.inf
-        for iteration in range(self.options.max_iterations + 1):
+        reason, relative = f"No convergence in {cap} iterations.", np.inf
+        for iteration in range(cap + 1):
             residual, scale = self._residual(response, u, load)
             size = float(np.abs(residual).max())
             relative = size / scale if scale > 0 else size
@@ -194,9 +201,15 @@ class Newton:
                 energies.append(self._energy(response, u, load)[0])
                 if relative <= self.options.rtol or size <= self._floor():
                     return self._found(u, iteration, energies, relative, response)
-            if iteration == self.options.max_iterations:
+            if iteration == cap:
                 break
             step = self._step(response, residual, jump)
+            if step is None:
+                reason = (
+                    "The tangent stays singular: a part of the object is not held, or moduli span "
+                    "too many decades. Check fixed nodes, springs and the range of moduli."
+                )
+                break
             if jump.any():
                 # Prescribed displacements are entered at once; energies do not compare here.
                 trial = self.assembly.respond(u + step)
@@ -223,8 +236,10 @@ class Newton:
         """Force that round-off alone makes (N)."""
         return 1e-15 * float(self.youngs.max()) * self.assembly.discretisation.mesh.diagonal ** 2
 
-    def _step(self, response: Response, residual: np.ndarray, jump: np.ndarray) -> np.ndarray:
-        """Newton step; fixed unknowns move by `jump`."""
+    def _step(
+        self, response: Response, residual: np.ndarray, jump: np.ndarray
+    ) -> np.ndarray | None:
+        """Newton step, where fixed unknowns move by `jump`; None if the tangent stays singular."""
         values = self._tangent(response)
         step = self._solve(values, residual, jump)
         if step is None or (not jump.any() and residual @ step > 0.0):
@@ -233,18 +248,13 @@ class Newton:
             values = self._definite_tangent(response)
             values[self.pattern.diagonal] *= 1.0 + 1e-6
             step = self._solve(values, residual, jump)
-        if step is None:
-            raise ConvergenceError(
-                "The tangent stays singular: a part of the object is not held, or moduli span "
-                "too many decades. Check fixed nodes, springs and the range of Young's modulus."
-            )
-        return step.reshape(-1, 3)
+        return None if step is None else step.reshape(-1, 3)
 
     def _solve(
         self, values: np.ndarray, residual: np.ndarray, jump: np.ndarray
     ) -> np.ndarray | None:
         """Solve for the step; None if the matrix is not positive definite."""
-        if self._lease.factor(hold(self.pattern, values, self._fixed)) is Status.INDEFINITE:
+        if self._lease.factor(self.pattern.hold(values, self._fixed)) is Status.INDEFINITE:
             return None
         rhs = -residual
         if jump.any():

@@ -24,6 +24,20 @@ class Supports:
     prescribed: Float[np.ndarray, "*cases n 3"] | None = None
     springs: Float[np.ndarray, "*cases n 3"] | None = None
 
+    def require_cases(self, count: int) -> None:
+        """Refuse supports for another number of load cases.
+
+        Raises:
+            ConfigError: names the field.
+        """
+        for name in ("fixed", "prescribed", "springs"):
+            values = getattr(self, name)
+            if values is not None and values.ndim == 3 and len(values) != count:
+                raise ConfigError(
+                    f"supports.{name} is for {len(values)} load cases but forces are for {count}; "
+                    "give one each, or (n, 3) for all."
+                )
+
     def case(self, index: int, discretisation: Discretisation) -> "HeldCase":
         """Return one load case over all nodes, midsides included.
 
@@ -37,6 +51,8 @@ class Supports:
         springs = _pick(self.springs, index, n, "springs", zeros)
         if np.any(springs < 0) or not np.all(np.isfinite(springs)):
             raise ConfigError("supports.springs must be finite and not negative (N/mm).")
+        if not np.all(np.isfinite(prescribed[fixed])):
+            raise ConfigError("supports.prescribed is NaN or infinite at a fixed degree of freedom.")
         midsides = fixed[discretisation.edges].all(axis=1)
         return HeldCase(
             np.concatenate([fixed, midsides]),
@@ -58,9 +74,9 @@ class HeldCase:
         object.__setattr__(self, "prescribed", np.where(self.fixed, self.prescribed, 0.0))
 
     @property
-    def holds(self) -> bool:
-        """Whether at least three degrees of freedom are held at all."""
-        return int(np.count_nonzero(self.fixed | (self.springs > 0))) >= 3
+    def held(self) -> Bool[np.ndarray, "nodes 3"]:
+        """Degrees of freedom that are fixed or on springs."""
+        return self.fixed | (self.springs > 0)
 
 
 def _pick(

@@ -58,7 +58,7 @@ class Multigrid:
         options: dict[str, Any] = {"max_coarse": 300, "symmetry": "symmetric"}
         if self._modes is not None:
             options["B"] = self._held_modes(full)
-        if self._aggregates is not None:
+        if self._aggregates:
             options["aggregate"] = [("predefined", {"AggOp": a}) for a in self._aggregates]
             options["max_levels"] = len(self._aggregates) + 1
         hierarchy = pyamg.smoothed_aggregation_solver(block, keep=True, **options)
@@ -70,8 +70,7 @@ class Multigrid:
     def _held_modes(self, full: sp.csr_matrix) -> np.ndarray:
         """Modes with the held unknowns (rows that are only a diagonal) set to zero."""
         modes = np.array(self._modes, dtype=np.float64)
-        off = abs(full).sum(axis=1).A1 if hasattr(abs(full).sum(axis=1), "A1") else None
-        sums = np.asarray(abs(full).sum(axis=1)).ravel() if off is None else off
+        sums = np.asarray(abs(full).sum(axis=1)).ravel()
         modes[sums == np.abs(full.diagonal())] = 0.0
         return modes
 

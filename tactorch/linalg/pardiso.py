@@ -19,6 +19,9 @@ from tactorch.linalg.protocol import Status
 _CHOLESKY = 2
 _ANALYSE, _FACTOR, _SOLVE, _RELEASE = 11, 22, 33, -1
 _NOT_POSITIVE_DEFINITE = -4
+# Below this size threads gain little, and their barriers cost tens of milliseconds a call as soon
+# as another process wants a core.
+_WORTH_THREADS = 15_000
 _ERRORS = {
     -1: "inconsistent input",
     -2: "not enough memory",
@@ -107,7 +110,13 @@ class Pardiso:
 
     def _run(self, phase: int, values: np.ndarray, rhs: np.ndarray, out: np.ndarray) -> int:
         arrays = {"pattern": self.pattern, "values": values, "rhs": rhs, "out": out}
-        code = _call(self._pt, self._iparm, phase, arrays)
+        small = self.pattern.size < _WORTH_THREADS
+        previous = set_local_threads(1) if small else 0
+        try:
+            code = _call(self._pt, self._iparm, phase, arrays)
+        finally:
+            if small:
+                set_local_threads(previous)
         if code not in (0, _NOT_POSITIVE_DEFINITE):
             raise RuntimeError(
                 f"PARDISO failed in phase {phase}: error {code} ({_ERRORS.get(code, 'see MKL')}); "

@@ -5,7 +5,9 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+
+from tactorch.linalg import kernels
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,21 @@ class SymmetricPattern:
         self, values: Float[np.ndarray, " nnz"], x: Float[np.ndarray, "size *k"]
     ) -> Float[np.ndarray, "size *k"]:
         """Return the product of the symmetric matrix with `x`."""
+        if x.ndim == 1:
+            out = np.zeros(self.size)
+            kernels.symmetric_product(self.indptr, self.indices, values, x, out)
+            return out
         upper = sp.csr_matrix((values, self.indices, self.indptr), shape=(self.size,) * 2)
         diagonal = values[self.diagonal]
         return upper @ x + upper.T @ x - (diagonal * x.T).T
+
+    def hold(
+        self, values: Float[np.ndarray, " nnz"], fixed: Bool[np.ndarray, " size"]
+    ) -> Float[np.ndarray, " nnz"]:
+        """Return values with the rows and columns of fixed unknowns reduced to a diagonal."""
+        if not fixed.any():
+            return values
+        out = np.empty_like(values)
+        scale = float(np.abs(values[self.diagonal]).mean())
+        kernels.hold(self.indptr, self.indices, values, fixed, scale, out)
+        return out

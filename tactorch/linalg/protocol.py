@@ -1,7 +1,7 @@
 """What every sparse solver offers."""
 
 from enum import Enum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +20,7 @@ class IndefiniteError(ArithmeticError):
     """An iterative solver met a direction of negative curvature while solving."""
 
 
+@runtime_checkable
 class Solver(Protocol):
     """An analysed pattern that can be factored with new values any number of times.
 

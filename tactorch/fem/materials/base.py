@@ -10,8 +10,8 @@ torch tensors (the reference, CUDA, autograd), and on floats.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -77,10 +77,6 @@ class Material(ABC):
                 f"poisson={self.poisson} is outside (-1, 0.5); soft tissue and silicone have 0.45 "
                 "to 0.499 (exact incompressibility, 0.5, is not representable)."
             )
-
-    def at(self, poisson: float) -> Self:
-        """Return the same material with another Poisson's ratio."""
-        return replace(self, poisson=poisson)
 
     @abstractmethod
     def energy(

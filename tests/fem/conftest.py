@@ -1,0 +1,85 @@
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tactorch.fem import SoftBody, Supports, make_material, reference
+from tactorch.mesh import TetMesh, box_mesh, face_nodes
+
+
+def clamp(mesh: TetMesh, *faces: str) -> np.ndarray:
+    """Mark all degrees of freedom of whole faces."""
+    fixed = np.zeros((mesh.n_points, 3), dtype=bool)
+    for face in faces:
+        fixed[face_nodes(mesh, face)] = True
+    return fixed
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One skewed cell of five tetrahedra on springs, pressed and sheared: two load cases."""
+
+    body: SoftBody
+    supports: Supports
+    inputs: dict[str, Tensor]
+
+    def solve(self, **inputs: Tensor) -> Tensor:
+        """Displacements at these inputs, the cell's own where not given."""
+        given = {**self.inputs, **inputs}
+        return self.body.solve(
+            given["youngs"],
+            given["forces"],
+            self.supports,
+            poisson=given["poisson"],
+            points=given["points"],
+        )
+
+    def energy(self, u: Tensor, case: int) -> Tensor:
+        """Total energy of a load case in plain torch operations (eq. 2 to 5)."""
+        d = self.body.discretisation
+        e, nu, x = (self.inputs[k] for k in ("youngs", "poisson", "points"))
+        elastic = (reference.element_energy(d, self.body.material, u, nu, x) * e).sum()
+        springs = 0.5 * (torch.from_numpy(d.pad(self.supports.springs)) * u * u).sum()
+        return elastic + springs - (self.inputs["forces"][case] * u).sum()
+
+
+def make_cell(material: str, element: str) -> Cell:
+    grid = box_mesh(1.0, 1, tets_per_cell=5)
+    rng = np.random.default_rng(0)
+    mesh = TetMesh(grid.points + rng.uniform(-0.08, 0.08, grid.points.shape), grid.tets)
+    body = SoftBody(mesh, make_material(material, 0.4), element=element)
+    flat = SoftBody(grid, body.material, element=element)  # loads of the straight cell
+    springs = np.zeros((mesh.n_points, 3))
+    springs[face_nodes(grid, "z-")] = 0.5
+    loads = torch.stack([flat.pressure("z+", 0.06), flat.traction("x+", [0.01, 0.02, 0.03])])
+    return Cell(
+        body,
+        Supports(springs=springs),
+        {
+            "youngs": torch.tensor(rng.uniform(1.0, 2.0, mesh.n_tets)),
+            "poisson": torch.tensor(0.4, dtype=torch.float64),
+            "forces": loads,
+            "points": torch.tensor(mesh.points),
+        },
+    )
+
+
+@pytest.fixture(scope="session")
+def cell() -> Callable[[str, str], Cell]:
+    """Make a cell of a material and an element."""
+    return make_cell
+
+
+@pytest.fixture(scope="session")
+def clamped() -> Callable[..., np.ndarray]:
+    """Mark all degrees of freedom of named faces of a mesh."""
+    return clamp
+
+
+@pytest.fixture(scope="session")
+def block() -> TetMesh:
+    """A 10 mm cube of 135 tetrahedra."""
+    return box_mesh(10.0, 3, tets_per_cell=5)
