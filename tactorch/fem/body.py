@@ -112,7 +112,7 @@ class SoftBody:
             self.assembly,
             self.pool,
             np.ascontiguousarray(youngs, dtype=np.float64),
-            np.ascontiguousarray(self.discretisation.pad(forces), dtype=np.float64),
+            np.ascontiguousarray(self.discretisation.spread(forces), dtype=np.float64),
             supports.case(case, self.discretisation),
             self.newton,
         )
@@ -126,6 +126,16 @@ class SoftBody:
             )
         if not np.all(np.isfinite(forces)):
             raise ConfigError("forces contain NaN or infinity; give 0 N at nodes without load.")
+
+    def _spread(self, forces: Tensor) -> Tensor:
+        """Carry vertex loads to the element's nodes, differentiably."""
+        if forces.shape[0] == self.n_nodes:
+            return forces
+        matrix = self.discretisation.spreading(forces.detach().numpy()).tocoo()
+        indices = torch.from_numpy(np.stack([matrix.row, matrix.col]).astype(np.int64))
+        shares = torch.from_numpy(matrix.data)[:, None]
+        out = torch.zeros(self.n_nodes, 3, dtype=torch.float64)
+        return out.index_add(0, indices[0], shares * forces[indices[1]])
 
     def _check_rest(self, poisson: Tensor | None, points: Tensor | None) -> None:
         if poisson is not None:
@@ -194,7 +204,7 @@ class SoftBody:
         single = forces.ndim == 2
         self._check(youngs.detach().numpy(), forces.detach().numpy())
         self._check_rest(poisson, points)
-        batch = self.discretisation.pad(forces[None] if single else forces)
+        batch = torch.stack([self._spread(case) for case in (forces[None] if single else forces)])
         supports.require_cases(len(batch))
         begin = None if start is None else (start[None] if single else start)
         if begin is not None and begin.shape != batch.shape:

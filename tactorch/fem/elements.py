@@ -7,9 +7,9 @@ coordinates at its quadrature points. Everything else follows from the vertices.
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -131,23 +131,50 @@ class Discretisation:
         """Continue a vertex field to the midsides by averaging the ends."""
         return np.concatenate([values, values[self.edges].mean(axis=1)])
 
-    def pad(self, values: Any) -> Any:
-        """Continue vertex loads to the midsides with zeros; full-length input is kept.
+    def spread(self, values: Float[np.ndarray, "given 3"]) -> Float[np.ndarray, "nodes 3"]:
+        """Carry nodal loads or springs of a surface from vertices to the element's own nodes.
+
+        Linear elements keep them. On quadratic ones a uniform traction acts on the midsides: each
+        vertex hands its share of every loaded surface triangle to the two midsides beside it,
+        which is exact for uniform pressure and keeps totals. Vertices without a loaded triangle
+        (point loads, interior nodes) keep theirs, as does input over all nodes.
 
         Raises:
             ConfigError: the field is neither over the mesh nodes nor over all nodes.
         """
-        missing = self.n_nodes - values.shape[-2]
-        if missing == 0:
-            return values
-        if values.shape[-2:] != (self.mesh.n_points, 3):
+        return self.spreading(values) @ values
+
+    def spreading(self, values: Float[np.ndarray, "given 3"]) -> sp.csr_matrix:
+        """Return the matrix of `spread` for the vertices that `values` loads, (nodes, given)."""
+        n = self.mesh.n_points
+        if values.shape == (self.n_nodes, 3):  # always so on linear elements
+            return sp.identity(self.n_nodes, format="csr")
+        if values.shape != (n, 3):
             raise ConfigError(
-                f"a nodal field has shape {tuple(values.shape)}; expected ({self.mesh.n_points}, 3)"
-                f", one row per mesh node (or all {self.n_nodes} element nodes), or a batch."
+                f"a nodal field has shape {tuple(values.shape)}; expected ({n}, 3), one row per "
+                f"mesh node (or all {self.n_nodes} element nodes)."
             )
-        if isinstance(values, Tensor):
-            return torch.nn.functional.pad(values, (0, 0, 0, missing))
-        return np.concatenate([values, np.zeros((*values.shape[:-2], missing, 3))], axis=-2)
+        surface = self.mesh.surface
+        loaded = (values != 0).any(axis=1)[surface.triangles].all(axis=1)
+        triangles, areas = surface.triangles[loaded], surface.areas[loaded]
+        around = np.bincount(triangles.ravel(), np.repeat(areas, 3), minlength=n)
+        stays = np.flatnonzero(around == 0)
+        rows, cols, shares = [stays], [stays], [np.ones(len(stays))]
+        for corner, other in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)):
+            vertex = triangles[:, corner]
+            rows.append(self.midside(vertex, triangles[:, other]))
+            cols.append(vertex)
+            shares.append(0.5 * areas / around[vertex])
+        entries = (np.concatenate(shares), (np.concatenate(rows), np.concatenate(cols)))
+        return sp.csr_matrix(entries, shape=(self.n_nodes, n))
+
+    def midside(
+        self, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " k"]
+    ) -> Int[np.ndarray, " k"]:
+        """Midside node of each edge given by its end points."""
+        n = self.mesh.n_points
+        low, high = np.minimum(first, second), np.maximum(first, second)
+        return n + np.searchsorted(self.edges[:, 0] * n + self.edges[:, 1], low * n + high)
 
     @cached_property
     def _entry_pairs(self) -> Int[np.ndarray, "entries 2"]:

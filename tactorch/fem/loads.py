@@ -101,15 +101,7 @@ def _spread(discretisation: Discretisation, triangles: np.ndarray, totals: Tenso
         out = out.index_add(0, torch.from_numpy(triangles[:, corner]), at_vertex * totals)
     if at_midside:
         for corner in range(3):
-            ends = triangles[:, [corner, (corner + 1) % 3]]
-            out = out.index_add(0, _midsides(discretisation, ends), at_midside * totals)
+            ends = triangles[:, corner], triangles[:, (corner + 1) % 3]
+            nodes = torch.from_numpy(discretisation.midside(*ends))
+            out = out.index_add(0, nodes, at_midside * totals)
     return out
-
-
-def _midsides(discretisation: Discretisation, ends: np.ndarray) -> Tensor:
-    """Midside node of each edge given by its end points."""
-    n = discretisation.mesh.n_points
-    low, high = np.sort(ends, axis=1).T
-    edges = discretisation.edges
-    found = np.searchsorted(edges[:, 0] * n + edges[:, 1], low * n + high)
-    return torch.from_numpy(n + found)

@@ -57,7 +57,7 @@ class Supports:
         return HeldCase(
             np.concatenate([fixed, midsides]),
             discretisation.extend(np.where(fixed, prescribed, 0.0)),
-            discretisation.pad(springs),
+            discretisation.spread(springs),
         )
 
 

@@ -193,7 +193,7 @@ class InverseProblem:
         def work(i: int) -> tuple[Newton, Equilibrated]:
             press = self.recording.presses[i]
             supports = Supports(press.fixed, press.prescribed, press.springs)
-            forces = self.body.discretisation.pad(press.forces) + self._weight
+            forces = self.body.discretisation.spread(press.forces) + self._weight
             newton = self.body.search(youngs, forces, supports)
             found = newton.run(None if starts is None else starts[i])
             if not found.converged:

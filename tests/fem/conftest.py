@@ -54,7 +54,7 @@ def make_cell(material: str, element: str) -> Cell:
     flat = SoftBody(grid, body.material, element=element)  # loads of the straight cell
     springs = np.zeros((mesh.n_points, 3))
     springs[face_nodes(grid, "z-")] = 0.5
-    loads = torch.stack([flat.pressure("z+", 0.06), flat.traction("x+", [0.01, 0.02, 0.03])])
+    loads = torch.stack([flat.pressure("z+", 0.04), flat.traction("x+", [0.01, 0.02, 0.03])])
     return Cell(
         body,
         Supports(springs=springs),

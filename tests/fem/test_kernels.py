@@ -126,7 +126,9 @@ def test_an_inverted_element_is_refused_except_in_linear_elasticity(assembly):
     d = assembly.discretisation
     u = np.zeros((d.n_nodes, 3))
     u[:, 2] = -2.0 * d.positions[:, 2]
-    assert (assembly.respond(u) is None) == (assembly.material.__class__.__name__ != "LinearElastic")
+    assert (assembly.respond(u) is None) == (
+        assembly.material.__class__.__name__ != "LinearElastic"
+    )
 
 
 def test_not_a_number_is_refused(cell, element):

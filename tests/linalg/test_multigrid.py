@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tactorch.fem import Supports, SoftBody, make_material
+from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.linearization import hold
 from tactorch.linalg import analyse
 from tactorch.linalg.multigrid import Multigrid

@@ -29,7 +29,9 @@ def test_many_right_hand_sides_are_solved_as_one_by_one(backend, order, lattice)
     system = lattice(0)
     solver = analyse(system.pattern, backend)
     solver.factor(system.values)
-    rhs = np.asarray(np.random.default_rng(1).standard_normal((system.pattern.size, 5)), order=order)
+    rhs = np.asarray(
+        np.random.default_rng(1).standard_normal((system.pattern.size, 5)), order=order
+    )
     single = np.stack([solver.solve(np.ascontiguousarray(column)) for column in rhs.T], axis=1)
     np.testing.assert_allclose(solver.solve(rhs), single, rtol=0, atol=1e-13)
 

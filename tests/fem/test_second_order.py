@@ -1,0 +1,119 @@
+"""Derivative order two: Hessian-vector products through backward of backward."""
+
+import numpy as np
+import pytest
+import torch
+from torch.autograd import gradgradcheck
+
+from tactorch.fem import ELEMENTS, MATERIALS
+
+INPUTS = ("youngs", "poisson", "forces", "points")
+# These two reach every term of the tangent; the others follow in the slow tests.
+QUICK = ("neo_hookean", "mooney_rivlin")
+
+
+@pytest.fixture(params=ELEMENTS)
+def element(request):
+    return request.param
+
+
+@pytest.fixture(params=MATERIALS)
+def name(request):
+    return request.param
+
+
+def check(cell, names, *, fast):
+    values = [cell.inputs[n].clone().requires_grad_(True) for n in names]
+
+    def solve(*given):
+        return cell.solve(**dict(zip(names, given, strict=True)))
+
+    assert gradgradcheck(solve, values, eps=1e-6, atol=1e-5, rtol=1e-3, fast_mode=fast)
+
+
+class Goal:
+    """A weighted sum of displacements and of their squares, and its derivatives."""
+
+    def __init__(self, cell):
+        self.cell = cell
+        self.weight = torch.randn(2, cell.body.n_nodes, 3, dtype=torch.float64)
+
+    def __call__(self, **inputs):
+        u = self.cell.solve(**inputs)
+        return (self.weight * (u + 3.0 * u * u)).sum()
+
+    def hessian_product(self, changes):
+        """The Hessian in the named inputs times a change of all of them."""
+        leaves = {n: self.cell.inputs[n].clone().requires_grad_(True) for n in changes}
+        gradients = torch.autograd.grad(self(**leaves), leaves.values(), create_graph=True)
+        slope = sum((g * changes[n]).sum() for g, n in zip(gradients, leaves, strict=True))
+        products = torch.autograd.grad(slope, leaves.values())
+        return dict(zip(leaves, products, strict=True)), slope.item()
+
+
+def changes(cell, names):
+    return {n: 0.1 * cell.inputs[n].abs().max() * torch.randn_like(cell.inputs[n]) for n in names}
+
+
+@pytest.mark.parametrize("name", QUICK, indirect=True)
+def test_gradgradcheck(name, element, cell):
+    check(cell(name, element), INPUTS, fast=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", INPUTS)
+def test_gradgradcheck_entry_by_entry(name, element, which, cell):
+    check(cell(name, element), [which], fast=False)
+
+
+@pytest.mark.slow
+def test_gradgradcheck_of_all_materials(name, element, cell):
+    check(cell(name, element), INPUTS, fast=True)
+
+
+def test_hessian_is_symmetric_across_all_inputs(name, element, cell):
+    c = cell(name, element)
+    goal, d, g = Goal(c), changes(c, INPUTS), changes(c, INPUTS)
+    forth, _ = goal.hessian_product(d)
+    back, _ = goal.hessian_product(g)
+    left = sum((forth[n] * g[n]).sum() for n in INPUTS)
+    right = sum((back[n] * d[n]).sum() for n in INPUTS)
+    torch.testing.assert_close(left, right, rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize("which", INPUTS)
+def test_taylor_remainder_falls_with_the_cube_of_the_step(name, element, which, cell):
+    c = cell(name, element)
+    goal, change = Goal(c), changes(c, [which])
+    value = c.inputs[which]
+    products, slope = goal.hessian_product(change)
+    curvature = (products[which] * change[which]).sum().item()
+    base = goal().item()
+    steps = [0.08, 0.04, 0.02]
+    rest = [
+        abs(
+            goal(**{which: value + h * change[which]}).item()
+            - base
+            - h * slope
+            - h * h / 2 * curvature
+        )
+        for h in steps
+    ]
+    if max(rest) < 1e-11 * abs(base):
+        assert (name, which) == ("linear", "forces")  # quadratic in this input: nothing remains
+        return
+    orders = np.log2(np.array(rest[:-1]) / rest[1:])
+    np.testing.assert_allclose(orders, 3.0, atol=0.25)
+
+
+def test_graph_gradients_equal_plain_gradients(name, element, cell):
+    """With and without a graph the adjoint takes different code: kernels or plain torch."""
+    c = cell(name, element)
+    goal = Goal(c)
+    out = []
+    for graph in (False, True):
+        leaves = [c.inputs[n].clone().requires_grad_(True) for n in INPUTS]
+        total = goal(**dict(zip(INPUTS, leaves, strict=True)))
+        out.append(torch.autograd.grad(total, leaves, create_graph=graph))
+    for plain, graphed in zip(*out, strict=True):
+        torch.testing.assert_close(plain, graphed.detach(), rtol=1e-9, atol=1e-12)

@@ -1,0 +1,66 @@
+"""S du/de as a matrix and as products, against autograd."""
+
+import numpy as np
+import pytest
+import torch
+
+from tactorch.fem import ELEMENTS
+from tactorch.fem.sensitivity import Sensitivity
+
+
+@pytest.fixture(params=ELEMENTS)
+def problem(request, cell):
+    """A cell at equilibrium under its first load, its sensitivity, and the autograd Jacobian."""
+    c = cell("neo_hookean", request.param)
+    youngs, forces = c.inputs["youngs"], c.inputs["forces"][0]
+    search = c.body.search(youngs.numpy(), forces.numpy(), c.supports)
+    found = search.run()
+    observed = np.array([5, 2, 20, 11, 7, 23])
+    sensitivity = Sensitivity(c.body.assembly, found.response, search.linearize(found), observed)
+
+    def measured(e):
+        return c.body.solve(e, forces, c.supports).reshape(-1)[torch.from_numpy(observed)]
+
+    return sensitivity, torch.autograd.functional.jacobian(measured, youngs).numpy()
+
+
+def test_matrix_is_the_jacobian(problem):
+    sensitivity, jacobian = problem
+    np.testing.assert_allclose(sensitivity.matrix(), jacobian, rtol=0, atol=1e-12)
+    assert np.abs(jacobian).max() > 1e-3
+
+
+def test_products_are_the_matrix_times(problem):
+    sensitivity, jacobian = problem
+    rng = np.random.default_rng(0)
+    change, weights = rng.standard_normal(jacobian.shape[1]), rng.standard_normal(len(jacobian))
+    np.testing.assert_allclose(sensitivity.times(change), jacobian @ change, atol=1e-12)
+    np.testing.assert_allclose(
+        sensitivity.transpose_times(weights), jacobian.T @ weights, atol=1e-12
+    )
+
+
+def test_order_of_requests_does_not_matter(problem):
+    """The factorisation is renewed on the way from products to the matrix."""
+    sensitivity, jacobian = problem
+    change = np.ones(jacobian.shape[1])
+    before = sensitivity.times(change)
+    sensitivity.matrix()
+    np.testing.assert_allclose(sensitivity.times(change), before, rtol=0, atol=1e-12)
+
+
+def test_observations_beyond_one_chunk(problem, monkeypatch):
+    from tactorch.fem import sensitivity as module
+
+    sensitivity, jacobian = problem
+    monkeypatch.setattr(module, "_CHUNK", 4)
+    np.testing.assert_allclose(sensitivity.matrix(), jacobian, rtol=0, atol=1e-12)
+
+
+def test_displacement_change_covers_all_nodes(problem):
+    sensitivity, jacobian = problem
+    change = np.ones(jacobian.shape[1])
+    everywhere = sensitivity.displacement_change(change)
+    np.testing.assert_allclose(
+        everywhere.ravel()[sensitivity.observed], jacobian @ change, atol=1e-12
+    )
