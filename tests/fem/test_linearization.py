@@ -5,7 +5,7 @@ import pytest
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import SoftBody, Supports, make_material
-from tactorch.fem.linearization import Linearization, hold
+from tactorch.fem.linearization import Linearization
 
 
 @pytest.fixture
@@ -83,17 +83,3 @@ def test_an_unstable_equilibrium_is_refused(search):
     unstable = Linearization(good.pattern, bad, good.lease, good.fixed)
     with pytest.raises(ConvergenceError, match=r"unstable.*lower the load"):
         unstable.solve(np.ones((good.pattern.size, 9)))
-
-
-def test_hold_leaves_the_rest_alone(search):
-    pattern = search.pattern
-    values = np.random.default_rng(0).uniform(1.0, 2.0, pattern.nnz)
-    fixed = np.zeros(pattern.size, dtype=bool)
-    fixed[[3, 8]] = True
-    dense = pattern.full(values).toarray()
-    held = pattern.full(hold(pattern, values, fixed)).toarray()
-    free = ~fixed
-    np.testing.assert_array_equal(held[np.ix_(free, free)], dense[np.ix_(free, free)])
-    assert np.all(held[np.ix_(fixed, free)] == 0.0)
-    assert np.all(np.diag(held)[fixed] > 0)
-    assert hold(pattern, values, np.zeros_like(fixed)) is values

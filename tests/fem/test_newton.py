@@ -5,9 +5,10 @@ import pytest
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import ELEMENTS, MATERIALS, NewtonOptions, SoftBody, Supports, make_material
+from tactorch.mesh import box_mesh
 
 # Give up soon: these tests are about how it ends, not about how far it gets.
-SHORT = NewtonOptions(max_iterations=15, min_load_step=0.2)
+SHORT = NewtonOptions(max_iterations=12, max_step_iterations=8, min_load_step=0.2)
 
 
 @pytest.fixture(params=ELEMENTS)
@@ -29,7 +30,9 @@ def sliding(mesh, clamped):
 @pytest.mark.parametrize("material", [m for m in MATERIALS if m != "linear"])
 def test_energy_falls_in_every_iteration(material, element, block, clamped):
     body = body_of(block, element, material)
-    forces = body.traction("z+", [0.03, 0.0, -0.08]).numpy()
+    # Saint Venant-Kirchhoff softens under compression and gives way early.
+    press = -0.02 if material == "st_venant_kirchhoff" else -0.08
+    forces = body.traction("z+", [0.03, 0.0, press]).numpy()
     youngs = np.random.default_rng(0).uniform(0.5, 2.0, block.n_tets)
     found = body.equilibrate(youngs, forces, Supports(fixed=clamped(block, "z-")))
     assert found.converged, found.reason
@@ -51,18 +54,16 @@ def test_linear_elasticity_takes_one_iteration(element, block, clamped):
 
 
 def test_convergence_is_quadratic(element, block, clamped):
-    body = body_of(block, element)
-    forces = body.traction("z+", [0.02, 0.0, -0.08]).numpy()
-    residuals = []
-    for cap in range(1, 5):
-        body.newton = NewtonOptions(max_iterations=cap, min_load_step=0.5, rtol=1e-15)
-        search = body.search(np.ones(block.n_tets), forces, Supports(fixed=clamped(block, "z-")))
-        residuals.append(search._at_load(1.0, np.zeros((body.n_nodes, 3))).residual)
-    assert residuals[-1] < 1e-7
-    small = [r for r in residuals if 1e-12 < r < 1e-1]
-    ratios = [np.log(b) / np.log(a) for a, b in zip(small, small[1:], strict=False)]
-    assert ratios
-    assert min(ratios) > 1.6
+    """From three digits to twelve in two iterations; slower means a wrong tangent."""
+    iterations = []
+    for rtol in (1e-3, 1e-12):
+        body = body_of(block, element, newton=NewtonOptions(rtol=rtol))
+        forces = body.traction("z+", [0.02, 0.0, -0.08]).numpy()
+        supports = Supports(fixed=clamped(block, "z-"))
+        found = body.equilibrate(np.ones(block.n_tets), forces, supports)
+        assert found.converged
+        iterations.append(found.iterations)
+    assert 0 < iterations[1] - iterations[0] <= 2
 
 
 def test_load_steps_take_over_where_one_step_fails(block, clamped):
@@ -105,14 +106,15 @@ def test_a_hole_beside_soft_tissue_survives(element, block, clamped):
     full = body.equilibrate(np.full(block.n_tets, 0.2), forces, supports)
     top = clamped(block, "z+")[:, 0]
     sink = [f.displacement[: block.n_points][top, 2].mean() for f in (found, full)]
-    assert sink[0] < 1.2 * sink[1] < 0
+    assert sink[0] < 1.05 * sink[1] < 0
 
 
 @pytest.mark.parametrize("material", ["neo_hookean", "st_venant_kirchhoff"])
-def test_collapse_is_refused_with_the_place(material, element, block, clamped):
-    body = body_of(block, element, material, newton=SHORT)
-    forces = body.pressure("z+", 1.0).numpy()  # the free-standing block buckles at 0.2 of E
-    found = body.equilibrate(np.ones(block.n_tets), forces, Supports(fixed=clamped(block, "z-")))
+def test_collapse_is_refused_with_the_place(material, element, clamped):
+    coarse = box_mesh(10.0, 2, tets_per_cell=5)
+    body = body_of(coarse, element, material, newton=SHORT)
+    forces = body.pressure("z+", 1.0).numpy()  # a free-standing block buckles at 0.2 of E
+    found = body.equilibrate(np.ones(coarse.n_tets), forces, Supports(fixed=clamped(coarse, "z-")))
     assert not found.converged
     with pytest.raises(
         ConvergenceError, match=r"collapses.*element \d+ near \(.*\) mm with 1 MPa.*of the load"

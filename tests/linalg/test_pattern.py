@@ -63,3 +63,16 @@ def test_large_sizes_do_not_overflow():
     assert pattern.nnz == size + 2
     np.testing.assert_array_equal(pattern.indices[pattern.slots(rows, cols)], size - 1)
     np.testing.assert_array_equal(pattern.rows[pattern.slots(rows, cols)], [0, size - 2])
+
+
+@given(systems(), st.integers(0, 2**32 - 1))
+@settings(max_examples=60)
+def test_holding_reduces_rows_and_columns_to_a_positive_diagonal(system, seed):
+    pattern, values, dense, _ = system
+    fixed = np.random.default_rng(seed).random(pattern.size) < 0.4
+    held = pattern.full(pattern.hold(values, fixed)).toarray()
+    free = ~fixed
+    np.testing.assert_array_equal(held[np.ix_(free, free)], dense[np.ix_(free, free)])
+    np.testing.assert_array_equal(held[np.ix_(fixed, free)], 0.0)
+    np.testing.assert_array_equal(held[fixed], np.diag(np.diag(held))[fixed])
+    assert np.all(np.diag(held)[fixed] > 0)

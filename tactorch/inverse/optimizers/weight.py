@@ -14,6 +14,7 @@ from tactorch.inverse.objective import Objective
 _FAST, _SLOW = 1.0 / 3.0, 0.6
 _NEAR = 10.0  # mean squared residual below which the weight is lowered slowly
 _EXHAUSTED = 1e-12
+_RULE = 10.0
 
 
 @dataclass
@@ -65,8 +66,8 @@ class Cooling:
 
 
 def ruling_weight(objective: Objective, x: Float[np.ndarray, " m"]) -> float:
-    """A weight at which the prior outweighs the data: the balance of diagonals."""
+    """A weight at which the prior outweighs the data: ten times the balance of the diagonals."""
     point = objective.at(x)
     data = np.einsum("ij,ij->", point.jacobian, point.jacobian)
     prior = point.penalty_curvature.diagonal().sum()
-    return float(data / prior)
+    return _RULE * float(data / prior)

@@ -1,0 +1,31 @@
+"""`tactorch demo`: the main job from end to end."""
+
+from omegaconf import DictConfig
+
+from tactorch.cli.import_ import read_case
+from tactorch.cli.invert import invert_recording
+from tactorch.cli.settings import folder, log
+from tactorch.cli.simulate import make_recording
+from tactorch.errors import ConfigError
+from tactorch.inverse import Reconstruction
+from tactorch.recording import Recording
+
+
+def run(cfg: DictConfig) -> Reconstruction:
+    """Make or read a recording, invert it, and say where the inclusion is."""
+    recording = _recording(cfg)
+    path = folder() / "recording.h5"
+    recording.save(path)
+    log.info("%s\n", recording.summary())
+    return invert_recording(cfg, recording, str(path))
+
+
+def _recording(cfg: DictConfig) -> Recording:
+    if cfg.source == "simulated":
+        log.info("Simulating presses on a finer mesh than the one to invert on, with noise ...")
+        return make_recording(cfg)
+    if cfg.source != "published":
+        raise ConfigError(f"source={cfg.source} is unknown; choose simulated or published.")
+    if cfg.path is None:
+        raise ConfigError("source=published needs path=FOLDER, the folder of a published case.")
+    return read_case(cfg, cfg.path)

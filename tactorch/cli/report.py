@@ -1,0 +1,195 @@
+"""What a run leaves in its folder: files, pictures, numbers and a few sentences."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.cli.settings import log
+from tactorch.errors import FileError
+from tactorch.files import atomic_path
+from tactorch.inverse import Reconstruction
+from tactorch.metrics import Inclusion, find_inclusion, scores
+from tactorch.recording import Recording
+
+
+@dataclass(frozen=True)
+class ScoreTable:
+    """Scores of several maps: values by map and metric, and the same as text."""
+
+    values: dict[str, dict[str, float]]
+    text: str
+
+
+def score_table(recording: Recording, maps: Mapping[str, Float[np.ndarray, " m"]]) -> ScoreTable:
+    """Score maps, and the reference that the recording carries, against its truth."""
+    truth = recording.truth
+    assert truth is not None
+    shown = dict(maps)
+    if recording.reference is not None:
+        shown["reference"] = recording.reference
+    values = {name: scores(recording.mesh, youngs, truth) for name, youngs in shown.items()}
+    names = list(next(iter(values.values())))
+    lines = [" " * 24 + "".join(f"{column:>16}" for column in values)]
+    lines += [
+        f"{name:<24}" + "".join(f"{column[name]:>16.4g}" for column in values.values())
+        for name in names
+    ]
+    return ScoreTable(values, "\n".join(lines))
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write strict JSON, NaN as null, whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(_strict(values), indent=2, allow_nan=False) + "\n")
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _strict(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_strict(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_outputs(
+    out: Path,
+    recording: Recording,
+    reconstruction: Reconstruction,
+    *,
+    source: str,
+    compare: Sequence[Path] = (),
+    plots: bool = True,
+) -> dict[str, Any]:
+    """Write map, pictures, summary and text; print the text; returns the summary."""
+    reconstruction.save(out / "reconstruction.h5")
+    reconstruction.write_vtu(out / "reconstruction.vtu", recording.truth)
+    inclusion = find_inclusion(recording.mesh, reconstruction.youngs)
+    summary = summarise(recording, reconstruction, inclusion, source)
+    write_json(out / "summary.json", summary)
+    text = describe(recording, reconstruction, inclusion, summary)
+    with atomic_path(out / "summary.txt") as temporary:
+        temporary.write_text(text + "\n")
+    log.info("\n%s", text)
+    if plots:
+        for path in draw(out, recording, reconstruction, compare):
+            log.info("picture: %s", path)
+    log.info("results: %s", out)
+    return summary
+
+
+def summarise(
+    recording: Recording, reconstruction: Reconstruction, inclusion: Inclusion | None, source: str
+) -> dict[str, Any]:
+    """Collect the numbers of a run; scores stand among them where there is a truth."""
+    last = reconstruction.history[-1]
+    summary: dict[str, Any] = {
+        "recording": source,
+        "optimizer": reconstruction.config["optimizer"]["name"],
+        "seconds": reconstruction.seconds,
+        "iterations": reconstruction.iterations,
+        "evaluations": last["evaluations"],
+        "stop_reason": reconstruction.stop_reason,
+        "misfit": reconstruction.misfit_mm2,
+        "chi2": last["chi2"],
+        "elements": recording.mesh.n_tets,
+        "presses": len(recording.presses),
+        "youngs_median_mpa": float(np.median(reconstruction.youngs)),
+        "inclusion": None if inclusion is None else _inclusion(inclusion),
+    }
+    if recording.truth is not None:
+        summary |= scores(recording.mesh, reconstruction.youngs, recording.truth)
+        if recording.reference is not None:
+            found = scores(recording.mesh, recording.reference, recording.truth)
+            summary["reference"] = found
+    return summary | {"config": reconstruction.config}
+
+
+def _inclusion(inclusion: Inclusion) -> dict[str, Any]:
+    return {
+        "side": inclusion.side,
+        "center_mm": [float(x) for x in inclusion.center_mm],
+        "volume_mm3": float(inclusion.volume_mm3),
+        "equivalent_radius_mm": float(inclusion.equivalent_radius_mm),
+        "mean_mpa": float(inclusion.mean_mpa),
+        "background_mpa": float(inclusion.background_mpa),
+    }
+
+
+def describe(
+    recording: Recording,
+    reconstruction: Reconstruction,
+    inclusion: Inclusion | None,
+    summary: Mapping[str, Any],
+) -> str:
+    """Say in a few lines what was found and how far to believe it."""
+    lines = [
+        f"{summary['optimizer']}: {summary['iterations']} iterations in "
+        f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
+        f"Displacements are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations "
+        f"(misfit {summary['misfit']:.3g} mm2).",
+        _finding(inclusion, summary["youngs_median_mpa"]),
+    ]
+    if recording.truth is not None:
+        true = find_inclusion(recording.mesh, recording.truth)
+        if true is not None and inclusion is not None:
+            lines.append("In truth: " + _finding(true, float(np.median(recording.truth))))
+        lines += ["", score_table(recording, {"reconstruction": reconstruction.youngs}).text]
+    return "\n".join(lines)
+
+
+def _finding(inclusion: Inclusion | None, median_mpa: float) -> str:
+    if inclusion is None:
+        return f"No inclusion stands out; Young's modulus is {median_mpa:.3g} MPa."
+    x, y, z = inclusion.center_mm
+    kind = "stiff" if inclusion.mean_mpa > inclusion.background_mpa else "soft"
+    return (
+        f"A {kind} inclusion at ({x:.2f}, {y:.2f}, {z:.2f}) mm, as large as a ball of radius "
+        f"{inclusion.equivalent_radius_mm:.2f} mm: {inclusion.mean_mpa:.3g} MPa on average in "
+        f"{inclusion.background_mpa:.3g} MPa."
+    )
+
+
+def draw(
+    out: Path, recording: Recording, reconstruction: Reconstruction, compare: Sequence[Path]
+) -> list[Path]:
+    """Draw slices of the map and the convergence."""
+    from tactorch.viz import plot_convergence, plot_slices
+
+    name = reconstruction.config["optimizer"]["name"]
+    histories = {name: reconstruction.history}
+    for other in compare:
+        found = Reconstruction.load(other / "reconstruction.h5" if other.is_dir() else other)
+        histories[_label(found, other, histories)] = found.history
+    pushed = np.sum([np.abs(press.forces) for press in recording.presses], axis=0)
+    slices = plot_slices(
+        recording.mesh,
+        reconstruction.youngs,
+        out / "slices.png",
+        truth=recording.truth,
+        pressed=_pressed(recording, pushed),
+        title="Young's modulus, reconstructed",
+    )
+    return [slices, plot_convergence(histories, out / "convergence.png")]
+
+
+def _pressed(recording: Recording, pushed: np.ndarray) -> Any:
+    """Faces that were pressed, or all pushed nodes where a press has no direction."""
+    total = np.sum([press.forces for press in recording.presses], axis=0)
+    return total if np.abs(total).sum() > 0.5 * pushed.sum() else pushed
+
+
+def _label(found: Reconstruction, path: Path, taken: Mapping[str, Any]) -> str:
+    name = str(found.config.get("optimizer", {}).get("name", path.name))
+    if name not in taken:
+        return name
+    if path.name not in taken:
+        return path.name
+    raise FileError(f"compare: '{path}' is named twice; give each run once.")
