@@ -3,7 +3,7 @@
 import os
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tactorch.errors import FileError
@@ -21,15 +21,24 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
     Yields:
         The temporary path.
+
+    Raises:
+        FileError: the file or its folder cannot be written.
     """
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.stem}.{uuid.uuid4().hex[:8]}.part{target.suffix}")
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, target)
+    except OSError as error:
+        raise FileError(
+            f"cannot write '{target}': {error}; check the folder, its permissions and the free "
+            "space, or choose another place."
+        ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def require_file(path: str | Path, what: str) -> Path:

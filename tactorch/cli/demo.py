@@ -17,7 +17,7 @@ def run(cfg: DictConfig) -> Reconstruction:
     path = folder() / "recording.h5"
     recording.save(path)
     log.info("%s\n", recording.summary())
-    return invert_recording(cfg, recording, str(path))
+    return invert_recording(cfg, recording, path)
 
 
 def _recording(cfg: DictConfig) -> Recording:
@@ -28,4 +28,4 @@ def _recording(cfg: DictConfig) -> Recording:
         raise ConfigError(f"source={cfg.source} is unknown; choose simulated or published.")
     if cfg.path is None:
         raise ConfigError("source=published needs path=FOLDER, the folder of a published case.")
-    return read_case(cfg, cfg.path)
+    return read_case(cfg, str(cfg.path))

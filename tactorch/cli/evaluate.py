@@ -14,10 +14,10 @@ from tactorch.recording import Recording
 
 def run(cfg: DictConfig) -> dict[str, float]:
     """Score a reconstruction; prints a table and writes JSON."""
-    path = Path(cfg.run)
+    path = Path(str(cfg.run))
     path = path / "reconstruction.h5" if path.is_dir() else path
     reconstruction = Reconstruction.load(path)
-    source = Path(cfg.recording) if cfg.recording is not None else _recording_of(path)
+    source = _recording_of(path) if cfg.recording is None else Path(str(cfg.recording))
     recording = Recording.load(source)
     if recording.truth is None:
         raise RecordingError(f"recording '{source}' carries no truth, so there is no score.")
@@ -28,7 +28,7 @@ def run(cfg: DictConfig) -> dict[str, float]:
         )
     columns = score_table(recording, {"reconstruction": reconstruction.youngs})
     log.info("%s", columns.text)
-    out = path.parent / "scores.json" if cfg.out is None else Path(cfg.out)
+    out = path.parent / "scores.json" if cfg.out is None else Path(str(cfg.out))
     write_json(out, columns.values)
     log.info("scores: %s", out)
     return columns.values["reconstruction"]

@@ -12,8 +12,8 @@ from tactorch.recording import Recording
 
 def run(cfg: DictConfig) -> Path:
     """Import a recording and write it; returns its path."""
-    path, out = cfg.path, Path(cfg.out)
-    recording = read_case(cfg, path)
+    out = Path(str(cfg.out))
+    recording = read_case(cfg, str(cfg.path))
     recording.save(out)
     log.info("%s", recording.summary())
     log.info("recording: %s", out)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from tactorch.cli.report import write_outputs
+from tactorch.cli.report import RESULTS, histories_of, write_outputs
 from tactorch.cli.resume import CHECKPOINT, checkpoint_of
 from tactorch.cli.settings import folder, inversion_of, plain
 from tactorch.inverse import Reconstruction, invert
@@ -13,20 +13,37 @@ from tactorch.recording import Recording
 
 def run(cfg: DictConfig) -> Reconstruction:
     """Invert a recording and write everything about it."""
-    path = cfg.recording
-    return invert_recording(cfg, Recording.load(path), str(path))
+    path = Path(str(cfg.recording))
+    return invert_recording(cfg, Recording.load(path), path)
 
 
-def invert_recording(cfg: DictConfig, recording: Recording, source: str) -> Reconstruction:
-    """Invert as the settings say; results go to the run's folder."""
-    out = folder()
+def invert_recording(cfg: DictConfig, recording: Recording, source: Path) -> Reconstruction:
+    """Invert as the settings say; results go to the run's folder.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C ended the inversion; the results of its best map are written.
+    """
+    out, settings = folder(), inversion_of(cfg)
+    others = histories_of([Path(str(run)) for run in plain(cfg.compare)], cfg.optimizer.name)
+    resume = None if cfg.resume is None else checkpoint_of(str(cfg.resume))
+    _clear(out, resume)
     reconstruction = invert(
         recording,
-        inversion_of(cfg),
+        settings,
         start_mpa=cfg.start_mpa,
         checkpoint=out / CHECKPOINT,
-        resume=None if cfg.resume is None else checkpoint_of(cfg.resume),
+        resume=resume,
     )
-    others = [Path(other) for other in plain(cfg.compare)]
-    write_outputs(out, recording, reconstruction, source=source, compare=others, plots=cfg.plots)
+    named = str(source.resolve())
+    write_outputs(out, recording, reconstruction, source=named, others=others, plots=cfg.plots)
+    if reconstruction.stop_reason == "interrupted":
+        raise KeyboardInterrupt
     return reconstruction
+
+
+def _clear(out: Path, resume: Path | None) -> None:
+    """Remove what an earlier run left: a killed run must not seem to have its results."""
+    for name in (*RESULTS, CHECKPOINT):
+        stale = out / name
+        if resume is None or resume.resolve() != stale.resolve():
+            stale.unlink(missing_ok=True)

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,18 @@ from tactorch.files import atomic_path
 from tactorch.inverse import Reconstruction
 from tactorch.metrics import Inclusion, find_inclusion, scores
 from tactorch.recording import Recording
+
+History = Sequence[Mapping[str, Any]]
+
+# What an inversion leaves in its folder.
+RESULTS = (
+    "reconstruction.h5",
+    "reconstruction.vtu",
+    "slices.png",
+    "convergence.png",
+    "summary.json",
+    "summary.txt",
+)
 
 
 @dataclass(frozen=True)
@@ -65,7 +77,7 @@ def write_outputs(
     reconstruction: Reconstruction,
     *,
     source: str,
-    compare: Sequence[Path] = (),
+    others: Mapping[str, History] | None = None,
     plots: bool = True,
 ) -> dict[str, Any]:
     """Write map, pictures, summary and text; print the text; returns the summary."""
@@ -79,7 +91,7 @@ def write_outputs(
         temporary.write_text(text + "\n")
     log.info("\n%s", text)
     if plots:
-        for path in draw(out, recording, reconstruction, compare):
+        for path in draw(out, recording, reconstruction, others or {}):
             log.info("picture: %s", path)
     log.info("results: %s", out)
     return summary
@@ -157,17 +169,30 @@ def _finding(inclusion: Inclusion | None, median_mpa: float) -> str:
     )
 
 
+def histories_of(runs: Sequence[Path], own_name: str) -> dict[str, History]:
+    """Read the convergence of other runs, each under a name of its own.
+
+    Raises:
+        FileError: one is no run, or named twice.
+    """
+    histories: dict[str, History] = {}
+    for run in runs:
+        found = Reconstruction.load(run / "reconstruction.h5" if run.is_dir() else run)
+        histories[_label(found, run, {own_name, *histories})] = found.history
+    return histories
+
+
 def draw(
-    out: Path, recording: Recording, reconstruction: Reconstruction, compare: Sequence[Path]
+    out: Path,
+    recording: Recording,
+    reconstruction: Reconstruction,
+    others: Mapping[str, History],
 ) -> list[Path]:
     """Draw slices of the map and the convergence."""
     from tactorch.viz import plot_convergence, plot_slices
 
     name = reconstruction.config["optimizer"]["name"]
-    histories = {name: reconstruction.history}
-    for other in compare:
-        found = Reconstruction.load(other / "reconstruction.h5" if other.is_dir() else other)
-        histories[_label(found, other, histories)] = found.history
+    histories = {name: reconstruction.history, **others}
     pushed = np.sum([np.abs(press.forces) for press in recording.presses], axis=0)
     slices = plot_slices(
         recording.mesh,
@@ -186,10 +211,9 @@ def _pressed(recording: Recording, pushed: np.ndarray) -> Any:
     return total if np.abs(total).sum() > 0.5 * pushed.sum() else pushed
 
 
-def _label(found: Reconstruction, path: Path, taken: Mapping[str, Any]) -> str:
+def _label(found: Reconstruction, path: Path, taken: Collection[str]) -> str:
     name = str(found.config.get("optimizer", {}).get("name", path.name))
-    if name not in taken:
-        return name
-    if path.name not in taken:
-        return path.name
+    for label in (name, path.name, str(path)):
+        if label not in taken:
+            return label
     raise FileError(f"compare: '{path}' is named twice; give each run once.")

@@ -1,32 +1,69 @@
 """Continuing a run: its folder remembers the settings it was started with."""
 
+import os
 from pathlib import Path
+from typing import Any
 
-from tactorch.errors import FileError
+from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
 
 CHECKPOINT = "checkpoint.npz"
+_VERBS = ("invert", "demo")
 
 
-def settings_of(run: Path, settings: list[str]) -> list[str]:
-    """Return the settings of a run folder followed by the given ones, set to go on in it.
+def with_resume(verb: str, settings: list[str]) -> list[str]:
+    """Let `resume=RUN` repeat that run's settings in its folder; the given ones win.
 
     Raises:
         FileError: it is not a run folder, or holds no checkpoint.
+        ConfigError: it is a run of another command, or several runs are asked for.
     """
-    from omegaconf import OmegaConf
+    chosen = [s.split("=", 1)[1] for s in settings if s.startswith("resume=")]
+    if verb not in _VERBS or not chosen or chosen[-1] in ("", "null"):
+        return settings
+    if {"-m", "--multirun"} & set(settings):
+        raise ConfigError("resume continues one run; leave out -m.")
+    return _repeated(verb, Path(chosen[-1].strip("'\"")), settings)
 
+
+def _repeated(verb: str, run: Path, settings: list[str]) -> list[str]:
     require_folder(run, "run to resume")
     require_file(run / CHECKPOINT, "checkpoint of the run to resume")
-    saved = require_file(run / ".hydra" / "overrides.yaml", "settings of the run to resume")
-    earlier = OmegaConf.to_container(OmegaConf.load(saved))
-    if not isinstance(earlier, list):
-        raise FileError(f"'{saved}' holds no list of settings; start the run anew.")
-    given = {s.split("=", 1)[0].lstrip("+~") for s in settings}
-    kept = [s for s in earlier if s.split("=", 1)[0].lstrip("+~") not in {*given, "resume"}]
-    here = [] if "run_dir" in given else [f"run_dir={run}"]
-    kept = [s for s in kept if not s.startswith("run_dir=")]
+    earlier = _load(run, "overrides.yaml")
+    hydra = _load(run, "hydra.yaml")
+    if not isinstance(earlier, list) or not isinstance(hydra, dict):
+        raise FileError(f"'{run / '.hydra'}' does not hold a run's settings; start the run anew.")
+    made_by = hydra["hydra"]["job"]["name"]
+    if made_by != verb:
+        raise ConfigError(f"'{run}' is a run of {made_by}; continue it with tactorch {made_by}.")
+    given = {_key(setting) for setting in settings}
+    kept = [s for s in earlier if _key(s) not in {*given, "resume", "run_dir"}]
+    kept = [_moved(s, Path(hydra["hydra"]["runtime"]["cwd"])) for s in kept]
+    here = [] if "run_dir" in given else [f"run_dir='{run}'"]
     return [*kept, *settings, *here]
+
+
+def _load(run: Path, name: str) -> Any:
+    from omegaconf import OmegaConf
+
+    path = require_file(run / ".hydra" / name, "settings of the run to resume")
+    try:
+        return OmegaConf.to_container(OmegaConf.load(path))
+    except Exception as error:  # whatever a damaged YAML file leads to
+        raise FileError(f"'{path}' cannot be read ({error}); start the run anew.") from error
+
+
+def _moved(setting: str, started_in: Path) -> str:
+    """Keep a relative recording pointing where it did when the run was started."""
+    key, value = setting.split("=", 1) if "=" in setting else (setting, "")
+    path = value.strip("'\"")
+    if key not in ("recording", "path") or os.path.isabs(path) or Path.cwd() == started_in:
+        return setting
+    return f"{key}='{os.path.relpath(started_in / path)}'"
+
+
+def _key(setting: str) -> str:
+    return setting.split("=", 1)[0].lstrip("+~")
 
 
 def checkpoint_of(run: str | Path) -> Path:

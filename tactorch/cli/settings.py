@@ -1,8 +1,9 @@
 """From Hydra's settings to the objects of the library."""
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
@@ -12,9 +13,10 @@ from tactorch.errors import ConfigError
 from tactorch.inverse import Bounds, NoiseModel, Settings, make_optimizer
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import MaterialSpec
-from tactorch.simulate import PressPlan
+from tactorch.simulation import PressPlan
 
 log = logging.getLogger("tactorch")
+_T = TypeVar("_T")
 
 
 def plain(node: Any) -> Any:
@@ -42,29 +44,37 @@ def phantom_of(cfg: DictConfig) -> Phantom:
 
 def plan_of(cfg: DictConfig) -> PressPlan:
     """Make the plan of presses."""
-    settings = plain(cfg.press)
-    return PressPlan.ramp(settings.pop("p_max_mpa"), settings.pop("steps"), **settings)
+    return _made("press", PressPlan.ramp, plain(cfg.press))
 
 
 def material_of(cfg: DictConfig) -> MaterialSpec:
     """Make the material's description."""
     settings = plain(cfg.material)
-    return MaterialSpec(settings["name"], settings["poisson"], settings["parameters"] or {})
+    settings["parameters"] = settings["parameters"] or {}
+    return _made("material", MaterialSpec, settings)
 
 
 def inversion_of(cfg: DictConfig) -> Settings:
     """Make the settings of an inversion."""
     optimizer, prior = plain(cfg.optimizer), plain(cfg.regularization)
-    if not isinstance(cfg.bounds, DictConfig) or not isinstance(cfg.noise, DictConfig):
-        raise ConfigError("bounds needs .lower and .upper, noise needs .relative and .mm.")
+    if cfg.max_seconds is not None and not cfg.max_seconds > 0:
+        raise ConfigError(f"max_seconds={cfg.max_seconds}: give a time above 0, or null.")
     return Settings(
         optimizer=make_optimizer(optimizer.pop("name"), **optimizer, weight=prior["weight"]),
         parameterization=cfg.parameterization.name,
         regularization=prior["name"],
         edge=prior["edge"],
-        bounds=Bounds(**plain(cfg.bounds)),
-        noise=NoiseModel(**plain(cfg.noise)),
+        bounds=_made("bounds", Bounds, plain(cfg.bounds)),
+        noise=_made("noise", NoiseModel, plain(cfg.noise)),
         element=cfg.element,
         solver=cfg.solver.name,
         max_seconds=cfg.max_seconds,
     )
+
+
+def _made(what: str, make: Callable[..., _T], settings: dict[str, Any]) -> _T:
+    """Call `make` with the settings of a group; one that it does not know is an error of input."""
+    try:
+        return make(**settings)
+    except TypeError as error:
+        raise ConfigError(f"{what} does not take these settings: {error}.") from error

@@ -8,13 +8,13 @@ from tactorch.cli.settings import folder, log, material_of, phantom_of, plain, p
 from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import Recording
-from tactorch.simulate import simulate
+from tactorch.simulation import simulate
 
 
 def run(cfg: DictConfig) -> Path:
     """Simulate a recording and write it; returns its path."""
     recording = make_recording(cfg)
-    out = folder() / "recording.h5" if cfg.out is None else Path(cfg.out)
+    out = folder() / "recording.h5" if cfg.out is None else Path(str(cfg.out))
     recording.save(out)
     log.info("%s", recording.summary())
     log.info("recording: %s", out)

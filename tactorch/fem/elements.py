@@ -137,7 +137,8 @@ class Discretisation:
         Linear elements keep them. On quadratic ones a uniform traction acts on the midsides: each
         vertex hands its share of every loaded surface triangle to the two midsides beside it,
         which is exact for uniform pressure and keeps totals. Vertices without a loaded triangle
-        (point loads, interior nodes) keep theirs, as does input over all nodes.
+        (point loads, interior nodes) keep theirs, as does input over all nodes. Which triangles
+        count as loaded depends on which vertices have a load that is not zero.
 
         Raises:
             ConfigError: the field is neither over the mesh nodes nor over all nodes.

@@ -44,9 +44,9 @@ class Problem:
     tangents: list[Callable[[], Linearization]] = field(default_factory=list)
 
     def solve_forward(
-        self, youngs: Tensor, poisson: Tensor, forces: Tensor, points: Tensor
+        self, youngs: Tensor, poisson: Tensor, forces: Tensor, points: Tensor, eager: bool
     ) -> Tensor:
-        """Find all equilibria, keeping the ways to their linearisations for later."""
+        """Find all equilibria; factor the tangents there if derivatives are sure to follow."""
         assembly = self._assembly_at(poisson.detach().numpy(), points.detach().numpy())
         e, f = youngs.detach().numpy(), forces.detach().numpy()
 
@@ -54,7 +54,10 @@ class Problem:
             held = self.supports.case(i, assembly.discretisation)
             newton = Newton(assembly, self.pool, e, f[i], held, self.options)
             found = newton.run(None if self.start is None else self.start[i]).require()
-            return found, _once(lambda: newton.linearize(found))
+            tangent = _once(lambda: newton.linearize(found))
+            if eager:
+                tangent().factor()
+            return found, tangent
 
         results = map_cases(work, len(f))
         self.found, self.tangents = map(list, zip(*results, strict=True))
@@ -114,7 +117,8 @@ class Equilibrium(torch.autograd.Function):
     def forward(  # noqa: D102
         ctx: Any, youngs: Tensor, poisson: Tensor, forces: Tensor, points: Tensor, problem: Problem
     ) -> Tensor:
-        u = problem.solve_forward(youngs, poisson, forces, points)
+        eager = any(ctx.needs_input_grad[:4])
+        u = problem.solve_forward(youngs, poisson, forces, points, eager)
         ctx.problem = problem
         ctx.save_for_backward(u, youngs, poisson, points)
         ctx.save_for_forward(u, youngs, poisson, points)

@@ -14,10 +14,11 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.fem.linearization import Linearization
 from tactorch.fem.supports import HeldCase
-from tactorch.linalg import IndefiniteError, SolverPool, Status
+from tactorch.linalg import IndefiniteError, SolverPool, Status, lagged_solve
 from tactorch.linalg.pool import Lease
 
 _ARMIJO = 1e-4
+_LOOSE, _TIGHT = 0.01, 1e-8  # accuracy of a step solved with an older factorisation
 _ROUND_OFF = 1e-11  # relative energy change below which energies no longer compare
 
 
@@ -97,6 +98,7 @@ class Newton:
         self.options = options or NewtonOptions()
         self._fixed = held.fixed.ravel()
         self._lease = pool.lease()
+        self._factored = False
 
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> Equilibrated:
         """Find the equilibrium, warm from `start` if given."""
@@ -119,13 +121,11 @@ class Newton:
         return len(modes) >= 6 and int(np.linalg.matrix_rank(modes, tol=1e-8)) == 6
 
     def linearize(self, found: Equilibrated) -> Linearization:
-        """Return the tangent at an equilibrium, with Newton's factorisation at hand."""
+        """Return the tangent at an equilibrium."""
         assert found.response is not None
         values = self.pattern.hold(self._tangent(found.response), self._fixed)
-        fresh = found.iterations == 0
-        if fresh and self._lease.factor(values) is Status.INDEFINITE:
-            raise ConvergenceError("The tangent at the start is not positive definite.")
-        return Linearization(self.pattern, values, self._lease, self._fixed, exact=fresh)
+        self._factored = False  # the solver is the linearisation's from now on
+        return Linearization(self.pattern, values, self._lease, self._fixed)
 
     def _in_steps(self, spent: int) -> Equilibrated:
         """Walk up from the unloaded state; shrink the step on failure, grow it on ease."""
@@ -203,7 +203,7 @@ class Newton:
                     return self._found(u, iteration, energies, relative, response)
             if iteration == cap:
                 break
-            step = self._step(response, residual, jump)
+            step = self._step(response, residual, jump, self._accuracy(relative))
             if step is None:
                 reason = (
                     "The tangent stays singular: a part of the object is not held, or moduli span "
@@ -232,16 +232,20 @@ class Newton:
     ) -> Equilibrated:
         return Equilibrated(u, True, "forces in balance", iteration, 1, relative, energies, at)
 
+    def _accuracy(self, relative: float) -> float:
+        """How exactly to solve for a step: as well as Newton's own error, or to the end."""
+        wanted = max(relative, 0.3 * self.options.rtol / max(relative, self.options.rtol))
+        return min(max(wanted, _TIGHT), _LOOSE)
+
     def _floor(self) -> float:
         """Force that round-off alone makes (N)."""
         return 1e-15 * float(self.youngs.max()) * self.assembly.discretisation.mesh.diagonal ** 2
 
     def _step(
-        self, response: Response, residual: np.ndarray, jump: np.ndarray
+        self, response: Response, residual: np.ndarray, jump: np.ndarray, rtol: float
     ) -> np.ndarray | None:
         """Newton step, where fixed unknowns move by `jump`; None if the tangent stays singular."""
-        values = self._tangent(response)
-        step = self._solve(values, residual, jump)
+        step = self._solve(self._tangent(response), residual, jump, rtol)
         if step is None or (not jump.any() and residual @ step > 0.0):
             step = self._solve(self._definite_tangent(response), residual, jump)
         if step is None:  # semi-definite and singular: shift it
@@ -251,18 +255,23 @@ class Newton:
         return None if step is None else step.reshape(-1, 3)
 
     def _solve(
-        self, values: np.ndarray, residual: np.ndarray, jump: np.ndarray
+        self, values: np.ndarray, residual: np.ndarray, jump: np.ndarray, rtol: float = 0.0
     ) -> np.ndarray | None:
-        """Solve for the step; None if the matrix is not positive definite."""
-        if self._lease.factor(self.pattern.hold(values, self._fixed)) is Status.INDEFINITE:
-            return None
+        """Solve for the step, to `rtol` if that is cheaper; None if not positive definite."""
+        held = self.pattern.hold(values, self._fixed)
         rhs = -residual
         if jump.any():
             rhs = rhs - self.pattern.product(values, jump)
         rhs[self._fixed] = 0.0
         try:
-            return self._lease.solve(rhs) + jump
+            if self._factored and rtol > 0.0:
+                step = lagged_solve(self.pattern, held, self._lease, rhs, rtol)
+                if step is not None:
+                    return step + jump
+            self._factored = self._lease.factor(held) is Status.OK
+            return self._lease.solve(rhs) + jump if self._factored else None
         except IndefiniteError:
+            self._factored = False
             return None
 
     def _search(

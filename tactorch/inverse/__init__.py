@@ -4,7 +4,14 @@ from tactorch.inverse.invert import START_MPA, Settings, invert, make_objective
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import LBFGS, OPTIMIZERS, TNC, GaussNewton, Optimizer, make_optimizer
+from tactorch.inverse.optimizers import (
+    LBFGS,
+    OPTIMIZERS,
+    TNC,
+    GaussNewton,
+    Optimizer,
+    make_optimizer,
+)
 from tactorch.inverse.parameterization import (
     PARAMETERIZATIONS,
     Bounds,

@@ -1,14 +1,14 @@
 """From a recording to a reconstruction, in one call."""
 
 import logging
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
@@ -88,15 +88,23 @@ def invert(
     if isinstance(optimizer, str):
         optimizer = make_optimizer(optimizer)
     path = None if checkpoint is None else Path(checkpoint)
-    monitor = Monitor(max_seconds=settings.max_seconds, checkpoint=path)
+    monitor = Monitor(
+        max_seconds=settings.max_seconds,
+        checkpoint=path,
+        identity={
+            "mesh": recording.mesh.content_hash(),
+            "parameterization": str(objective.parameterization),
+        },
+    )
     if resume is not None:
         monitor.restore(Path(resume), recording.mesh.n_tets)
+        objective.problem.evaluations = monitor.evaluations
     x = objective.parameterization.parameters(_start(start_mpa, recording, settings.bounds))
     x = x if monitor.best is None else monitor.best
     if settings.noise.assumed(recording):
         _log.warning(
-            "The recording does not state its noise; %.2g of the signal is assumed (noise.relative)."
-            " Too small a value overfits.",
+            "The recording does not state its noise; %.2g of the signal is assumed "
+            "(noise.relative). Too small a value overfits.",
             settings.noise.relative,
         )
     with progress(optimizer.name, show_progress) as update:
@@ -147,6 +155,10 @@ def _run(optimizer: Optimizer, objective: Objective, x: np.ndarray, monitor: Mon
         if monitor.best is None:
             raise
         return "interrupted"
+    except ConvergenceError as error:  # an unstable equilibrium has no derivatives
+        if monitor.point is None:
+            raise
+        return f"no derivatives at the best map: {error}"
 
 
 def _result(
@@ -171,7 +183,7 @@ def _result(
         seconds=monitor.seconds,
         config={
             "settings": _plain(settings),
-            "optimizer": {"name": optimizer.name, **_plain(optimizer)},
+            "optimizer": {"name": optimizer.name, **_fields(optimizer)},
             "material": _plain(recording.material),
             "recording": recording.provenance,
             "versions": versions(),
@@ -179,10 +191,17 @@ def _result(
     )
 
 
+def _fields(value: Any) -> dict[str, Any]:
+    """Fields of a dataclass as plain JSON values; of another object, nothing is known."""
+    if not is_dataclass(value) or isinstance(value, type):
+        return {}
+    return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+
+
 def _plain(value: Any) -> Any:
     """Settings as plain JSON values."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {k: _plain(v) for k, v in asdict(value).items()}
+    if is_dataclass(value):
+        return _fields(value)
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)

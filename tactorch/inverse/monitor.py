@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +19,7 @@ _log = logging.getLogger(__name__)
 _PERIOD = 10.0  # seconds between checkpoints at most
 
 
-class OutOfTime(Exception):
+class OutOfTime(Exception):  # noqa: N818  (a signal, not an error)
     """The time limit was reached; the monitor holds the best map so far."""
 
 
@@ -34,6 +35,7 @@ class Monitor:
             squared residual in standard deviations), objective, weight of the prior, step
             (largest change of a parameter), damping.
         state: The optimizer's own numbers, for resuming.
+        identity: What a checkpoint must agree in to be resumed: name and value.
     """
 
     max_seconds: float | None = None
@@ -41,6 +43,7 @@ class Monitor:
     on_record: Callable[[dict[str, Any]], None] | None = None
     history: list[dict[str, Any]] = field(default_factory=list)
     state: dict[str, float] = field(default_factory=dict)
+    identity: dict[str, str] = field(default_factory=dict)
     best: Float[np.ndarray, " m"] | None = None
     point: Point | None = None
     _began: float = field(default_factory=time.perf_counter)
@@ -57,12 +60,22 @@ class Monitor:
         """Iterations so far."""
         return self.history[-1]["iteration"] if self.history else 0
 
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of all presses up to the last record."""
+        return self.history[-1]["evaluations"] if self.history else 0
+
     def accept(self, point: Point, **record: float) -> None:
         """Take `point` as the best so far.
 
         Raises:
             OutOfTime: the time limit is reached.
         """
+        self.keep(point, **record)
+        self.check_time()
+
+    def keep(self, point: Point, **record: float) -> None:
+        """Take `point` as the best so far, in time or not."""
         self.best, self.point = point.x, point
         entry = {
             "iteration": len(self.history),
@@ -78,7 +91,6 @@ class Monitor:
             self.on_record(entry)
         if time.perf_counter() - self._saved > _PERIOD:
             self.save()
-        self.check_time()
 
     def check_time(self) -> None:
         """Raise `OutOfTime` if the time limit is reached."""
@@ -92,15 +104,18 @@ class Monitor:
             return
         names = sorted({key for entry in self.history for key in entry})
         table = [[entry.get(name, np.nan) for name in names] for entry in self.history]
-        with atomic_path(self.checkpoint) as path:
+        # An open file, because to a name NumPy adds ".npz" where it is missing.
+        with atomic_path(self.checkpoint) as path, path.open("wb") as file:
             np.savez(
-                path,
+                file,
                 x=self.best,
                 seconds=self.seconds,
                 history=np.array(table, dtype=np.float64),
                 history_names=np.array(names),
                 state=np.array(list(self.state.values()), dtype=np.float64),
                 state_names=np.array(list(self.state), dtype=str),
+                identity=np.array(list(self.identity.values()), dtype=str),
+                identity_names=np.array(list(self.identity), dtype=str),
             )
 
     def restore(self, path: Path, n_unknowns: int) -> None:
@@ -115,17 +130,29 @@ class Monitor:
                 saved = {name: data[name] for name in data.files}
             table, names = saved["history"], saved["history_names"]
             self.history = [_entry(names, row) for row in table]
-            self.state = dict(zip(saved["state_names"].tolist(), saved["state"], strict=True))
+            self.state = _dict(saved, "state")
+            identity = _dict(saved, "identity")
             self.best, self._spent = saved["x"], float(saved["seconds"])
-        except (OSError, ValueError, KeyError, EOFError) as error:
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile, AttributeError) as error:
             raise FileError(
                 f"checkpoint '{source}' cannot be read ({error}); start anew without resume."
             ) from error
         if self.best.shape != (n_unknowns,):
             raise FileError(
-                f"checkpoint '{source}' is for {len(self.best)} moduli but the recording has "
+                f"checkpoint '{source}' is for {self.best.size} moduli but the recording has "
                 f"{n_unknowns}: it belongs to another mesh. Start anew without resume."
             )
+        for name, value in self.identity.items():
+            if identity.get(name) != value:
+                raise FileError(
+                    f"checkpoint '{source}' belongs to another {name}: {identity.get(name)}, not "
+                    f"{value}. Resume with the {name} that it was made with, or start anew without "
+                    "resume."
+                )
+
+
+def _dict(saved: dict[str, np.ndarray], name: str) -> dict[str, Any]:
+    return dict(zip(saved[f"{name}_names"].tolist(), saved[name].tolist(), strict=True))
 
 
 def _entry(names: np.ndarray, row: np.ndarray) -> dict[str, Any]:

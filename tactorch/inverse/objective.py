@@ -53,7 +53,9 @@ class Point:
     @cached_property
     def penalty_gradient(self) -> Float[np.ndarray, " m"]:
         """Gradient of the prior with respect to x, without its weight."""
-        return self._slope / self.youngs * (self.objective.prior.curvature(self._field) @ self._field)
+        return (
+            self._slope / self.youngs * (self.objective.prior.curvature(self._field) @ self._field)
+        )
 
     @cached_property
     def jacobian(self) -> Float[np.ndarray, "data m"]:

@@ -205,6 +205,8 @@ class InverseProblem:
 
 
 def _observe(press: Press, deviation: float) -> Observation:
-    index = np.flatnonzero(press.data.ravel())
-    relative = np.ones(len(index)) if press.weights is None else press.weights.ravel()[index]
+    weights = np.ones_like(press.forces) if press.weights is None else press.weights
+    # Data of no weight are left out: they would make the mean squared residual look too good.
+    index = np.flatnonzero(press.data & (weights > 0))
+    relative = weights.ravel()[index]
     return Observation(index, press.displacement.ravel()[index], relative / deviation)

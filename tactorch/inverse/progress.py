@@ -26,18 +26,14 @@ def progress(label: str, show: bool | None = None) -> Iterator[Callable[[dict[st
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}  iteration {task.completed}"),
-        TextColumn("misfit {task.fields[misfit]:.3e} mm2  step {task.fields[step]:.2g}"),
+        TextColumn("{task.fields[state]}"),
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(label, total=None, misfit=float("nan"), step=0.0)
+        task = bar.add_task(label, total=None, state="first equilibrium")
 
         def update(record: dict[str, Any]) -> None:
-            bar.update(
-                task,
-                completed=record["iteration"],
-                misfit=record["misfit"],
-                step=record.get("step", 0.0),
-            )
+            state = f"misfit {record['misfit']:.3e} mm2  step {record.get('step', 0.0):.2g}"
+            bar.update(task, completed=record["iteration"], state=state)
 
         yield update

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import FileError
+from tactorch.errors import FileError, MeshError
 from tactorch.files import atomic_path, require_file
 from tactorch.mesh import TetMesh, write_mesh
 
@@ -19,9 +19,9 @@ _FORMAT, _VERSION = "tactorch-reconstruction", 1
 class Reconstruction:
     """A map of Young's modulus.
 
-    On disk (HDF5): attributes `format`, `version`, `stop_reason`, `seconds`, `config` (JSON) and
-    `history` (JSON, a list of records); datasets `mesh/points` (mm), `mesh/tets`, `youngs` (MPa)
-    and `displacements` (presses, n, 3; mm).
+    On disk (HDF5): attributes `format`, `version`, `stop_reason` and `seconds`; datasets
+    `mesh/points` (mm), `mesh/tets`, `youngs` (MPa), `displacements` (presses, n, 3; mm), `config`
+    (JSON) and `history` (JSON, a list of records).
 
     Attributes:
         mesh: The object.
@@ -58,7 +58,7 @@ class Reconstruction:
         with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
             file.attrs["format"], file.attrs["version"] = _FORMAT, _VERSION
             file.attrs["stop_reason"], file.attrs["seconds"] = self.stop_reason, self.seconds
-            file.attrs["config"] = json.dumps(self.config)
+            file.create_dataset("config", data=json.dumps(self.config))
             file.create_dataset("history", data=json.dumps(self.history))
             for name, values in self._datasets().items():
                 file.create_dataset(name, data=values, compression="gzip", shuffle=True)
@@ -85,24 +85,32 @@ class Reconstruction:
         try:
             with h5py.File(source, "r") as file:
                 _check_format(dict(file.attrs), source)
-                return Reconstruction(
+                found = Reconstruction(
                     mesh=TetMesh.create(file["mesh/points"][()], file["mesh/tets"][()]),
                     youngs=file["youngs"][()],
                     displacements=file["displacements"][()],
                     history=json.loads(file["history"][()]),
                     stop_reason=str(file.attrs["stop_reason"]),
                     seconds=float(file.attrs["seconds"]),
-                    config=json.loads(file.attrs["config"]),
+                    config=json.loads(file["config"][()]),
                 )
-        except (OSError, KeyError, ValueError) as error:
+            found._check_shapes()
+        except (OSError, KeyError, ValueError, TypeError, RuntimeError, MeshError) as error:
             raise FileError(
                 f"reconstruction '{source}' cannot be read ({error}); it is truncated or of "
                 "another kind. Run the inversion again."
             ) from error
+        return found
 
-    def write_vtu(
-        self, path: str | Path, truth: Float[np.ndarray, " m"] | None = None
-    ) -> Path:
+    def _check_shapes(self) -> None:
+        n, m, moved = self.mesh.n_points, self.mesh.n_tets, self.displacements.shape
+        if self.youngs.shape != (m,) or len(moved) != 3 or moved[1:] != (n, 3):
+            raise ValueError(
+                f"youngs {self.youngs.shape} and displacements {moved} do not fit a mesh of {n} "
+                f"points and {m} tetrahedra"
+            )
+
+    def write_vtu(self, path: str | Path, truth: Float[np.ndarray, " m"] | None = None) -> Path:
         """Write the map (and the truth) for ParaView and the like."""
         cells = {"youngs_mpa": self.youngs}
         if truth is not None:

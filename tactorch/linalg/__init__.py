@@ -1,6 +1,7 @@
 """Sparse symmetric solvers behind one small protocol: analyse once, factor, solve many."""
 
 from tactorch.linalg.choose import BACKENDS, analyse, available
+from tactorch.linalg.lagged import lagged_solve
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.pool import SolverPool
 from tactorch.linalg.protocol import IndefiniteError, Solver, Status
@@ -15,5 +16,6 @@ __all__ = [
     "SymmetricPattern",
     "analyse",
     "available",
+    "lagged_solve",
     "single_threaded",
 ]

@@ -55,7 +55,11 @@ class Multigrid:
             return Status.INDEFINITE
         self._matrix = full
         block = full.tobsr((3, 3)) if self.pattern.size % 3 == 0 else full
-        options: dict[str, Any] = {"max_coarse": 300, "symmetry": "symmetric"}
+        options: dict[str, Any] = {
+            "max_coarse": 300,
+            "coarse_solver": "splu",
+            "symmetry": "symmetric",
+        }
         if self._modes is not None:
             options["B"] = self._held_modes(full)
         if self._aggregates:

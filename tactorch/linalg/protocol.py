@@ -21,7 +21,16 @@ class IndefiniteError(ArithmeticError):
 
 
 @runtime_checkable
-class Solver(Protocol):
+class Factored(Protocol):
+    """Anything that holds a factorisation."""
+
+    def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
+        """Solve with the last factorisation, for one or many right-hand sides."""
+        ...
+
+
+@runtime_checkable
+class Solver(Factored, Protocol):
     """An analysed pattern that can be factored with new values any number of times.
 
     A solver keeps one factorisation at a time and belongs to one thread at a time; take several
@@ -33,8 +42,4 @@ class Solver(Protocol):
 
     def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
         """Factor the matrix with these upper-triangle values."""
-        ...
-
-    def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
-        """Solve with the last factorisation, for one or many right-hand sides."""
         ...

@@ -11,7 +11,7 @@ from tactorch.mesh.tetmesh import TetMesh
 from tactorch.mesh.values import Real, Vector, sizes, vector
 
 # Corners of a cell are numbered 4 ix + 2 iy + iz.
-_FIVE = np.array([(0, 4, 2, 1), (6, 2, 4, 7), (5, 4, 1, 7), (3, 1, 2, 7), (1, 2, 4, 7)])
+_FIVE = np.array([(0, 4, 2, 1), (6, 2, 4, 7), (5, 4, 1, 7), (3, 1, 2, 7), (1, 2, 7, 4)])
 
 
 def box_mesh(
@@ -48,7 +48,8 @@ def box_mesh(
         tets = cells[:, _six()]
     elif tets_per_cell == 5:
         # 7 - corner mirrors a cell through its centre: diagonals of neighbours then agree.
-        tets = np.where(odd[:, None, None], cells[:, 7 - _FIVE], cells[:, _FIVE])
+        mirrored = 7 - _FIVE[:, [0, 1, 3, 2]]
+        tets = np.where(odd[:, None, None], cells[:, mirrored], cells[:, _FIVE])
     else:
         raise ConfigError(f"tets_per_cell={tets_per_cell} must be 5 or 6.")
     return TetMesh.create(points, tets.reshape(-1, 4))
@@ -67,7 +68,11 @@ def _cells(
 def _six() -> Int[np.ndarray, "6 4"]:
     """Kuhn's division: one path from corner 0 to corner 7 for each order of the axes."""
     steps = [4, 2, 1]
-    return np.array([(0, a, a + b, 7) for a, b, _ in permutations(steps)])
+    paths = np.array([(0, a, a + b, 7) for a, b, _ in permutations(steps)])
+    # An odd permutation turns the other way round.
+    odd = [(a < b) ^ (b < c) ^ (a < c) for a, b, c in permutations(steps)]
+    paths[odd] = paths[odd][:, [0, 1, 3, 2]]
+    return paths
 
 
 def _counts(divisions: int | Sequence[int] | np.ndarray) -> tuple[int, int, int]:

@@ -198,6 +198,8 @@ def _write(path: Path, name: str, content: "meshio.Mesh") -> None:
         try:
             with atomic_path(path) as temporary:
                 importlib.import_module(f"meshio.{name}").write(str(temporary), content, **options)
+        except FileError:
+            raise
         except (Exception, SystemExit) as error:
             reason = " ".join(f"{said.getvalue()} {error}".split()) or type(error).__name__
             raise FileError(f"'{path}' cannot be written as {name}: {reason}.") from error

@@ -38,11 +38,10 @@ def save_recording(recording: Recording, path: str | Path) -> None:
     try:
         with atomic_path(path) as temporary, h5py.File(temporary, "w", libver=_LIBVER) as file:
             _write(file, recording)
-    # ValueError: text that HDF5 cannot hold, such as a name with a NUL in it.
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise FileError(
-            f"cannot write recording '{path}': {error}; check the folder, its permissions and "
-            "the free space"
+            f"cannot write recording '{path}': {error}; leave out text that HDF5 cannot hold, such "
+            "as a name with a NUL in it"
         ) from error
 
 

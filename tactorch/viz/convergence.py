@@ -59,7 +59,7 @@ def convergence_figure(
         axes.grid(True, which="major", alpha=0.3)
         if noise_level is not None:
             axes.axhline(noise_level, color="0.35", linewidth=1, linestyle=(0, (1, 2)))
-    left.set_ylabel("misfit")
+    left.set_ylabel("misfit (mm²)")
     _iteration_scale(left, [curve[-1, 0] for curve in curves.values()])
     if noise_level is not None:
         place = {"xy": (0.98, noise_level), "xycoords": ("axes fraction", "data")}

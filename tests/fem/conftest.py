@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -46,6 +47,7 @@ class Cell:
         return elastic + springs - (self.inputs["forces"][case] * u).sum()
 
 
+@cache
 def make_cell(material: str, element: str) -> Cell:
     grid = box_mesh(1.0, 1, tets_per_cell=5)
     rng = np.random.default_rng(0)

@@ -221,7 +221,7 @@ def test_writing_refuses_what_it_cannot_keep(mesh: TetMesh, tmp_path: Path) -> N
     with pytest.raises(FileError, match=r"unknown suffix '\.vtu'"):
         write_surface(tmp_path / "a.vtu", *box_surface(1.0))
     (tmp_path / "file").write_text("")
-    with pytest.raises(FileError, match=r"a\.vtu' cannot be written"):
+    with pytest.raises(FileError, match=r"cannot write '.*a\.vtu'"):
         write_mesh(tmp_path / "file" / "a.vtu", mesh)
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 

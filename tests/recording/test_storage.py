@@ -146,7 +146,7 @@ def test_failed_save_leaves_the_old_file(
         raise OSError("No space left on device")
 
     monkeypatch.setattr("tactorch.recording.storage._write_press", full)
-    with pytest.raises(FileError, match=r"cannot write recording '.*case\.h5': No space"):
+    with pytest.raises(FileError, match=r"cannot write '.*case\.h5': No space"):
         record().save(saved)
     assert saved.read_bytes() == before
     assert [path.name for path in saved.parent.iterdir()] == ["case.h5"]

@@ -6,7 +6,7 @@ from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from tactorch.errors import ConfigError, TactorchError
+from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.mesh import TetMesh
 from tactorch.viz import plot_slices, slice_figure
 
@@ -161,7 +161,7 @@ def test_failed_write_keeps_the_old_picture(
         raise OSError("disk full")
 
     monkeypatch.setattr(Figure, "savefig", broken)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(FileError, match=r"a\.png': disk full"):
         plot_slices(cube, sphere_map, path, **QUICK)
     assert path.read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]

@@ -1,6 +1,6 @@
 """What the optimizers share."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +10,7 @@ from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective
 
 
+@runtime_checkable
 class Optimizer(Protocol):
     """Moves parameters from a start until it has a reason to stop."""
 
@@ -39,6 +40,16 @@ def require_positive(**values: float) -> None:
     for name, value in values.items():
         if not value > 0:
             raise ConfigError(f"optimizer.{name}={value} must be above 0.")
+
+
+def require_weight(weight: float | None) -> None:
+    """Refuse a weight of the prior that is negative or not finite.
+
+    Raises:
+        ConfigError: says so.
+    """
+    if weight is not None and not 0 <= weight < np.inf:
+        raise ConfigError(f"optimizer.weight={weight} must be at least 0 and finite.")
 
 
 def projected_gradient(

@@ -13,7 +13,11 @@ from jaxtyping import Float
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers.base import projected_gradient, require_positive
+from tactorch.inverse.optimizers.base import (
+    projected_gradient,
+    require_positive,
+    require_weight,
+)
 from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_step
 from tactorch.inverse.optimizers.weight import Cooling
 
@@ -54,6 +58,7 @@ class GaussNewton:
             max_iterations=self.max_iterations, tolerance=self.tolerance, damping=self.damping,
             max_trials=self.max_trials,
         )  # fmt: skip
+        require_weight(self.weight)
         if self.space not in _SPACES:
             raise ConfigError(
                 f"optimizer.space={self.space} is unknown; choose {', '.join(_SPACES)}."
@@ -64,35 +69,35 @@ class GaussNewton:
     ) -> str:
         """See `Optimizer.minimize`."""
         point = objective.at(start)
-        cooling = Cooling.start(objective, start, self.weight, monitor.state)
+        cooling = Cooling.start(point, self.weight, monitor.state)
         damping = monitor.state.get("damping", self.damping)
-        settled = "the objective no longer falls" if cooling.fixed else ""
         if not monitor.history:
-            self._report(monitor, point, cooling, damping, 0.0)
+            self._report(monitor, point, cooling, cooling.weight, damping, 0.0)
         while monitor.iteration < self.max_iterations:
-            before = point.value(cooling.weight)
-            trial = self._step(objective, point, cooling.weight, damping, not settled)
+            weight = cooling.weight
+            settled = cooling.fixed or bool(cooling.ended)
+            trial = self._step(objective, point, weight, damping, not settled)
             if trial is None:
                 return "no step lowers the objective any more"
             after, damping = trial
             step = float(np.abs(after.x - point.x).max())
-            fall = before - after.value(cooling.weight)
+            fall = point.value(weight) - after.value(weight)
             point = after
-            self._report(monitor, point, cooling, damping, step)
-            if settled and fall <= self.tolerance * point.value(cooling.weight):
-                return settled
-            settled = settled or cooling.lower(point.evaluation.chi2)
+            cooling.lower(point.evaluation.chi2)
+            self._report(monitor, point, cooling, weight, damping, step)
+            if settled and fall <= self.tolerance * point.value(weight):
+                return cooling.ended or "the objective no longer falls"
         return "iteration limit reached"
 
     @staticmethod
     def _report(
-        monitor: Monitor, point: Point, cooling: Cooling, damping: float, step: float
+        monitor: Monitor, point: Point, cooling: Cooling, weight: float, damping: float, step: float
     ) -> None:
+        """Report a step made at `weight`; what the next one needs goes into the state."""
         monitor.state = {**cooling.state(), "damping": damping}
         monitor.accept(
-            point, objective=point.value(cooling.weight), weight=cooling.weight, step=step,
-            damping=damping,
-        )  # fmt: skip
+            point, objective=point.value(weight), weight=weight, step=step, damping=damping
+        )
 
     def _step(
         self, objective: Objective, point: Point, weight: float, damping: float, cooling: bool

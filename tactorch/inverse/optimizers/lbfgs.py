@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective
-from tactorch.inverse.optimizers.base import require_positive
+from tactorch.inverse.optimizers.base import require_positive, require_weight
 from tactorch.inverse.optimizers.scipy_bounded import BoundedRun
 from tactorch.inverse.optimizers.weight import Cooling
 
@@ -39,29 +39,26 @@ class LBFGS:
             memory=self.memory,
             ftol=self.ftol,
         )
+        require_weight(self.weight)
 
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
     ) -> str:
         """See `Optimizer.minimize`."""
-        cooling = Cooling.start(objective, start, self.weight, monitor.state)
-        x = start
-        while True:
+        point = objective.at(start)
+        cooling = Cooling.start(point, self.weight, monitor.state)
+        while not cooling.ended:
+            monitor.state = cooling.state()
             left = self.max_iterations - monitor.iteration
             if left <= 0:
                 return "iteration limit reached"
-            run = BoundedRun(objective, monitor, cooling.weight)
+            run = BoundedRun(point, monitor, cooling.weight)
             stage = left if cooling.fixed else min(left, self.stage_iterations)
-            result = run.run(
-                "L-BFGS-B",
-                x,
-                {"maxiter": stage, "maxcor": self.memory, "ftol": self.ftol, "gtol": 1e-12},
-            )
-            assert run.point is not None
-            x = run.point.x
+            options = {"maxiter": stage, "maxcor": self.memory, "ftol": self.ftol, "gtol": 1e-12}
+            result = run.run("L-BFGS-B", options)
+            point = run.point
             if cooling.fixed:
                 return "iteration limit reached" if result.nit >= left else str(result.message)
-            reason = cooling.lower(run.point.evaluation.chi2)
-            monitor.state = cooling.state()
-            if reason:
-                return reason
+            cooling.lower(point.evaluation.chi2)
+        monitor.state = cooling.state()
+        return cooling.ended

@@ -1,15 +1,14 @@
 """The common part of SciPy's bounded gradient methods."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.optimize import minimize
 
 from tactorch.errors import ConvergenceError
 from tactorch.inverse.monitor import Monitor
-from tactorch.inverse.objective import Objective, Point
+from tactorch.inverse.objective import Point
 
 _REFUSED = 1e3  # objective of a map without equilibrium, relative to the start's
 
@@ -19,54 +18,60 @@ class BoundedRun:
     """One run of `scipy.optimize.minimize` with the adjoint gradient.
 
     A map at which some press has no equilibrium gets a large value, so that line searches turn
-    back. The lowest point seen is the monitor's best.
+    back. The lowest point seen is the monitor's best, however the run ends.
+
+    Attributes:
+        point: The start; then the lowest point seen.
+        monitor: Whom to report to.
+        weight: Weight of the prior.
     """
 
-    objective: Objective
+    point: Point
     monitor: Monitor
     weight: float
-    lowest: float = np.inf
-    point: Point | None = None
-    _latest: list[Point] = field(default_factory=list)
 
-    def run(
-        self,
-        method: str,
-        start: Float[np.ndarray, " m"],
-        options: dict[str, Any],
-    ) -> Any:
-        """Minimise from `start`; returns SciPy's result."""
-        self._value(start, strict=True)
-        limits = self.objective.parameterization.limits
+    def run(self, method: str, options: dict[str, Any]) -> Any:
+        """Minimise from `point`; returns SciPy's result.
 
-        return minimize(
-            self._value,
-            start,
-            jac=True,
-            method=method,
-            bounds=[limits] * len(start),
-            callback=lambda _: self._report(),
-            options=options,
-        )
-
-    def _value(self, x: np.ndarray, strict: bool = False) -> tuple[float, np.ndarray]:
-        near = self._latest[-1] if self._latest else None
-        if near is not None and np.array_equal(near.x, x):
-            return near.value(self.weight), self._gradient(near)
-        try:
-            point = self.objective.at(x.copy(), near)
-        except ConvergenceError:
-            if strict or near is None:
-                raise
-            return _REFUSED * max(self.lowest, 1.0), self._gradient(near)
-        self._latest = [point]
-        value = point.value(self.weight)
-        if value < self.lowest:
-            self.lowest, self.point = value, point
-        if strict and not self.monitor.history:
+        Raises:
+            OutOfTime: raised by the monitor.
+        """
+        objective, start = self.point.objective, self.point.x
+        self._latest = self.point
+        if not self.monitor.history:
             self._report()
-        self.monitor.check_time()
-        return value, self._gradient(point)
+        try:
+            return minimize(
+                self._value,
+                start,
+                jac=True,
+                method=method,
+                bounds=[objective.parameterization.limits] * len(start),
+                callback=lambda _: self._report(),
+                options=options,
+            )
+        finally:
+            if self.point is not self.monitor.point and self.point.x is not start:
+                self._keep()
+
+    def _value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        near = self._latest
+        if not np.array_equal(near.x, x):
+            try:
+                point = near.objective.at(x.copy(), near)
+                gradient = self._gradient(point)
+            except ConvergenceError:
+                return _REFUSED * max(self._lowest, 1.0), self._gradient(near)
+            self._latest = point
+            if point.value(self.weight) < self._lowest:
+                self.point = point
+            self.monitor.check_time()
+            return point.value(self.weight), gradient
+        return near.value(self.weight), self._gradient(near)
+
+    @property
+    def _lowest(self) -> float:
+        return self.point.value(self.weight)
 
     def _gradient(self, point: Point) -> np.ndarray:
         if self.weight == 0.0:
@@ -75,7 +80,10 @@ class BoundedRun:
 
     def _report(self) -> None:
         """Report the lowest point, once an iteration."""
-        assert self.point is not None
+        self._keep()
+        self.monitor.check_time()
+
+    def _keep(self) -> None:
         before = self.monitor.best
         step = 0.0 if before is None else float(np.abs(self.point.x - before).max())
-        self.monitor.accept(self.point, objective=self.lowest, weight=self.weight, step=step)
+        self.monitor.keep(self.point, objective=self._lowest, weight=self.weight, step=step)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective
-from tactorch.inverse.optimizers.base import require_positive
+from tactorch.inverse.optimizers.base import require_positive, require_weight
 from tactorch.inverse.optimizers.scipy_bounded import BoundedRun
 
 _REASONS = {
@@ -24,7 +24,8 @@ class TNC:
     """SciPy's TNC (Nash, 1984), without a prior unless one is weighted.
 
     Attributes:
-        max_evaluations: Limit of solves of all presses; the paper's "iterations".
+        max_evaluations: Limit of solves of all presses; the paper's "iterations". A resumed
+            inversion counts its earlier ones.
         ftol: Change of the objective at which to stop.
         gtol: Projected gradient at which to stop.
         weight: Weight of the prior.
@@ -39,15 +40,15 @@ class TNC:
     def __post_init__(self) -> None:
         """Check the settings."""
         require_positive(max_evaluations=self.max_evaluations, ftol=self.ftol, gtol=self.gtol)
+        require_weight(self.weight)
 
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
     ) -> str:
         """See `Optimizer.minimize`."""
-        run = BoundedRun(objective, monitor, self.weight)
-        result = run.run(
-            "TNC",
-            start,
-            {"maxfun": self.max_evaluations, "ftol": self.ftol, "gtol": self.gtol},
-        )
+        left = self.max_evaluations - monitor.evaluations
+        if left <= 0:
+            return _REASONS[3]
+        run = BoundedRun(objective.at(start), monitor, self.weight)
+        result = run.run("TNC", {"maxfun": left, "ftol": self.ftol, "gtol": self.gtol})
         return _REASONS.get(int(result.status), str(result.message))

@@ -3,7 +3,7 @@
 Priors act on log-moduli whatever the parameterisation, since tissue differs by factors.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,6 +12,7 @@ from jaxtyping import Float
 from tactorch.mesh import TetMesh
 
 
+@runtime_checkable
 class Regularizer(Protocol):
     """Penalty on a field of log-moduli, one value an element."""
 

@@ -10,7 +10,7 @@ from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.simulate import PressPlan, simulate
+from tactorch.simulation import PressPlan, simulate
 
 # Stretch and lateral stretch under a nominal traction of -0.2 MPa at 1 MPa (DESIGN.md).
 UNIAXIAL = {

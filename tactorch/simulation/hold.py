@@ -9,7 +9,7 @@ from tactorch.fem import Discretisation, Supports
 from tactorch.fem.loads import pressure_forces
 from tactorch.fem.supports import HeldCase
 from tactorch.mesh import TetMesh, face_nodes
-from tactorch.simulate.plan import PressPlan, Series
+from tactorch.simulation.plan import PressPlan, Series
 
 
 def spring_stiffness(mesh: TetMesh, series: Series, plan: PressPlan) -> Float[np.ndarray, "n 3"]:

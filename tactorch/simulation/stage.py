@@ -11,10 +11,10 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import Discretisation, SoftBody, Supports, make_element
 from tactorch.fem.loads import pressure_forces
 from tactorch.mesh import TetMesh, face_nodes
-from tactorch.simulate.hold import fixed_freedoms, foundation, spring_stiffness
-from tactorch.simulate.patch import nodes_within, patch_forces
-from tactorch.simulate.plan import PressPlan, Series
-from tactorch.simulate.transfer import Transfer
+from tactorch.simulation.hold import fixed_freedoms, foundation, spring_stiffness
+from tactorch.simulation.patch import nodes_within, patch_forces
+from tactorch.simulation.plan import PressPlan, Series
+from tactorch.simulation.transfer import Transfer
 
 # Total forces on two meshes of one curved body may differ by this share; they are made equal.
 _FORCE_MISMATCH = 0.05

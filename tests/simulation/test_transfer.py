@@ -6,7 +6,7 @@ import pytest
 from tactorch.errors import MeshError
 from tactorch.fem import Discretisation, make_element
 from tactorch.mesh import box_mesh
-from tactorch.simulate import Transfer
+from tactorch.simulation import Transfer
 
 Field = Callable[[np.ndarray], np.ndarray]
 RNG = np.random.default_rng(5)

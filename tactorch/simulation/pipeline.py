@@ -14,9 +14,9 @@ from tactorch.mesh import TetMesh
 from tactorch.mesh.values import Real, Vector, positive, vector
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.simulate.noise import add_noise, noise_level
-from tactorch.simulate.plan import PressPlan
-from tactorch.simulate.stage import Setup, Stage
+from tactorch.simulation.noise import add_noise, noise_level
+from tactorch.simulation.plan import PressPlan
+from tactorch.simulation.stage import Setup, Stage
 
 #: Standard gravity downward, mm/s^2.
 GRAVITY = (0.0, 0.0, -9806.65)
@@ -180,7 +180,7 @@ def _provenance(
     phantom: Phantom, plan: PressPlan, stage: Stage, settings: dict[str, Any]
 ) -> dict[str, Any]:
     return {
-        "simulator": "tactorch.simulate",
+        "simulator": "tactorch.simulation",
         "phantom": phantom.to_config(),
         "plan": plan.to_config(),
         **settings,

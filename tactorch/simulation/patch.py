@@ -12,7 +12,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import Discretisation
 from tactorch.mesh import TetMesh, select_face
 from tactorch.mesh.values import Real
-from tactorch.simulate.plan import Series
+from tactorch.simulation.plan import Series
 
 _SIDES = 96
 

@@ -3,7 +3,7 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import FACE_NAMES
-from tactorch.simulate import PressPlan, Series
+from tactorch.simulation import PressPlan, Series
 
 
 def test_ramp_rises_in_equal_steps() -> None:

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from tactorch.errors import ConfigError
 from tactorch.fem import Discretisation, make_element
 from tactorch.mesh import FACE_NAMES, TetMesh, box_mesh
-from tactorch.simulate import Series
-from tactorch.simulate.patch import nodes_within, patch_center, patch_forces
+from tactorch.simulation import Series
+from tactorch.simulation.patch import nodes_within, patch_center, patch_forces
 
 MESH = box_mesh((10.0, 10.0, 4.0), (5, 7, 2))
 

@@ -1,0 +1,197 @@
+"""One command as a Hydra app, whose every error is one message on standard error."""
+
+import importlib
+import logging
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+
+from tactorch.cli.catalog import PACKAGE, Catalog, conf_folder
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+# `import` is a word of Python's own.
+_MODULES = {"import": "import_"}
+_DEBUG = "HYDRA_FULL_ERROR"
+#: Exit status where the input is wrong, and where Ctrl-C ended the run.
+WRONG, INTERRUPTED = 2, 130
+
+
+def run_app(verb: str, given: Sequence[str]) -> None:
+    """Run the Hydra app of a command; ends the process with a status other than 0 on errors."""
+    from tactorch.cli.help import help_text, wants_help
+    from tactorch.cli.resume import with_resume
+    from tactorch.errors import TactorchError
+
+    if wants_help(given):
+        print(help_text(verb, given))
+        return
+    try:
+        settings = with_resume(verb, list(given))
+    except TactorchError as error:
+        fail(str(error), verb)
+    app = App(verb, settings)
+    try:
+        app.run()
+    except KeyboardInterrupt:
+        print(f"tactorch {verb}: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    if app.failed:
+        sys.exit(WRONG)
+
+
+class App:
+    """A command with its settings; Hydra calls `job`, once or, in a sweep, for each combination."""
+
+    def __init__(self, verb: str, settings: list[str]) -> None:
+        """Take the name of the command and its settings as typed."""
+        self.verb = verb
+        self.settings = settings
+        self.failed = False
+        self.began = False
+        self._outputs: set[Path] = set()
+
+    def run(self) -> None:
+        """Hand over to Hydra."""
+        import hydra
+
+        debugging = os.environ.get(_DEBUG) == "1"
+        with _process_of(self.verb, self.settings):
+            app = hydra.main(version_base="1.3", config_path=_conf(), config_name=self.verb)
+            try:
+                app(self.job)()
+            except Exception as error:
+                if debugging or self.began:
+                    raise
+                from tactorch.cli.complaints import complaint
+
+                fail(complaint(error, self.verb, self.settings), self.verb)
+
+    def job(self, cfg: "DictConfig") -> Any:
+        """Run the command once; errors raised on purpose become a message."""
+        from tactorch.cli.kinds import check_settings
+        from tactorch.errors import TactorchError
+        from tactorch.versions import versions
+
+        self.began = True
+        note = ", ".join(f"{name} {version}" for name, version in versions().items())
+        _to_log_file(f"tactorch {self.verb} with {note}")
+        try:
+            check_settings(cfg, Catalog(self.verb), self.settings)
+            self._check_output(cfg.get("out"))
+            with _plain_warnings(), _no_lines_in_the_bar():
+                module = importlib.import_module(f"tactorch.cli.{_MODULES.get(self.verb, self.verb)}")
+                return module.run(cfg)
+        except TactorchError as error:
+            self._complain(str(error))
+        except OSError as error:
+            self._complain(f"{error}; check that path, its permissions and the free space.")
+        except MemoryError as error:
+            self._complain(
+                f"out of memory ({error}); use a coarser mesh, fewer presses or optimizer=lbfgs."
+            )
+        return None
+
+    def _complain(self, message: str) -> None:
+        """Say what went wrong; other jobs of a sweep still run."""
+        self.failed = True
+        print(f"tactorch {self.verb}: error: {message}", file=sys.stderr)
+        _to_log_file(f"error: {message}", error=True)
+
+    def _check_output(self, out: str | None) -> None:
+        """Refuse that jobs of a sweep write the same file."""
+        from tactorch.errors import ConfigError
+
+        if out is None:
+            return
+        path = Path(out).resolve()
+        if path in self._outputs:
+            raise ConfigError(
+                f"out={out} is written by more than one job; put what differs in its name, as in "
+                "out='x-${seed}.h5', or leave it out: each job has a folder of its own."
+            )
+        self._outputs.add(path)
+
+
+def fail(message: str, verb: str = "") -> NoReturn:
+    """Print one message and leave."""
+    print(f"tactorch {verb}".rstrip() + f": error: {message}", file=sys.stderr)
+    sys.exit(WRONG)
+
+
+def _conf() -> str:
+    """The settings' place as Hydra wants it."""
+    folder = conf_folder()
+    return f"pkg://{PACKAGE}" if importlib.util.find_spec(PACKAGE) is not None else os.fspath(folder)
+
+
+@contextmanager
+def _process_of(verb: str, settings: Sequence[str]) -> Iterator[None]:
+    """Give Hydra the command line it reads, and errors to us instead of printing them."""
+    arguments, debug = sys.argv, os.environ.get(_DEBUG)
+    sys.argv, os.environ[_DEBUG] = [f"tactorch {verb}", *settings], "1"
+    try:
+        yield
+    finally:
+        sys.argv = arguments
+        os.environ.pop(_DEBUG)
+        if debug is not None:
+            os.environ[_DEBUG] = debug
+
+
+def _to_log_file(message: str, error: bool = False) -> None:
+    """Write to the run's log file only; errors with their traceback."""
+    level = logging.ERROR if error else logging.INFO
+    record = logging.LogRecord(
+        "tactorch", level, "", 0, message, None, sys.exc_info() if error else None
+    )
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, logging.FileHandler):
+            handler.handle(record)
+
+
+@contextmanager
+def _no_lines_in_the_bar() -> Iterator[None]:
+    """Where a progress bar shows the iterations, keep their lines to the log file."""
+    handlers = [h for h in logging.getLogger().handlers if not isinstance(h, logging.FileHandler)]
+    if not (sys.stderr.isatty() and sys.stdout.isatty()):
+        handlers = []
+    for handler in handlers:
+        handler.addFilter(_is_not_iteration)
+    try:
+        yield
+    finally:
+        for handler in handlers:
+            handler.removeFilter(_is_not_iteration)
+
+
+def _is_not_iteration(record: logging.LogRecord) -> bool:
+    return record.name != "tactorch.inverse.monitor" or record.levelno > logging.INFO
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Show warnings of ours as their message alone, on the terminal and in the log."""
+    usual: Callable[..., None] = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if category is UserWarning:
+            logging.getLogger("tactorch").warning("warning: %s", message)
+        else:
+            usual(message, category, filename, lineno, file, line)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield

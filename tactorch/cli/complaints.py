@@ -1,0 +1,94 @@
+"""What Hydra complains of, as one line that says what to do."""
+
+import difflib
+import re
+from collections.abc import Sequence
+
+from tactorch.cli.catalog import Catalog
+
+_UNKNOWN = re.compile(r"Could not (?:override|delete) '([^']*)'")
+
+
+def complaint(error: Exception, verb: str, settings: Sequence[str]) -> str:
+    """Return an error of Hydra's, raised before the command began, as one line."""
+    from hydra.errors import MissingConfigException, OverrideParseException
+
+    catalog = Catalog(verb)
+    if isinstance(error, MissingConfigException) and error.options:
+        return _unknown_option(str(error.missing_cfg_file), error.options)
+    if isinstance(error, OverrideParseException):
+        return _unreadable(error.override, error.message)
+    if isinstance(error, OSError) and not isinstance(error, MissingConfigException):
+        return f"the run folder cannot be made ({error}); choose another run_dir."
+    text = str(error)
+    if text.startswith("Ambiguous value"):
+        return _ambiguous(text)
+    unknown = _UNKNOWN.search(text)
+    if unknown:
+        return unknown_setting(unknown[1], catalog, settings)
+    cause = f" ({_line(str(error.__cause__))})" if error.__cause__ else ""
+    return _line(text) + cause
+
+
+def unknown_setting(key: str, catalog: Catalog, settings: Sequence[str]) -> str:
+    """Say that a setting is unknown, and which one may be meant."""
+    choices = catalog.choices(settings)
+    known = catalog.keys(choices)
+    group = key.split(".")[0]
+    option = choices.get(group)
+    text = f"unknown setting '{key}'."
+    near = nearest(key, known)
+    if near is not None:
+        text += f" Did you mean '{near}'?"
+    elif option is not None and "." in key:
+        names = ", ".join(catalog.option_keys(group, option)) or "none"
+        text += f" Settings of {group}={option}: {names}."
+    return f"{text} See tactorch {catalog.verb} --help."
+
+
+def nearest(key: str, known: Sequence[str]) -> str | None:
+    """Return the known name that `key` most likely means: its group forgotten, or misspelt."""
+    leaf = key.split(".")[-1]
+    same_leaf = [name for name in known if name.split(".")[-1] == leaf]
+    if same_leaf:
+        return same_leaf[0]
+    found = difflib.get_close_matches(key, known, n=1, cutoff=0.7)
+    if not found and "." not in key:
+        leaves = {name.split(".")[-1]: name for name in reversed(known)}
+        found = [leaves[x] for x in difflib.get_close_matches(key, list(leaves), n=1, cutoff=0.8)]
+    return found[0] if found else None
+
+
+def did_you_mean(word: str, known: Sequence[str]) -> str:
+    """Return a question to end a message with, or nothing."""
+    found = difflib.get_close_matches(word, known, n=1)
+    return f" Did you mean '{found[0]}'?" if found else ""
+
+
+def _unknown_option(path: str, options: Sequence[str]) -> str:
+    group, _, option = path.rpartition("/")
+    choices = ", ".join(sorted(options))
+    return f"{group}={option} is unknown; choose one of {choices}.{did_you_mean(option, options)}"
+
+
+def _unreadable(setting: str, message: str) -> str:
+    key, equals, value = setting.partition("=")
+    if not equals:
+        return f"'{setting}' is not a setting; write KEY=VALUE."
+    return (
+        f"'{setting}' cannot be read ({message.splitlines()[0]}); put a value with spaces, =, "
+        f"brackets or the like in quotes of its own: \"{key}='{value}'\"."
+    )
+
+
+def _ambiguous(text: str) -> str:
+    setting = text.splitlines()[0].split("'", 1)[-1].rstrip("'")
+    key, _, value = setting.partition("=")
+    return (
+        f"'{setting}' has several values: add -m to run with each, write {key}=[{value}] for a "
+        f"list, or \"{key}='{value}'\" for one value with a comma in it."
+    )
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())

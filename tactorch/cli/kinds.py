@@ -1,0 +1,140 @@
+"""What kind of value each setting holds, so that a wrong one is refused by name."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from tactorch.cli.catalog import Catalog
+from tactorch.cli.complaints import unknown_setting
+from tactorch.errors import ConfigError
+
+
+class Kind(NamedTuple):
+    """A kind of value: what messages call it, and the test for it."""
+
+    name: str
+    holds: Callable[[Any], bool]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_point(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))
+
+
+def _is_relabelling(value: Any) -> bool:
+    return isinstance(value, Mapping) and all(map(_is_number, (*value.values(), *value.keys())))
+
+
+_NUMBER = Kind("a number", _is_number)
+_WHOLE = Kind("a whole number", _is_whole)
+_FLAG = Kind("true or false", lambda value: isinstance(value, bool))
+_TEXT = Kind("text", lambda value: isinstance(value, str))
+# A file may be called 7.
+_PATH = Kind("a path", lambda value: isinstance(value, str | int | float) and value is not True)
+_PATHS = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(_PATH.holds, v)))
+_NAMES = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(_TEXT.holds, v)))
+_POINT = Kind("a list of three numbers: [X,Y,Z]", _is_point)
+_POINTS = Kind(
+    "a list of points: [[X,Y,Z],...]", lambda v: isinstance(v, list) and all(map(_is_point, v))
+)
+_NUMBERS = Kind(
+    "a table of numbers: {NAME: NUMBER}",
+    lambda v: isinstance(v, Mapping) and all(map(_is_number, v.values())),
+)
+_RELABELLING = Kind("a table of moduli: {OLD: NEW}", _is_relabelling)
+
+# By the last part of a setting's name, which means the same wherever it stands.
+KINDS: dict[str, Kind] = {
+    **dict.fromkeys(
+        "start_mpa lower upper relative tolerance damping ftol gtol edge relative_edge_length "
+        "poisson lame_factor p_max_mpa spring_n_per_mm depth radius height side_mm diameter_mm "
+        "height_mm youngs_mpa inclusion_mpa".split(),
+        _NUMBER,
+    ),
+    **dict.fromkeys(
+        "seed samples steps max_iterations max_evaluations stage_iterations memory "
+        "max_trials".split(),
+        _WHOLE,
+    ),
+    **dict.fromkeys("name element generator hold space source".split(), _TEXT),
+    **dict.fromkeys("path out recording run run_dir resume".split(), _PATH),
+    **dict.fromkeys("center size radii axis".split(), _POINT),
+    "plots": _FLAG,
+    "compare": _PATHS,
+    "faces": _NAMES,
+    "patch_centers_mm": _POINTS,
+    "parameters": _NUMBERS,
+    "relabel_truth": _RELABELLING,
+}
+KINDS |= dict.fromkeys(
+    "mm max_seconds snr_db weight edge_length_mm fine_edge_length_mm fine_relative "
+    "patch_radius_mm noise_mm round_rest_m".split(),
+    _NUMBER,
+)
+# Settings that may be null: not given, not wanted, or found by the program.
+OPTIONAL = frozenset(
+    "mm max_seconds snr_db weight edge_length_mm fine_edge_length_mm fine_relative noise_mm "
+    "patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume".split()
+)
+
+
+def check_settings(cfg: DictConfig, catalog: Catalog, given: list[str]) -> None:
+    """Refuse settings that are missing, unknown, or hold another kind of value than they should.
+
+    Raises:
+        ConfigError: names the setting and what to give.
+    """
+    try:
+        values = OmegaConf.to_container(cfg, resolve=True)
+    except OmegaConfBaseException as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"a setting refers to what is not there: {reason}.") from error
+    assert isinstance(values, dict)
+    for name in values:
+        if name not in {*catalog.settings, *catalog.defaults}:
+            raise ConfigError(unknown_setting(str(name), catalog, given))
+    for name in (*catalog.settings, *catalog.defaults):
+        _check_presence(name, values.get(name, {}), catalog)
+    for name, value in _leaves(values):
+        _check(name, value)
+
+
+def _check_presence(name: str, value: Any, catalog: Catalog) -> None:
+    default = catalog.settings.get(name)
+    if default == "???" and value in (None, "???"):
+        raise ConfigError(
+            f"'{name}' is missing; give {name}=... (see tactorch {catalog.verb} --help)."
+        )
+    is_table = isinstance(default, Mapping) or name in catalog.defaults
+    if is_table and not isinstance(value, Mapping):
+        raise ConfigError(f"{name}={value!r}: it holds several settings; give {name}.KEY=VALUE.")
+
+
+def _leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping) and str(key) not in KINDS:
+            yield from _leaves(value, f"{name}.")
+        else:
+            yield name, value
+
+
+def _check(name: str, value: Any) -> None:
+    leaf = name.split(".")[-1]
+    kind = KINDS.get(leaf)
+    if kind is None or kind.holds(value):
+        return
+    if value is None and leaf in OPTIONAL:
+        return
+    or_null = ", or null" if leaf in OPTIONAL else ""
+    raise ConfigError(f"{name}={value!r}: give {kind.name}{or_null}.")

@@ -1,0 +1,309 @@
+"""Every optimizer on a small problem: descent, bounds, reasons, and what it finds."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse import (
+    LBFGS,
+    OPTIMIZERS,
+    PARAMETERIZATIONS,
+    REGULARIZERS,
+    Bounds,
+    GaussNewton,
+    InverseProblem,
+    NoiseModel,
+    Optimizer,
+    Reconstruction,
+    Settings,
+    invert,
+    make_objective,
+    make_optimizer,
+)
+from tactorch.inverse.optimizers.base import projected_gradient
+from tactorch.metrics import pearson
+from tactorch.recording import Recording
+
+Make = Callable[..., Recording]
+
+SHORT: dict[str, dict[str, int]] = {
+    "gauss_newton": {"max_iterations": 8},
+    "tnc": {"max_evaluations": 40},
+    "lbfgs": {"max_iterations": 20},
+}
+NAMES = sorted(OPTIMIZERS)
+
+
+@pytest.fixture(scope="module")
+def recording(make_tiny: Make) -> Recording:
+    """One press: no threads to start, and fewer data than unknowns."""
+    return make_tiny(faces=("z+",))
+
+
+def run(recording: Recording, name: str, **settings: Any) -> Reconstruction:
+    return invert(recording, Settings(optimizer=make_optimizer(name, **SHORT[name]), **settings))
+
+
+def series(found: Reconstruction, name: str) -> np.ndarray:
+    return np.array([entry[name] for entry in found.history])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_result_and_history_agree(recording: Recording, name: str) -> None:
+    found = run(recording, name)
+    assert found.misfit_mm2 < 0.1 * found.history[0]["misfit"]
+    assert found.iterations == len(found.history) - 1 > 2
+    np.testing.assert_array_equal(series(found, "iteration"), np.arange(found.iterations + 1))
+    for increasing in ("evaluations", "seconds"):
+        assert (np.diff(series(found, increasing)) >= 0).all()
+    again = InverseProblem(recording).evaluate(found.youngs)
+    assert again.misfit_mm2 == pytest.approx(found.misfit_mm2, rel=1e-6)
+    assert again.chi2 == pytest.approx(found.history[-1]["chi2"], rel=1e-6)
+    np.testing.assert_allclose(found.displacements, again.displacements, atol=1e-9)
+    assert found.youngs.min() >= 0.001
+    assert found.youngs.max() <= 100.0
+    assert found.history[0]["step"] == 0.0
+    assert found.history[1]["step"] > 0.0
+    assert found.seconds >= found.history[-1]["seconds"] > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "prior"),
+    [("gauss_newton", prior) for prior in REGULARIZERS]
+    + [("tnc", "smoothness"), ("tnc", "none"), ("lbfgs", "total_variation")],
+)
+def test_the_objective_falls_at_a_given_weight(recording: Recording, name: str, prior: str) -> None:
+    optimizer = make_optimizer(name, weight=10.0, **SHORT[name])
+    settings = Settings(optimizer=optimizer, regularization=prior, noise=NoiseModel(relative=0.01))
+    found = invert(recording, settings)
+    objective = series(found, "objective")
+    assert (np.diff(objective) <= 0.0).all()
+    assert objective[-1] < 0.1 * objective[0]
+    if prior != "none":
+        assert set(series(found, "weight")) == {10.0}
+        fitted = 0.5 * found.history[-1]["chi2"] * InverseProblem(recording).n_data
+        assert objective[-1] > 1.01 * fitted  # the prior counts
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_more_weight_makes_a_flatter_map(recording: Recording, name: str) -> None:
+    rough, flat = (
+        invert(
+            recording,
+            Settings(
+                optimizer=make_optimizer(name, weight=weight, **SHORT[name]),
+                regularization="smoothness",
+                noise=NoiseModel(relative=0.1),
+            ),
+        )
+        for weight in (1e-3, 1e3)
+    )
+    assert np.std(np.log(flat.youngs)) < 0.5 * np.std(np.log(rough.youngs))
+    assert flat.misfit_mm2 > rough.misfit_mm2
+
+
+@pytest.mark.parametrize("parameterization", sorted(PARAMETERIZATIONS))
+@pytest.mark.parametrize("name", NAMES)
+def test_every_parameterization_works(
+    recording: Recording, name: str, parameterization: str
+) -> None:
+    found = run(recording, name, parameterization=parameterization)
+    assert found.misfit_mm2 < 0.1 * found.history[0]["misfit"]
+    assert found.youngs.min() >= 0.001
+    assert found.youngs.max() <= 100.0
+
+
+@pytest.mark.parametrize(
+    ("name", "parameterization"),
+    [("gauss_newton", name) for name in sorted(PARAMETERIZATIONS)]
+    + [("tnc", "scaled"), ("lbfgs", "log")],
+)
+def test_bounds_hold_and_are_used(recording: Recording, name: str, parameterization: str) -> None:
+    """The truth spans 0.2 to 0.36 MPa: bounds inside that must bind, and push at the end."""
+    bounds = Bounds(0.22, 0.30)
+    optimizer = make_optimizer(name, weight=0.0, **SHORT[name])
+    settings = Settings(optimizer=optimizer, parameterization=parameterization, bounds=bounds)
+    found = invert(recording, settings, start_mpa=0.25)
+    assert found.youngs.min() >= bounds.lower
+    assert found.youngs.max() <= bounds.upper
+    low, high = found.youngs == bounds.lower, found.youngs == bounds.upper
+    assert low.sum() + high.sum() > 5
+    assert (~low & ~high).any()
+    assert found.misfit_mm2 < 0.5 * found.history[0]["misfit"]
+
+
+@pytest.mark.parametrize("optimizer", [GaussNewton(weight=10.0), LBFGS(weight=10.0)])
+def test_the_end_is_a_constrained_minimum(recording: Recording, optimizer: Optimizer) -> None:
+    settings = Settings(optimizer=optimizer, bounds=Bounds(0.22, 0.30))
+    found = invert(recording, settings, start_mpa=0.25)
+    objective = make_objective(recording, settings)
+    x = np.log(found.youngs)
+    point, start = objective.at(x), objective.at(np.full_like(x, np.log(0.25)))
+
+    def size(p: Any) -> float:
+        gradient = p.data_gradient + 10.0 * p.penalty_gradient
+        limits = objective.parameterization.limits
+        return float(np.abs(projected_gradient(p.x, gradient, limits)).max())
+
+    assert size(point) < 1e-3 * size(start)
+    assert (np.isclose(found.youngs, 0.22) | np.isclose(found.youngs, 0.30)).sum() > 5
+
+
+def test_gauss_newton_finds_the_inclusion(cube: Recording) -> None:
+    found = invert(cube)
+    assert cube.truth is not None
+    assert pearson(found.youngs, cube.truth) > 0.97
+    assert found.stop_reason == "the data are fitted to their noise"
+    assert found.history[-1]["chi2"] <= 1.0
+
+
+def test_paths_of_the_published_method_and_ours_compare(cube: Recording) -> None:
+    """The paper's optimizer improves on its start; Gauss-Newton goes much further."""
+    assert cube.truth is not None
+    ours, theirs = run(cube, "gauss_newton"), run(cube, "tnc", regularization="none")
+    assert ours.misfit_mm2 < 0.1 * theirs.misfit_mm2
+    assert pearson(ours.youngs, cube.truth) > pearson(theirs.youngs, cube.truth) > 0.2
+
+
+@pytest.mark.parametrize("space", ["data", "parameter"])
+def test_either_space_gives_the_same_map(cube: Recording, space: str) -> None:
+    auto, forced = (
+        invert(cube, Settings(optimizer=GaussNewton(max_iterations=5, space=s)))
+        for s in ("auto", space)
+    )
+    np.testing.assert_allclose(forced.youngs, auto.youngs, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_noise_is_not_fitted(make_cube: Make, seed: int) -> None:
+    """The discrepancy principle stops near a mean squared residual of one."""
+    noisy = make_cube(snr_db=30.0, seed=seed)
+    found = invert(noisy)
+    assert found.stop_reason == "the data are fitted to their noise"
+    assert 0.4 < found.history[-1]["chi2"] <= 1.0
+    assert noisy.truth is not None
+    assert pearson(found.youngs, noisy.truth) > 0.6
+    assert found.youngs.max() < 4.0  # nothing runs off to the bounds
+
+
+def test_understated_noise_is_said_so(make_tiny: Make) -> None:
+    noisy = make_tiny(faces=("z+", "x+", "y-"), snr_db=20.0)
+    presses = tuple(replace(press, noise_mm=None) for press in noisy.presses)
+    optimizer = GaussNewton(max_iterations=300)
+    found = invert(replace(noisy, presses=presses), Settings(optimizer=optimizer))
+    assert found.history[-1]["chi2"] > 10.0
+    assert "fitted to their noise" not in found.stop_reason or "larger" in found.stop_reason
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_limits_of_iterations_hold(recording: Recording, name: str) -> None:
+    limit = {"tnc": "max_evaluations"}.get(name, "max_iterations")
+    found = invert(recording, Settings(optimizer=make_optimizer(name, **{limit: 4})))
+    assert "limit reached" in found.stop_reason
+    spent = found.history[-1]["evaluations"] if name == "tnc" else found.iterations
+    assert spent <= 5
+    assert found.misfit_mm2 < found.history[0]["misfit"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_starting_at_the_solution_stops(recording: Recording, name: str) -> None:
+    optimizer = make_optimizer(name, weight=0.0, **SHORT[name])
+    assert recording.truth is not None
+    found = invert(recording, Settings(optimizer=optimizer), start_mpa=recording.truth)
+    np.testing.assert_allclose(found.youngs, recording.truth, rtol=1e-3)
+    assert found.stop_reason
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_maps_without_equilibrium_are_stepped_back_from(
+    recording: Recording, name: str, fail_evaluation: Callable[[int, BaseException], None]
+) -> None:
+    fail_evaluation(4, ConvergenceError("collapsed"))
+    found = run(recording, name)
+    assert found.misfit_mm2 < 0.1 * found.history[0]["misfit"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_start_without_equilibrium_is_refused(
+    recording: Recording, name: str, fail_evaluation: Callable[[int, BaseException], None]
+) -> None:
+    fail_evaluation(1, ConvergenceError("collapsed"))
+    with pytest.raises(ConvergenceError, match="collapsed"):
+        run(recording, name)
+
+
+@pytest.mark.parametrize("name", ["tnc", "lbfgs"])
+@pytest.mark.parametrize("end", ["limit", "interruption"])
+def test_the_lowest_point_seen_is_the_result(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, name: str, end: str
+) -> None:
+    """SciPy's methods may end between two of their iterations."""
+    seen: list[float] = []
+    evaluate = InverseProblem.evaluate
+
+    def watched(problem: InverseProblem, *args: Any) -> Any:
+        found = evaluate(problem, *args)
+        seen.append(found.misfit_mm2)
+        if end == "interruption" and len(seen) == 12:
+            raise KeyboardInterrupt
+        return found
+
+    monkeypatch.setattr(InverseProblem, "evaluate", watched)
+    limit = {"max_evaluations": 9} if name == "tnc" else {"max_iterations": 9}
+    limit = {k: 100 if end == "interruption" else v for k, v in limit.items()}
+    found = invert(recording, Settings(optimizer=make_optimizer(name, **limit, weight=0.0)))
+    complete = seen[:-1] if end == "interruption" else seen
+    assert found.misfit_mm2 == min(complete)
+    assert found.stop_reason == ("interrupted" if end == "interruption" else found.stop_reason)
+
+
+def test_lbfgs_lowers_the_weight_in_stages(recording: Recording) -> None:
+    optimizer = LBFGS(max_iterations=30, stage_iterations=5)
+    found = invert(recording, Settings(optimizer=optimizer))
+    weight = series(found, "weight")
+    assert (np.diff(weight) <= 0).all()
+    assert len(np.unique(weight)) >= 4
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "message"),
+    [
+        ("gauss_newton", {"max_iterations": 0}, "max_iterations=0"),
+        ("gauss_newton", {"tolerance": -1.0}, "tolerance"),
+        ("gauss_newton", {"damping": 0.0}, "damping"),
+        ("gauss_newton", {"max_trials": 0}, "max_trials"),
+        ("gauss_newton", {"space": "dual"}, "space=dual is unknown; choose auto"),
+        ("gauss_newton", {"weight": -1.0}, "weight=-1.0"),
+        ("gauss_newton", {"weight": float("nan")}, "weight=nan"),
+        ("gauss_newton", {"step": 1}, "gauss_newton.*step"),
+        ("tnc", {"max_evaluations": 0}, "max_evaluations"),
+        ("tnc", {"ftol": 0.0}, "ftol"),
+        ("tnc", {"weight": float("inf")}, "weight=inf"),
+        ("lbfgs", {"memory": 0}, "memory"),
+        ("lbfgs", {"stage_iterations": -3}, "stage_iterations=-3"),
+        ("lbfgs", {"weight": -0.5}, "weight=-0.5"),
+        ("adam", {}, "'adam' is unknown; choose one of gauss_newton, tnc, lbfgs"),
+    ],
+)
+def test_wrong_settings_are_refused(name: str, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make_optimizer(name, **settings)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_lead_to_optimizers(name: str) -> None:
+    optimizer = make_optimizer(name)
+    assert isinstance(optimizer, Optimizer)
+    assert optimizer.name == name
+
+
+def test_projected_gradient_drops_what_pushes_outward() -> None:
+    x = np.array([0.0, 0.0, 0.5, 1.0, 1.0])
+    gradient = np.array([1.0, -1.0, 1.0, 1.0, -1.0])
+    np.testing.assert_array_equal(
+        projected_gradient(x, gradient, (0.0, 1.0)), [0.0, -1.0, 1.0, 1.0, 0.0]
+    )

@@ -1,0 +1,260 @@
+"""Predictions, misfit and derivatives of a recording, against autograd and finite differences."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.fem import ELEMENTS, SoftBody, Supports, make_material
+from tactorch.inverse import InverseProblem, NoiseModel
+from tactorch.inverse.noise import signal_rms
+from tactorch.recording import Press, Recording
+
+Make = Callable[..., Recording]
+
+
+def with_press(recording: Recording, index: int, **changes: object) -> Recording:
+    presses = list(recording.presses)
+    presses[index] = replace(presses[index], **changes)
+    return replace(recording, presses=tuple(presses), check_units=False)
+
+
+def solve_with_autograd(recording: Recording, element: str, youngs: torch.Tensor) -> torch.Tensor:
+    """Observed displacements of all presses by the public mechanics."""
+    law = recording.material
+    body = SoftBody(recording.mesh, make_material(law.name, law.poisson), element=element)
+    seen = []
+    for press in recording.presses:
+        supports = Supports(press.fixed, press.prescribed, press.springs)
+        u = body.solve(youngs, torch.from_numpy(press.forces), supports)
+        seen.append(u[: recording.mesh.n_points][torch.from_numpy(press.data)])
+    return torch.cat(seen)
+
+
+def half_chi2_sum(problem: InverseProblem, youngs: np.ndarray) -> float:
+    evaluation = problem.evaluate(youngs)
+    return 0.5 * evaluation.chi2 * problem.n_data
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_jacobian_is_autograds(recording: Recording, moduli: np.ndarray, element: str) -> None:
+    problem = InverseProblem(recording, element=element)
+    deviation = problem.noise.deviations(recording)[0]
+    jacobian = problem.evaluate(moduli).jacobian() * deviation
+    expected = torch.autograd.functional.jacobian(
+        lambda e: solve_with_autograd(recording, element, e), torch.from_numpy(moduli)
+    ).numpy()
+    assert jacobian.shape == (problem.n_data, problem.n_unknowns) == expected.shape
+    np.testing.assert_allclose(jacobian, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_jacobian_is_the_finite_difference(
+    recording: Recording, moduli: np.ndarray, element: str
+) -> None:
+    problem = InverseProblem(recording, element=element)
+    jacobian = problem.evaluate(moduli).jacobian()
+    direction = np.random.default_rng(0).standard_normal(len(moduli))
+    h = 1e-5
+    plus, minus = (problem.evaluate(moduli + s * h * direction).residuals for s in (1, -1))
+    expected = (plus - minus) / (2 * h)
+    np.testing.assert_allclose(
+        jacobian @ direction, expected, rtol=0, atol=1e-6 * np.abs(expected).max()
+    )
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_products_are_those_of_the_matrix(
+    recording: Recording, moduli: np.ndarray, element: str
+) -> None:
+    rng = np.random.default_rng(1)
+    for sensitivity in InverseProblem(recording, element=element).evaluate(moduli).sensitivities:
+        matrix = sensitivity.matrix()
+        change, weights = rng.standard_normal(matrix.shape[1]), rng.standard_normal(len(matrix))
+        scale = np.abs(matrix).max()
+        np.testing.assert_allclose(sensitivity.times(change), matrix @ change, atol=1e-9 * scale)
+        np.testing.assert_allclose(
+            sensitivity.transpose_times(weights), matrix.T @ weights, atol=1e-9 * scale
+        )
+
+
+def test_gradient_is_that_of_half_the_sum_of_squares(make_tiny: Make, moduli: np.ndarray) -> None:
+    recording = make_tiny(snr_db=30.0)
+    weights = np.random.default_rng(5).uniform(0.5, 2.0, recording.presses[0].forces.shape)
+    problem = InverseProblem(with_press(recording, 0, weights=weights))
+    evaluation = problem.evaluate(moduli)
+    gradient = evaluation.gradient()
+    np.testing.assert_allclose(gradient, evaluation.jacobian().T @ evaluation.residuals, rtol=1e-8)
+    for element in (0, 17, 39):
+        h = 1e-6 * np.eye(len(moduli))[element]
+        slope = (half_chi2_sum(problem, moduli + h) - half_chi2_sum(problem, moduli - h)) / 2e-6
+        assert gradient[element] == pytest.approx(slope, rel=1e-5)
+
+
+def test_gradient_first_and_jacobian_first_agree(recording: Recording, moduli: np.ndarray) -> None:
+    problem = InverseProblem(recording)
+    one, other = problem.evaluate(moduli), problem.evaluate(moduli)
+    other.jacobian()  # renews the factorisation
+    np.testing.assert_allclose(one.gradient(), other.gradient(), rtol=1e-9)
+
+
+def test_misfit_is_equation_7_in_mm2(recording: Recording, moduli: np.ndarray) -> None:
+    problem = InverseProblem(recording)
+    evaluation = problem.evaluate(moduli)
+    by_hand = 0.0
+    for press, u in zip(recording.presses, evaluation.displacements, strict=True):
+        for node, axis in zip(*np.nonzero(press.observed), strict=True):
+            by_hand += 0.5 * (u[node, axis] - press.displacement[node, axis]) ** 2
+    assert evaluation.misfit_mm2 == pytest.approx(by_hand, rel=1e-12)
+    sigma = 1e-4 * signal_rms(recording.presses)
+    assert evaluation.chi2 == pytest.approx(2 * by_hand / sigma**2 / problem.n_data, rel=1e-12)
+
+
+def test_misfit_vanishes_at_the_truth(make_tiny: Make) -> None:
+    for element in ELEMENTS:  # a recording has springs on vertices only, so hold it exactly
+        recording = make_tiny(hold="fixed", element=element)
+        assert recording.truth is not None
+        evaluation = InverseProblem(recording, element=element).evaluate(recording.truth)
+        assert evaluation.misfit_mm2 < 1e-16
+        assert InverseProblem(recording, element=element).n_data == 54
+
+
+def test_weights_scale_residuals_and_leave_the_misfit(
+    recording: Recording, moduli: np.ndarray
+) -> None:
+    plain = InverseProblem(recording).evaluate(moduli)
+    weights = np.full(recording.presses[1].forces.shape, 3.0)
+    weighted = InverseProblem(with_press(recording, 1, weights=weights)).evaluate(moduli)
+    factor = np.repeat([1.0, 3.0], 27)
+    np.testing.assert_allclose(weighted.residuals, plain.residuals * factor, rtol=1e-9)
+    assert weighted.misfit_mm2 == pytest.approx(plain.misfit_mm2, rel=1e-9)
+
+
+def test_data_of_no_weight_count_nowhere(recording: Recording, moduli: np.ndarray) -> None:
+    """Were they kept, the mean squared residual would look better than the fit is."""
+    press = recording.presses[0]
+    weights = np.where(np.cumsum(press.observed).reshape(-1, 3) % 2 == 1, 1.0, 0.0)
+    fewer = np.where(weights > 0, press.observed, False)
+    weighted = InverseProblem(with_press(recording, 0, weights=weights))
+    unseen = InverseProblem(with_press(recording, 0, observed=fewer))
+    assert weighted.n_data == unseen.n_data == 14 + 27
+    one, other = weighted.evaluate(moduli), unseen.evaluate(moduli)
+    assert one.misfit_mm2 == other.misfit_mm2
+    assert one.jacobian().shape == (41, 40)
+
+
+def test_fixed_freedoms_are_no_data(recording: Recording, moduli: np.ndarray) -> None:
+    press = recording.presses[0]
+    fixed = np.zeros_like(press.observed)
+    fixed[np.flatnonzero(press.observed[:, 0])[0]] = True
+    problem = InverseProblem(with_press(recording, 0, fixed=fixed))
+    assert problem.n_data == 51
+    assert np.isfinite(problem.evaluate(moduli).gradient()).all()
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_gravity_enters(make_tiny: Make, element: str) -> None:
+    heavy = make_tiny(hold="fixed", density=1.07e-7, element=element)  # a hundred times silicone
+    assert heavy.truth is not None
+    problem = InverseProblem(heavy, element=element)
+    assert problem.evaluate(heavy.truth).misfit_mm2 < 1e-14
+    light = InverseProblem(replace(heavy, density=None, gravity=np.zeros(3)), element=element)
+    assert light.evaluate(heavy.truth).misfit_mm2 > 1e-2
+
+
+def test_prediction_is_second_order(recording: Recording, moduli: np.ndarray) -> None:
+    problem = InverseProblem(recording)
+    here = problem.evaluate(moduli)
+    change = moduli * np.random.default_rng(2).uniform(-1, 1, len(moduli))
+
+    def errors(size: float) -> np.ndarray:
+        there = moduli + size * change
+        truth = problem.evaluate(there).displacements
+        return np.array(
+            [np.abs(p - u).max() for p, u in zip(here.predict(there), truth, strict=True)]
+        )
+
+    ratios = errors(0.02) / errors(0.01)
+    assert ((ratios > 3.5) & (ratios < 4.5)).all()
+
+
+def test_no_prediction_far_away(recording: Recording, moduli: np.ndarray) -> None:
+    here = InverseProblem(recording).evaluate(moduli)
+    far = moduli.copy()
+    far[3] *= 2.0
+    for guess, u in zip(here.predict(far), here.displacements, strict=True):
+        np.testing.assert_array_equal(guess, u)
+
+
+def test_a_near_start_changes_nothing(recording: Recording, moduli: np.ndarray) -> None:
+    problem = InverseProblem(recording)
+    other = moduli * 1.1
+    cold = problem.evaluate(other)
+    warm = problem.evaluate(other, near=problem.evaluate(moduli))
+    np.testing.assert_allclose(warm.displacements, cold.displacements, rtol=0, atol=1e-9)
+    assert problem.evaluations == 3
+
+
+def test_collapse_names_the_press(make_tiny: Make) -> None:
+    recording = make_tiny(faces=("z+",), pressures=(1e-4, 0.02))
+    problem = InverseProblem(recording)
+    soft = np.full(problem.n_unknowns, 0.001)
+    with pytest.raises(ConvergenceError, match=r"'z\+, 20 kPa' \(index 1\).*collapses"):
+        problem.evaluate(soft)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
+def test_useless_moduli_are_refused(recording: Recording, moduli: np.ndarray, bad: float) -> None:
+    moduli[7] = bad
+    with pytest.raises(ConfigError, match=r"youngs\[7\]"):
+        InverseProblem(recording).evaluate(moduli)
+
+
+def test_wrong_number_of_moduli_is_refused(recording: Recording) -> None:
+    with pytest.raises(ConfigError, match="40 elements"):
+        InverseProblem(recording).evaluate(np.ones(41))
+
+
+@pytest.mark.parametrize(("field", "name"), [("element", "hex8"), ("solver", "magic")])
+def test_unknown_numerics_are_refused(recording: Recording, field: str, name: str) -> None:
+    with pytest.raises(ConfigError, match=name):
+        InverseProblem(recording, **{field: name}).evaluate(np.ones(40))
+
+
+def test_stated_noise_is_taken_above_the_floor(make_tiny: Make) -> None:
+    recording = make_tiny(snr_db=40.0)
+    recording = with_press(recording, 1, noise_mm=0.0)
+    floor = 1e-4 * signal_rms(recording.presses)
+    stated = recording.presses[0].noise_mm
+    assert stated is not None
+    assert stated > floor
+    assert NoiseModel().deviations(recording) == [stated, floor]
+    assert NoiseModel(relative=0.5).deviations(recording) == [5000 * floor] * 2
+    assert NoiseModel(mm=0.25).deviations(recording) == [0.25] * 2
+    assert not NoiseModel().assumed(recording)
+
+
+def test_unstated_noise_is_assumed_and_said_so(recording: Recording) -> None:
+    values = np.concatenate([p.displacement[p.observed] for p in recording.presses])
+    rms = np.sqrt(np.mean(values**2))
+    np.testing.assert_allclose(NoiseModel(relative=0.01).deviations(recording), 0.01 * rms)
+    assert NoiseModel().assumed(recording)
+    assert not NoiseModel(mm=0.1).assumed(recording)
+
+
+@pytest.mark.parametrize("settings", [{"relative": 0.0}, {"relative": 1.0}, {"mm": 0.0}])
+def test_useless_noise_is_refused(settings: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=f"noise.{next(iter(settings))}"):
+        NoiseModel(**settings)
+
+
+def test_presses_that_moved_nothing_are_refused(recording: Recording) -> None:
+    still: list[Press] = [
+        replace(press, displacement=np.zeros_like(press.displacement))
+        for press in recording.presses
+    ]
+    with pytest.raises(ConfigError, match="moved nothing"):
+        InverseProblem(replace(recording, presses=tuple(still), check_units=False))

@@ -1,0 +1,129 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactorch.errors import ConfigError
+from tactorch.inverse import REGULARIZERS, make_regularizer
+from tactorch.mesh import TetMesh, box_mesh
+
+MESH = box_mesh(10.0, 2, tets_per_cell=5)
+SEEDS = st.integers(0, 2**32 - 1)
+SPREADS = st.sampled_from([1e-3, 0.1, 3.0])
+
+
+def field_of(seed: int, spread: float = 1.0, mesh: TetMesh = MESH) -> np.ndarray:
+    return spread * np.random.default_rng(seed).standard_normal(mesh.n_tets) - 1.5
+
+
+@pytest.mark.parametrize("name", REGULARIZERS)
+@given(level=st.floats(-7.0, 5.0))
+def test_a_uniform_field_costs_nothing(name: str, level: float) -> None:
+    prior = make_regularizer(name, MESH)
+    field = np.full(MESH.n_tets, level)
+    assert prior.value(field) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(prior.curvature(field) @ field, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", REGULARIZERS[1:])
+@given(seed=SEEDS, spread=SPREADS)
+@settings(max_examples=20)
+def test_curvature_times_field_is_the_gradient(name: str, seed: int, spread: float) -> None:
+    prior = make_regularizer(name, MESH)
+    field = field_of(seed, spread)
+    direction = np.random.default_rng(seed + 1).standard_normal(MESH.n_tets)
+    h = 1e-6
+    expected = (prior.value(field + h * direction) - prior.value(field - h * direction)) / (2 * h)
+    scale = np.abs(prior.curvature(field) @ field) @ np.abs(direction)
+    assert direction @ (prior.curvature(field) @ field) == pytest.approx(
+        expected, abs=1e-6 * scale + 1e-7
+    )
+
+
+@pytest.mark.parametrize("name", REGULARIZERS)
+@given(seed=SEEDS, spread=SPREADS)
+@settings(max_examples=10)
+def test_curvature_is_symmetric_and_positive_semidefinite(
+    name: str, seed: int, spread: float
+) -> None:
+    matrix = make_regularizer(name, MESH).curvature(field_of(seed, spread)).toarray()
+    np.testing.assert_array_equal(matrix, matrix.T)
+    levels = np.linalg.eigvalsh(matrix)
+    assert levels[0] >= -1e-12 * max(levels[-1], 1.0)
+    if name != "none":
+        assert levels[1] > 1e-3 * levels[-1] / MESH.n_tets**2  # only the uniform field is free
+
+
+@pytest.mark.parametrize("name", REGULARIZERS)
+@given(seed=SEEDS, spread=SPREADS, other_spread=SPREADS)
+@settings(max_examples=20)
+def test_the_quadratic_touches_and_lies_above(
+    name: str, seed: int, spread: float, other_spread: float
+) -> None:
+    """What makes a reweighted step lower the penalty whatever its length."""
+    prior = make_regularizer(name, MESH)
+    field, other = field_of(seed, spread), field_of(seed + 1, other_spread)
+    matrix = prior.curvature(field)
+
+    def quadratic(at: np.ndarray) -> float:
+        change = at - field
+        slope = matrix @ field
+        return prior.value(field) + float(slope @ change + 0.5 * change @ (matrix @ change))
+
+    assert quadratic(field) == prior.value(field)
+    assert quadratic(other) >= prior.value(other) - 1e-11
+
+
+def test_smoothness_is_the_squared_gradient_of_a_linear_field() -> None:
+    """On a structured mesh the finite volumes see the same slope wherever they are."""
+    values = []
+    for divisions in (3, 6):
+        mesh = box_mesh(10.0, divisions, tets_per_cell=5)
+        prior = make_regularizer("smoothness", mesh)
+        field = 0.1 * mesh.centroids[:, 0]
+        faces = mesh.adjacency
+        unit = faces.areas.mean() / faces.distances.mean()  # mm: from mean-face units to mm
+        values.append(prior.value(field) * unit)
+    assert values[0] == pytest.approx(values[1], rel=0.25)
+    assert values[1] == pytest.approx(0.5 * 0.1**2 * 1000.0, rel=0.5)
+
+
+def test_total_variation_counts_jumps_by_their_size() -> None:
+    prior = make_regularizer("total_variation", MESH, edge=1e-6)
+    step = np.where(MESH.centroids[:, 2] > 5.0, 1.0, 0.0)
+    across = 100.0 / MESH.adjacency.areas.mean()  # the plane between, in mean areas
+    assert prior.value(step) == pytest.approx(across, rel=1e-4)
+    assert prior.value(3.0 * step) == pytest.approx(3.0 * across, rel=1e-4)
+    assert make_regularizer("smoothness", MESH).value(3.0 * step) == pytest.approx(
+        9.0 * make_regularizer("smoothness", MESH).value(step)
+    )
+
+
+def test_total_variation_prefers_one_jump_to_none_the_ramp() -> None:
+    """A sharp edge costs no more than a ramp of the same height; under smoothness it does."""
+    mesh = box_mesh(10.0, 4, tets_per_cell=5)
+    z = mesh.centroids[:, 2]
+    sharp, ramp = np.where(z > 5.0, 1.0, 0.0), z / 10.0
+    variation = make_regularizer("total_variation", mesh, edge=1e-6)
+    smoothness = make_regularizer("smoothness", mesh)
+    assert variation.value(sharp) < 1.2 * variation.value(ramp)
+    assert smoothness.value(sharp) > 2.0 * smoothness.value(ramp)
+
+
+@pytest.mark.parametrize("edge", [0.0, -0.1, np.nan])
+def test_useless_edge_is_refused(edge: float) -> None:
+    with pytest.raises(ConfigError, match=r"regularization\.edge"):
+        make_regularizer("total_variation", MESH, edge=edge)
+
+
+def test_unknown_name_is_refused_with_the_choices() -> None:
+    with pytest.raises(ConfigError, match=r"'ridge' is unknown.*total_variation"):
+        make_regularizer("ridge", MESH)
+
+
+@pytest.mark.parametrize("name", REGULARIZERS)
+def test_a_single_element_has_no_jumps(name: str) -> None:
+    mesh = TetMesh(np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 1, 2, 3]]))
+    prior = make_regularizer(name, mesh)
+    assert prior.value(np.array([0.3])) == 0.0
+    assert prior.curvature(np.array([0.3])).shape == (1, 1)

@@ -1,0 +1,70 @@
+"""The prior's weight: cooled until the data are fitted to their noise, and no further."""
+
+import numpy as np
+import pytest
+
+from tactorch.inverse import Point, Settings, make_objective
+from tactorch.inverse.optimizers.weight import Cooling, ruling_weight
+from tactorch.mesh import TetMesh
+from tactorch.recording import MaterialSpec, Press, Recording
+
+
+@pytest.fixture
+def point(recording: Recording) -> Point:
+    return make_objective(recording, Settings()).at(np.full(recording.mesh.n_tets, np.log(0.2)))
+
+
+def test_weight_falls_fast_then_slowly_then_ends(point: Point) -> None:
+    cooling = Cooling.start(point, None, {})
+    first = cooling.weight
+    assert first == ruling_weight(point) > 0
+    cooling.lower(chi2=50.0)
+    after_far = cooling.weight
+    cooling.lower(chi2=2.0)
+    assert first / after_far > after_far / cooling.weight > 1.0
+    last = cooling.weight
+    assert cooling.ended == ""
+    cooling.lower(chi2=1.0)
+    assert "fitted to their noise" in cooling.ended
+    cooling.lower(chi2=5.0)  # the end is final
+    assert cooling.weight == last
+
+
+def test_an_exhausted_prior_says_that_the_noise_is_larger(point: Point) -> None:
+    cooling = Cooling.start(point, None, {})
+    for _ in range(200):
+        cooling.lower(chi2=2.0)
+    assert "noise is larger than stated, or the model is wrong" in cooling.ended
+    assert cooling.weight > 0
+
+
+def test_state_resumes(point: Point) -> None:
+    for steps in ([], [50.0], [50.0, 2.0, 0.9]):
+        cooling = Cooling.start(point, None, {})
+        for chi2 in steps:
+            cooling.lower(chi2)
+        assert Cooling.start(point, None, cooling.state()) == cooling
+
+
+def test_a_given_weight_stays(point: Point) -> None:
+    cooling = Cooling.start(point, 0.5, {"weight": 3.0, "first_weight": 9.0, "ended": 0.0})
+    assert (cooling.weight, cooling.fixed, cooling.state()) == (0.5, True, {})
+
+
+def test_no_prior_has_no_weight(recording: Recording) -> None:
+    objective = make_objective(recording, Settings(regularization="none"))
+    point = objective.at(np.full(recording.mesh.n_tets, np.log(0.2)))
+    cooling = Cooling.start(point, 3.0, {})
+    assert (cooling.weight, cooling.fixed) == (0.0, True)
+
+
+def test_a_single_element_has_nothing_to_regularise() -> None:
+    mesh = TetMesh(10.0 * np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 1, 2, 3]]))
+    fixed = np.zeros((4, 3), dtype=bool)
+    fixed[:3] = True
+    force, seen = np.zeros((4, 3)), np.zeros((4, 3), dtype=bool)
+    force[3, 2], seen[3] = -0.1, True
+    press = Press(force, seen, np.where(seen, -0.1, np.nan), fixed=fixed)
+    recording = Recording(mesh, (press,), MaterialSpec("neo_hookean", 0.4))
+    point = make_objective(recording, Settings()).at(np.array([np.log(0.2)]))
+    assert Cooling.start(point, None, {}) == Cooling(0.0, 0.0, fixed=True)
