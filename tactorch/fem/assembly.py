@@ -12,7 +12,13 @@ from jaxtyping import Float
 
 from tactorch.fem import kernels
 from tactorch.fem.elements import Discretisation
-from tactorch.fem.materials import Dilatation, Distortion, IsotropicMaterial, LinearElastic, Material
+from tactorch.fem.materials import (
+    Dilatation,
+    Distortion,
+    IsotropicMaterial,
+    LinearElastic,
+    Material,
+)
 
 _NO_MEAN = np.empty(0)
 
@@ -122,7 +128,10 @@ class Assembly:
         return Response(F, invariants, energy, self._forces(stress), d, mean)
 
     def _general(self, F: np.ndarray, invariants: np.ndarray) -> Response:
-        gradient, poisson = torch.from_numpy(F), torch.as_tensor(self._per_point(), dtype=torch.float64)
+        gradient, poisson = (
+            torch.from_numpy(F),
+            torch.as_tensor(self._per_point(), dtype=torch.float64),
+        )
         density = self.material.energy(gradient, poisson).numpy()
         stress = np.ascontiguousarray(self.material.stress(gradient, poisson).numpy())
         energy = (self.weights * density).sum(axis=1)

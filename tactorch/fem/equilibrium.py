@@ -70,9 +70,7 @@ class Problem:
             return own
         return replace(own, poisson=poisson if poisson.ndim else float(poisson), points=points)
 
-    def solve_adjoint(
-        self, rhs: Float[Tensor, "cases nodes 3"]
-    ) -> Float[Tensor, "cases nodes 3"]:
+    def solve_adjoint(self, rhs: Float[Tensor, "cases nodes 3"]) -> Float[Tensor, "cases nodes 3"]:
         """Solve K x = rhs in every case; x is zero at fixed unknowns."""
         b = rhs.detach().numpy()
         columns = map_cases(lambda i: self.tangents[i]().solve(b[i].ravel()), len(b))
@@ -153,18 +151,18 @@ class Equilibrium(torch.autograd.Function):
         u, youngs, poisson, points = ctx.saved_tensors
         problem: Problem = ctx.problem
 
-        given = [
-            (k, d) for k, d in ((2, d_youngs), (3, d_poisson), (4, d_points)) if d is not None
-        ]
+        given = [(k, d) for k, d in ((2, d_youngs), (3, d_poisson), (4, d_points)) if d is not None]
 
         def work_change(v: Tensor) -> Tensor:
-            """Change of the elastic forces' work on v; forward mode cannot nest, so by gradients."""
+            """Change of the elastic forces' work on v; forward mode cannot nest: by gradients."""
             if not given:
                 return (0.0 * v).sum()
             slopes = torch.func.grad(problem.work, argnums=tuple(k for k, _ in given))(
                 u, v, youngs, poisson, points
             )
-            return sum(((s * d).sum() for s, (_, d) in zip(slopes, given, strict=True)), u.sum() * 0)
+            return sum(
+                ((s * d).sum() for s, (_, d) in zip(slopes, given, strict=True)), u.sum() * 0
+            )
 
         change = torch.func.grad(work_change)(torch.zeros_like(u))
         rhs = -change if d_forces is None else d_forces - change

@@ -121,6 +121,15 @@ def scatter_forces(nodes, forces, scale, out):
 def gather_dot(nodes, forces, x, out):
     """Fill out[e, :] = sum over the element's nodes of forces[e] * x, x of shape (n, 3, k)."""
     columns = x.shape[2]
+    if columns == 1:
+        for e in range(nodes.shape[0]):
+            total = 0.0
+            for a in range(nodes.shape[1]):
+                node = nodes[e, a]
+                for i in range(3):
+                    total += forces[e, a, i] * x[node, i, 0]
+            out[e, 0] = total
+        return
     for e in range(nodes.shape[0]):
         for c in range(columns):
             out[e, c] = 0.0
@@ -221,8 +230,10 @@ def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values
                         diagonal += 2.0 * d2 * (i1 * dot - half)
                         for i in range(3):
                             for j in range(3):
-                                block[i, j] += 2.0 * d2 * (
-                                    0.5 * p[a, i] * p[b, j] - 0.25 * p[b, i] * p[a, j] - B[i, j] * dot
+                                block[i, j] += d2 * (
+                                    p[a, i] * p[b, j]
+                                    - 0.5 * p[b, i] * p[a, j]
+                                    - 2.0 * B[i, j] * dot
                                 )
                     block[0, 0] += diagonal
                     block[1, 1] += diagonal

@@ -239,7 +239,7 @@ class Newton:
 
     def _floor(self) -> float:
         """Force that round-off alone makes (N)."""
-        return 1e-15 * float(self.youngs.max()) * self.assembly.discretisation.mesh.diagonal ** 2
+        return 1e-15 * float(self.youngs.max()) * self.assembly.discretisation.mesh.diagonal**2
 
     def _step(
         self, response: Response, residual: np.ndarray, jump: np.ndarray, rtol: float

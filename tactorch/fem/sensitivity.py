@@ -39,9 +39,7 @@ class Sensitivity:
         """Return S du/de times a change of the moduli (MPa), mm."""
         return self.displacement_change(change).ravel()[self.observed]
 
-    def displacement_change(
-        self, change: Float[np.ndarray, " m"]
-    ) -> Float[np.ndarray, "nodes 3"]:
+    def displacement_change(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, "nodes 3"]:
         """Return du/de times a change of the moduli (MPa) at all nodes, mm."""
         force = np.zeros((self.assembly.discretisation.n_nodes, 3))
         kernels.scatter_forces(

@@ -52,7 +52,9 @@ class Supports:
         if np.any(springs < 0) or not np.all(np.isfinite(springs)):
             raise ConfigError("supports.springs must be finite and not negative (N/mm).")
         if not np.all(np.isfinite(prescribed[fixed])):
-            raise ConfigError("supports.prescribed is NaN or infinite at a fixed degree of freedom.")
+            raise ConfigError(
+                "supports.prescribed is not finite at a fixed degree of freedom (mm)."
+            )
         midsides = fixed[discretisation.edges].all(axis=1)
         return HeldCase(
             np.concatenate([fixed, midsides]),

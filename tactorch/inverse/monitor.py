@@ -126,8 +126,9 @@ class Monitor:
         """
         source = require_file(path, "checkpoint")
         try:
-            with np.load(source, allow_pickle=False) as data:
-                saved = {name: data[name] for name in data.files}
+            with source.open("rb") as file:
+                archive = np.load(file, allow_pickle=False)
+                saved = {name: archive[name] for name in archive.files}
             table, names = saved["history"], saved["history_names"]
             self.history = [_entry(names, row) for row in table]
             self.state = _dict(saved, "state")

@@ -122,6 +122,7 @@ class Reconstruction:
 
 def _check_format(attributes: dict[str, Any], source: Path) -> None:
     found, version = attributes.get("format"), attributes.get("version", 0)
+    found = found.decode() if isinstance(found, bytes) else found
     if found != _FORMAT:
         raise FileError(
             f"'{source}' is not a reconstruction but {found or 'some other HDF5 file'}; give the "

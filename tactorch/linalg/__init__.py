@@ -1,6 +1,7 @@
 """Sparse symmetric solvers behind one small protocol: analyse once, factor, solve many."""
 
 from tactorch.linalg.choose import BACKENDS, analyse, available
+from tactorch.linalg.dense import DenseCholesky
 from tactorch.linalg.lagged import lagged_solve
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.pool import SolverPool
@@ -9,6 +10,7 @@ from tactorch.linalg.threads import single_threaded
 
 __all__ = [
     "BACKENDS",
+    "DenseCholesky",
     "IndefiniteError",
     "Solver",
     "SolverPool",

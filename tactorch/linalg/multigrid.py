@@ -95,7 +95,7 @@ class Multigrid:
         z = self._preconditioner @ residual
         direction, rz = z.copy(), residual @ z
         for _ in range(self.max_iterations):
-            image = self._matrix @ direction  # type: ignore[operator]
+            image = self._matrix @ direction
             curvature = direction @ image
             if curvature <= 0:
                 raise IndefiniteError("negative curvature: the matrix is not positive definite")

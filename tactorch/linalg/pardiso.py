@@ -101,12 +101,12 @@ class Pardiso:
         self._iparm[0] = 1  # the values below, not the defaults
         self._iparm[1] = 2  # nested dissection (METIS)
         self._iparm[34] = 1  # indices count from zero
-        none = np.zeros(1)
-        self._empty = {"pattern": pattern, "values": none, "rhs": none, "out": none}
+        none = self._none = np.zeros(1)
+        empty = {"pattern": pattern, "values": none, "rhs": none, "out": none}
         # Symbolic analysis reads no values when matching and scaling are off.
         self._run(_ANALYSE, np.ones(pattern.nnz), none, none)
         self._values = none
-        self._finalizer = weakref.finalize(self, _release, self._pt, self._iparm, self._empty)
+        self._finalizer = weakref.finalize(self, _release, self._pt, self._iparm, empty)
 
     def _run(self, phase: int, values: np.ndarray, rhs: np.ndarray, out: np.ndarray) -> int:
         arrays = {"pattern": self.pattern, "values": values, "rhs": rhs, "out": out}
@@ -129,8 +129,7 @@ class Pardiso:
         if not np.all(np.isfinite(values)):
             return Status.INDEFINITE
         self._values = np.ascontiguousarray(values)
-        none = self._empty["rhs"]
-        code = self._run(_FACTOR, self._values, none, none)
+        code = self._run(_FACTOR, self._values, self._none, self._none)
         return Status.INDEFINITE if code == _NOT_POSITIVE_DEFINITE else Status.OK
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:

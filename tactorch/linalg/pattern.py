@@ -23,9 +23,9 @@ class SymmetricPattern:
     indices: Int[np.ndarray, " nnz"]
 
     @staticmethod
-    def from_pairs(size: int, rows: Int[np.ndarray, "..."], cols: Int[np.ndarray, "..."]) -> (
-        "SymmetricPattern"
-    ):
+    def from_pairs(
+        size: int, rows: Int[np.ndarray, "..."], cols: Int[np.ndarray, "..."]
+    ) -> "SymmetricPattern":
         """Build the pattern of all `(row, col)` couplings, either triangle, and the diagonal."""
         low, high = np.minimum(rows, cols).ravel(), np.maximum(rows, cols).ravel()
         diagonal = np.arange(size)

@@ -79,9 +79,7 @@ class Material(ABC):
             )
 
     @abstractmethod
-    def energy(
-        self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
-    ) -> Float[Tensor, "*batch"]:
+    def energy(self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars) -> Float[Tensor, "*batch"]:
         """Energy density per unit modulus (dimensionless)."""
 
     @abstractmethod
@@ -114,9 +112,7 @@ class IsotropicMaterial(Material):
         """Energy and derivatives of the part in J alone; none by default."""
         return Dilatation(0.0 * j)
 
-    def energy(
-        self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
-    ) -> Float[Tensor, "*batch"]:
+    def energy(self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars) -> Float[Tensor, "*batch"]:
         """Energy density per unit modulus (dimensionless)."""
         i1, i2, j = _invariants(F)
         log_j = torch.log(j)

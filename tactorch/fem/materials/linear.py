@@ -13,9 +13,7 @@ from tactorch.fem.materials.base import Material, Scalars, lame
 class LinearElastic(Material):
     """psi = lambda/2 (tr eps)^2 + mu eps:eps with eps = sym(F - I)."""
 
-    def energy(
-        self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
-    ) -> Float[Tensor, "*batch"]:
+    def energy(self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars) -> Float[Tensor, "*batch"]:
         """Energy density per unit modulus (dimensionless)."""
         strain = _strain(F)
         return 0.5 * (self.stress(F, poisson) * strain).sum((-2, -1))
@@ -23,7 +21,7 @@ class LinearElastic(Material):
     def stress(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
     ) -> Float[Tensor, "*batch 3 3"]:
-        """lambda tr(eps) I + 2 mu eps."""
+        """Sum of lambda tr(eps) I and 2 mu eps."""
         lam, mu = (_as_matrix(x, F) for x in lame(poisson))
         strain = _strain(F)
         trace = strain.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
@@ -32,7 +30,7 @@ class LinearElastic(Material):
     def tangent(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
     ) -> Float[Tensor, "*batch 3 3 3 3"]:
-        """lambda d_iI d_jJ + mu (d_ij d_IJ + d_iJ d_jI)."""
+        """Sum of lambda d_iI d_jJ and mu (d_ij d_IJ + d_iJ d_jI)."""
         lam, mu = (_as_matrix(x, F)[..., None, None] for x in lame(poisson))
         one = torch.eye(3, dtype=F.dtype, device=F.device)
         trace = torch.einsum("iI,jJ->iIjJ", one, one)

@@ -1,11 +1,10 @@
 """The linear system of a Gauss-Newton step, in parameter space or in data space."""
 
 import numpy as np
-import scipy.linalg as sl
 import scipy.sparse as sp
 from jaxtyping import Float
 
-from tactorch.linalg import Solver, Status, SymmetricPattern, analyse
+from tactorch.linalg import DenseCholesky, Solver, Status, SymmetricPattern, analyse
 
 # Data space divides by the damping where the prior says nothing (a uniform shift).
 _SMALLEST_SHIFT = 1e-9
@@ -24,11 +23,8 @@ def parameter_space_step(
     coo = prior.tocoo()
     np.add.at(matrix, (coo.row, coo.col), coo.data)
     matrix[np.diag_indices_from(matrix)] += shift
-    try:
-        factor = sl.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
-    except sl.LinAlgError:
-        return None
-    return -sl.cho_solve(factor, gradient, check_finite=False)
+    factor = DenseCholesky.of(matrix)
+    return None if factor is None else -factor.solve(gradient)
 
 
 def data_space_step(
@@ -49,15 +45,14 @@ def data_space_step(
     spread = solver.solve(np.asfortranarray(jacobian.T))
     inner = jacobian @ spread
     inner[np.diag_indices_from(inner)] += 1.0
-    try:
-        factor = sl.cho_factor(inner, lower=True, overwrite_a=True, check_finite=False)
-    except sl.LinAlgError:
+    factor = DenseCholesky.of(inner)
+    if factor is None:
         return None
     step, missing = np.zeros_like(gradient), -gradient
     goal = _REFINED * np.abs(gradient).max()
     for _ in range(_SWEEPS):
         plain = solver.solve(missing)
-        step += plain - spread @ sl.cho_solve(factor, jacobian @ plain, check_finite=False)
+        step += plain - spread @ factor.solve(jacobian @ plain)
         missing = -gradient - jacobian.T @ (jacobian @ step) - prior @ step - shift * step
         if np.abs(missing).max() <= goal:
             break

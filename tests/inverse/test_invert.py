@@ -1,0 +1,164 @@
+"""The one call from a recording to a map: honesty, settings, messages."""
+
+import json
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError
+from tactorch.inverse import (
+    START_MPA,
+    Bounds,
+    GaussNewton,
+    Monitor,
+    NoiseModel,
+    Objective,
+    Settings,
+    invert,
+    make_optimizer,
+)
+from tactorch.inverse.progress import progress
+from tactorch.recording import Recording
+
+SHORT = Settings(optimizer=GaussNewton(max_iterations=3))
+
+
+@pytest.mark.parametrize("name", ["gauss_newton", "tnc", "lbfgs"])
+def test_the_truth_does_not_leak(recording: Recording, name: str) -> None:
+    """Bit for bit the same map whatever truth or reference a recording carries."""
+    rng = np.random.default_rng(0)
+    random = rng.uniform(0.01, 2.0, recording.mesh.n_tets)
+    limit = {"max_evaluations": 12} if name == "tnc" else {"max_iterations": 4}
+    maps = [
+        invert(other, Settings(optimizer=make_optimizer(name, **limit))).youngs.tobytes()
+        for other in (
+            recording,
+            replace(recording, truth=None),
+            replace(recording, truth=random),
+            replace(recording, reference=random),
+        )
+    ]
+    assert len(set(maps)) == 1
+
+
+def test_runs_repeat_bit_for_bit(recording: Recording) -> None:
+    one, other = invert(recording, SHORT), invert(recording, SHORT)
+    assert one.youngs.tobytes() == other.youngs.tobytes()
+    assert one.displacements.tobytes() == other.displacements.tobytes()
+
+
+def test_starts(recording: Recording) -> None:
+    stay = Settings(max_seconds=0.0)
+    np.testing.assert_allclose(invert(recording, stay).youngs, START_MPA)
+    np.testing.assert_allclose(invert(recording, stay, start_mpa=1).youngs, 1.0)
+    field = np.linspace(0.1, 0.9, recording.mesh.n_tets)
+    np.testing.assert_allclose(invert(recording, stay, start_mpa=field).youngs, field)
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        (0.0, "outside the bounds"),
+        (1e-4, r"spans 0\.0001 to 0\.0001 MPa, outside the bounds \[0\.001, 100\]"),
+        (200.0, "outside the bounds"),
+        (float("nan"), "outside the bounds"),
+        (np.full(39, 0.2), r"shape \(39,\)"),
+    ],
+)
+def test_useless_starts_are_refused(
+    recording: Recording, start: float | np.ndarray, message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        invert(recording, start_mpa=start)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"optimizer": "adam"},
+        {"parameterization": "cubic"},
+        {"regularization": "entropy"},
+        {"element": "hex8"},
+        {"solver": "mumps"},
+    ],
+)
+def test_unknown_names_are_refused(recording: Recording, settings: dict[str, str]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(settings.values()))):
+        invert(recording, Settings(**settings))
+
+
+def test_names_do_for_optimizers(recording: Recording) -> None:
+    by_name = invert(recording, Settings(optimizer="gauss_newton"))
+    assert by_name.youngs.tobytes() == invert(recording).youngs.tobytes()
+    assert by_name.config["optimizer"]["name"] == "gauss_newton"
+
+
+def test_quadratic_elements_invert(make_tiny: Callable[..., Recording]) -> None:
+    recording = make_tiny(faces=("z+",), hold="fixed", element="tet10")
+    found = invert(recording, Settings(optimizer=GaussNewton(max_iterations=6), element="tet10"))
+    assert found.misfit_mm2 < 1e-3 * found.history[0]["misfit"]
+    assert found.displacements.shape == (1, recording.mesh.n_points, 3)
+
+
+def test_config_says_what_was_done(recording: Recording) -> None:
+    settings = replace(SHORT, bounds=Bounds(0.01, 10.0), noise=NoiseModel(relative=1e-3))
+    config = json.loads(json.dumps(invert(recording, settings).config))
+    assert config["optimizer"] == {
+        "name": "gauss_newton", "max_iterations": 3, "tolerance": 1e-3, "weight": None,
+        "damping": 1e-6, "max_trials": 12, "space": "auto",
+    }  # fmt: skip
+    assert config["settings"]["bounds"] == {"lower": 0.01, "upper": 10.0}
+    assert config["settings"]["noise"]["relative"] == 1e-3
+    assert config["settings"]["regularization"] == "total_variation"
+    assert config["material"]["poisson"] == recording.material.poisson
+    assert config["recording"] == recording.provenance
+    assert "tactorch" in config["versions"]
+
+
+def test_an_optimizer_of_ones_own(recording: Recording) -> None:
+    class Guess:
+        name = "guess"
+
+        def minimize(self, objective: Objective, start: np.ndarray, monitor: Monitor) -> str:
+            monitor.accept(objective.at(start + 0.5))
+            return "one is enough"
+
+    found = invert(recording, Settings(optimizer=Guess()))
+    assert (found.stop_reason, found.config["optimizer"]) == ("one is enough", {"name": "guess"})
+    np.testing.assert_allclose(found.youngs, 0.2 * np.exp(0.5))
+
+
+def test_assumed_noise_is_warned_of(
+    make_tiny: Callable[..., Recording], caplog: pytest.LogCaptureFixture
+) -> None:
+    stay = Settings(max_seconds=0.0)
+    with caplog.at_level(logging.WARNING, logger="tactorch"):
+        invert(make_tiny(snr_db=40.0), stay)
+        assert not caplog.records
+        invert(make_tiny(), stay)
+    assert "does not state its noise; 0.0001 of the signal is assumed" in caplog.text
+
+
+def test_iterations_are_logged(recording: Recording, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, logger="tactorch"):
+        invert(recording, SHORT)
+    lines = [r.getMessage() for r in caplog.records if "misfit" in r.getMessage()]
+    assert [line.split()[1] for line in lines] == ["0", "1", "2", "3"]
+
+
+def test_progress_shows_iteration_and_misfit(capfd: pytest.CaptureFixture[str]) -> None:
+    with progress("gauss_newton", show=True) as update:
+        update({"iteration": 12, "misfit": 3.25e-4, "step": 0.5})
+    shown = capfd.readouterr()
+    assert "iteration 12" in shown.err
+    assert "3.250e-04 mm2" in shown.err
+    assert shown.out == ""
+
+
+def test_no_progress_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    with progress("gauss_newton", show=False) as update:
+        update({"iteration": 12, "misfit": 3.25e-4})
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,106 @@
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+
+from tactorch.errors import FileError
+from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
+from tactorch.recording import Recording
+
+
+@pytest.fixture(scope="module")
+def found(recording: Recording) -> Reconstruction:
+    return invert(recording, Settings(optimizer=GaussNewton(max_iterations=2)))
+
+
+@pytest.fixture
+def file(found: Reconstruction, tmp_path: Path) -> Path:
+    return found.save(tmp_path / "reconstruction.h5")
+
+
+def test_round_trip(found: Reconstruction, file: Path) -> None:
+    again = Reconstruction.load(file)
+    for name in ("youngs", "displacements"):
+        assert getattr(again, name).tobytes() == getattr(found, name).tobytes()
+    assert again.mesh.content_hash() == found.mesh.content_hash()
+    for name in ("history", "stop_reason", "seconds", "config", "iterations", "misfit_mm2"):
+        assert getattr(again, name) == getattr(found, name)
+    assert again.iterations == 2
+
+
+def test_a_long_provenance_fits(found: Reconstruction, tmp_path: Path) -> None:
+    """HDF5 attributes hold 64 kB at most."""
+    config = {**found.config, "recording": {"notes": "x" * 200_000}}
+    path = replace(found, config=config).save(tmp_path / "long.h5")
+    assert Reconstruction.load(path).config == config
+
+
+def test_a_failed_write_leaves_nothing(found: Reconstruction, tmp_path: Path) -> None:
+    with pytest.raises(TypeError):
+        replace(found, config={"bad": object()}).save(tmp_path / "bad.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("keep", [0, 7, 0.5, 0.95])
+def test_a_truncated_file_is_refused(file: Path, keep: float) -> None:
+    data = file.read_bytes()
+    file.write_bytes(data[: int(keep * len(data)) if 0 < keep < 1 else int(keep)])
+    with pytest.raises(FileError, match=r"reconstruction\.h5' cannot be read"):
+        Reconstruction.load(file)
+
+
+def test_other_files_are_refused(recording: Recording, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="reconstruction not found"):
+        Reconstruction.load(tmp_path / "absent.h5")
+    recording.save(tmp_path / "recording.h5")
+    with pytest.raises(FileError, match="not a reconstruction but tactorch-recording"):
+        Reconstruction.load(tmp_path / "recording.h5")
+    h5py.File(tmp_path / "empty.h5", "w").close()
+    with pytest.raises(FileError, match="some other HDF5 file"):
+        Reconstruction.load(tmp_path / "empty.h5")
+
+
+def test_a_newer_version_asks_for_an_upgrade(file: Path) -> None:
+    with h5py.File(file, "r+") as h5:
+        h5.attrs["version"] = 2
+    with pytest.raises(FileError, match=r"version 2; .*Upgrade tactorch"):
+        Reconstruction.load(file)
+
+
+@pytest.mark.parametrize(
+    "name", ["youngs", "displacements", "mesh/points", "mesh/tets", "config", "history"]
+)
+@pytest.mark.parametrize("damage", ["missing", "short", "group"])
+def test_damaged_contents_are_refused(file: Path, name: str, damage: str) -> None:
+    with h5py.File(file, "r+") as h5:
+        values = h5[name][()]
+        del h5[name]
+        if damage == "short":
+            h5[name] = values[:, :-1] if name == "displacements" else values[:-1]
+        if damage == "group":
+            h5.create_group(name)
+    with pytest.raises(FileError, match=r"reconstruction\.h5' cannot be read"):
+        Reconstruction.load(file)
+
+
+def test_vtu_opens_elsewhere(found: Reconstruction, recording: Recording, tmp_path: Path) -> None:
+    path = found.write_vtu(tmp_path / "map.vtu", truth=recording.truth)
+    mesh = meshio.read(path)
+    np.testing.assert_allclose(mesh.points, found.mesh.points)
+    np.testing.assert_array_equal(mesh.cells_dict["tetra"], found.mesh.tets)
+    np.testing.assert_allclose(mesh.cell_data["youngs_mpa"][0], found.youngs)
+    assert recording.truth is not None
+    np.testing.assert_allclose(mesh.cell_data["youngs_true_mpa"][0], recording.truth)
+    for i, u in enumerate(found.displacements):
+        np.testing.assert_allclose(mesh.point_data[f"displacement_{i}_mm"], u)
+    plain = meshio.read(found.write_vtu(tmp_path / "plain.vtu"))
+    assert set(plain.cell_data) == {"youngs_mpa"}
+
+
+def test_no_history_is_no_iteration(found: Reconstruction) -> None:
+    empty = replace(found, history=[])
+    assert empty.iterations == 0
+    assert np.isnan(empty.misfit_mm2)
