@@ -22,11 +22,10 @@ def _processor() -> str:
     info = Path("/proc/cpuinfo")
     if not info.exists():
         return platform.processor() or platform.machine()
-    fields = dict(
-        (part.strip() for part in line.split(":", 1))
-        for line in reversed(info.read_text().splitlines())
-        if ":" in line
-    )
+    fields: dict[str, str] = {}
+    for line in info.read_text().splitlines():
+        key, _, value = line.partition(":")
+        fields.setdefault(key.strip(), value.strip())
     name = fields.get("model name", platform.machine())
     vectors = "AVX-512" if "avx512f" in fields.get("flags", "") else "no AVX-512"
     numbers = f"family {fields.get('cpu family', '?')} model {fields.get('model', '?')}"

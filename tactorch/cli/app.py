@@ -100,7 +100,7 @@ class App:
     def _complain(self, message: str) -> None:
         """Say what went wrong; other jobs of a sweep still run."""
         self.failed = True
-        print(f"tactorch {self.verb}: error: {message}", file=sys.stderr)
+        _say(message, self.verb)
         _to_log_file(f"error: {message}", error=True)
 
     def _check_output(self, out: str | None) -> None:
@@ -120,8 +120,13 @@ class App:
 
 def fail(message: str, verb: str = "") -> NoReturn:
     """Print one message and leave."""
-    print(f"tactorch {verb}".rstrip() + f": error: {message}", file=sys.stderr)
+    _say(message, verb)
     sys.exit(WRONG)
+
+
+def _say(message: str, verb: str) -> None:
+    """Print an error as one line, whatever the library that it comes from put between."""
+    print(f"tactorch {verb}".rstrip() + f": error: {' '.join(message.split())}", file=sys.stderr)
 
 
 def _conf() -> str:

@@ -48,15 +48,12 @@ def unknown_setting(key: str, catalog: Catalog, settings: Sequence[str]) -> str:
 
 def nearest(key: str, known: Sequence[str]) -> str | None:
     """Return the known name that `key` most likely means: its group forgotten, or misspelt."""
-    leaf = key.split(".")[-1]
-    same_leaf = [name for name in known if name.split(".")[-1] == leaf]
-    if same_leaf:
-        return same_leaf[0]
-    found = difflib.get_close_matches(key, known, n=1, cutoff=0.7)
-    if not found and "." not in key:
-        leaves = {name.split(".")[-1]: name for name in reversed(known)}
-        found = [leaves[x] for x in difflib.get_close_matches(key, list(leaves), n=1, cutoff=0.8)]
-    return found[0] if found else None
+    group, _, leaf = key.rpartition(".")
+    inside = [name for name in known if group and name.startswith(f"{group}.")]
+    # The last part of a name counts: in a group all names begin alike.
+    leaves = {name.rpartition(".")[2]: name for name in reversed(inside or known)}
+    found = difflib.get_close_matches(leaf, list(leaves), n=1, cutoff=0.6 if inside else 0.75)
+    return leaves[found[0]] if found else None
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ def run(cfg: DictConfig) -> dict[str, float]:
     path = path / "reconstruction.h5" if path.is_dir() else path
     reconstruction = Reconstruction.load(path)
     source = _recording_of(path) if cfg.recording is None else Path(str(cfg.recording))
-    recording = Recording.load(source)
+    recording = Recording.load(source, check_units=cfg.check_units)
     if recording.truth is None:
         raise RecordingError(f"recording '{source}' carries no truth, so there is no score.")
     if recording.mesh.content_hash() != reconstruction.mesh.content_hash():

@@ -14,7 +14,7 @@ from tactorch.recording import Recording
 def run(cfg: DictConfig) -> Reconstruction:
     """Invert a recording and write everything about it."""
     path = Path(str(cfg.recording))
-    return invert_recording(cfg, Recording.load(path), path)
+    return invert_recording(cfg, Recording.load(path, check_units=cfg.check_units), path)
 
 
 def invert_recording(cfg: DictConfig, recording: Recording, source: Path) -> Reconstruction:

@@ -69,7 +69,7 @@ KINDS: dict[str, Kind] = {
     **dict.fromkeys("name element generator hold space source".split(), _TEXT),
     **dict.fromkeys("path out recording run run_dir resume".split(), _PATH),
     **dict.fromkeys("center size radii axis".split(), _POINT),
-    "plots": _FLAG,
+    **dict.fromkeys(("plots", "check_units"), _FLAG),
     "compare": _PATHS,
     "faces": _NAMES,
     "patch_centers_mm": _POINTS,

@@ -177,7 +177,10 @@ def histories_of(runs: Sequence[Path], own_name: str) -> dict[str, History]:
     """
     histories: dict[str, History] = {}
     for run in runs:
-        found = Reconstruction.load(run / "reconstruction.h5" if run.is_dir() else run)
+        try:
+            found = Reconstruction.load(run / "reconstruction.h5" if run.is_dir() else run)
+        except FileError as error:
+            raise FileError(f"compare: {error}") from error
         histories[_label(found, run, {own_name, *histories})] = found.history
     return histories
 

@@ -38,8 +38,7 @@ def folder() -> Path:
 
 def phantom_of(cfg: DictConfig) -> Phantom:
     """Make the phantom."""
-    settings = plain(cfg.phantom)
-    return make_phantom(settings.pop("name"), **settings)
+    return _made("phantom", make_phantom, plain(cfg.phantom))
 
 
 def plan_of(cfg: DictConfig) -> PressPlan:
@@ -73,8 +72,16 @@ def inversion_of(cfg: DictConfig) -> Settings:
 
 
 def _made(what: str, make: Callable[..., _T], settings: dict[str, Any]) -> _T:
-    """Call `make` with the settings of a group; one that it does not know is an error of input."""
+    """Call `make` with the settings of a group; its complaints then name the group.
+
+    Raises:
+        ConfigError: a setting is unknown or has a value that cannot be used.
+    """
     try:
         return make(**settings)
+    except ConfigError as error:
+        message = str(error)
+        named = message.startswith((what, "material"))
+        raise ConfigError(message if named else f"{what}: {message}") from error
     except TypeError as error:
         raise ConfigError(f"{what} does not take these settings: {error}.") from error

@@ -142,22 +142,23 @@ class Newton:
             else:
                 step *= 0.5
             if step < self.options.min_load_step:
-                reason = f"{self._collapse(u)} It carried {load:.0%} of the load. {found.reason}"
+                reason = f"{self._collapse(found, load)} {found.reason}"
                 return Equilibrated(u, False, reason, spent, taken, found.residual)
         found.iterations, found.load_steps = spent, taken
         return found
 
-    def _collapse(self, u: np.ndarray) -> str:
-        """Say where the body gives way."""
-        response = self.assembly.respond(u)
+    def _collapse(self, failed: Equilibrated, load: float) -> str:
+        """Say where the body gives way, and under which share of the load."""
+        response = self.assembly.respond(failed.displacement)
         if response is None:
             return "The start is already inverted."
         element, j = response.worst
         x, y, z = self.assembly.points[self.assembly.discretisation.mesh.tets[element]].mean(0)
         return (
             f"The load collapses the object: element {element} near ({x:.3g}, {y:.3g}, {z:.3g}) mm "
-            f"with {self.youngs[element]:.3g} MPa is squeezed to {j:.2g} of its volume. Lower the "
-            "forces, check their unit (N) and that of the moduli (MPa), or spread the load."
+            f"with {self.youngs[element]:.3g} MPa is squeezed to {j:.2g} of its volume, with no "
+            f"balance beyond {load:.0%} of the load. Lower the forces, check their unit (N) and "
+            "that of the moduli (MPa), or spread the load."
         )
 
     def _tangent(self, response: Response) -> np.ndarray:
@@ -264,7 +265,7 @@ class Newton:
             rhs = rhs - self.pattern.product(values, jump)
         rhs[self._fixed] = 0.0
         try:
-            if self._factored and rtol > 0.0:
+            if self._factored and self._lease.direct and rtol > 0.0:
                 step = lagged_solve(self.pattern, held, self._lease, rhs, rtol)
                 if step is not None:
                     return step + jump

@@ -20,6 +20,7 @@ literally; in the files the force is stiffness times displacement.
 """
 
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from tactorch.errors import FileError, RecordingError
 from tactorch.files import require_file, require_folder
 from tactorch.importers.text_tables import read_diagonal, read_numbers
 from tactorch.mesh import TetMesh, read_mesh
+from tactorch.mesh.units import PLAUSIBLE_MM
 from tactorch.recording import MaterialSpec, Press, Recording
 
 _MM_PER_M = 1e3
@@ -41,6 +43,9 @@ _PARTS = {
     "A-": "springs",
     "B-": "observed degrees of freedom",
 }
+# Moduli below look like MPa or kPa: soft tissue has a kPa or more.
+_SMALLEST_PA = 100.0
+_OPT_OUT = "If the numbers are right, pass check_units=False."
 # A level of the truth is meant when it is this close to the number given for it.
 _LEVEL_TOLERANCE = 1e-3
 
@@ -79,16 +84,18 @@ def import_published(
         RecordingError: The files are readable but do not make a sound recording.
     """
     root = require_folder(folder, "published case")
-    mesh = _read_rest(root / "mesh.msh", round_rest_m)
+    mesh = _read_rest(root / "mesh.msh", round_rest_m, check_units)
     numbers = _press_files(require_folder(root / "presses", "presses of the published case"))
     presses = [_read_press(number, files, mesh, noise_mm) for number, files in numbers.items()]
-    truth = _read_moduli(root / "youngs_true.txt", "true moduli", mesh)
+    truth = _read_moduli(root / "youngs_true.txt", "true moduli", mesh, check_units)
     return Recording(
         mesh,
         tuple(_with_steps(presses)),
         MaterialSpec("neo_hookean", poisson, {"lame_factor": lame_factor}),
         truth=_relabelled(truth, relabel_truth or {}, root / "youngs_true.txt"),
-        reference=_read_moduli(root / "youngs_reference_result.txt", "reference moduli", mesh),
+        reference=_read_moduli(
+            root / "youngs_reference_result.txt", "reference moduli", mesh, check_units
+        ),
         provenance={
             "importer": "published",
             "case": root.resolve().name,
@@ -100,8 +107,16 @@ def import_published(
     )
 
 
-def _read_rest(path: Path, round_rest_m: float | None) -> TetMesh:
-    mesh = read_mesh(require_file(path, "mesh of the published case"), unit="m")
+def _read_rest(path: Path, round_rest_m: float | None, check_units: bool) -> TetMesh:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # said below, and not only as a warning
+        mesh = read_mesh(require_file(path, "mesh of the published case"), unit="m")
+    low, high = PLAUSIBLE_MM
+    if check_units and not low <= mesh.diagonal <= high:
+        raise FileError(
+            f"'{path}' is {mesh.diagonal / _MM_PER_M:.3g} m across, which no pressed object is; "
+            f"this format is in metres: convert mesh and positions. {_OPT_OUT}"
+        )
     if round_rest_m is None:
         return mesh
     if not round_rest_m > 0:
@@ -203,11 +218,20 @@ def _with_steps(presses: list[Press]) -> list[Press]:
     return [replace(press, step=steps[press.name]) for press in presses]
 
 
-def _read_moduli(path: Path, what: str, mesh: TetMesh) -> Float[np.ndarray, " m"] | None:
+def _read_moduli(
+    path: Path, what: str, mesh: TetMesh, check_units: bool
+) -> Float[np.ndarray, " m"] | None:
     if not path.exists():
         return None
     reason = f"one for each of the {mesh.n_tets} tetrahedra of the mesh"
-    return read_numbers(path, what, mesh.n_tets, reason) / _PA_PER_MPA
+    values_pa = read_numbers(path, what, mesh.n_tets, reason)
+    middle = float(np.median(values_pa))
+    if check_units and 0 < middle < _SMALLEST_PA:
+        raise FileError(
+            f"'{path}' has a median of {middle:.3g} Pa, softer than anything one can press; this "
+            f"format is in Pa: convert from MPa or kPa. {_OPT_OUT}"
+        )
+    return values_pa / _PA_PER_MPA
 
 
 def _relabelled(

@@ -92,7 +92,7 @@ def invert(
         max_seconds=settings.max_seconds,
         checkpoint=path,
         identity={
-            "mesh": recording.mesh.content_hash(),
+            "mesh": recording.mesh.content_hash()[:12],
             "parameterization": str(objective.parameterization),
         },
     )
@@ -140,7 +140,7 @@ def _start(
     if not np.all((start >= bounds.lower) & (start <= bounds.upper)):
         raise ConfigError(
             f"start_mpa spans {start.min():g} to {start.max():g} MPa, outside the bounds "
-            f"[{bounds.lower:g}, {bounds.upper:g}] MPa."
+            f"[{bounds.lower:g}, {bounds.upper:g}] MPa; start inside, or widen them."
         )
     return np.full(m, float(start)) if start.ndim == 0 else start
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 from jaxtyping import Float
@@ -125,6 +125,11 @@ class Monitor:
             FileError: it is missing, unreadable, or of another problem.
         """
         source = require_file(path, "checkpoint")
+        if not is_zipfile(source):
+            raise FileError(
+                f"checkpoint '{source}' cannot be read (cut short, or not a checkpoint); start anew "
+                "without resume."
+            )
         try:
             with source.open("rb") as file:
                 archive = np.load(file, allow_pickle=False)

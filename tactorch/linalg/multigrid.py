@@ -29,6 +29,7 @@ class Multigrid:
     """
 
     name = "multigrid"
+    direct = False
 
     def __init__(
         self,

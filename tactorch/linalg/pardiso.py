@@ -92,6 +92,7 @@ class Pardiso:
     """
 
     name = "pardiso"
+    direct = True
 
     def __init__(self, pattern: SymmetricPattern) -> None:
         """Analyse the pattern (fill-reducing order and symbolic factorisation)."""

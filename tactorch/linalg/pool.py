@@ -17,6 +17,7 @@ class Lease:
     def __init__(self, solver: Solver, pool: "SolverPool") -> None:
         """Take over `solver`; used by `SolverPool.lease`."""
         self._solver = solver
+        self.direct = solver.direct
         self.close = weakref.finalize(self, pool._take_back, solver)
 
     def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:

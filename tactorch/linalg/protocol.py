@@ -39,6 +39,7 @@ class Solver(Factored, Protocol):
 
     name: str
     pattern: SymmetricPattern
+    direct: bool  # whether a solve is cheap beside a factorisation
 
     def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
         """Factor the matrix with these upper-triangle values."""

@@ -17,6 +17,7 @@ class SuperLU:
     """
 
     name = "superlu"
+    direct = True
 
     def __init__(self, pattern: SymmetricPattern) -> None:
         """Compute the fill-reducing order once."""

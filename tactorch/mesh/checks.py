@@ -26,6 +26,7 @@ def as_points(points: Rows, what: str = "points") -> Float[np.ndarray, "n 3"]:
     if bad.size:
         raise MeshError(
             f"{what} hold NaN or infinite coordinates in {listing(bad, len(array), 'rows')}."
+            " Repair them, or mesh the shape again."
         )
     return array
 

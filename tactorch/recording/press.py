@@ -149,7 +149,7 @@ class Press:
 
     def _check_observed(self) -> None:
         if not self.observed.any():
-            raise RecordingError(f"{self._of('observed')} is empty; a press must measure something")
+            raise RecordingError(f"{self._of('observed')} is empty; mark what was measured")
         if not self.data.any():
             raise RecordingError(
                 f"{self._of('observed')} names only degrees of freedom that are fixed, which tell "

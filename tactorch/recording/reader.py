@@ -159,7 +159,9 @@ class Reader:
         )
         if not fits:
             wanted = ", ".join("any" if size is None else str(size) for size in want)
-            raise self._error(f"dataset '{name}' has shape {have}; ({wanted}) is needed")
+            raise self._error(
+                f"dataset '{name}' has shape {have}; ({wanted}) is needed. Is it of another mesh?"
+            )
 
     def _text(self, name: str) -> str:
         value = self._values(name, self._dataset(name))

@@ -1,12 +1,14 @@
 """The compiled kernels against the plain torch reference and its autograd."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 import torch
 
 from tactorch.fem import ELEMENTS, MATERIALS, Discretisation, make_element, make_material, reference
 from tactorch.fem.assembly import Assembly
-from tactorch.fem.materials import LinearElastic
+from tactorch.fem.materials import Distortion, IsotropicMaterial, LinearElastic
 from tactorch.mesh import TetMesh
 
 
@@ -201,3 +203,40 @@ def test_material_parameters_reach_the_kernels(cell):
     ]
     full, half = (a.respond(u).energy for a in made)
     assert np.all(full > half)
+
+
+@dataclass(frozen=True)
+class EveryDerivative(IsotropicMaterial):
+    """A made-up energy of which no derivative vanishes: the built-in materials leave some zero."""
+
+    def distortion(self, i1, i2, j, log_j, poisson):
+        a, b, c = i1 - 3.0, i2 - 3.0, j - 1.0
+        return Distortion(
+            psi=0.1 * a + 0.2 * b + a * b + 0.5 * b * b + a * c + b * c + 0.3 * a * a,
+            d1=0.1 + b + c + 0.6 * a,
+            d2=0.2 + a + b + c,
+            dj=a + b,
+            d11=0.6,
+            d12=1.0,
+            d1j=1.0,
+            d22=1.0,
+            d2j=1.0,
+            djj=0.0 * j,
+        )
+
+
+def test_every_derivative_reaches_the_tangent(cell, element):
+    d = cell("neo_hookean", element).body.discretisation
+    assembly = Assembly(d, EveryDerivative(0.4), 0.4, d.mesh.points)
+    u = 0.05 * np.random.default_rng(3).standard_normal((d.n_nodes, 3))
+    youngs = np.linspace(0.5, 2.0, d.mesh.n_tets)
+    e, field = torch.from_numpy(youngs), torch.from_numpy(u).requires_grad_(True)
+    response = assembly.respond(u)
+    (force,) = torch.autograd.grad((energies(assembly, field) * e).sum(), field)
+    np.testing.assert_allclose(
+        assembly.internal_force(response, youngs), force.numpy(), rtol=1e-11, atol=1e-13
+    )
+    hessian = torch.func.hessian(lambda x: (energies(assembly, x) * e).sum())(torch.from_numpy(u))
+    expected = hessian.numpy().reshape(d.pattern.size, -1)
+    tangent = d.pattern.full(assembly.tangent(response, youngs)).toarray()
+    np.testing.assert_allclose(tangent, expected, rtol=0, atol=1e-11 * np.abs(expected).max())

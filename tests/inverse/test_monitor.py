@@ -78,7 +78,7 @@ def test_an_interrupted_run_goes_on(
     fail_evaluation(8, KeyboardInterrupt())
     first = invert(noisy, Settings(optimizer=make_optimizer(name)), checkpoint=path)
     assert first.stop_reason == "interrupted"
-    limit = {"max_evaluations": 40} if name == "tnc" else {"max_iterations": 20}
+    limit = {"max_evaluations": 40} if name == "tnc" else {"max_iterations": 10}
     second = invert(noisy, Settings(optimizer=make_optimizer(name, **limit)), resume=path)
     assert second.history[: len(first.history)] == first.history
     assert second.misfit_mm2 < first.misfit_mm2
@@ -151,6 +151,29 @@ def test_no_time_gives_the_start_back(noisy: Recording, name: str) -> None:
     found = invert(noisy, Settings(optimizer=make_optimizer(name), max_seconds=0.0), start_mpa=0.3)
     assert (found.stop_reason, found.iterations) == ("time limit reached", 0)
     np.testing.assert_allclose(found.youngs, 0.3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_time_is_watched_within_an_iteration(
+    noisy: Recording, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Line searches and rejected steps solve all presses too."""
+    from tactorch.inverse.problem import Evaluation
+
+    objective, monitor = make_objective(noisy, Settings()), Monitor(max_seconds=1e6)
+    evaluate = InverseProblem.evaluate
+
+    def age(self: InverseProblem, youngs: np.ndarray, near: Evaluation | None = None) -> Any:
+        monitor._spent += 3e5
+        if monitor.iteration == 1:
+            raise ConvergenceError("collapsed")
+        return evaluate(self, youngs, near)
+
+    monkeypatch.setattr(InverseProblem, "evaluate", age)
+    start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
+    with pytest.raises(OutOfTime):
+        make_optimizer(name).minimize(objective, start, monitor)
+    assert monitor._spent <= 1.3e6
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -36,6 +36,9 @@ def test_gradient_is_the_finite_difference_of_the_value(
     h = 1e-6
     plus, minus = (objective.at(x + s * h * direction).value(WEIGHT) for s in (1, -1))
     assert gradient @ direction == pytest.approx((plus - minus) / (2 * h), rel=1e-5)
+    inner = (objective.at(x + s * h * direction).penalty for s in (1, -1))
+    expected = (next(inner) - next(inner)) / (2 * h)
+    assert point.penalty_gradient @ direction == pytest.approx(expected, rel=1e-6)
     np.testing.assert_allclose(
         point.jacobian.T @ point.evaluation.residuals, point.data_gradient, rtol=1e-7
     )

@@ -16,6 +16,7 @@ from tactorch.inverse import (
     Bounds,
     GaussNewton,
     InverseProblem,
+    Monitor,
     NoiseModel,
     Optimizer,
     Reconstruction,
@@ -33,7 +34,7 @@ Make = Callable[..., Recording]
 SHORT: dict[str, dict[str, int]] = {
     "gauss_newton": {"max_iterations": 8},
     "tnc": {"max_evaluations": 40},
-    "lbfgs": {"max_iterations": 20},
+    "lbfgs": {"max_iterations": 12},
 }
 NAMES = sorted(OPTIMIZERS)
 
@@ -106,8 +107,11 @@ def test_more_weight_makes_a_flatter_map(recording: Recording, name: str) -> Non
     assert flat.misfit_mm2 > rough.misfit_mm2
 
 
-@pytest.mark.parametrize("parameterization", sorted(PARAMETERIZATIONS))
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("name", "parameterization"),
+    [(name, p) for name in ("gauss_newton", "tnc") for p in sorted(PARAMETERIZATIONS)]
+    + [("lbfgs", "identity")],
+)
 def test_every_parameterization_works(
     recording: Recording, name: str, parameterization: str
 ) -> None:
@@ -188,7 +192,7 @@ def test_noise_is_not_fitted(make_cube: Make, seed: int) -> None:
 def test_understated_noise_is_said_so(make_tiny: Make) -> None:
     noisy = make_tiny(faces=("z+", "x+", "y-"), snr_db=20.0)
     presses = tuple(replace(press, noise_mm=None) for press in noisy.presses)
-    optimizer = GaussNewton(max_iterations=300)
+    optimizer = GaussNewton(max_iterations=100)
     found = invert(replace(noisy, presses=presses), Settings(optimizer=optimizer))
     assert found.history[-1]["chi2"] > 10.0
     assert "fitted to their noise" not in found.stop_reason or "larger" in found.stop_reason
@@ -220,6 +224,20 @@ def test_maps_without_equilibrium_are_stepped_back_from(
     fail_evaluation(4, ConvergenceError("collapsed"))
     found = run(recording, name)
     assert found.misfit_mm2 < 0.1 * found.history[0]["misfit"]
+    assert "collapsed" not in found.stop_reason
+    assert found.iterations > 4
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_parameters_stay_in_their_limits(recording: Recording, name: str) -> None:
+    """Not the moduli alone, which are cut to the bounds in any case."""
+    objective = make_objective(recording, Settings(bounds=Bounds(0.19, 0.34)))
+    monitor = Monitor()
+    start = np.full(recording.mesh.n_tets, np.log(0.25))
+    make_optimizer(name, weight=0.0, **SHORT[name]).minimize(objective, start, monitor)
+    low, high = objective.parameterization.limits
+    assert monitor.best is not None
+    assert low <= monitor.best.min() < monitor.best.max() == high
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -257,11 +275,11 @@ def test_the_lowest_point_seen_is_the_result(
 
 
 def test_lbfgs_lowers_the_weight_in_stages(recording: Recording) -> None:
-    optimizer = LBFGS(max_iterations=30, stage_iterations=5)
+    optimizer = LBFGS(max_iterations=12, stage_iterations=3)
     found = invert(recording, Settings(optimizer=optimizer))
     weight = series(found, "weight")
     assert (np.diff(weight) <= 0).all()
-    assert len(np.unique(weight)) >= 4
+    assert len(np.unique(weight)) == 4
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,7 @@ class GaussNewton:
         while monitor.iteration < self.max_iterations:
             weight = cooling.weight
             settled = cooling.fixed or bool(cooling.ended)
-            trial = self._step(objective, point, weight, damping, not settled)
+            trial = self._step(point, weight, damping, not settled, monitor)
             if trial is None:
                 return "no step lowers the objective any more"
             after, damping = trial
@@ -100,10 +100,10 @@ class GaussNewton:
         )
 
     def _step(
-        self, objective: Objective, point: Point, weight: float, damping: float, cooling: bool
+        self, point: Point, weight: float, damping: float, cooling: bool, monitor: Monitor
     ) -> tuple[Point, float] | None:
         """Try steps, damping more each time, until one is good enough."""
-        limits = objective.parameterization.limits
+        limits = point.objective.parameterization.limits
         gradient = point.jacobian.T @ point.evaluation.residuals + weight * point.penalty_gradient
         free = projected_gradient(point.x, gradient, limits) != 0.0
         if not free.any():
@@ -114,13 +114,14 @@ class GaussNewton:
             shift = damping * diagonal[free]
             change = self._solve(point, gradient, free, weight, shift)
             if change is not None:
-                trial = self._try(objective, point, change)
+                trial = self._try(point, change)
                 if trial is not None:
                     ratio = self._gain(point, trial, gradient, weight)
                     lead = trial.evaluation.chi2 / point.evaluation.chi2
                     if ratio > 0 or (cooling and lead < _LEEWAY):
                         return trial, _next_damping(damping, ratio)
             damping = 10.0 * max(damping, _LEAST_RAISED)
+            monitor.check_time()
         return None
 
     def _solve(
@@ -140,8 +141,9 @@ class GaussNewton:
         return change
 
     @staticmethod
-    def _try(objective: Objective, point: Point, change: np.ndarray) -> Point | None:
+    def _try(point: Point, change: np.ndarray) -> Point | None:
         """Evaluate a step cut to the bounds; None where some press finds no equilibrium."""
+        objective = point.objective
         cap = objective.parameterization.max_step
         x = np.clip(point.x + np.clip(change, -cap, cap), *objective.parameterization.limits)
         try:

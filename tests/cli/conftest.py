@@ -1,0 +1,143 @@
+"""Running the command in this process, and small input for it."""
+
+import logging
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+
+TABLE: list[tuple[str, str]] = []
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--bad-input-table",
+        action="store_true",
+        help="print what tests/cli/test_bad_input.py gave and what was answered, as Markdown",
+    )
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if not terminalreporter.config.getoption("--bad-input-table", default=False):
+        return
+    terminalreporter.write_line("| input | message |")
+    terminalreporter.write_line("|---|---|")
+    for given, answered in TABLE:
+        cells = (text.replace("|", "\\|") for text in (given, answered))
+        terminalreporter.write_line(f"| {' | '.join(cells)} |")
+
+
+@pytest.fixture
+def table() -> list[tuple[str, str]]:
+    """Rows of wrong input and the message it gets."""
+    return TABLE
+
+
+@dataclass
+class Outcome:
+    """How a command ended."""
+
+    status: int
+    out: str
+    err: str
+
+
+Command = Callable[..., Outcome]
+
+
+@pytest.fixture
+def tactorch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Command]:
+    """Return the command, run in this process in an empty folder."""
+    from tactorch.cli import main
+
+    # Hydra composes the settings a first time only to look for hydra.mode, which none sets here.
+    monkeypatch.setattr("hydra._internal.hydra.Hydra.get_mode", lambda *_, **__: None)
+    folder = tmp_path / "cwd"
+    folder.mkdir(exist_ok=True)
+    monkeypatch.chdir(folder)
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+
+    def run(*arguments: str | Path) -> Outcome:
+        capsys.readouterr()
+        status = 0
+        try:
+            main([str(word) for word in arguments])
+        except SystemExit as end:
+            status = int(end.code or 0)
+        finally:
+            for handler in set(root.handlers) - set(handlers):
+                handler.close()
+            root.handlers[:], root.level = handlers, level
+            HydraConfig.instance().cfg = None
+        assert not GlobalHydra.instance().is_initialized()
+        return Outcome(status, *capsys.readouterr())
+
+    yield run
+
+
+@pytest.fixture(scope="session")
+def recording_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of two presses on a cube of 40 tetrahedra."""
+    from tactorch.mesh import box_mesh
+    from tactorch.phantoms import make_phantom
+    from tactorch.recording import MaterialSpec
+    from tactorch.simulation import PressPlan, simulate
+
+    recording = simulate(
+        make_phantom("cube_sphere", radius=0.3),
+        PressPlan(("z+", "x+"), (0.01,)),
+        mesh=box_mesh(10.0, 2, tets_per_cell=5),
+        material=MaterialSpec("neo_hookean", 0.49, {"lame_factor": 0.5}),
+        samples=4,
+    )
+    path = tmp_path_factory.mktemp("recording") / "case.h5"
+    recording.save(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def published_folder(recording_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the same case in the published text format."""
+    from tactorch.mesh import TetMesh, write_mesh
+    from tactorch.recording import Recording
+
+    recording = Recording.load(recording_file)
+    mesh = recording.mesh
+    folder = tmp_path_factory.mktemp("published") / "cube"
+    (folder / "presses").mkdir(parents=True)
+    write_mesh(folder / "mesh.msh", TetMesh(mesh.points * 1e-3, mesh.tets))
+    assert recording.truth is not None
+    np.savetxt(folder / "youngs_true.txt", recording.truth * 1e6)
+    for number, press in enumerate(recording.presses, start=1):
+        moved = np.where(press.observed, press.displacement, 0.0)
+        presses = folder / "presses"
+        np.savetxt(presses / f"force{number}.txt", press.forces.ravel())
+        np.savetxt(presses / f"pnt{number}.txt", (mesh.points + moved).ravel() * 1e-3, fmt="%.17g")
+        _write_diagonal(presses / f"A-{number}.txt", press.springs.ravel() * 1e3)
+        _write_diagonal(presses / f"B-{number}.txt", press.observed.ravel().astype(float))
+    return folder
+
+
+def _write_diagonal(path: Path, values: np.ndarray) -> None:
+    rows = np.flatnonzero(values)
+    np.savetxt(path, np.column_stack((rows, rows, values[rows])), fmt=("%d", "%d", "%.17g"))
+
+
+@pytest.fixture
+def published(published_folder: Path, tmp_path: Path) -> Path:
+    """Return a copy of the published case to spoil."""
+    return Path(shutil.copytree(published_folder, tmp_path / "case"))
+
+
+@pytest.fixture
+def recording(recording_file: Path, tmp_path: Path) -> Path:
+    """Return a copy of the recording to spoil."""
+    return Path(shutil.copy2(recording_file, tmp_path / "case.h5"))

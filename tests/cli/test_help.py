@@ -1,0 +1,146 @@
+"""What a new user meets: usage, help, typing errors; and that it comes at once."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactorch.cli import VERBS
+from tactorch.cli.catalog import Catalog
+from tactorch.cli.kinds import KINDS
+
+
+def test_usage_names_every_command(tactorch: Any) -> None:
+    for arguments in ((), ("--help",)):
+        done = tactorch(*arguments)
+        assert done.status == 0
+        assert all(f"tactorch {verb}" in done.out for verb in VERBS)
+
+
+def test_versions_are_told(tactorch: Any) -> None:
+    out = tactorch("--version").out
+    assert "tactorch" in out
+    assert "torch" in out
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_teaches(tactorch: Any, verb: str) -> None:
+    done = tactorch(verb, "--help")
+    assert done.status == 0
+    catalog = Catalog(verb)
+    for name in catalog.settings:
+        assert f"  {name}:" in done.out
+    for group, chosen in catalog.defaults.items():
+        for option in catalog.options(group):
+            assert f" {option}" in done.out
+        assert chosen is None or f"* {chosen}" in done.out
+    assert "hydra:" not in done.out
+    assert max(map(len, done.out.splitlines())) <= 110
+
+
+def test_help_follows_the_chosen_option(tactorch: Any) -> None:
+    out = tactorch("invert", "optimizer=tnc", "--help").out
+    assert "max_evaluations" in out
+    assert "* scaled" in out  # which this optimizer chooses
+    assert not Path("outputs").exists()
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_option_says_what_it_is(verb: str) -> None:
+    catalog = Catalog(verb)
+    for group in catalog.defaults:
+        for option in catalog.options(group):
+            assert len(catalog.about(group, option)) > 10, (group, option)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_kind_of_every_setting_is_known(verb: str) -> None:
+    catalog = Catalog(verb)
+    tables = {"bounds", "noise", *catalog.defaults}
+    keys = set(catalog.settings)
+    for group in catalog.defaults:
+        for option in catalog.options(group):
+            keys |= set(catalog.keys({group: option}))
+    leaves = {key.split(".")[-1] for key in keys if ".parameters." not in key}
+    assert leaves - tables <= set(KINDS)
+
+
+def test_optimizer_of_the_paper_brings_its_own_choices(tactorch: Any) -> None:
+    for choice in ("optimizer=tnc", "experiment=paper"):
+        out = tactorch("invert", "recording=x.h5", choice, "--cfg", "job").out
+        assert "parameterization:\n  name: scaled" in out
+        assert "regularization:\n  name: none" in out
+    out = tactorch("invert", "recording=x", "optimizer=tnc", "parameterization=log", "--cfg", "job")
+    assert "parameterization:\n  name: log" in out.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("simlate",), ("'simlate' is not a command", "Did you mean 'simulate'?")),
+        (("simulate", "phantm=x"), ("unknown setting 'phantm'", "'phantom'?", "--help")),
+        (("simulate", "phantom.raduis=1"), ("'phantom.raduis'", "Did you mean 'phantom.radius'?")),
+        (("simulate", "steps=3"), ("'steps'", "Did you mean 'press.steps'?")),
+        (("simulate", "+sed=3"), ("unknown setting 'sed'", "'seed'?")),
+        (("simulate", "phantom=cube_box", "phantom.depth=1"), ("cube_box: center, size",)),
+        (("simulate", "phantom=cube_spere"), ("cube_spere is unknown", "Did you mean 'cube_sphe")),
+        (("simulate", "seed"), ("'seed' is not a setting", "KEY=VALUE")),
+        (("simulate", "seed=1,2"), ("several values", "add -m")),
+        (("simulate", "out=a (1).h5"), ("cannot be read", "\"out='a (1).h5'\"")),
+        (("simulate", "snr_db=${nothing}"), ("refers to what is not there", "nothing")),
+        (("simulate", "--config-name", "nothing"), ("nothing",)),
+        (("invert", "-m", "resume=x"), ("leave out -m",)),
+    ],
+)
+def test_mistyped_command_gets_one_line(
+    tactorch: Any, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    done = tactorch(*arguments)
+    assert done.status == 2
+    assert done.err.startswith("tactorch")
+    assert len(done.err.splitlines()) == 1
+    for word in words:
+        assert word in done.err
+
+
+def test_nothing_is_left_of_a_command_that_did_not_begin(tactorch: Any) -> None:
+    tactorch("simulate", "phantm=x")
+    tactorch("simulate", "--help")
+    assert not list(Path().iterdir())
+
+
+def test_help_and_typing_errors_do_not_wait_for_torch() -> None:
+    code = (
+        "import sys\n"
+        "from tactorch.cli import main\n"
+        "for words in (['invert', '--help'], ['invert', 'recrding=x'], ['invert']):\n"
+        "    try: main(words)\n"
+        "    except SystemExit: pass\n"
+        "    heavy = {'torch', 'numpy', 'scipy', 'h5py', 'matplotlib'} & set(sys.modules)\n"
+        "    assert not heavy, (words, heavy)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, cwd="/"
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_module_is_the_command(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tactorch", "invert"],
+        capture_output=True, text=True, timeout=60, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "recording=..." in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
+    command = f"{sys.executable} -m tactorch demo --help | head -1"
+    done = subprocess.run(
+        command, shell=True, capture_output=True, text=True, timeout=60, cwd=tmp_path
+    )
+    assert done.stdout.startswith("tactorch demo")
+    assert done.stderr == ""

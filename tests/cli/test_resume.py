@@ -1,0 +1,91 @@
+"""Going on where a run ended: by itself, by Ctrl-C, by its iteration limit."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactorch.inverse import Monitor, Reconstruction
+
+RUN = ("plots=false", "run_dir=run", "regularization.weight=5", "optimizer.tolerance=1e-9")
+
+
+def load(folder: str = "run") -> Reconstruction:
+    return Reconstruction.load(Path(folder, "reconstruction.h5"))
+
+
+def test_resumed_run_equals_one_that_was_never_stopped(tactorch: Any, recording: Path) -> None:
+    start = ("invert", f"recording={recording}", *RUN)
+    assert tactorch(*start, "optimizer.max_iterations=2").status == 0
+    assert load().iterations == 2
+    done = tactorch("invert", "resume=run", "optimizer.max_iterations=4")
+    assert done.status == 0, done.err
+    resumed = load()
+    assert tactorch(*start, "run_dir=whole", "optimizer.max_iterations=4").status == 0
+    whole = load("whole")
+    assert resumed.iterations == whole.iterations == 4
+    np.testing.assert_allclose(resumed.youngs, whole.youngs, rtol=1e-9)
+    misfits = [[record["misfit"] for record in run.history] for run in (resumed, whole)]
+    np.testing.assert_allclose(*misfits, rtol=1e-6)
+
+
+def test_resume_repeats_the_settings_of_the_run(tactorch: Any, recording: Path) -> None:
+    tactorch(
+        "invert", f"recording={recording}", "run_dir=run", "plots=false", "optimizer=lbfgs",
+        "optimizer.max_iterations=2",
+    )  # fmt: skip
+    done = tactorch("invert", "resume=run", "optimizer.max_iterations=3", "run_dir=further")
+    assert done.status == 0, done.err
+    further = load("further")
+    assert further.config["optimizer"]["name"] == "lbfgs"
+    assert further.iterations == 3
+    assert load().iterations == 2
+
+
+def test_finished_run_can_be_resumed(tactorch: Any, recording: Path) -> None:
+    tactorch("invert", f"recording={recording}", *RUN, "optimizer.max_iterations=2")
+    before = load()
+    done = tactorch("invert", "resume=run")
+    assert done.status == 0, done.err
+    again = tactorch("invert", "resume=run", "optimizer.max_iterations=2")
+    assert again.status == 0, again.err
+    assert load().misfit_mm2 <= before.misfit_mm2
+
+
+def test_resume_finds_a_recording_given_relative_to_another_folder(
+    tactorch: Any, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("case.h5").write_bytes(recording.read_bytes())
+    tactorch("invert", "recording=case.h5", *RUN, "optimizer.max_iterations=1")
+    Path("deeper").mkdir()
+    monkeypatch.chdir("deeper")
+    done = tactorch("invert", "resume=../run", "optimizer.max_iterations=2")
+    assert done.status == 0, done.err
+    assert load("../run").iterations == 2
+
+
+def test_interruption_writes_the_best_map_and_says_so(
+    tactorch: Any, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    accept = Monitor.accept
+
+    def interrupted(self: Monitor, *arguments: Any, **record: float) -> None:
+        accept(self, *arguments, **record)
+        if self.iteration == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Monitor, "accept", interrupted)
+    done = tactorch("invert", f"recording={recording}", *RUN)
+    assert done.status == 130
+    assert "interrupted" in done.err
+    assert load().stop_reason == "interrupted"
+    assert load().iterations == 1
+
+
+def test_demo_resumes_too(tactorch: Any, published: Path) -> None:
+    case = ("source=published", f"path={published}")
+    assert tactorch("demo", *case, *RUN, "optimizer.max_iterations=1").status == 0
+    done = tactorch("demo", "resume=run", "optimizer.max_iterations=2")
+    assert done.status == 0, done.err
+    assert load().iterations == 2
