@@ -1,6 +1,7 @@
 """One command as a Hydra app, whose every error is one message on standard error."""
 
 import importlib
+import importlib.util
 import logging
 import os
 import sys
@@ -8,6 +9,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from tactorch.cli.catalog import PACKAGE, Catalog, conf_folder
@@ -85,8 +87,7 @@ class App:
             check_settings(cfg, Catalog(self.verb), self.settings)
             self._check_output(cfg.get("out"))
             with _plain_warnings(), _no_lines_in_the_bar():
-                module = importlib.import_module(f"tactorch.cli.{_MODULES.get(self.verb, self.verb)}")
-                return module.run(cfg)
+                return _module(self.verb).run(cfg)
         except TactorchError as error:
             self._complain(str(error))
         except OSError as error:
@@ -129,10 +130,15 @@ def _say(message: str, verb: str) -> None:
     print(f"tactorch {verb}".rstrip() + f": error: {' '.join(message.split())}", file=sys.stderr)
 
 
+def _module(verb: str) -> ModuleType:
+    """Import a command's module, and with it all that makes a start slow."""
+    return importlib.import_module(f"tactorch.cli.{_MODULES.get(verb, verb)}")
+
+
 def _conf() -> str:
     """The settings' place as Hydra wants it."""
-    folder = conf_folder()
-    return f"pkg://{PACKAGE}" if importlib.util.find_spec(PACKAGE) is not None else os.fspath(folder)
+    installed = importlib.util.find_spec(PACKAGE) is not None
+    return f"pkg://{PACKAGE}" if installed else os.fspath(conf_folder())
 
 
 @contextmanager

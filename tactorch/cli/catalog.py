@@ -18,11 +18,11 @@ def conf_folder() -> Path:
         FileError: they are in neither place.
     """
     spec = importlib.util.find_spec(PACKAGE)
-    places = list(spec.submodule_search_locations or []) if spec is not None else []
+    places = [] if spec is None else [Path(p) for p in spec.submodule_search_locations or ()]
     for place in (*places, Path(__file__).resolve().parents[2] / "conf"):
-        if (Path(place) / "invert.yaml").is_file():
-            return Path(place)
-    raise FileError(f"the settings ({PACKAGE}) are not installed; install with pip install tactorch.")
+        if (place / "invert.yaml").is_file():
+            return place
+    raise FileError(f"the settings ({PACKAGE}) are not installed; pip install tactorch anew.")
 
 
 class Catalog:

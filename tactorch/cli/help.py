@@ -15,7 +15,7 @@ A path with spaces, commas, = or brackets needs quotes of its own: "path='a (1).
 
 
 def help_text(verb: str, given: Sequence[str] = ()) -> str:
-    """Return the help of a command; `given` options show their settings instead of the default's."""
+    """Return the help of a command; where options are `given`, their settings are shown."""
     catalog = Catalog(verb)
     choices = {g: o for g, o in catalog.choices(given).items() if o in (None, *catalog.options(g))}
     parts = [

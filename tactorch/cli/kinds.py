@@ -54,38 +54,31 @@ _NUMBERS = Kind(
 _RELABELLING = Kind("a table of moduli: {OLD: NEW}", _is_relabelling)
 
 # By the last part of a setting's name, which means the same wherever it stands.
-KINDS: dict[str, Kind] = {
-    **dict.fromkeys(
-        "start_mpa lower upper relative tolerance damping ftol gtol edge relative_edge_length "
-        "poisson lame_factor p_max_mpa spring_n_per_mm depth radius height side_mm diameter_mm "
-        "height_mm youngs_mpa inclusion_mpa".split(),
-        _NUMBER,
-    ),
-    **dict.fromkeys(
-        "seed samples steps max_iterations max_evaluations stage_iterations memory "
-        "max_trials".split(),
-        _WHOLE,
-    ),
-    **dict.fromkeys("name element generator hold space source".split(), _TEXT),
-    **dict.fromkeys("path out recording run run_dir resume".split(), _PATH),
-    **dict.fromkeys("center size radii axis".split(), _POINT),
-    **dict.fromkeys(("plots", "check_units"), _FLAG),
-    "compare": _PATHS,
-    "faces": _NAMES,
-    "patch_centers_mm": _POINTS,
-    "parameters": _NUMBERS,
-    "relabel_truth": _RELABELLING,
+_NAMES_OF: dict[Kind, str] = {
+    _NUMBER: """
+        start_mpa lower upper relative mm max_seconds snr_db weight edge tolerance damping ftol gtol
+        poisson lame_factor noise_mm round_rest_m p_max_mpa spring_n_per_mm patch_radius_mm
+        relative_edge_length edge_length_mm fine_edge_length_mm fine_relative
+        depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
+    """,
+    _WHOLE: "seed samples steps max_iterations max_evaluations stage_iterations memory max_trials",
+    _TEXT: "name element generator hold space source",
+    _PATH: "path out recording run run_dir resume",
+    _POINT: "center size radii axis",
+    _FLAG: "plots check_units",
+    _PATHS: "compare",
+    _NAMES: "faces",
+    _POINTS: "patch_centers_mm",
+    _NUMBERS: "parameters",
+    _RELABELLING: "relabel_truth",
 }
-KINDS |= dict.fromkeys(
-    "mm max_seconds snr_db weight edge_length_mm fine_edge_length_mm fine_relative "
-    "patch_radius_mm noise_mm round_rest_m".split(),
-    _NUMBER,
-)
+KINDS = {name: kind for kind, names in _NAMES_OF.items() for name in names.split()}
 # Settings that may be null: not given, not wanted, or found by the program.
-OPTIONAL = frozenset(
-    "mm max_seconds snr_db weight edge_length_mm fine_edge_length_mm fine_relative noise_mm "
-    "patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume".split()
-)
+_OPTIONAL = """
+    mm max_seconds snr_db weight edge_length_mm fine_edge_length_mm fine_relative noise_mm
+    patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume
+"""
+OPTIONAL = frozenset(_OPTIONAL.split())
 
 
 def check_settings(cfg: DictConfig, catalog: Catalog, given: list[str]) -> None:

@@ -127,8 +127,8 @@ class Monitor:
         source = require_file(path, "checkpoint")
         if not is_zipfile(source):
             raise FileError(
-                f"checkpoint '{source}' cannot be read (cut short, or not a checkpoint); start anew "
-                "without resume."
+                f"checkpoint '{source}' cannot be read (cut short, or not a checkpoint); start "
+                "anew without resume."
             )
         try:
             with source.open("rb") as file:

@@ -63,8 +63,8 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
         if bad.size and not drop_unreferenced:
             raise MeshError(
                 f"no tetrahedron uses {listing(bad, len(points), 'nodes')}."
-                " Remove them from the file, or read it with drop_unreferenced=True, which renumbers"
-                " the others."
+                " Remove them from the file, or read it with drop_unreferenced=True, which"
+                " renumbers the others."
             )
         if bad.size:
             points, tets, _ = compact(points, tets)

@@ -2,7 +2,7 @@
 
 import logging
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,37 +50,42 @@ class Outcome:
 Command = Callable[..., Outcome]
 
 
+def run_here(arguments: tuple[str | Path, ...]) -> int:
+    """Run the command in this process, leave no trace in it, and return the exit status."""
+    from tactorch.cli import main
+
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    try:
+        main([str(word) for word in arguments])
+    except SystemExit as end:
+        return int(end.code or 0)
+    finally:
+        for handler in set(root.handlers) - set(handlers):
+            handler.close()
+        root.handlers[:], root.level = handlers, level
+        HydraConfig.instance().cfg = None
+        assert not GlobalHydra.instance().is_initialized()
+    return 0
+
+
 @pytest.fixture
 def tactorch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Iterator[Command]:
+) -> Command:
     """Return the command, run in this process in an empty folder."""
-    from tactorch.cli import main
-
     # Hydra composes the settings a first time only to look for hydra.mode, which none sets here.
     monkeypatch.setattr("hydra._internal.hydra.Hydra.get_mode", lambda *_, **__: None)
     folder = tmp_path / "cwd"
     folder.mkdir(exist_ok=True)
     monkeypatch.chdir(folder)
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
 
     def run(*arguments: str | Path) -> Outcome:
         capsys.readouterr()
-        status = 0
-        try:
-            main([str(word) for word in arguments])
-        except SystemExit as end:
-            status = int(end.code or 0)
-        finally:
-            for handler in set(root.handlers) - set(handlers):
-                handler.close()
-            root.handlers[:], root.level = handlers, level
-            HydraConfig.instance().cfg = None
-        assert not GlobalHydra.instance().is_initialized()
+        status = run_here(arguments)
         return Outcome(status, *capsys.readouterr())
 
-    yield run
+    return run
 
 
 @pytest.fixture(scope="session")
@@ -141,3 +146,12 @@ def published(published_folder: Path, tmp_path: Path) -> Path:
 def recording(recording_file: Path, tmp_path: Path) -> Path:
     """Return a copy of the recording to spoil."""
     return Path(shutil.copy2(recording_file, tmp_path / "case.h5"))
+
+
+@pytest.fixture(scope="session")
+def finished_run(recording_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of an inversion of one iteration."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    quick = ("plots=false", "optimizer.max_iterations=1")
+    assert run_here(("invert", f"recording={recording_file}", f"run_dir={folder}", *quick)) == 0
+    return folder

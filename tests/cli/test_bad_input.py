@@ -119,71 +119,155 @@ def second(change: Callable[[float], object]) -> Callable[[np.ndarray], list[obj
     return lambda x: [x[0], change(x[1]), *x[2:]]
 
 
-FORCE, POSITIONS, SPRINGS, SEEN = (
-    f"presses/{name}1.txt" for name in ("force", "pnt", "A-", "B-")
-)
+FORCE, POSITIONS, SPRINGS, SEEN = (f"presses/{name}1.txt" for name in ("force", "pnt", "A-", "B-"))
 
 
 @cases(
-    Case("mesh file missing", ("mesh.msh' is not a file", "holds: presses"),
-         lambda f: (f / "mesh.msh").unlink()),
-    Case("file of deformed nodes missing", ("press 1 lacks", "pnt1.txt", "add it, or remove"),
-         lambda f: (f / POSITIONS).unlink()),
-    Case("no presses at all", ("presses' holds no press",),
-         lambda f: [p.unlink() for p in (f / "presses").iterdir()]),
+    Case(
+        "mesh file missing",
+        ("mesh.msh' is not a file", "holds: presses"),
+        lambda f: (f / "mesh.msh").unlink(),
+    ),
+    Case(
+        "file of deformed nodes missing",
+        ("press 1 lacks", "pnt1.txt", "add it, or remove"),
+        lambda f: (f / POSITIONS).unlink(),
+    ),
+    Case(
+        "no presses at all",
+        ("presses' holds no press",),
+        lambda f: [p.unlink() for p in (f / "presses").iterdir()],
+    ),
     Case("folder given is a file", ("'case/mesh.msh' is not a folder",), settings=("mesh.msh",)),
-    Case("force file cut short", ("force1.txt' holds 60 numbers", "needs 81", "cut short"),
-         text(FORCE, lambda t: "\n".join(t.splitlines()[:60]))),
-    Case("force on a missing node", ("force1.txt' holds 84 numbers", "each of the 27 nodes"),
-         text(FORCE, lambda t: t + "0\n0\n-1\n")),
-    Case("force NaN", ("force1.txt' line 2", "'nan'", "not a finite number"),
-         numbers(FORCE, second(lambda _: np.nan))),
-    Case("NaN in a deformed position", ("pnt1.txt' line 2", "'nan'", "leave out the press"),
-         numbers(POSITIONS, second(lambda _: np.nan))),
-    Case("text among the numbers", ("pnt1.txt' line 1 has 'x0'",), text(POSITIONS, lambda t: "x" + t)),
-    Case("deformed positions in mm, mesh in m", ("pnt1.txt'", "metres", "convert"),
-         numbers(POSITIONS, lambda x: x * 1e3)),
-    Case("mesh and positions in mm where metres belong", ("mesh.msh' is 17.3 m across", "in metres", "convert"), in_millimetres),
-    Case("forces in mN", ("press '1'", "mN", "Convert to N and mm"),
-         numbers(FORCE, lambda x: x * 1e3)),
-    Case("springs off the diagonal", ("A-1.txt' line 1 is off the diagonal", "only the diagonal"),
-         text(SPRINGS, lambda t: "0 1 1000\n" + t)),
-    Case("spring on a missing node", ("A-1.txt' line 1 names degree of freedom 81", "counted from 1"),
-         text(SPRINGS, lambda t: "81 81 1000\n" + t)),
-    Case("spring given twice", ("A-1.txt' line 2 repeats",),
-         text(SPRINGS, lambda t: t.splitlines()[0] + "\n" + t)),
-    Case("negative spring", ("A-1.txt' line 1 has the negative value -1000",),
-         text(SPRINGS, lambda t: t.replace(" 1000", " -1000", 1))),
-    Case("no fixed nodes", ("press '1'", "nothing holds the object", "Fix more"),
-         text(SPRINGS, lambda t: "")),
-    Case("held in one node only", ("nothing holds the object; it can turn",),
-         text(SPRINGS, lambda t: "\n".join(f"{i} {i} 1000" for i in range(3)))),
+    Case(
+        "force file cut short",
+        ("force1.txt' holds 60 numbers", "needs 81", "cut short"),
+        text(FORCE, lambda t: "\n".join(t.splitlines()[:60])),
+    ),
+    Case(
+        "force on a missing node",
+        ("force1.txt' holds 84 numbers", "each of the 27 nodes"),
+        text(FORCE, lambda t: t + "0\n0\n-1\n"),
+    ),
+    Case(
+        "force NaN",
+        ("force1.txt' line 2", "'nan'", "not a finite number"),
+        numbers(FORCE, second(lambda _: np.nan)),
+    ),
+    Case(
+        "NaN in a deformed position",
+        ("pnt1.txt' line 2", "'nan'", "leave out the press"),
+        numbers(POSITIONS, second(lambda _: np.nan)),
+    ),
+    Case(
+        "text among the numbers", ("pnt1.txt' line 1 has 'x0'",), text(POSITIONS, lambda t: "x" + t)
+    ),
+    Case(
+        "deformed positions in mm, mesh in m",
+        ("pnt1.txt'", "metres", "convert"),
+        numbers(POSITIONS, lambda x: x * 1e3),
+    ),
+    Case(
+        "mesh and positions in mm where metres belong",
+        ("mesh.msh' is 17.3 m across", "in metres", "convert"),
+        in_millimetres,
+    ),
+    Case(
+        "forces in mN",
+        ("press '1'", "mN", "Convert to N and mm"),
+        numbers(FORCE, lambda x: x * 1e3),
+    ),
+    Case(
+        "springs off the diagonal",
+        ("A-1.txt' line 1 is off the diagonal", "only the diagonal"),
+        text(SPRINGS, lambda t: "0 1 1000\n" + t),
+    ),
+    Case(
+        "spring on a missing node",
+        ("A-1.txt' line 1 names degree of freedom 81", "counted from 1"),
+        text(SPRINGS, lambda t: "81 81 1000\n" + t),
+    ),
+    Case(
+        "spring given twice",
+        ("A-1.txt' line 2 repeats",),
+        text(SPRINGS, lambda t: t.splitlines()[0] + "\n" + t),
+    ),
+    Case(
+        "negative spring",
+        ("A-1.txt' line 1 has the negative value -1000",),
+        text(SPRINGS, lambda t: t.replace(" 1000", " -1000", 1)),
+    ),
+    Case(
+        "no fixed nodes",
+        ("press '1'", "nothing holds the object", "Fix more"),
+        text(SPRINGS, lambda t: ""),
+    ),
+    Case(
+        "held in one node only",
+        ("nothing holds the object; it can turn",),
+        text(SPRINGS, lambda t: "\n".join(f"{i} {i} 1000" for i in range(3))),
+    ),
     Case("nothing observed", ("observed is empty",), text(SEEN, lambda t: "")),
-    Case("observed marked by 2", ("B-1.txt' has the value 2", "has the value 1"),
-         text(SEEN, lambda t: t.replace(" 1\n", " 2\n", 1))),
-    Case("mesh in two parts", ("mesh.msh'", "2 disconnected parts", "merge the nodes"), mesh(two_parts)),
+    Case(
+        "observed marked by 2",
+        ("B-1.txt' has the value 2", "has the value 1"),
+        text(SEEN, lambda t: t.replace(" 1\n", " 2\n", 1)),
+    ),
+    Case(
+        "mesh in two parts",
+        ("mesh.msh'", "2 disconnected parts", "merge the nodes"),
+        mesh(two_parts),
+    ),
     Case("flat elements", ("mesh.msh'", "degenerate"), mesh(flat_element)),
-    Case("node of no element", ("mesh.msh'", "no tetrahedron uses 1 of 28 nodes (27)"), mesh(lonely_node)),
+    Case(
+        "node of no element",
+        ("mesh.msh'", "no tetrahedron uses 1 of 28 nodes (27)"),
+        mesh(lonely_node),
+    ),
     Case("NaN in a node", ("mesh.msh'", "finite"), mesh(nan_node)),
-    Case("surface for a mesh", ("mesh.msh'", "no tetrahedra", "tetrahedralize"), mesh(only_surface)),
-    Case("mesh file of another format", ("mesh.msh' cannot be read as gmsh", "its suffix says"),
-         lambda f: (f / "mesh.msh").write_text("solid cube\nendsolid\n")),
-    Case("truth of another mesh", ("youngs_true.txt' holds 39 numbers", "each of the 40"),
-         numbers("youngs_true.txt", lambda x: x[1:])),
-    Case("modulus of zero", ("truth is 0 MPa at element 1", "moduli are above 0"),
-         numbers("youngs_true.txt", second(lambda _: 0.0))),
-    Case("truth in MPa where Pa belongs", ("youngs_true.txt' has a median of 0.36 Pa", "convert from MPa"),
-         numbers("youngs_true.txt", lambda x: x * 1e-6)),
-    Case("Poisson's ratio 0.5", ("poisson is 0.5", "0.49 to 0.499"),
-         settings=("format.poisson=0.5",)),
-    Case("relabelling of a modulus that is not there", ("no element of", "7 MPa", "its moduli are"),
-         settings=("format.relabel_truth={7.0: 1.0}",)),
-    Case("unknown format", ("format=matlab is unknown", "choose one of published"),
-         settings=("format=matlab",)),
-    Case("output below a file", ("cannot write", "a.h5", "choose another place"),
-         settings=("out=case/mesh.msh/a.h5",)),
+    Case(
+        "surface for a mesh", ("mesh.msh'", "no tetrahedra", "tetrahedralize"), mesh(only_surface)
+    ),
+    Case(
+        "mesh file of another format",
+        ("mesh.msh' cannot be read as gmsh", "its suffix says"),
+        lambda f: (f / "mesh.msh").write_text("solid cube\nendsolid\n"),
+    ),
+    Case(
+        "truth of another mesh",
+        ("youngs_true.txt' holds 39 numbers", "each of the 40"),
+        numbers("youngs_true.txt", lambda x: x[1:]),
+    ),
+    Case(
+        "modulus of zero",
+        ("truth is 0 MPa at element 1", "moduli are above 0"),
+        numbers("youngs_true.txt", second(lambda _: 0.0)),
+    ),
+    Case(
+        "truth in MPa where Pa belongs",
+        ("youngs_true.txt' has a median of 0.36 Pa", "convert from MPa"),
+        numbers("youngs_true.txt", lambda x: x * 1e-6),
+    ),
+    Case(
+        "Poisson's ratio 0.5", ("poisson is 0.5", "0.49 to 0.499"), settings=("format.poisson=0.5",)
+    ),
+    Case(
+        "relabelling of a modulus that is not there",
+        ("no element of", "7 MPa", "its moduli are"),
+        settings=("format.relabel_truth={7.0: 1.0}",),
+    ),
+    Case(
+        "unknown format",
+        ("format=matlab is unknown", "choose one of published"),
+        settings=("format=matlab",),
+    ),
+    Case(
+        "output below a file",
+        ("cannot write", "a.h5", "choose another place"),
+        settings=("out=case/mesh.msh/a.h5",),
+    ),
     Case("output is a folder", ("cannot write 'case'", "Is a directory"), settings=("out=case",)),
-)  # fmt: skip
+)
 def test_import_refuses(
     case: Case, tactorch: Any, published: Path, tmp_path: Path, table: list[tuple[str, str]]
 ) -> None:
@@ -251,66 +335,131 @@ ONE = "presses/0000"
 
 @cases(
     Case("recording missing", ("recording not found", "case.h5' is not a file"), Path.unlink),
-    Case("recording not given", ("'recording' is missing", "recording=..."),
-         settings=("recording=???",)),
+    Case(
+        "recording not given",
+        ("'recording' is missing", "recording=..."),
+        settings=("recording=???",),
+    ),
     Case("HDF5 cut short", ("case.h5' is damaged or cut short", "copy it again"), cut),
     Case("not HDF5", ("case.h5' is not an HDF5 file",), text_file),
     Case("HDF5 of another kind", ("not a recording of tactorch", "format None"), other_hdf5),
     Case("newer version", ("version 99", "upgrade tactorch"), attribute("version", 99)),
     Case("other units", ("is in units 'm, N, Pa'", "convert"), attribute("units", "m, N, Pa")),
-    Case("dataset missing", (f"lacks dataset '{ONE}/forces'", "write the recording again"),
-         h5(f"{ONE}/forces", lambda x: None)),
-    Case("arrays of another mesh", (f"'{ONE}/displacement' has shape (26, 3)", "(27, 3) is needed"),
-         h5(f"{ONE}/displacement", lambda x: x[1:])),
-    Case("numbers that are text", ("dtype object", "float64 is needed"),
-         h5(f"{ONE}/forces", lambda x: x.astype(str).astype("S").astype(h5py.string_dtype()))),
-    Case("NaN in an observed displacement", (f"'{ONE}' is not sound", "displacement", "repair or l"),
-         h5(f"{ONE}/displacement", nan_where_seen)),
-    Case("infinite force", (f"'{ONE}' is not sound", "forces holds 81 values"),
-         h5(f"{ONE}/forces", lambda x: x + np.inf)),
-    Case("metres for millimetres in the mesh", ("metres given for millimetres", "by 1000"),
-         h5("mesh/points", lambda x: x * 1e-3)),
-    Case("metres for millimetres in the displacement",
-         ("no displacement exceeds", "metres given for millimetres", "Multiply displacements"),
-         lambda path: [h5(f"presses/000{i}/displacement", lambda x: x * 1e-3)(path) for i in (0, 1)]),
-    Case("micrometres for millimetres in the displacement",
-         ("more than the whole object", "micrometres given for millimetres"),
-         h5(f"{ONE}/displacement", lambda x: x * 1e3)),
+    Case(
+        "dataset missing",
+        (f"lacks dataset '{ONE}/forces'", "write the recording again"),
+        h5(f"{ONE}/forces", lambda x: None),
+    ),
+    Case(
+        "arrays of another mesh",
+        (f"'{ONE}/displacement' has shape (26, 3)", "(27, 3) is needed"),
+        h5(f"{ONE}/displacement", lambda x: x[1:]),
+    ),
+    Case(
+        "numbers that are text",
+        ("dtype object", "float64 is needed"),
+        h5(f"{ONE}/forces", lambda x: x.astype(str).astype("S").astype(h5py.string_dtype())),
+    ),
+    Case(
+        "NaN in an observed displacement",
+        (f"'{ONE}' is not sound", "displacement", "repair or l"),
+        h5(f"{ONE}/displacement", nan_where_seen),
+    ),
+    Case(
+        "infinite force",
+        (f"'{ONE}' is not sound", "forces holds 81 values"),
+        h5(f"{ONE}/forces", lambda x: x + np.inf),
+    ),
+    Case(
+        "metres for millimetres in the mesh",
+        ("metres given for millimetres", "by 1000"),
+        h5("mesh/points", lambda x: x * 1e-3),
+    ),
+    Case(
+        "metres for millimetres in the displacement",
+        ("no displacement exceeds", "metres given for millimetres", "Multiply displacements"),
+        lambda path: [h5(f"presses/000{i}/displacement", lambda x: x * 1e-3)(path) for i in (0, 1)],
+    ),
+    Case(
+        "micrometres for millimetres in the displacement",
+        ("more than the whole object", "micrometres given for millimetres"),
+        h5(f"{ONE}/displacement", lambda x: x * 1e3),
+    ),
     Case("inverted element", ("'mesh' is not a sound mesh", "inverted"), h5("mesh/tets", swapped)),
-    Case("element of a missing node", ("'mesh' is not a sound mesh", "outside 0..26"),
-         h5("mesh/tets", lambda x: np.where(x == 26, 27, x))),
-    Case("truth in kPa", ("truth: its median is 360 MPa", "kPa given for MPa"),
-         h5("truth", lambda x: x * 1e3)),
-    Case("no force in a press", ("forces are all 0", "leave the press out"),
-         h5(f"{ONE}/forces", lambda x: x * 0)),
-    Case("Poisson's ratio 0.5 in the file", ("poisson is 0.5",), attribute("poisson", 0.5, "material")),
+    Case(
+        "element of a missing node",
+        ("'mesh' is not a sound mesh", "outside 0..26"),
+        h5("mesh/tets", lambda x: np.where(x == 26, 27, x)),
+    ),
+    Case(
+        "truth in kPa",
+        ("truth: its median is 360 MPa", "kPa given for MPa"),
+        h5("truth", lambda x: x * 1e3),
+    ),
+    Case(
+        "no force in a press",
+        ("forces are all 0", "leave the press out"),
+        h5(f"{ONE}/forces", lambda x: x * 0),
+    ),
+    Case(
+        "Poisson's ratio 0.5 in the file",
+        ("poisson is 0.5",),
+        attribute("poisson", 0.5, "material"),
+    ),
     Case("unknown material", ("rubber", "neo_hookean"), attribute("name", "rubber", "material")),
-    Case("start outside the bounds", ("start_mpa spans 500 to 500", "[0.001, 100]"),
-         settings=("start_mpa=500",)),
-    Case("reversed bounds", ("bounds [10", "need 0 < lower < upper"),
-         settings=("bounds.lower=10", "bounds.upper=1")),
+    Case(
+        "start outside the bounds",
+        ("start_mpa spans 500 to 500", "[0.001, 100]"),
+        settings=("start_mpa=500",),
+    ),
+    Case(
+        "reversed bounds",
+        ("bounds [10", "need 0 < lower < upper"),
+        settings=("bounds.lower=10", "bounds.upper=1"),
+    ),
     Case("lower bound zero", ("bounds [0", "use 0.001"), settings=("bounds.lower=0",)),
-    Case("noise that is no number", ("noise.relative='abc'", "give a number"),
-         settings=("noise.relative=abc",)),
+    Case(
+        "noise that is no number",
+        ("noise.relative='abc'", "give a number"),
+        settings=("noise.relative=abc",),
+    ),
     Case("noise of zero", ("noise.relative=0", "(0, 1)"), settings=("noise.relative=0",)),
     Case("group given one value", ("bounds=3", "give bounds.KEY=VALUE"), settings=("bounds=3",)),
-    Case("half an iteration", ("max_iterations=2.5", "a whole number"),
-         settings=("optimizer.max_iterations=2.5",)),
+    Case(
+        "half an iteration",
+        ("max_iterations=2.5", "a whole number"),
+        settings=("optimizer.max_iterations=2.5",),
+    ),
     Case("no iteration", ("max_iterations=0", "above 0"), settings=("optimizer.max_iterations=0",)),
-    Case("negative weight of the prior", ("weight=-1", "at least 0"),
-         settings=("regularization.weight=-1",)),
+    Case(
+        "negative weight of the prior",
+        ("weight=-1", "at least 0"),
+        settings=("regularization.weight=-1",),
+    ),
     Case("NaN for a setting", ("start_mpa=nan", "give a number"), settings=("start_mpa=nan",)),
     Case("no time", ("max_seconds=-1", "above 0"), settings=("max_seconds=-1",)),
-    Case("unknown setting", ("unknown setting 'optimizer.max_iter'", "'optimizer.max_iterations'?"),
-         settings=("optimizer.max_iter=3",)),
-    Case("unknown option of a group", ("optimizer=adam is unknown", "gauss_newton, lbfgs, tnc"),
-         settings=("optimizer=adam",)),
+    Case(
+        "unknown setting",
+        ("unknown setting 'optimizer.max_iter'", "'optimizer.max_iterations'?"),
+        settings=("optimizer.max_iter=3",),
+    ),
+    Case(
+        "unknown option of a group",
+        ("optimizer=adam is unknown", "gauss_newton, lbfgs, tnc"),
+        settings=("optimizer=adam",),
+    ),
     Case("unknown element", ("hex8", "tet4"), settings=("element=hex8",)),
-    Case("run to compare with missing", ("compare: reconstruction not found", "'nowhere'"),
-         settings=("compare=[nowhere]",)),
-    Case("run folder below a file", ("run folder cannot be made", "choose another run_dir"),
-         settings=("run_dir=CASE/run",)),
-)  # fmt: skip
+    Case(
+        "run to compare with missing",
+        ("compare: reconstruction not found", "'nowhere'"),
+        settings=("compare=[nowhere]",),
+    ),
+    Case(
+        "run folder below a file",
+        ("run folder cannot be made", "choose another run_dir"),
+        settings=("run_dir=CASE/run",),
+    ),
+)
 def test_invert_refuses(
     case: Case, tactorch: Any, recording: Path, tmp_path: Path, table: list[tuple[str, str]]
 ) -> None:
@@ -328,27 +477,55 @@ TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=nul
 
 
 @cases(
-    Case("inclusion outside the phantom", ("phantom: inclusions[0]", "mm out of the body", "move or shrink"),
-         settings=("phantom.depth=-0.5",)),
-    Case("load that collapses the object", ("z+", "collapses the object", "MPa"),
-         settings=("press.p_max_mpa=50", "press.steps=1")),
-    Case("signal-to-noise ratio that is no number", ("snr_db='abc'", "a number, or null"),
-         settings=("snr_db=abc",)),
-    Case("negative number of load steps", ("press: steps=-2", "at least 1"), settings=("press.steps=-2",)),
-    Case("unknown side", ("press: faces: unknown side 'top'", "z+"), settings=("press.faces=[top]",)),
-    Case("one side for a list of sides", ("press.faces='z+'", "[A,B]"),
-         settings=("press.faces=z+",)),
-    Case("patch beside the object", ("patch", "mm"),
-         settings=("press.patch_radius_mm=1", "press.patch_centers_mm=[[50,50,0]]")),
-    Case("unknown way to hold", ("hold='glue'", "springs, fixed, roller"),
-         settings=("press.hold=glue",)),
+    Case(
+        "inclusion outside the phantom",
+        ("phantom: inclusions[0]", "mm out of the body", "move or shrink"),
+        settings=("phantom.depth=-0.5",),
+    ),
+    Case(
+        "load that collapses the object",
+        ("z+", "collapses the object", "MPa"),
+        settings=("press.p_max_mpa=50", "press.steps=1"),
+    ),
+    Case(
+        "signal-to-noise ratio that is no number",
+        ("snr_db='abc'", "a number, or null"),
+        settings=("snr_db=abc",),
+    ),
+    Case(
+        "negative number of load steps",
+        ("press: steps=-2", "at least 1"),
+        settings=("press.steps=-2",),
+    ),
+    Case(
+        "unknown side", ("press: faces: unknown side 'top'", "z+"), settings=("press.faces=[top]",)
+    ),
+    Case(
+        "one side for a list of sides", ("press.faces='z+'", "[A,B]"), settings=("press.faces=z+",)
+    ),
+    Case(
+        "patch beside the object",
+        ("patch", "mm"),
+        settings=("press.patch_radius_mm=1", "press.patch_centers_mm=[[50,50,0]]"),
+    ),
+    Case(
+        "unknown way to hold",
+        ("hold='glue'", "springs, fixed, roller"),
+        settings=("press.hold=glue",),
+    ),
     Case("negative modulus", ("youngs_mpa=-1", "positive"), settings=("phantom.inclusion_mpa=-1",)),
-    Case("edge length of a hundredth of a micrometre", ("edge length", "check the units"),
-         settings=("mesh.edge_length_mm=1e-5",)),
+    Case(
+        "edge length of a hundredth of a micrometre",
+        ("edge length", "check the units"),
+        settings=("mesh.edge_length_mm=1e-5",),
+    ),
     Case("negative seed", ("seed=-1", "must not be negative"), settings=("seed=-1",)),
-    Case("unknown parameter of the material", ("mooney", "c3"),
-         settings=("material=mooney_rivlin", "+material.parameters.c3=1")),
-)  # fmt: skip
+    Case(
+        "unknown parameter of the material",
+        ("mooney", "c3"),
+        settings=("material=mooney_rivlin", "+material.parameters.c3=1"),
+    ),
+)
 def test_simulate_refuses(
     case: Case, tactorch: Any, tmp_path: Path, table: list[tuple[str, str]]
 ) -> None:
@@ -356,17 +533,6 @@ def test_simulate_refuses(
     check(case, done, [tmp_path], table)
     left = {p.name for p in Path("run").iterdir()} if Path("run").exists() else set()
     assert left <= {".hydra", "simulate.log"}
-
-
-@pytest.fixture(scope="module")
-def finished_run(recording_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make a run of one iteration, by another process so that it may be of any fixture's scope."""
-    folder = tmp_path_factory.mktemp("finished") / "run"
-    command = [sys.executable, "-m", "tactorch", "invert", f"recording={recording_file}"]
-    given = [f"run_dir={folder}", "plots=false", "optimizer.max_iterations=1"]
-    done = subprocess.run([*command, *given], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    return folder
 
 
 def of_other_mesh(path: Path) -> None:
@@ -393,21 +559,46 @@ def checkpoint(change: Callable[[Path], object]) -> Spoil:
 
 
 @cases(
-    Case("checkpoint missing", ("checkpoint of the run to resume not found",), checkpoint(Path.unlink)),
+    Case(
+        "checkpoint missing",
+        ("checkpoint of the run to resume not found",),
+        checkpoint(Path.unlink),
+    ),
     Case("checkpoint cut short", ("checkpoint.npz' cannot be read", "start anew"), checkpoint(cut)),
-    Case("checkpoint that is text", ("checkpoint.npz' cannot be read (cut short, or not a",), checkpoint(text_file)),
-    Case("checkpoint of another parameterization", ("another parameterization", "Resume with"),
-         settings=("parameterization=identity",)),
-    Case("recording of a resumed run has another mesh", ("for 40 moduli", "has 135", "another mesh"),
-         settings=("recording=OTHER",)),
-    Case("recording of a resumed run is another object of as many elements", ("another mesh",),
-         settings=("recording=TURNED",)),
-    Case("settings of the run damaged", ("overrides.yaml' cannot be read", "start the run anew"),
-         lambda run: (run / ".hydra" / "overrides.yaml").write_text("- [")),
-    Case("resumed folder of another command", ("run of simulate", "tactorch simulate"),
-         lambda run: [p.write_text(p.read_text().replace("name: invert", "name: simulate"))
-                      for p in [run / ".hydra" / "hydra.yaml"]]),
-)  # fmt: skip
+    Case(
+        "checkpoint that is text",
+        ("checkpoint.npz' cannot be read (cut short, or not a",),
+        checkpoint(text_file),
+    ),
+    Case(
+        "checkpoint of another parameterization",
+        ("another parameterization", "Resume with"),
+        settings=("parameterization=identity",),
+    ),
+    Case(
+        "recording of a resumed run has another mesh",
+        ("for 40 moduli", "has 135", "another mesh"),
+        settings=("recording=OTHER",),
+    ),
+    Case(
+        "recording of a resumed run is another object of as many elements",
+        ("another mesh",),
+        settings=("recording=TURNED",),
+    ),
+    Case(
+        "settings of the run damaged",
+        ("overrides.yaml' cannot be read", "start the run anew"),
+        lambda run: (run / ".hydra" / "overrides.yaml").write_text("- ["),
+    ),
+    Case(
+        "resumed folder of another command",
+        ("run of simulate", "tactorch simulate"),
+        lambda run: [
+            p.write_text(p.read_text().replace("name: invert", "name: simulate"))
+            for p in [run / ".hydra" / "hydra.yaml"]
+        ],
+    ),
+)
 def test_resume_refuses(
     case: Case,
     tactorch: Any,
@@ -429,14 +620,22 @@ def test_resume_refuses(
 
 
 @cases(
-    Case("run to score missing", ("reconstruction not found", "nowhere"), settings=("run=nowhere",)),
+    Case(
+        "run to score missing", ("reconstruction not found", "nowhere"), settings=("run=nowhere",)
+    ),
     Case("scores without truth", ("carries no truth",), h5("truth", lambda x: None)),
     Case("scores against another mesh", ("different meshes", "that was inverted"), of_turned_mesh),
-    Case("recording given as a run", ("is not a reconstruction", "tactorch-recording"),
-         settings=("run=RECORDING",)),
-    Case("reconstruction cut short", ("reconstruction.h5' cannot be read", "Run the inversion again"),
-         settings=("run=CUT",)),
-)  # fmt: skip
+    Case(
+        "recording given as a run",
+        ("is not a reconstruction", "tactorch-recording"),
+        settings=("run=RECORDING",),
+    ),
+    Case(
+        "reconstruction cut short",
+        ("reconstruction.h5' cannot be read", "Run the inversion again"),
+        settings=("run=CUT",),
+    ),
+)
 def test_evaluate_refuses(
     case: Case,
     tactorch: Any,
@@ -459,10 +658,15 @@ def test_evaluate_refuses(
 
 
 @cases(
-    Case("unknown source of a demo", ("source=video is unknown", "simulated or published"),
-         settings=("source=video",)),
-    Case("demo on a case that is not named", ("needs path=FOLDER",), settings=("source=published",)),
-)  # fmt: skip
+    Case(
+        "unknown source of a demo",
+        ("source=video is unknown", "simulated or published"),
+        settings=("source=video",),
+    ),
+    Case(
+        "demo on a case that is not named", ("needs path=FOLDER",), settings=("source=published",)
+    ),
+)
 def test_demo_refuses(
     case: Case, tactorch: Any, tmp_path: Path, table: list[tuple[str, str]]
 ) -> None:

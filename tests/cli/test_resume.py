@@ -1,5 +1,8 @@
 """Going on where a run ended: by itself, by Ctrl-C, by its iteration limit."""
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +31,30 @@ def test_resumed_run_equals_one_that_was_never_stopped(tactorch: Any, recording:
     np.testing.assert_allclose(resumed.youngs, whole.youngs, rtol=1e-9)
     misfits = [[record["misfit"] for record in run.history] for run in (resumed, whole)]
     np.testing.assert_allclose(*misfits, rtol=1e-6)
+
+
+def test_killed_run_goes_on_from_its_checkpoint(tactorch: Any, recording: Path) -> None:
+    start = ("invert", f"recording={recording}", *RUN, "optimizer.max_iterations=3")
+    code = (
+        "import os, signal, sys\n"
+        "from tactorch.cli import main\n"
+        "from tactorch.inverse import Monitor\n"
+        "accept = Monitor.accept\n"
+        "def killed(self, *arguments, **record):\n"
+        "    accept(self, *arguments, **record)\n"
+        "    if self.iteration == 2: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    self.save()\n"
+        "Monitor.accept = killed\n"
+        "main(sys.argv[1:])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *start], timeout=120, capture_output=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    left = {path.name for path in Path("run").iterdir()}
+    assert left == {".hydra", "invert.log", "checkpoint.npz"}
+    assert tactorch("invert", "resume=run").status == 0
+    assert tactorch(*start, "run_dir=whole").status == 0
+    assert load().iterations == load("whole").iterations == 3
+    np.testing.assert_allclose(load().youngs, load("whole").youngs, rtol=1e-9)
 
 
 def test_resume_repeats_the_settings_of_the_run(tactorch: Any, recording: Path) -> None:

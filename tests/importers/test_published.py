@@ -251,11 +251,17 @@ def test_refuses_empty_and_missing_folders(case: Path, tmp_path: Path) -> None:
 
 def test_another_unit_is_noticed(case: Path) -> None:
     text = (case / "mesh.msh").read_text()
+    (case / "mesh.msh").write_text(text.replace("0.0100003", "1.0"))
+    with pytest.raises(FileError, match=r"pnt1\.txt' holds deformed positions 0\.0\d* m across"):
+        import_published(case)
     (case / "mesh.msh").write_text(text.replace("0.0100003", "10.0"))
-    with (
-        pytest.warns(UserWarning, match="implausible"),
-        pytest.raises(FileError, match=r"pnt1\.txt' holds deformed positions 0\.0\d* m across"),
-    ):
+    with pytest.raises(FileError, match=r"mesh\.msh' is 17\.3 m across"):
+        import_published(case)
+
+
+def test_moduli_in_another_unit_are_noticed(case: Path) -> None:
+    (case / "youngs_true.txt").write_text("0.2\n" * 6)
+    with pytest.raises(FileError, match=r"youngs_true\.txt' has a median of 0\.2 Pa.*from MPa"):
         import_published(case)
 
 

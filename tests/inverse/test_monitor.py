@@ -160,12 +160,12 @@ def test_time_is_watched_within_an_iteration(
     """Line searches and rejected steps solve all presses too."""
     from tactorch.inverse.problem import Evaluation
 
-    objective, monitor = make_objective(noisy, Settings()), Monitor(max_seconds=1e6)
+    objective, monitor = make_objective(noisy, Settings()), Monitor(max_seconds=4e5)
     evaluate = InverseProblem.evaluate
 
     def age(self: InverseProblem, youngs: np.ndarray, near: Evaluation | None = None) -> Any:
         monitor._spent += 3e5
-        if monitor.iteration == 1:
+        if monitor._spent > 4e5:
             raise ConvergenceError("collapsed")
         return evaluate(self, youngs, near)
 
@@ -173,7 +173,7 @@ def test_time_is_watched_within_an_iteration(
     start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
     with pytest.raises(OutOfTime):
         make_optimizer(name).minimize(objective, start, monitor)
-    assert monitor._spent <= 1.3e6
+    assert monitor._spent == 6e5
 
 
 @pytest.mark.parametrize("name", NAMES)

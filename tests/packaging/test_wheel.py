@@ -1,9 +1,11 @@
 """The built wheel: one top-level package, configs inside it, usable in an empty folder."""
 
+import json
 import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import zipfile
 from pathlib import Path
 
@@ -113,6 +115,55 @@ def test_installed_wheel_finds_its_configs_in_an_empty_folder(site: Path, tmp_pa
     ).splitlines()
     assert Path(package).is_relative_to(site)
     assert probe == "# not code"
+
+
+@pytest.fixture(scope="module")
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the programs of a new environment that holds the wheel, and borrows all it needs.
+
+    A path in a .pth file is searched, but .pth files there are not read: an editable install of
+    the checkout stays out.
+    """
+    folder = tmp_path_factory.mktemp("environment")
+    run(sys.executable, "-m", "venv", "--without-pip", folder, folder=folder)
+    programs = folder / ("Scripts" if os.name == "nt" else "bin")
+    python = programs / "python"
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "-q", wheel,
+        folder=folder)  # fmt: skip
+    ask = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    own = Path(run(python, "-c", ask, folder=folder).strip())
+    (own / "borrowed.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
+    return programs
+
+
+def test_command_of_the_wheel_simulates_and_inverts_in_an_empty_folder(
+    environment: Path, tmp_path: Path
+) -> None:
+    tiny = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=null")
+    command = environment / "tactorch"
+    run(command, "simulate", *tiny, "press=top", "press.steps=1", "out=case.h5", folder=tmp_path)
+    brief = ("optimizer.max_iterations=1", "run_dir=run", "plots=false")
+    out = run(command, "invert", "recording=case.h5", *brief, folder=tmp_path)
+    assert "gauss_newton: 1 iterations" in out
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["iterations"] == 1
+    home = run(environment / "python", "-c", "import tactorch; print(tactorch.__file__)",
+               folder=tmp_path)  # fmt: skip
+    assert Path(home.strip()).is_relative_to(environment.parent)
+
+
+@pytest.mark.parametrize("module", ["datasets", "train"])
+def test_environment_of_the_wheel_has_nothing_else_of_ours(
+    environment: Path, tmp_path: Path, module: str
+) -> None:
+    code = (
+        f"try: import {module} as found; print(*found.__path__)\n"
+        "except ModuleNotFoundError: print('nothing')"
+    )
+    found = run(environment / "python", "-c", code, folder=tmp_path).strip()
+    # Another project's package of that name may be installed.
+    assert Path(found) != ROOT / module
+    assert not found.startswith(str(environment.parent))
 
 
 @pytest.mark.parametrize("module", ["datasets", "train", "tests", "conf", "benchmarks"])

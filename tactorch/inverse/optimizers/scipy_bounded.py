@@ -56,18 +56,18 @@ class BoundedRun:
 
     def _value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         near = self._latest
-        if not np.array_equal(near.x, x):
-            try:
-                point = near.objective.at(x.copy(), near)
-                gradient = self._gradient(point)
-            except ConvergenceError:
-                return _REFUSED * max(self._lowest, 1.0), self._gradient(near)
-            self._latest = point
-            if point.value(self.weight) < self._lowest:
-                self.point = point
-            self.monitor.check_time()
-            return point.value(self.weight), gradient
-        return near.value(self.weight), self._gradient(near)
+        if np.array_equal(near.x, x):
+            return near.value(self.weight), self._gradient(near)
+        self.monitor.check_time()
+        try:
+            point = near.objective.at(x.copy(), near)
+            gradient = self._gradient(point)
+        except ConvergenceError:
+            return _REFUSED * max(self._lowest, 1.0), self._gradient(near)
+        self._latest = point
+        if point.value(self.weight) < self._lowest:
+            self.point = point
+        return point.value(self.weight), gradient
 
     @property
     def _lowest(self) -> float:
