@@ -20,7 +20,7 @@ _UNFITTED = (
     "stated, or the model is wrong"
 )
 _REASONS = (_UNSTOPPED, _FITTED, _UNFITTED)  # saved by index
-_RULE = 10.0
+_RULE = 30.0
 
 
 @dataclass
@@ -74,7 +74,7 @@ class Cooling:
 
 
 def ruling_weight(point: Point) -> float:
-    """A weight at which the prior outweighs the data: ten times the balance of the diagonals."""
+    """A weight at which the prior outweighs the data: thirty times the balance of the diagonals."""
     data = np.einsum("ij,ij->", point.jacobian, point.jacobian)
     prior = point.penalty_curvature.diagonal().sum()
     return _RULE * float(data / prior) if prior > 0 else 0.0  # a single element has no jumps
