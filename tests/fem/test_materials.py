@@ -120,7 +120,7 @@ def test_small_strains_are_hookes(name):
     torch.testing.assert_close(tangent, hooke, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("name", FINITE_STRAIN, indirect=False)
+@pytest.mark.parametrize("name", FINITE_STRAIN)
 def test_rotations_leave_the_energy_and_carry_the_stress(name, F):
     material, Q = make_material(name, NU), rotations(len(F))
     torch.testing.assert_close(material.energy(Q @ F, NU), material.energy(F, NU))
@@ -128,7 +128,7 @@ def test_rotations_leave_the_energy_and_carry_the_stress(name, F):
     assert (Q - ONE).abs().amax((1, 2)).min() > 0.1
 
 
-@pytest.mark.parametrize("name", FINITE_STRAIN, indirect=False)
+@pytest.mark.parametrize("name", FINITE_STRAIN)
 def test_no_direction_is_special(name, F):
     material, Q = make_material(name, NU), rotations(len(F))
     torch.testing.assert_close(material.energy(F @ Q, NU), material.energy(F, NU))
@@ -141,10 +141,11 @@ def test_poisson_may_differ_by_point(name, F):
     torch.testing.assert_close(material.stress(F, ratios), each, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.parametrize(
+    "name", [n for n, made in MATERIALS.items() if issubclass(made, IsotropicMaterial)]
+)
 def test_averaged_stress_of_a_uniform_element_is_the_plain_one(name, F):
     material = make_material(name, NU)
-    if not isinstance(material, IsotropicMaterial):
-        pytest.skip("only isotropic materials have a dilatation to average")
     four = F[:, None].expand(-1, 4, 3, 3)
     weights = torch.rand(len(F), 4, dtype=torch.float64)
     averaged = material.averaged_stress(four, weights, torch.tensor(NU, dtype=torch.float64))
