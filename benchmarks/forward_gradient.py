@@ -15,7 +15,8 @@ figure apart; the two packages take turns, so that other work on the machine hit
 
 tactorch factors the tangent at the equilibrium within its forward solve when a gradient is asked
 for, so its gradient is one solve: the sum of both times is shown as well. Medians are compared;
-the best times, which other work on the machine disturbs least, stand beside them.
+the best times, which other work on the machine disturbs least, stand beside them, and so does the
+share of the cores that other processes took.
 
 The table goes to the terminal and, with the machine's description, to a Markdown and a JSON
 file; the last line printed is one JSON object with the figures.
@@ -32,7 +33,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from machine import describe_machine
+from machine import OtherWork, describe_machine
 from torch import Tensor
 from torchfem.materials import Hyperelastic3D
 from torchfem.solid import Solid
@@ -135,10 +136,11 @@ def compare(divisions: int, repeats: int) -> dict[str, Any]:
     ]
     for contestant in (ours, *theirs):
         contestant.run(mesh.n_tets, top, keep=False)
+    others = OtherWork()
     for _ in range(repeats):
         for contestant in (ours, *theirs):
             contestant.run(mesh.n_tets, top, keep=True)
-    figures = summarise(mesh, ours, theirs)
+    figures = summarise(mesh, ours, theirs) | {"share_of_other_work": others.share()}
     print(table(figures), flush=True)
     return figures
 
@@ -180,13 +182,15 @@ def table(figures: dict[str, Any]) -> str:
     for name, s in figures["seconds"].items():
         cells = [f"{s[k]:.4f} ({s[f'best_{k}']:.4f})" for k in KINDS]
         lines.append(f"| {name} | {' | '.join(cells)} |")
+    share = figures["share_of_other_work"]
     cells = [f"**{figures[f'{k}_ratio']:.1f}** ({figures[f'best_{k}_ratio']:.1f})" for k in KINDS]
     lines += [
         f"| **times faster** | {' | '.join(cells)} |",
         "",
         f"Largest relative difference of the answers: displacement "
         f"{figures['displacement_difference']:.1e}, gradient "
-        f"{figures['gradient_difference']:.1e}.",
+        f"{figures['gradient_difference']:.1e}."
+        + ("" if share is None else f" Other processes took {share:.0%} of the cores meanwhile."),
         "",
     ]
     return "\n".join(lines)

@@ -1,7 +1,8 @@
-"""What a benchmark ran on, in words that fit any machine."""
+"""What a benchmark ran on, in words that fit any machine, and what else ran there meanwhile."""
 
 import os
 import platform
+import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -37,3 +38,31 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "not installed"
+
+
+class OtherWork:
+    """Meter of the processor time that other processes take, from its construction on."""
+
+    def __init__(self) -> None:
+        """Start."""
+        self._began = time.perf_counter(), _busy_seconds(), time.process_time()
+
+    def share(self) -> float | None:
+        """Share of all cores that others have taken so far; None where it cannot be told."""
+        wall, busy, own = self._began
+        now = _busy_seconds()
+        if busy is None or now is None:
+            return None
+        others = (now - busy) - (time.process_time() - own)
+        return max(others, 0.0) / ((time.perf_counter() - wall) * (os.cpu_count() or 1))
+
+
+def _busy_seconds() -> float | None:
+    """Processor seconds that all processes together have taken since the machine started."""
+    stat = Path("/proc/stat")
+    if not stat.exists():
+        return None
+    user, nice, system, _, _, interrupt, soft = (
+        int(x) for x in stat.read_text().split("\n", 1)[0].split()[1:8]
+    )
+    return (user + nice + system + interrupt + soft) / os.sysconf("SC_CLK_TCK")

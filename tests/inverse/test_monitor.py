@@ -81,7 +81,8 @@ def test_an_interrupted_run_goes_on(
     limit = {"max_evaluations": 40} if name == "tnc" else {"max_iterations": 10}
     second = invert(noisy, Settings(optimizer=make_optimizer(name, **limit)), resume=path)
     assert second.history[: len(first.history)] == first.history
-    assert second.misfit_mm2 < first.misfit_mm2
+    # The objective: with a prior that rules at first, the misfit alone may rise for a while.
+    assert second.history[-1]["objective"] < first.history[-1]["objective"]
     assert [e["iteration"] for e in second.history] == list(range(len(second.history)))
     spent = second.history[-1]["evaluations"]
     assert spent > first.history[-1]["evaluations"]
@@ -102,7 +103,11 @@ def test_whatever_ends_it_keeps_the_best_so_far(
     fail_evaluation(9, error)
     found = invert(noisy, Settings(optimizer=make_optimizer(name)))
     assert found.stop_reason == reason
-    assert found.misfit_mm2 == min(misfits(found)) < 0.5 * misfits(found)[0]
+    last = found.history[-1]
+    assert last["objective"] == min(
+        entry["objective"] for entry in found.history if entry["weight"] == last["weight"]
+    )
+    assert found.misfit_mm2 == last["misfit"] < 0.5 * misfits(found)[0]
     again = InverseProblem(noisy).evaluate(found.youngs)
     assert again.misfit_mm2 == pytest.approx(found.misfit_mm2, rel=1e-6)
 
