@@ -75,7 +75,9 @@ def make_element(name: str) -> Element:
 
     `tet4` is the plain linear tetrahedron of the paper; it locks as Poisson's ratio nears 0.5.
     `tet10` is quadratic with the dilatation averaged over each element (Simo, Taylor and Pister,
-    1985), free of locking up to 0.499; it has about eight times the unknowns. Materials that do not
+    1985), free of locking up to 0.499; it has about eight times the unknowns. Its error in
+    displacement falls with the square of the edge, as that of tet4, but is a few times smaller on
+    the same mesh and does not grow as Poisson's ratio nears 0.5. Materials that do not
     give their `dilatation` apart (linear, Saint Venant-Kirchhoff) are integrated as they are.
 
     Raises:

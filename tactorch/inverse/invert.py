@@ -1,7 +1,7 @@
 """From a recording to a reconstruction, in one call."""
 
 import logging
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +111,9 @@ def invert(
         monitor.on_record = update
         reason = _run(optimizer, objective, x, monitor)
     monitor.save()
-    return _result(recording, settings, optimizer, objective, monitor, reason)
+    found = _result(recording, settings, optimizer, objective, monitor, reason)
+    started = float(start_mpa) if np.ndim(start_mpa) == 0 else "a map, one modulus an element"
+    return replace(found, config={"start_mpa": started, **found.config})
 
 
 def make_objective(recording: Recording, settings: Settings) -> Objective:

@@ -115,6 +115,7 @@ def test_config_says_what_was_done(recording: Recording) -> None:
     assert config["material"]["poisson"] == recording.material.poisson
     assert config["recording"] == recording.provenance
     assert "tactorch" in config["versions"]
+    assert config["start_mpa"] == 0.2
 
 
 def test_an_optimizer_of_ones_own(recording: Recording) -> None:

@@ -1,5 +1,7 @@
 """Materials, by class and by name."""
 
+from dataclasses import fields
+
 from tactorch.errors import ConfigError
 from tactorch.fem.materials.base import Dilatation, Distortion, IsotropicMaterial, Material
 from tactorch.fem.materials.isochoric import IsochoricNeoHookean
@@ -30,10 +32,15 @@ def make_material(name: str, poisson: float, **parameters: float) -> Material:
     """
     if name not in MATERIALS:
         raise ConfigError(f"material '{name}' is unknown; choose one of {', '.join(MATERIALS)}.")
-    try:
-        return MATERIALS[name](poisson=poisson, **parameters)
-    except TypeError as error:
-        raise ConfigError(f"material '{name}' does not take these parameters: {error}.") from error
+    kind = MATERIALS[name]
+    known = [field.name for field in fields(kind) if field.name != "poisson"]
+    for given in parameters:
+        if given not in known:
+            raise ConfigError(
+                f"material '{name}' has no parameter '{given}'; it takes poisson"
+                f"{''.join(f', {other}' for other in known)}."
+            )
+    return kind(poisson=poisson, **parameters)
 
 
 __all__ = [
