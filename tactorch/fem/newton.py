@@ -15,7 +15,6 @@ from tactorch.fem.assembly import Assembly, Response
 from tactorch.fem.linearization import Linearization
 from tactorch.fem.supports import HeldCase
 from tactorch.linalg import IndefiniteError, SolverPool, Status, lagged_solve
-from tactorch.linalg.pool import Lease
 
 _ARMIJO = 1e-4
 _LOOSE, _TIGHT = 0.01, 1e-8  # accuracy of a step solved with an older factorisation
@@ -64,7 +63,6 @@ class Equilibrated:
     residual: float
     energies: list[float] = field(default_factory=list)
     response: Response | None = None
-    _lease: Lease | None = None
 
     def require(self) -> "Equilibrated":
         """Return self, or raise.
@@ -112,7 +110,6 @@ class Newton:
         found = self._at_load(1.0, rest if start is None else start, self.options.max_iterations)
         if not found.converged:
             found = self._in_steps(found.iterations)
-        found._lease = self._lease
         return found
 
     def _is_held(self) -> bool:
