@@ -1,6 +1,7 @@
 """From a recording to a reconstruction, in one call."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,7 @@ def invert(
     checkpoint: str | Path | None = None,
     resume: str | Path | None = None,
     show_progress: bool | None = None,
+    on_iteration: Callable[[dict[str, Any], np.ndarray], None] | None = None,
 ) -> Reconstruction:
     """Reconstruct the map of Young's modulus (eq. 8).
 
@@ -76,6 +78,7 @@ def invert(
         checkpoint: File to save the state to every few seconds.
         resume: Checkpoint to continue from.
         show_progress: Whether to show a progress line; by default at a terminal.
+        on_iteration: Called with the record of each iteration and a copy of its map, MPa.
 
     Raises:
         ConfigError: a setting cannot be used.
@@ -91,6 +94,7 @@ def invert(
     monitor = Monitor(
         max_seconds=settings.max_seconds,
         checkpoint=path,
+        on_iteration=on_iteration,
         identity={
             "mesh": recording.mesh.content_hash()[:12],
             "parameterization": str(objective.parameterization),

@@ -31,6 +31,7 @@ class Monitor:
         max_seconds: Time limit.
         checkpoint: File to save the state to, or None.
         on_record: Called with each record of the history (a progress bar, say).
+        on_iteration: Called with each record and its map, MPa.
         history: Per iteration: iteration, evaluations, seconds, misfit (mm^2, eq. 7), chi2 (mean
             squared residual in standard deviations), objective, weight of the prior, step
             (largest change of a parameter), damping.
@@ -41,6 +42,7 @@ class Monitor:
     max_seconds: float | None = None
     checkpoint: Path | None = None
     on_record: Callable[[dict[str, Any]], None] | None = None
+    on_iteration: Callable[[dict[str, Any], np.ndarray], None] | None = None
     history: list[dict[str, Any]] = field(default_factory=list)
     state: dict[str, float] = field(default_factory=dict)
     identity: dict[str, str] = field(default_factory=dict)
@@ -89,6 +91,8 @@ class Monitor:
         _log.info("%s", describe(entry))
         if self.on_record is not None:
             self.on_record(entry)
+        if self.on_iteration is not None:
+            self.on_iteration(dict(entry), point.youngs.copy())
         if time.perf_counter() - self._saved > _PERIOD:
             self.save()
 
