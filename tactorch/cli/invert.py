@@ -6,7 +6,7 @@ from omegaconf import DictConfig
 
 from tactorch.cli.report import RESULTS, histories_of, write_outputs
 from tactorch.cli.resume import CHECKPOINT, checkpoint_of
-from tactorch.cli.settings import folder, inversion_of, plain
+from tactorch.cli.settings import folder, inversion_of, plain, start_of
 from tactorch.inverse import Reconstruction, invert
 from tactorch.recording import Recording
 
@@ -30,7 +30,7 @@ def invert_recording(cfg: DictConfig, recording: Recording, source: Path) -> Rec
     reconstruction = invert(
         recording,
         settings,
-        start_mpa=cfg.start_mpa,
+        start_mpa=start_of(cfg),
         checkpoint=out / CHECKPOINT,
         resume=resume,
     )

@@ -36,6 +36,8 @@ def _is_relabelling(value: Any) -> bool:
 
 
 _NUMBER = Kind("a number", _is_number)
+HOMOGENEOUS = "homogeneous"
+_MODULUS = Kind(f"a number or {HOMOGENEOUS}", lambda v: v == HOMOGENEOUS or _is_number(v))
 _WHOLE = Kind("a whole number", _is_whole)
 _FLAG = Kind("true or false", lambda value: isinstance(value, bool))
 _TEXT = Kind("text", lambda value: isinstance(value, str))
@@ -56,13 +58,14 @@ _RELABELLING = Kind("a table of moduli: {OLD: NEW}", _is_relabelling)
 # By the last part of a setting's name, which means the same wherever it stands.
 _NAMES_OF: dict[Kind, str] = {
     _NUMBER: """
-        start_mpa lower upper relative mm max_seconds snr_db weight edge tolerance damping ftol gtol
+        lower upper relative mm max_seconds snr_db weight edge tolerance damping ftol gtol
         poisson lame_factor noise_mm round_rest_m p_max_mpa spring_n_per_mm patch_radius_mm
         relative_edge_length edge_length_mm fine_edge_length_mm fine_relative
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
     """,
+    _MODULUS: "start_mpa",
     _WHOLE: "seed samples steps max_iterations max_evaluations stage_iterations memory max_trials",
-    _TEXT: "name element generator hold space source",
+    _TEXT: "name model_error element generator hold space source",
     _PATH: "path out recording run run_dir resume",
     _POINT: "center size radii axis",
     _FLAG: "plots check_units",

@@ -9,8 +9,16 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from tactorch.cli.kinds import HOMOGENEOUS
 from tactorch.errors import ConfigError
-from tactorch.inverse import Bounds, NoiseModel, Settings, make_optimizer
+from tactorch.inverse import (
+    Bounds,
+    NoiseModel,
+    Settings,
+    Start,
+    homogeneous,
+    make_optimizer,
+)
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import MaterialSpec
 from tactorch.simulation import PressPlan
@@ -65,10 +73,16 @@ def inversion_of(cfg: DictConfig) -> Settings:
         edge=prior["edge"],
         bounds=_made("bounds", Bounds, plain(cfg.bounds)),
         noise=_made("noise", NoiseModel, plain(cfg.noise)),
+        model_error=cfg.model_error,
         element=cfg.element,
         solver=cfg.solver.name,
         max_seconds=cfg.max_seconds,
     )
+
+
+def start_of(cfg: DictConfig) -> Start:
+    """Make the start of an inversion: a modulus, or the best uniform one."""
+    return homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa)
 
 
 def _made(what: str, make: Callable[..., _T], settings: dict[str, Any]) -> _T:

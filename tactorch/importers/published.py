@@ -98,6 +98,7 @@ def import_published(
         ),
         provenance={
             "importer": "published",
+            "inverse_crime": True,  # the authors solved the presses on this very mesh
             "case": root.resolve().name,
             "presses": list(numbers),
             "round_rest_m": round_rest_m,

@@ -1,6 +1,7 @@
 """From presses to a map of Young's modulus: data, prior and optimizer, combined freely."""
 
 from tactorch.inverse.invert import START_MPA, Settings, invert, make_objective
+from tactorch.inverse.model_error import MODEL_ERRORS, ModelError, corrected, discretisation_error
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.objective import Objective, Point
@@ -21,9 +22,11 @@ from tactorch.inverse.parameterization import (
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.regularization import REGULARIZERS, make_regularizer
+from tactorch.inverse.starts import Start, best_uniform, homogeneous, monte_carlo, start_map
 
 __all__ = [
     "LBFGS",
+    "MODEL_ERRORS",
     "OPTIMIZERS",
     "PARAMETERIZATIONS",
     "REGULARIZERS",
@@ -33,6 +36,7 @@ __all__ = [
     "Evaluation",
     "GaussNewton",
     "InverseProblem",
+    "ModelError",
     "Monitor",
     "NoiseModel",
     "Objective",
@@ -42,9 +46,16 @@ __all__ = [
     "Point",
     "Reconstruction",
     "Settings",
+    "Start",
+    "best_uniform",
+    "corrected",
+    "discretisation_error",
+    "homogeneous",
     "invert",
     "make_objective",
     "make_optimizer",
     "make_parameterization",
     "make_regularizer",
+    "monte_carlo",
+    "start_map",
 ]

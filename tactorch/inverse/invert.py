@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.errors import ConvergenceError
 from tactorch.fem import NewtonOptions
+from tactorch.inverse.model_error import chosen, corrected, discretisation_error
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.objective import Objective
@@ -20,6 +20,7 @@ from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.progress import progress
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.regularization import make_regularizer
+from tactorch.inverse.starts import Start, best_uniform, start_map
 from tactorch.recording import Recording
 from tactorch.versions import versions
 
@@ -38,6 +39,9 @@ class Settings:
         edge: Jump of log-modulus below which total variation is quadratic.
         bounds: Limits of Young's modulus.
         noise: Standard deviations for presses that do not state theirs.
+        model_error: "discretisation" corrects for what the mesh gets wrong, "none" does not, and
+            "auto" does unless the presses were computed on the same mesh; see
+            `tactorch.inverse.model_error`.
         element: "tet4" or "tet10".
         solver: "auto", "pardiso", "superlu" or "multigrid".
         newton: Settings of the equilibrium search.
@@ -50,6 +54,7 @@ class Settings:
     edge: float = 0.03
     bounds: Bounds = field(default_factory=Bounds)
     noise: NoiseModel = field(default_factory=NoiseModel)
+    model_error: str = "auto"
     element: str = "tet4"
     solver: str = "auto"
     newton: NewtonOptions = field(default_factory=NewtonOptions)
@@ -60,7 +65,7 @@ def invert(
     recording: Recording,
     settings: Settings | None = None,
     *,
-    start_mpa: float | Float[np.ndarray, " m"] = START_MPA,
+    start_mpa: Start = START_MPA,
     checkpoint: str | Path | None = None,
     resume: str | Path | None = None,
     show_progress: bool | None = None,
@@ -74,7 +79,8 @@ def invert(
     Args:
         recording: Presses on an object.
         settings: How to invert; Gauss-Newton on log-moduli with total variation by default.
-        start_mpa: Start, one modulus for all elements or one each, MPa.
+        start_mpa: Start, one modulus for all elements or one each, MPa; or a function of the
+            problem and the bounds that returns one: see `tactorch.inverse.starts`.
         checkpoint: File to save the state to every few seconds.
         resume: Checkpoint to continue from.
         show_progress: Whether to show a progress line; by default at a terminal.
@@ -98,13 +104,16 @@ def invert(
         identity={
             "mesh": recording.mesh.content_hash()[:12],
             "parameterization": str(objective.parameterization),
+            "model error": chosen(settings.model_error, recording, settings.element),
         },
     )
     if resume is not None:
         monitor.restore(Path(resume), recording.mesh.n_tets)
         objective.problem.evaluations = monitor.evaluations
-    x = objective.parameterization.parameters(_start(start_mpa, recording, settings.bounds))
-    x = x if monitor.best is None else monitor.best
+    x = monitor.best
+    if x is None:
+        first = start_map(start_mpa, objective.problem, settings.bounds)
+        x = objective.parameterization.parameters(first)
     if settings.noise.assumed(recording):
         _log.warning(
             "The recording does not state its noise; %.2g of the signal is assumed "
@@ -116,12 +125,16 @@ def invert(
         reason = _run(optimizer, objective, x, monitor)
     monitor.save()
     found = _result(recording, settings, optimizer, objective, monitor, reason)
-    started = float(start_mpa) if np.ndim(start_mpa) == 0 else "a map, one modulus an element"
-    return replace(found, config={"start_mpa": started, **found.config})
+    return replace(found, config={"start_mpa": _described(start_mpa), **found.config})
 
 
 def make_objective(recording: Recording, settings: Settings) -> Objective:
-    """Combine data, parameterisation and prior as the settings say."""
+    """Combine data, parameterisation and prior as the settings say.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+        ConvergenceError: the model's error is asked for, and no uniform map carries the presses.
+    """
     problem = InverseProblem(
         recording,
         element=settings.element,
@@ -129,6 +142,9 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
         noise=settings.noise,
         newton=settings.newton,
     )
+    if chosen(settings.model_error, recording, settings.element) == "discretisation":
+        uniform = best_uniform(problem, settings.bounds)
+        corrected(problem, discretisation_error(problem, uniform))
     return Objective(
         problem,
         make_parameterization(settings.parameterization, settings.bounds),
@@ -136,19 +152,11 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
     )
 
 
-def _start(
-    start_mpa: float | np.ndarray, recording: Recording, bounds: Bounds
-) -> Float[np.ndarray, " m"]:
-    m = recording.mesh.n_tets
-    start = np.asarray(start_mpa, dtype=np.float64)
-    if start.ndim and start.shape != (m,):
-        raise ConfigError(f"start_mpa has shape {start.shape}; expected one modulus or ({m},).")
-    if not np.all((start >= bounds.lower) & (start <= bounds.upper)):
-        raise ConfigError(
-            f"start_mpa spans {start.min():g} to {start.max():g} MPa, outside the bounds "
-            f"[{bounds.lower:g}, {bounds.upper:g}] MPa; start inside, or widen them."
-        )
-    return np.full(m, float(start)) if start.ndim == 0 else start
+def _described(start: Start) -> float | str:
+    """A start in words that fit a config."""
+    if callable(start):
+        return getattr(start, "__name__", type(start).__name__)
+    return "a map, one modulus an element" if np.ndim(start) else float(start)
 
 
 def _run(optimizer: Optimizer, objective: Objective, x: np.ndarray, monitor: Monitor) -> str:

@@ -93,6 +93,15 @@ class Evaluation:
 
         return np.concatenate(map_cases(work, len(self._presses)))
 
+    def jacobian_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " data"]:
+        """Return the change of the residuals by a change of the moduli (MPa), one solve a press."""
+        self.sensitivities  # noqa: B018
+
+        def work(i: int) -> np.ndarray:
+            return self.sensitivities[i].times(change) * self._observations[i].scale
+
+        return np.concatenate(map_cases(work, len(self._presses)))
+
     def gradient(self) -> Float[np.ndarray, " m"]:
         """Return the gradient of half the sum of squared residuals, by one adjoint solve a press.
 

@@ -436,7 +436,16 @@ ONE = "presses/0000"
         ("weight=-1", "at least 0"),
         settings=("regularization.weight=-1",),
     ),
-    Case("NaN for a setting", ("start_mpa=nan", "give a number"), settings=("start_mpa=nan",)),
+    Case(
+        "unknown error of the model",
+        ("model_error=mesh is unknown", "choose one of auto, none, discretisation"),
+        settings=("model_error=mesh",),
+    ),
+    Case(
+        "NaN for a setting",
+        ("start_mpa=nan", "a number or homogeneous"),
+        settings=("start_mpa=nan",),
+    ),
     Case("no time", ("max_seconds=-1", "above 0"), settings=("max_seconds=-1",)),
     Case(
         "unknown setting",

@@ -1,0 +1,149 @@
+"""Where an inversion starts: one modulus, the best uniform one, random draws, or a given map.
+
+A start is a function of the inverse problem, so a learned one plugs in the same way.
+"""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse.parameterization import Bounds
+from tactorch.inverse.problem import Evaluation, InverseProblem
+
+Start: TypeAlias = float | np.ndarray | Callable[[InverseProblem, Bounds], np.ndarray]
+
+_FIRST_MPA = 0.2
+_LARGEST_STEP, _SETTLED, _ROUNDS = 1.5, 1e-3, 30
+_STIFFER = 4.0  # factor to try where the object collapses under its presses
+
+
+def best_uniform(
+    problem: InverseProblem, bounds: Bounds | None = None, *, first_mpa: float = _FIRST_MPA
+) -> float:
+    """Return the modulus that fits best where all elements have the same, MPa.
+
+    Gauss-Newton on its logarithm, halving steps that fit worse, and stiffening where a press has
+    no equilibrium.
+
+    Raises:
+        ConvergenceError: no modulus within the bounds carries the presses.
+    """
+    bounds = bounds or Bounds()
+    low, high = np.log(bounds.lower), np.log(bounds.upper)
+    x = float(np.clip(np.log(first_mpa), low, high))
+    point = _uniform(problem, x)
+    while point is None:
+        if x >= high:
+            raise ConvergenceError(
+                f"No uniform modulus up to {bounds.upper:g} MPa carries the presses; check the "
+                "units of the forces (N)."
+            )
+        x = float(min(x + np.log(_STIFFER), high))
+        point = _uniform(problem, x)
+    for _ in range(_ROUNDS):
+        slope = point.jacobian_times(point.youngs)
+        curved = float(slope @ slope)
+        if curved == 0.0:
+            break
+        step = -float(slope @ point.residuals) / curved
+        step = float(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
+        moved = _better(problem, x, step, (low, high), point)
+        if moved is None:
+            break
+        settled = abs(moved[0] - x) < _SETTLED
+        x, point = moved
+        if settled:
+            break
+    return float(np.exp(x))
+
+
+def _better(
+    problem: InverseProblem, x: float, step: float, limits: tuple[float, float], point: Evaluation
+) -> tuple[float, Evaluation] | None:
+    """The step, halved until it fits better; None if it does not."""
+    for _ in range(8):
+        there = float(np.clip(x + step, *limits))
+        trial = None if there == x else _uniform(problem, there, point)
+        if trial is not None and trial.chi2 < point.chi2:
+            return there, trial
+        step *= 0.5
+    return None
+
+
+def _uniform(
+    problem: InverseProblem, x: float, near: Evaluation | None = None
+) -> Evaluation | None:
+    try:
+        point = problem.evaluate(np.full(problem.n_unknowns, np.exp(x)), near)
+        for sensitivity in point.sensitivities:
+            sensitivity.tangent.factor()  # an unstable equilibrium has no derivatives
+        return point
+    except ConvergenceError:
+        return None
+
+
+def homogeneous(problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
+    """Start from the best uniform modulus."""
+    return np.full(problem.n_unknowns, best_uniform(problem, bounds))
+
+
+def monte_carlo(
+    draw: Callable[[np.random.Generator], Float[np.ndarray, " m"]],
+    *,
+    draws: int = 16,
+    seed: int = 0,
+) -> Callable[[InverseProblem, Bounds], np.ndarray]:
+    """Make a start that draws maps and keeps the one that fits best.
+
+    Draws without an equilibrium are passed over; the presses of each are solved side by side.
+
+    Args:
+        draw: Draws a map, MPa; a prior's `sample`, say.
+        draws: Number of maps.
+        seed: Of the draws; each has a generator of its own.
+
+    Raises:
+        ConfigError: `draws` is not positive.
+    """
+    if draws < 1:
+        raise ConfigError(f"draws={draws} must be at least 1.")
+
+    def start(problem: InverseProblem, bounds: Bounds) -> np.ndarray:
+        best, lowest = None, np.inf
+        for i in range(draws):
+            youngs = np.clip(draw(np.random.default_rng([seed, i])), bounds.lower, bounds.upper)
+            try:
+                chi2 = problem.evaluate(youngs).chi2
+            except ConvergenceError:
+                continue
+            if chi2 < lowest:
+                best, lowest = youngs, chi2
+        if best is None:
+            raise ConvergenceError(
+                f"None of {draws} random starts carries the presses; draw stiffer maps."
+            )
+        return best
+
+    return start
+
+
+def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
+    """Return the map of a start, MPa.
+
+    Raises:
+        ConfigError: its shape is wrong, or it leaves the bounds.
+    """
+    m = problem.n_unknowns
+    found = start(problem, bounds) if callable(start) else start
+    values = np.asarray(found, dtype=np.float64)
+    if values.ndim and values.shape != (m,):
+        raise ConfigError(f"start_mpa has shape {values.shape}; expected one modulus or ({m},).")
+    if not np.all((values >= bounds.lower) & (values <= bounds.upper)):
+        raise ConfigError(
+            f"start_mpa spans {values.min():g} to {values.max():g} MPa, outside the bounds "
+            f"[{bounds.lower:g}, {bounds.upper:g}] MPa; start inside, or widen them."
+        )
+    return np.full(m, float(values)) if values.ndim == 0 else values

@@ -1,0 +1,105 @@
+"""Against truth from a finer mesh: the correction must take away most of what the mesh adds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError
+from tactorch.inverse import (
+    InverseProblem,
+    Settings,
+    best_uniform,
+    corrected,
+    discretisation_error,
+    invert,
+    make_objective,
+)
+from tactorch.inverse.model_error import chosen
+from tactorch.metrics import pearson
+from tactorch.phantoms import make_phantom
+from tactorch.recording import Recording
+from tactorch.simulation import PressPlan, simulate
+
+
+@pytest.fixture(scope="module")
+def finer() -> Recording:
+    """The paper's cube at the paper's density, pressed on a mesh twice as fine."""
+    cube = make_phantom("cube_shallow_sphere")
+    meshes = [cube.mesh(relative_edge_length=size) for size in (0.1, 0.05)]
+    return simulate(
+        cube, PressPlan(("z+",), (0.02,)), mesh=meshes[0], fine_mesh=meshes[1], samples=4
+    )
+
+
+def _distance(problem: InverseProblem, youngs: np.ndarray) -> float:
+    return float(np.sqrt(2.0 * problem.evaluate(youngs).misfit_mm2))
+
+
+def test_the_correction_takes_away_most_of_the_meshs_error(finer: Recording):
+    assert finer.truth is not None
+    problem = InverseProblem(finer)
+    before = _distance(problem, finer.truth)
+    corrected(problem, discretisation_error(problem, best_uniform(problem)))
+    assert _distance(problem, finer.truth) < 0.5 * before
+
+
+def test_what_is_left_is_of_the_size_that_it_says(finer: Recording):
+    assert finer.truth is not None
+    problem = InverseProblem(finer)
+    error = discretisation_error(problem, best_uniform(problem))
+    corrected(problem, error)
+    left = _distance(problem, finer.truth) / np.sqrt(problem.n_data)
+    assert 0.3 < left / np.mean(error.deviation) < 2.0
+
+
+def test_deviations_add_up_in_squares(finer: Recording):
+    problem = InverseProblem(finer)
+    before = 1.0 / problem.observations[0].scale
+    error = discretisation_error(problem, 0.3)
+    corrected(problem, error)
+    after = 1.0 / problem.observations[0].scale
+    assert np.allclose(after**2, before**2 + error.deviation[0] ** 2)
+
+
+def test_an_inversion_without_inverse_crime_gains(finer: Recording):
+    assert finer.truth is not None
+    blind = replace(finer, truth=None)
+    r = {
+        name: pearson(
+            invert(blind, Settings(model_error=name), show_progress=False).youngs, finer.truth
+        )
+        for name in ("none", "auto")
+    }
+    assert r["auto"] > r["none"] + 0.05
+
+
+def test_presses_of_the_same_mesh_are_left_alone(recording: Recording):
+    plain = InverseProblem(recording)
+    same = make_objective(recording, Settings()).problem
+    for a, b in zip(plain.observations, same.observations, strict=True):
+        assert np.array_equal(a.displacement, b.displacement)
+        assert np.array_equal(a.scale, b.scale)
+
+
+@pytest.mark.parametrize(
+    ("provenance", "element", "expected"),
+    [
+        ({"inverse_crime": True}, "tet4", "none"),
+        ({"inverse_crime": False}, "tet4", "discretisation"),
+        ({}, "tet4", "discretisation"),
+        ({}, "tet10", "none"),
+    ],
+)
+def test_auto_goes_by_the_provenance(
+    recording: Recording, provenance: dict, element: str, expected: str
+):
+    assert chosen("auto", replace(recording, provenance=provenance), element) == expected
+
+
+def test_unusable_settings_are_refused(recording: Recording):
+    with pytest.raises(ConfigError, match="model_error=mesh is unknown"):
+        chosen("mesh", recording, "tet4")
+    quadratic = InverseProblem(recording, element="tet10")
+    with pytest.raises(ConfigError, match="element=tet10 choose model_error=none"):
+        discretisation_error(quadratic, 0.2)
