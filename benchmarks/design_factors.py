@@ -116,12 +116,9 @@ def run_cell(model: str, cell: Cell, *, same_mesh: bool) -> dict[str, float]:
 def record(model: str, cell: Cell, *, same_mesh: bool) -> Recording:
     """Simulate the presses of one cell."""
     phantom = make_phantom(MODELS[model])
-    plan = PressPlan.ramp(
-        faces=SIDES[: cell.sides], p_max_mpa=cell.p_max_kpa * KPA, steps=cell.frames
-    )
     return simulate(
         phantom,
-        plan,
+        plan_of(cell),
         material=MaterialSpec("neo_hookean", 0.45),
         mesh=phantom.mesh(relative_edge_length=0.1),
         fine_mesh=None if same_mesh else phantom.mesh(relative_edge_length=0.05),
@@ -129,6 +126,12 @@ def record(model: str, cell: Cell, *, same_mesh: bool) -> Recording:
         snr_db=cell.snr_db,
         seed=0,
     )
+
+
+def plan_of(cell: Cell) -> PressPlan:
+    """The presses of one cell."""
+    faces = SIDES[: cell.sides]
+    return PressPlan.ramp(faces=faces, p_max_mpa=cell.p_max_kpa * KPA, steps=cell.frames)
 
 
 def _paper(path: Path | None) -> dict[str, dict[str, dict[str, float]]]:

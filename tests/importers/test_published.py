@@ -143,6 +143,7 @@ def test_provenance_names_the_case_but_no_folder(case: Path, tmp_path: Path) -> 
     recording = import_published(case, relabel_truth={3.0: 1.5})
     assert recording.provenance == {
         "importer": "published",
+        "inverse_crime": True,
         "case": "cube",
         "presses": [1, 2, 10],
         "round_rest_m": 1e-6,

@@ -1,0 +1,100 @@
+"""The sensitivity matrix and the credibility metric of the paper (eq. 14 and 15, Fig. 3)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError, TactorchError
+from tactorch.inverse import Evaluation
+from tactorch.mesh import TetMesh
+
+_SUBDIVISIONS = 11  # points along an edge of an element, when it is shared out among layers
+
+
+@dataclass(frozen=True, eq=False)
+class Credibility:
+    """The credibility metric of each element.
+
+    Attributes:
+        values: L of eq. (15): the largest change of any observed degree of freedom by a change of
+            the element's modulus, mm/MPa.
+    """
+
+    values: Float[np.ndarray, " m"]
+
+    def per_volume(self, mesh: TetMesh) -> Float[np.ndarray, " m"]:
+        """Return L over the element's volume, mm/MPa/mm^3: free of the size of elements."""
+        return self.values / mesh.volumes
+
+
+def sensitivity_matrix(evaluation: Evaluation) -> Float[np.ndarray, "data m"]:
+    """Return M = S du/de (eq. 14), mm/MPa; rows are the observed unknowns of all presses in turn.
+
+    Raises:
+        ConvergenceError: an equilibrium is unstable and has no derivatives.
+    """
+    return np.concatenate([press.matrix() for press in evaluation.sensitivities])
+
+
+def credibility(matrix: Evaluation | Float[np.ndarray, "data m"]) -> Credibility:
+    """Return L(j) = max_i |M_ij| (eq. 15).
+
+    The row i runs over observed degrees of freedom: the x, y and z displacement of a surface node
+    count apart. Of an evaluation, one press's rows are held at a time.
+
+    Raises:
+        ConvergenceError: an equilibrium is unstable and has no derivatives.
+    """
+    if isinstance(matrix, np.ndarray):
+        return Credibility(np.abs(matrix).max(axis=0, initial=0.0))
+    largest = np.zeros(len(matrix.youngs))
+    for press in matrix.sensitivities:
+        np.maximum(largest, np.abs(press.matrix()).max(axis=0, initial=0.0), out=largest)
+    return Credibility(largest)
+
+
+def layer_profile(
+    mesh: TetMesh, values: Float[np.ndarray, " m"], axis: int = 2, layers: int = 10
+) -> tuple[Float[np.ndarray, " layers"], Float[np.ndarray, " layers"]]:
+    """Integrate a metric over equal layers of the bounding box (Fig. 3).
+
+    An element that reaches over several layers is shared out by sample points of equal volume.
+
+    Args:
+        mesh: The body, mm.
+        values: Metric of each element.
+        axis: Across which the layers lie: 0, 1 or 2.
+        layers: Number of layers.
+
+    Returns:
+        Centres of the layers (mm), integral over each (unit of the metric times mm^3).
+
+    Raises:
+        ConfigError: `axis` or `layers` cannot be used.
+        TactorchError: `values` do not fit the mesh.
+    """
+    if axis not in (0, 1, 2):
+        raise ConfigError(f"axis is {axis}; give 0, 1 or 2 for x, y or z.")
+    if layers < 1:
+        raise ConfigError(f"layers is {layers}; give at least 1.")
+    if len(values) != mesh.n_tets:
+        raise TactorchError(
+            f"values: {len(values)} for a mesh of {mesh.n_tets} tetrahedra; give one each."
+        )
+    low, high = mesh.bounds[:, axis]
+    edges = np.linspace(low, high, layers + 1)
+    weights = _barycentric(_SUBDIVISIONS)
+    heights = mesh.points[mesh.tets, axis] @ weights.T
+    index = np.clip(np.searchsorted(edges, heights, side="right") - 1, 0, layers - 1)
+    share = np.repeat(values * mesh.volumes / len(weights), len(weights))
+    sums = np.bincount(index.ravel(), weights=share, minlength=layers)
+    return 0.5 * (edges[1:] + edges[:-1]), sums
+
+
+def _barycentric(count: int) -> Float[np.ndarray, "p 4"]:
+    """Return evenly spread inner points of a tetrahedron as barycentric weights."""
+    grid = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = grid[grid.sum(axis=1) < count]
+    last = count - 1 - grid.sum(axis=1, keepdims=True)
+    return (np.hstack([grid, last]) + 0.25) / count
