@@ -16,7 +16,7 @@ from tactorch.files import atomic_path, require_file
 from tactorch.inverse.objective import Point
 
 _log = logging.getLogger(__name__)
-_PERIOD = 10.0  # seconds between checkpoints at most
+_PERIOD = 1.0  # seconds between checkpoints at most: what a kill may cost
 
 
 class OutOfTime(Exception):  # noqa: N818  (a signal, not an error)
