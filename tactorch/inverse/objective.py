@@ -53,9 +53,7 @@ class Point:
     @cached_property
     def penalty_gradient(self) -> Float[np.ndarray, " m"]:
         """Gradient of the prior with respect to x, without its weight."""
-        return (
-            self._slope / self.youngs * (self.objective.prior.curvature(self._field) @ self._field)
-        )
+        return self._slope / self.youngs * self.objective.prior.gradient(self._field)
 
     @cached_property
     def jacobian(self) -> Float[np.ndarray, "data m"]:
@@ -66,6 +64,14 @@ class Point:
     def data_gradient(self) -> Float[np.ndarray, " m"]:
         """Gradient of half the sum of squared residuals with respect to x, by adjoints."""
         return self.evaluation.gradient() * self._slope
+
+    def jacobian_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " data"]:
+        """Return the change of the residuals by a change of x, by one solve a press."""
+        return self.evaluation.jacobian_times(self._slope * change)
+
+    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " m"]:
+        """Return the Jacobian's transpose times `weights`, by one solve a press."""
+        return self._slope * self.evaluation.transpose_times(weights)
 
     def value(self, weight: float) -> float:
         """The objective with this weight of the prior."""

@@ -102,19 +102,23 @@ class Evaluation:
 
         return np.concatenate(map_cases(work, len(self._presses)))
 
-    def gradient(self) -> Float[np.ndarray, " m"]:
-        """Return the gradient of half the sum of squared residuals, by one adjoint solve a press.
-
-        This is eq. (9) to (13), with the paper's second minus dropped.
-        """
+    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " m"]:
+        """Return the transpose of d residuals / d youngs times `weights`, one solve a press."""
         ends = np.cumsum([len(seen.index) for seen in self._observations])[:-1]
-        parts = np.split(self.residuals, ends)
+        parts = np.split(weights, ends)
         self.sensitivities  # noqa: B018
 
         def work(i: int) -> np.ndarray:
             return self.sensitivities[i].transpose_times(parts[i] * self._observations[i].scale)
 
         return np.sum(map_cases(work, len(self._presses)), axis=0)
+
+    def gradient(self) -> Float[np.ndarray, " m"]:
+        """Return the gradient of half the sum of squared residuals, by one adjoint solve a press.
+
+        This is eq. (9) to (13), with the paper's second minus dropped.
+        """
+        return self.transpose_times(self.residuals)
 
     def predict(self, youngs: Float[np.ndarray, " m"]) -> list[Float[np.ndarray, "nodes 3"]]:
         """Foretell the displacements at other moduli, to first order where that is sound."""

@@ -22,10 +22,15 @@ class Regularizer(Protocol):
         """Return the penalty (dimensionless)."""
         ...
 
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
-        """Return a positive semi-definite matrix Q, the penalty's majorant at `field`.
+    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the penalty's gradient."""
+        ...
 
-        Q times `field` is the exact gradient, so Q serves Gauss-Newton and gradient methods.
+    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+        """Return a positive semi-definite matrix that stands for the penalty's Hessian.
+
+        Where it can be, it is a majorant's: the quadratic with this Hessian and the penalty's
+        value and gradient at `field` lies nowhere below the penalty.
         """
         ...
 
@@ -42,6 +47,10 @@ class NoPrior:
     def value(self, field: Float[np.ndarray, " m"]) -> float:
         """Return zero."""
         return 0.0
+
+    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return zeros."""
+        return np.zeros_like(field)
 
     def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
         """Return an empty matrix."""

@@ -29,6 +29,10 @@ class Smoothness:
         """Return the penalty."""
         return 0.5 * float(field @ (self._matrix @ field))
 
+    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the penalty's gradient."""
+        return self._matrix @ field
+
     def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
         """Return the Hessian, which is constant."""
         return self._matrix

@@ -41,6 +41,10 @@ class TotalVariation:
         """Return the penalty, zero for a uniform field."""
         return float(self._areas @ (self._size(field) - self.edge))
 
+    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the penalty's gradient."""
+        return self._jumps.T @ (self._areas * (self._jumps @ field) / self._size(field))
+
     def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
         """Return the majorant at `field`."""
         weights = sp.diags(self._areas / self._size(field))
