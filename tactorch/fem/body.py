@@ -1,6 +1,7 @@
 """A soft body: the one object that users of the mechanics hold."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -101,21 +102,36 @@ class SoftBody:
         forces: Float[np.ndarray, "loaded 3"],
         supports: Supports,
         case: int = 0,
+        assembly: Assembly | None = None,
     ) -> Newton:
         """Set up the equilibrium search of one load case, for use without autograd.
+
+        `assembly` may stand in for the body's own: see `altered`.
 
         Raises:
             ConfigError: a shape or value cannot be used.
         """
         self._check(youngs, forces)
         return Newton(
-            self.assembly,
+            self.assembly if assembly is None else assembly,
             self.pool,
             np.ascontiguousarray(youngs, dtype=np.float64),
             np.ascontiguousarray(self.discretisation.spread(forces), dtype=np.float64),
             supports.case(case, self.discretisation),
             self.newton,
         )
+
+    def altered(self, poisson: float, points: Float[np.ndarray, "n 3"]) -> Assembly:
+        """Return the body's assembly with another Poisson's ratio and rest shape (mm).
+
+        Raises:
+            ConfigError: a value cannot be used.
+        """
+        own = self.assembly
+        if np.array_equal(poisson, own.poisson) and np.array_equal(points, own.points):
+            return own
+        self._check_rest(torch.tensor(poisson, dtype=torch.float64), torch.tensor(points))
+        return replace(own, poisson=poisson, points=points)
 
     def _check(self, youngs: np.ndarray, forces: np.ndarray) -> None:
         check_youngs(youngs, self.mesh.n_tets)

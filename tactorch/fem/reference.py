@@ -65,3 +65,26 @@ def element_work(
     assert isinstance(material, IsotropicMaterial)
     stress = material.averaged_stress(F, weights, poisson)
     return (weights * (stress * change).sum((-2, -1))).sum(-1)
+
+
+def internal_force(
+    discretisation: Discretisation,
+    material: Material,
+    u: Float[Tensor, "*cases nodes 3"],
+    youngs: Float[Tensor, " m"],
+    poisson: Float[Tensor, "*m"],
+    points: Float[Tensor, "n 3"],
+) -> Float[Tensor, "*cases nodes 3"]:
+    """Nodal elastic forces, N: what `element_work` does on each unit displacement."""
+    gradients, weights = discretisation.geometry(points)
+    F = deformation_gradient(discretisation, u, gradients)
+    per_point = poisson[..., None] if poisson.ndim else poisson
+    if discretisation.element.mean_dilatation and isinstance(material, IsotropicMaterial):
+        stress = material.averaged_stress(F, weights, poisson)
+    else:
+        stress = material.stress(F, per_point)
+    scaled = weights * youngs[:, None]
+    blocks = torch.einsum("mq,...mqiI,mqkI->...mki", scaled, stress, gradients)
+    nodes = torch.from_numpy(discretisation.nodes).to(u.device).reshape(-1)
+    out = torch.zeros_like(u)
+    return out.index_add(u.ndim - 2, nodes, blocks.flatten(-3, -2))

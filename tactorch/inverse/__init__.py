@@ -1,9 +1,12 @@
 """From presses to a map of Young's modulus: data, prior and optimizer, combined freely."""
 
+from tactorch.inverse.evaluation import Evaluation
 from tactorch.inverse.invert import START_MPA, Settings, invert, make_objective
 from tactorch.inverse.model_error import MODEL_ERRORS, ModelError, corrected, discretisation_error
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
+from tactorch.inverse.nuisance import Nuisance, Unknowns
+from tactorch.inverse.nuisance_estimate import NuisanceEstimate
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers import (
     LBFGS,
@@ -19,10 +22,11 @@ from tactorch.inverse.parameterization import (
     Parameterization,
     make_parameterization,
 )
-from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.regularization import REGULARIZERS, make_regularizer
 from tactorch.inverse.starts import Start, best_uniform, homogeneous, monte_carlo, start_map
+from tactorch.inverse.uniform import UniformFit, uniform_fit
 
 __all__ = [
     "LBFGS",
@@ -39,6 +43,8 @@ __all__ = [
     "ModelError",
     "Monitor",
     "NoiseModel",
+    "Nuisance",
+    "NuisanceEstimate",
     "Objective",
     "Optimizer",
     "OutOfTime",
@@ -47,6 +53,8 @@ __all__ = [
     "Reconstruction",
     "Settings",
     "Start",
+    "UniformFit",
+    "Unknowns",
     "best_uniform",
     "corrected",
     "discretisation_error",
@@ -58,4 +66,5 @@ __all__ = [
     "make_regularizer",
     "monte_carlo",
     "start_map",
+    "uniform_fit",
 ]

@@ -13,6 +13,8 @@ from tactorch.fem import NewtonOptions
 from tactorch.inverse.model_error import chosen, corrected, discretisation_error
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
+from tactorch.inverse.nuisance import Unknowns
+from tactorch.inverse.nuisance_estimate import estimates
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.optimizers import GaussNewton, Optimizer, make_optimizer
 from tactorch.inverse.parameterization import Bounds, make_parameterization
@@ -20,7 +22,8 @@ from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.progress import progress
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.regularization import make_regularizer
-from tactorch.inverse.starts import Start, best_uniform, start_map
+from tactorch.inverse.starts import Start, start_map
+from tactorch.inverse.uniform import uniform_fit
 from tactorch.recording import Recording
 from tactorch.versions import versions
 
@@ -45,6 +48,7 @@ class Settings:
         element: "tet4" or "tet10".
         solver: "auto", "pardiso", "superlu" or "multigrid".
         newton: Settings of the equilibrium search.
+        unknowns: Nuisance parameters to be estimated beside the map; none by default.
         max_seconds: Time limit, or None.
     """
 
@@ -58,6 +62,7 @@ class Settings:
     element: str = "tet4"
     solver: str = "auto"
     newton: NewtonOptions = field(default_factory=NewtonOptions)
+    unknowns: Unknowns = field(default_factory=Unknowns)
     max_seconds: float | None = None
 
 
@@ -105,15 +110,16 @@ def invert(
             "mesh": recording.mesh.content_hash()[:12],
             "parameterization": str(objective.parameterization),
             "model error": chosen(settings.model_error, recording, settings.element),
+            "set of unknowns": str(settings.unknowns),
         },
     )
     if resume is not None:
-        monitor.restore(Path(resume), recording.mesh.n_tets)
+        monitor.restore(Path(resume), objective.size)
         objective.problem.evaluations = monitor.evaluations
     x = monitor.best
     if x is None:
         first = start_map(start_mpa, objective.problem, settings.bounds)
-        x = objective.parameterization.parameters(first)
+        x = objective.start(first)
     if settings.noise.assumed(recording):
         _log.warning(
             "The recording does not state its noise; %.2g of the signal is assumed "
@@ -143,12 +149,13 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
         newton=settings.newton,
     )
     if chosen(settings.model_error, recording, settings.element) == "discretisation":
-        uniform = best_uniform(problem, settings.bounds)
-        corrected(problem, discretisation_error(problem, uniform))
+        fit = uniform_fit(problem, settings.bounds, settings.unknowns)
+        corrected(problem, discretisation_error(problem, fit.youngs_mpa, fit.nuisance))
     return Objective(
         problem,
         make_parameterization(settings.parameterization, settings.bounds),
         make_regularizer(settings.regularization, recording.mesh, edge=settings.edge),
+        settings.unknowns,
     )
 
 
@@ -195,6 +202,7 @@ def _result(
         history=monitor.history,
         stop_reason=reason,
         seconds=monitor.seconds,
+        nuisance=estimates(point, monitor.history[-1].get("weight", 0.0)),
         config={
             "settings": _plain(settings),
             "optimizer": {"name": optimizer.name, **_fields(optimizer)},

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
+from tactorch.inverse.nuisance import Nuisance
 from tactorch.inverse.problem import InverseProblem
 from tactorch.recording import Recording
 
@@ -55,8 +56,10 @@ class ModelError:
     deviation: list[float]
 
 
-def discretisation_error(problem: InverseProblem, youngs_mpa: float) -> ModelError:
-    """Estimate what the mesh gets wrong, at a uniform modulus (MPa).
+def discretisation_error(
+    problem: InverseProblem, youngs_mpa: float, nuisance: Nuisance | None = None
+) -> ModelError:
+    """Estimate what the mesh gets wrong, at a uniform modulus (MPa) and nuisance values.
 
     Raises:
         ConfigError: the problem has quadratic elements, with which there is nothing to compare.
@@ -68,16 +71,17 @@ def discretisation_error(problem: InverseProblem, youngs_mpa: float) -> ModelErr
             f"element={problem.body.discretisation.element.name} choose model_error=none."
         )
     finer = InverseProblem(problem.recording, element="tet10", noise=problem.noise)
-    plain, fine = _predicted(problem, youngs_mpa), _predicted(finer, youngs_mpa)
+    plain, fine = (_predicted(p, youngs_mpa, nuisance) for p in (problem, finer))
     offset = [b - a for a, b in zip(plain, fine, strict=True)]
     return ModelError(offset, [LEFT * float(np.sqrt(np.mean(d * d))) for d in offset])
 
 
-def _predicted(problem: InverseProblem, youngs_mpa: float) -> list[np.ndarray]:
-    at = problem.evaluate(np.full(problem.n_unknowns, youngs_mpa))
+def _predicted(
+    problem: InverseProblem, youngs_mpa: float, nuisance: Nuisance | None
+) -> list[np.ndarray]:
+    found = problem.evaluate(np.full(problem.n_unknowns, youngs_mpa), nuisance=nuisance)
     return [
-        u.ravel()[seen.index]
-        for u, seen in zip(at.displacements, problem.observations, strict=True)
+        u.ravel()[seen.index] for u, seen in zip(found.reported, problem.observations, strict=True)
     ]
 
 

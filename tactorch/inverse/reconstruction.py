@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from tactorch.errors import FileError, MeshError
 from tactorch.files import atomic_path, require_file
+from tactorch.inverse.nuisance_estimate import NuisanceEstimate
 from tactorch.mesh import TetMesh, write_mesh
 
 _FORMAT, _VERSION = "tactorch-reconstruction", 1
@@ -21,7 +22,7 @@ class Reconstruction:
 
     On disk (HDF5): attributes `format`, `version`, `stop_reason` and `seconds`; datasets
     `mesh/points` (mm), `mesh/tets`, `youngs` (MPa), `displacements` (presses, n, 3; mm), `config`
-    (JSON) and `history` (JSON, a list of records).
+    (JSON), `history` (JSON, a list of records) and `nuisance` (JSON, by name).
 
     Attributes:
         mesh: The object.
@@ -31,6 +32,7 @@ class Reconstruction:
         stop_reason: Why the optimizer stopped.
         seconds: Time it took, resumed runs included.
         config: Settings, versions and provenance, as plain JSON values.
+        nuisance: Estimates of the nuisance parameters that were free, by name.
     """
 
     mesh: TetMesh
@@ -40,6 +42,7 @@ class Reconstruction:
     stop_reason: str
     seconds: float
     config: dict[str, Any] = field(default_factory=dict)
+    nuisance: dict[str, NuisanceEstimate] = field(default_factory=dict)
 
     @property
     def iterations(self) -> int:
@@ -60,6 +63,8 @@ class Reconstruction:
             file.attrs["stop_reason"], file.attrs["seconds"] = self.stop_reason, self.seconds
             file.create_dataset("config", data=json.dumps(self.config))
             file.create_dataset("history", data=json.dumps(self.history))
+            free = {name: estimate.plain() for name, estimate in self.nuisance.items()}
+            file.create_dataset("nuisance", data=json.dumps(free))
             for name, values in self._datasets().items():
                 file.create_dataset(name, data=values, compression="gzip", shuffle=True)
         return Path(path)
@@ -93,6 +98,7 @@ class Reconstruction:
                     stop_reason=str(file.attrs["stop_reason"]),
                     seconds=float(file.attrs["seconds"]),
                     config=json.loads(file["config"][()]),
+                    nuisance=_nuisance(file["nuisance"][()] if "nuisance" in file else "{}"),
                 )
             found._check_shapes()
         except (OSError, KeyError, ValueError, TypeError, RuntimeError, MeshError) as error:
@@ -118,6 +124,11 @@ class Reconstruction:
         points = {f"displacement_{i}_mm": u for i, u in enumerate(self.displacements)}
         write_mesh(path, self.mesh, cell_data=cells, point_data=points)
         return Path(path)
+
+
+def _nuisance(text: str | bytes) -> dict[str, NuisanceEstimate]:
+    """Files of earlier versions have none."""
+    return {name: NuisanceEstimate.of(plain) for name, plain in json.loads(text).items()}
 
 
 def _check_format(attributes: dict[str, Any], source: Path) -> None:

@@ -11,78 +11,21 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.parameterization import Bounds
-from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.uniform import FIRST_MPA, uniform_fit
 
 Start: TypeAlias = float | np.ndarray | Callable[[InverseProblem, Bounds], np.ndarray]
 
-_FIRST_MPA = 0.2
-_LARGEST_STEP, _SETTLED, _ROUNDS = 1.5, 1e-3, 30
-_STIFFER = 4.0  # factor to try where the object collapses under its presses
-
 
 def best_uniform(
-    problem: InverseProblem, bounds: Bounds | None = None, *, first_mpa: float = _FIRST_MPA
+    problem: InverseProblem, bounds: Bounds | None = None, *, first_mpa: float = FIRST_MPA
 ) -> float:
     """Return the modulus that fits best where all elements have the same, MPa.
-
-    Gauss-Newton on its logarithm, halving steps that fit worse, and stiffening where a press has
-    no equilibrium.
 
     Raises:
         ConvergenceError: no modulus within the bounds carries the presses.
     """
-    bounds = bounds or Bounds()
-    low, high = np.log(bounds.lower), np.log(bounds.upper)
-    x = float(np.clip(np.log(first_mpa), low, high))
-    point = _uniform(problem, x)
-    while point is None:
-        if x >= high:
-            raise ConvergenceError(
-                f"No uniform modulus up to {bounds.upper:g} MPa carries the presses; check the "
-                "units of the forces (N)."
-            )
-        x = float(min(x + np.log(_STIFFER), high))
-        point = _uniform(problem, x)
-    for _ in range(_ROUNDS):
-        slope = point.jacobian_times(point.youngs)
-        curved = float(slope @ slope)
-        if curved == 0.0:
-            break
-        step = -float(slope @ point.residuals) / curved
-        step = float(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
-        moved = _better(problem, x, step, (low, high), point)
-        if moved is None:
-            break
-        settled = abs(moved[0] - x) < _SETTLED
-        x, point = moved
-        if settled:
-            break
-    return float(np.exp(x))
-
-
-def _better(
-    problem: InverseProblem, x: float, step: float, limits: tuple[float, float], point: Evaluation
-) -> tuple[float, Evaluation] | None:
-    """The step, halved until it fits better; None if it does not."""
-    for _ in range(8):
-        there = float(np.clip(x + step, *limits))
-        trial = None if there == x else _uniform(problem, there, point)
-        if trial is not None and trial.chi2 < point.chi2:
-            return there, trial
-        step *= 0.5
-    return None
-
-
-def _uniform(
-    problem: InverseProblem, x: float, near: Evaluation | None = None
-) -> Evaluation | None:
-    try:
-        point = problem.evaluate(np.full(problem.n_unknowns, np.exp(x)), near)
-        for sensitivity in point.sensitivities:
-            sensitivity.tangent.factor()  # an unstable equilibrium has no derivatives
-        return point
-    except ConvergenceError:
-        return None
+    return uniform_fit(problem, bounds, first_mpa=first_mpa).youngs_mpa
 
 
 def homogeneous(problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse import Evaluation, InverseProblem
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import Recording
@@ -75,12 +75,10 @@ def fail_evaluation(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, BaseExcep
     def arrange(nth: int, error: BaseException) -> None:
         original, count = InverseProblem.evaluate, iter(range(1, 10**6))
 
-        def evaluate(
-            self: InverseProblem, youngs: np.ndarray, near: Evaluation | None = None
-        ) -> Evaluation:
+        def evaluate(self: InverseProblem, *args: Any, **others: Any) -> Evaluation:
             if next(count) == nth:
                 raise error
-            return original(self, youngs, near)
+            return original(self, *args, **others)
 
         monkeypatch.setattr(InverseProblem, "evaluate", evaluate)
 

@@ -53,7 +53,9 @@ def require_weight(weight: float | None) -> None:
 
 
 def projected_gradient(
-    x: Float[np.ndarray, " m"], gradient: Float[np.ndarray, " m"], limits: tuple[float, float]
+    x: Float[np.ndarray, " m"],
+    gradient: Float[np.ndarray, " m"],
+    limits: tuple[float | np.ndarray, float | np.ndarray],
 ) -> Float[np.ndarray, " m"]:
     """The gradient without the components that push against a bound."""
     low, high = limits

@@ -103,13 +103,13 @@ class GaussNewton:
         self, point: Point, weight: float, damping: float, cooling: bool, monitor: Monitor
     ) -> tuple[Point, float] | None:
         """Try steps, damping more each time, until one is good enough."""
-        limits = point.objective.parameterization.limits
-        gradient = point.jacobian.T @ point.evaluation.residuals + weight * point.penalty_gradient
+        limits = point.objective.limits
+        gradient = point.jacobian.T @ point.evaluation.residuals + point.prior_gradient(weight)
         free = projected_gradient(point.x, gradient, limits) != 0.0
         if not free.any():
             return None
         diagonal = np.einsum("ij,ij->j", point.jacobian, point.jacobian)
-        diagonal += weight * point.penalty_curvature.diagonal()
+        diagonal += point.prior_curvature(weight).diagonal()
         for _ in range(self.max_trials):
             shift = damping * diagonal[free]
             change = self._solve(point, gradient, free, weight, shift)
@@ -129,7 +129,7 @@ class GaussNewton:
     ) -> np.ndarray | None:
         everything = bool(free.all())
         jacobian = point.jacobian if everything else point.jacobian[:, free]
-        prior = weight * point.penalty_curvature
+        prior = point.prior_curvature(weight)
         prior = prior if everything else prior[free][:, free]
         in_data = self.space == "data" or (self.space == "auto" and _data_is_cheaper(jacobian))
         solve = data_space_step if in_data else parameter_space_step
@@ -144,8 +144,8 @@ class GaussNewton:
     def _try(point: Point, change: np.ndarray) -> Point | None:
         """Evaluate a step cut to the bounds; None where some press finds no equilibrium."""
         objective = point.objective
-        cap = objective.parameterization.max_step
-        x = np.clip(point.x + np.clip(change, -cap, cap), *objective.parameterization.limits)
+        cap = objective.max_step
+        x = np.clip(point.x + np.clip(change, -cap, cap), *objective.limits)
         try:
             return objective.at(x, point)
         except ConvergenceError:
@@ -156,7 +156,7 @@ class GaussNewton:
         """Fall of the objective over the fall that the quadratic model foretells."""
         change = trial.x - point.x
         image = point.jacobian @ change
-        curved = image @ image + weight * (change @ (point.penalty_curvature @ change))
+        curved = image @ image + change @ (point.prior_curvature(weight) @ change)
         foretold = -(gradient @ change + 0.5 * curved)
         fallen = point.value(weight) - trial.value(weight)
         if foretold <= 0:  # the bounds turned the step uphill in the model

@@ -46,7 +46,7 @@ class BoundedRun:
                 start,
                 jac=True,
                 method=method,
-                bounds=[objective.parameterization.limits] * len(start),
+                bounds=np.column_stack(objective.limits),
                 callback=lambda _: self._report(),
                 options=options,
             )
@@ -74,9 +74,7 @@ class BoundedRun:
         return self.point.value(self.weight)
 
     def _gradient(self, point: Point) -> np.ndarray:
-        if self.weight == 0.0:
-            return point.data_gradient
-        return point.data_gradient + self.weight * point.penalty_gradient
+        return point.data_gradient + point.prior_gradient(self.weight)
 
     def _report(self) -> None:
         """Report the lowest point, once an iteration."""

@@ -1,0 +1,85 @@
+"""Estimates of the nuisance parameters, and how far they can be trusted."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import TactorchError
+from tactorch.inverse.objective import Point
+from tactorch.linalg import DenseCholesky
+
+_DENSE = 12_000  # parameters up to which the normal matrix (1.2 GB) is formed
+
+
+@dataclass(frozen=True, eq=False)
+class NuisanceEstimate:
+    """One nuisance parameter as the data have it.
+
+    Attributes:
+        value: Its components.
+        deviation: Their posterior standard deviations, of scales relative; NaN where the problem
+            is too large for the dense matrix that they take.
+        prior_deviation: What they were before the data.
+    """
+
+    value: Float[np.ndarray, " c"]
+    deviation: Float[np.ndarray, " c"]
+    prior_deviation: float
+
+    def plain(self) -> dict[str, Any]:
+        """Return the estimate as plain JSON values."""
+        return {
+            "value": self.value.tolist(),
+            "deviation": self.deviation.tolist(),
+            "prior_deviation": self.prior_deviation,
+        }
+
+    @staticmethod
+    def of(plain: dict[str, Any]) -> "NuisanceEstimate":
+        """Return the estimate of plain JSON values."""
+        value, deviation = np.array(plain["value"]), np.array(plain["deviation"])
+        return NuisanceEstimate(value, deviation, plain["prior_deviation"])
+
+
+def estimates(point: Point, weight: float) -> dict[str, NuisanceEstimate]:
+    """Read the nuisance parameters off a solution, by name; empty where none is free.
+
+    Deviations are those of the normal (Laplace) approximation, the map being unknown too.
+
+    Args:
+        point: The solution.
+        weight: Weight of the prior there.
+    """
+    unknowns = point.objective.unknowns
+    if not unknowns.size:
+        return {}
+    deviations = unknowns.parts(unknowns.slopes() * _deviation_of_z(point, weight))
+    return {
+        name: NuisanceEstimate(
+            np.atleast_1d(getattr(point.evaluation.nuisance, name)),
+            deviations[name],
+            getattr(unknowns, name),
+        )
+        for name in unknowns.names
+    }
+
+
+def _deviation_of_z(point: Point, weight: float) -> Float[np.ndarray, " k"]:
+    k = len(point.z)
+    if len(point.x) > _DENSE:
+        return np.full(k, np.nan)
+    precision = point.jacobian.T @ point.jacobian
+    coo = point.prior_curvature(weight).tocoo()
+    np.add.at(precision, (coo.row, coo.col), coo.data)
+    # Where neither data nor prior say anything of an element, its modulus must not be free to
+    # break the factorisation: a shift that no variance of z notices.
+    precision[np.diag_indices_from(precision)] += 1e-12 * precision.diagonal().max()
+    factor = DenseCholesky.of(precision)
+    if factor is None:
+        raise TactorchError("the posterior of the nuisance parameters is not definite")
+    columns = np.zeros((len(point.x), k))
+    columns[-k:] = np.eye(k)
+    covariance = np.column_stack([factor.solve(column) for column in columns.T])
+    return np.sqrt(covariance[-k:].diagonal())
