@@ -61,6 +61,7 @@ _NAMES_OF: dict[Kind, str] = {
         lower upper relative mm max_seconds snr_db weight edge tolerance damping ftol gtol
         poisson lame_factor noise_mm round_rest_m p_max_mpa spring_n_per_mm patch_radius_mm
         relative_edge_length edge_length_mm fine_edge_length_mm fine_relative
+        force_scale rest_scale translation_mm rotation_rad
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
     """,
     _MODULUS: "start_mpa",
@@ -80,6 +81,7 @@ KINDS = {name: kind for kind, names in _NAMES_OF.items() for name in names.split
 _OPTIONAL = """
     mm max_seconds snr_db weight edge_length_mm fine_edge_length_mm fine_relative noise_mm
     patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume
+    unknowns.poisson force_scale rest_scale translation_mm rotation_rad
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 
@@ -130,7 +132,8 @@ def _check(name: str, value: Any) -> None:
     kind = KINDS.get(leaf)
     if kind is None or kind.holds(value):
         return
-    if value is None and leaf in OPTIONAL:
+    optional = leaf in OPTIONAL or name in OPTIONAL
+    if value is None and optional:
         return
-    or_null = ", or null" if leaf in OPTIONAL else ""
+    or_null = ", or null" if optional else ""
     raise ConfigError(f"{name}={value!r}: give {kind.name}{or_null}.")

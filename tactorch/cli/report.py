@@ -13,7 +13,7 @@ from jaxtyping import Float
 from tactorch.cli.settings import log
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
-from tactorch.inverse import Reconstruction
+from tactorch.inverse import NuisanceEstimate, Reconstruction
 from tactorch.metrics import Inclusion, find_inclusion, scores
 from tactorch.recording import Recording
 
@@ -115,6 +115,7 @@ def summarise(
         "presses": len(recording.presses),
         "youngs_median_mpa": float(np.median(reconstruction.youngs)),
         "inclusion": None if inclusion is None else _inclusion(inclusion),
+        "nuisance": {name: found.plain() for name, found in reconstruction.nuisance.items()},
     }
     if recording.truth is not None:
         summary |= scores(recording.mesh, reconstruction.youngs, recording.truth)
@@ -148,6 +149,7 @@ def describe(
         f"Displacements are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations "
         f"(misfit {summary['misfit']:.3g} mm2).",
         _finding(inclusion, summary["youngs_median_mpa"]),
+        *(_estimate(name, found) for name, found in reconstruction.nuisance.items()),
     ]
     if recording.truth is not None:
         true = find_inclusion(recording.mesh, recording.truth)
@@ -155,6 +157,15 @@ def describe(
             lines.append("In truth: " + _finding(true, float(np.median(recording.truth))))
         lines += ["", score_table(recording, {"reconstruction": reconstruction.youngs}).text]
     return "\n".join(lines)
+
+
+def _estimate(name: str, found: NuisanceEstimate) -> str:
+    pairs = zip(found.value, found.deviation, strict=True)
+    values = ", ".join(f"{value:.4g} +- {deviation:.2g}" for value, deviation in pairs)
+    told = (
+        "" if (found.deviation < 0.9 * found.prior_deviation).any() else " (the data tell little)"
+    )
+    return f"Estimated beside the map: {name} {values}{told}."
 
 
 def _finding(inclusion: Inclusion | None, median_mpa: float) -> str:

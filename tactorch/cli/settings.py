@@ -16,6 +16,7 @@ from tactorch.inverse import (
     NoiseModel,
     Settings,
     Start,
+    Unknowns,
     homogeneous,
     make_optimizer,
 )
@@ -74,6 +75,7 @@ def inversion_of(cfg: DictConfig) -> Settings:
         bounds=_made("bounds", Bounds, plain(cfg.bounds)),
         noise=_made("noise", NoiseModel, plain(cfg.noise)),
         model_error=cfg.model_error,
+        unknowns=_made("unknowns", Unknowns, plain(cfg.unknowns)),
         element=cfg.element,
         solver=cfg.solver.name,
         max_seconds=cfg.max_seconds,

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from tactorch.fem import Equilibrated, Newton, map_cases
 from tactorch.fem.sensitivity import Sensitivity, force_rates
+from tactorch.inverse.correlation import CommonError
 from tactorch.inverse.nuisance import Nuisance, Placed
 
 _PREDICTABLE = 0.5  # largest relative change of a modulus for which du/de foretells u
@@ -102,9 +103,14 @@ class Evaluation:
     """
 
     def __init__(
-        self, youngs: Float[np.ndarray, " m"], nuisance: Nuisance, presses: list[Solved]
+        self,
+        youngs: Float[np.ndarray, " m"],
+        nuisance: Nuisance,
+        presses: list[Solved],
+        common: CommonError | None = None,
     ) -> None:
-        """Compare predictions with observations."""
+        """Compare predictions with observations, whose errors may have something in common."""
+        self._common = common
         self.youngs = youngs
         self.nuisance = nuisance
         self._presses = presses
@@ -113,9 +119,13 @@ class Evaluation:
             press.reported.ravel()[press.seen.index] - press.seen.displacement for press in presses
         ]
         self.misfit_mm2 = 0.5 * float(sum(d @ d for d in difference))
-        self.residuals = np.concatenate(
-            [d * seen.scale for d, seen in zip(difference, self._observations, strict=True)]
-        )
+        scaled = [d * seen.scale for d, seen in zip(difference, self._observations, strict=True)]
+        self.residuals = self._whiten(scaled)
+
+    def _whiten(self, parts: list[Float[np.ndarray, "p *k"]]) -> Float[np.ndarray, "data *k"]:
+        """Join what is in standard deviations of each datum by itself, press by press."""
+        joined = np.concatenate(parts)
+        return joined if self._common is None else self._common.whiten(joined)
 
     @property
     def chi2(self) -> float:
@@ -132,6 +142,10 @@ class Evaluation:
         """Predicted report of the sensor, each press, mm."""
         return [press.reported for press in self._presses]
 
+    def search(self, i: int) -> Newton:
+        """Return the equilibrium search of press i."""
+        return self._presses[i].newton
+
     @cached_property
     def sensitivities(self) -> list[Sensitivity]:
         """Linearisation of each press, factored once."""
@@ -144,7 +158,7 @@ class Evaluation:
         def work(i: int) -> np.ndarray:
             return self.sensitivities[i].matrix() * self._observations[i].scale[:, None]
 
-        return np.concatenate(map_cases(work, len(self._presses)))
+        return self._whiten(map_cases(work, len(self._presses)))
 
     def nuisance_jacobian(self, names: tuple[str, ...]) -> Float[np.ndarray, "data k"]:
         """Return d residuals / d nuisance parameters, one column a component, a solve each.
@@ -158,7 +172,7 @@ class Evaluation:
             columns = press.nuisance_columns(names, sensitivity, self.youngs)
             return columns * press.seen.scale[:, None]
 
-        return np.concatenate(map_cases(work, len(self._presses)))
+        return self._whiten(map_cases(work, len(self._presses)))
 
     def jacobian_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa), one solve a press."""
@@ -167,12 +181,13 @@ class Evaluation:
         def work(i: int) -> np.ndarray:
             return self.sensitivities[i].times(change) * self._observations[i].scale
 
-        return np.concatenate(map_cases(work, len(self._presses)))
+        return self._whiten(map_cases(work, len(self._presses)))
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " m"]:
         """Return the transpose of d residuals / d youngs times `weights`, one solve a press."""
         ends = np.cumsum([len(seen.index) for seen in self._observations])[:-1]
-        parts = np.split(weights, ends)
+        white = weights if self._common is None else self._common.whiten(weights)
+        parts = np.split(white, ends)
         self.sensitivities  # noqa: B018
 
         def work(i: int) -> np.ndarray:

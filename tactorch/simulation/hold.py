@@ -5,19 +5,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tactorch.fem import Discretisation, Supports
+from tactorch.fem import Discretisation, Supports, make_element
 from tactorch.fem.loads import pressure_forces
 from tactorch.fem.supports import HeldCase
 from tactorch.mesh import TetMesh, face_nodes
 from tactorch.simulation.plan import PressPlan, Series
 
 
-def spring_stiffness(mesh: TetMesh, series: Series, plan: PressPlan) -> Float[np.ndarray, "n 3"]:
-    """Return the stiffness of the springs on each node, N/mm; zero where the plan has none."""
+def spring_stiffness(
+    mesh: TetMesh, series: Series, plan: PressPlan, *, even: bool
+) -> Float[np.ndarray, "n 3"]:
+    """Return the stiffness of the springs on each node, N/mm; zero where the plan has none.
+
+    Springs of one stiffness, as in the paper, hold a side more firmly where its nodes are dense,
+    along its edges above all. Where two meshes are to hold it alike, the same total is spread
+    evenly over its area.
+    """
     springs = np.zeros((mesh.n_points, 3))
     if plan.hold == "springs":
         springs[face_nodes(mesh, series.opposite)] = float(plan.spring_n_per_mm)
+        if even:
+            shares = area_shares(Discretisation(mesh, make_element("tet4")), series)
+            springs = shares[:, None] * springs.sum(axis=0)
     return springs
+
+
+def area_shares(discretisation: Discretisation, series: Series) -> Float[np.ndarray, " nodes"]:
+    """Return each node's share of the area of the side opposite to a press; they add up to one."""
+    areas = np.abs(pressure_forces(discretisation, series.opposite, 1.0).numpy() @ series.push)
+    return areas / areas.sum()
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +63,7 @@ def foundation(
     One spring per node would hold a finer mesh more stiffly. Here the total stiffness (N/mm per
     axis) is spread evenly over the side, consistently with the element: an elastic foundation.
     """
-    areas = -pressure_forces(discretisation, series.opposite, 1.0).numpy() @ series.push
-    springs = np.abs(areas)[:, None] / np.abs(areas).sum() * total
+    springs = area_shares(discretisation, series)[:, None] * total
     return Foundation(fixed=fixed_freedoms(discretisation.mesh, series, plan), node_springs=springs)
 
 

@@ -46,7 +46,8 @@ def simulate(
     inversion with the same element then has a model without error (the inverse crime), which the
     provenance says. With it they are solved on the fine mesh and interpolated to the recording's
     nodes with the element's shape functions; pressure and patch are integrated exactly on either
-    mesh, so total forces agree, and springs keep their total stiffness, spread over the held side.
+    mesh, so total forces agree, and springs keep their total stiffness, on both meshes spread
+    evenly over the held side.
     Quadratic elements get such consistent loads and springs on any mesh, for a recording has them
     on vertices only.
 
@@ -94,7 +95,7 @@ def simulate(
     stage = _stage(
         phantom, plan, material, mesh, fine_mesh, (samples, element, solver), heavy, pull
     )
-    setups = [Setup.on(mesh, series, plan) for series in plan.series]
+    setups = [Setup.on(mesh, s, plan, even=not stage.as_recorded) for s in plan.series]
     count = _counter(plan.n_presses, progress)
     moved = map_cases(lambda i: stage.press(setups[i], count), len(setups))
     rows = [(s, step, u) for s, us in zip(setups, moved, strict=True) for step, u in enumerate(us)]

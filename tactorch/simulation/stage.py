@@ -39,8 +39,8 @@ class Setup:
     fixed: Bool[np.ndarray, "n 3"]
 
     @classmethod
-    def on(cls, mesh: TetMesh, series: Series, plan: PressPlan) -> "Setup":
-        """Set a series up on the recording's mesh.
+    def on(cls, mesh: TetMesh, series: Series, plan: PressPlan, *, even: bool) -> "Setup":
+        """Set a series up on the recording's mesh, its springs even by area or one like another.
 
         Raises:
             ConfigError: The patch misses the object or all nodes.
@@ -55,7 +55,7 @@ class Setup:
             series,
             unit_forces(Discretisation(mesh, make_element("tet4")), series, plan),
             observed,
-            spring_stiffness(mesh, series, plan),
+            spring_stiffness(mesh, series, plan, even=even),
             fixed_freedoms(mesh, series, plan),
         )
 

@@ -442,6 +442,16 @@ ONE = "presses/0000"
         settings=("model_error=mesh",),
     ),
     Case(
+        "deviation of zero for an unknown",
+        ("unknowns.poisson=0", "above 0, or null"),
+        settings=("unknowns.poisson=0",),
+    ),
+    Case(
+        "unknown that is no number",
+        ("unknowns.rest_scale='yes'", "give a number, or null"),
+        settings=("unknowns.rest_scale=yes",),
+    ),
+    Case(
         "NaN for a setting",
         ("start_mpa=nan", "a number or homogeneous"),
         settings=("start_mpa=nan",),

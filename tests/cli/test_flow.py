@@ -37,6 +37,22 @@ def test_import_makes_a_recording_of_a_published_case(
     assert "case.h5" in done.out
 
 
+def test_unknowns_are_estimated_and_said(tactorch: Any, recording: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    done = tactorch(
+        "invert", f"recording={recording}", f"run_dir={folder}", "unknowns.poisson=0.02",
+        "unknowns.rest_scale=0.1", *QUICK,
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    found = summary_of(folder)["nuisance"]
+    assert set(found) == {"poisson", "rest_scale"}
+    assert len(found["rest_scale"]["value"]) == len(found["rest_scale"]["deviation"]) == 3
+    assert f"poisson {found['poisson']['value'][0]:.4g} +- " in (folder / "summary.txt").read_text()
+    again = tactorch("invert", f"resume={folder}", "unknowns.poisson=null", *QUICK)
+    assert again.status == 2
+    assert "belongs to another" in again.err
+
+
 @pytest.mark.parametrize(
     ("optimizer", "brief"),
     [

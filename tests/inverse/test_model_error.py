@@ -62,6 +62,24 @@ def test_deviations_add_up_in_squares(finer: Recording):
     assert np.allclose(after**2, before**2 + error.deviation[0] ** 2)
 
 
+def test_what_the_presses_of_one_place_share_is_counted_once(cube: Recording):
+    """A shift of a whole contact is worth one datum, whatever the number of nodes and steps."""
+    problem = InverseProblem(cube)
+    before = problem.evaluate(np.full(problem.n_unknowns, 0.3)).residuals
+    error = discretisation_error(problem, 0.3)
+    corrected(problem, error)
+    assert problem.common is not None
+    shift = np.concatenate(
+        [
+            0.1 * (seen.index % 3 == 2) * deviation * seen.scale
+            for seen, deviation in zip(problem.observations, error.deviation, strict=True)
+        ]
+    )
+    assert len(before) == len(shift)
+    left = problem.common.whiten(shift)
+    assert left @ left < 0.1 * (shift @ shift)
+
+
 def test_an_inversion_without_inverse_crime_gains(finer: Recording):
     assert finer.truth is not None
     blind = replace(finer, truth=None)

@@ -1,0 +1,22 @@
+"""Errors that data have in common: a few patterns of unknown size on top of white noise."""
+
+import numpy as np
+from jaxtyping import Float
+
+
+class CommonError:
+    """Whitens residuals whose covariance is the unit matrix plus B B^T.
+
+    B has few columns, each the pattern of an error of unit standard deviation, in standard
+    deviations of the white noise. With B = U S V^T the symmetric root of the inverse is
+    1 - U (1 - (1 + S^2)^(-1/2)) U^T.
+    """
+
+    def __init__(self, patterns: Float[np.ndarray, "data k"]) -> None:
+        """Decompose the patterns."""
+        self._basis, sizes, _ = np.linalg.svd(patterns, full_matrices=False)
+        self._loss = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
+
+    def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
+        """Return the whitened residuals or their derivatives; the map is its own transpose."""
+        return values - self._basis @ (self._loss * (self._basis.T @ values).T).T
