@@ -58,15 +58,18 @@ _RELABELLING = Kind("a table of moduli: {OLD: NEW}", _is_relabelling)
 # By the last part of a setting's name, which means the same wherever it stands.
 _NAMES_OF: dict[Kind, str] = {
     _NUMBER: """
-        lower upper relative mm max_seconds snr_db weight edge tolerance damping ftol gtol
+        lower upper relative mm max_seconds snr_db weight edge tolerance damping forcing ftol gtol
         poisson lame_factor noise_mm round_rest_m p_max_mpa spring_n_per_mm patch_radius_mm
         relative_edge_length edge_length_mm fine_edge_length_mm fine_relative
         force_scale rest_scale translation_mm rotation_rad
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
     """,
     _MODULUS: "start_mpa",
-    _WHOLE: "seed samples steps max_iterations max_evaluations stage_iterations memory max_trials",
-    _TEXT: "name model_error element generator hold space source",
+    _WHOLE: """
+        seed samples steps max_iterations max_evaluations stage_iterations cg_iterations memory
+        max_trials
+    """,
+    _TEXT: "name misfit model_error element generator hold space hessian source",
     _PATH: "path out recording run run_dir resume",
     _POINT: "center size radii axis",
     _FLAG: "plots check_units",

@@ -74,6 +74,7 @@ def inversion_of(cfg: DictConfig) -> Settings:
         edge=prior["edge"],
         bounds=_made("bounds", Bounds, plain(cfg.bounds)),
         noise=_made("noise", NoiseModel, plain(cfg.noise)),
+        misfit=cfg.misfit,
         model_error=cfg.model_error,
         unknowns=_made("unknowns", Unknowns, plain(cfg.unknowns)),
         element=cfg.element,

@@ -103,10 +103,12 @@ class SoftBody:
         supports: Supports,
         case: int = 0,
         assembly: Assembly | None = None,
+        after: Newton | None = None,
     ) -> Newton:
         """Set up the equilibrium search of one load case, for use without autograd.
 
-        `assembly` may stand in for the body's own: see `altered`.
+        `assembly` may stand in for the body's own: see `altered`. A search `after` another takes
+        over its factorisation: see `Newton`.
 
         Raises:
             ConfigError: a shape or value cannot be used.
@@ -119,6 +121,7 @@ class SoftBody:
             np.ascontiguousarray(self.discretisation.spread(forces), dtype=np.float64),
             supports.case(case, self.discretisation),
             self.newton,
+            after,
         )
 
     def altered(self, poisson: float, points: Float[np.ndarray, "n 3"]) -> Assembly:

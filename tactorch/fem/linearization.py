@@ -33,7 +33,7 @@ class Linearization:
         Raises:
             ConvergenceError: K is not positive definite: the equilibrium is unstable.
         """
-        if self._factored:
+        if self._factored and not self.lease.handed_over:
             return
         if self.lease.factor(self.values) is Status.INDEFINITE:
             raise ConvergenceError(

@@ -15,6 +15,7 @@ from tactorch.fem.assembly import Assembly, Response
 from tactorch.fem.linearization import Linearization
 from tactorch.fem.supports import HeldCase
 from tactorch.linalg import IndefiniteError, SolverPool, Status, lagged_solve
+from tactorch.linalg.pool import Lease
 
 _ARMIJO = 1e-4
 _LOOSE, _TIGHT = 0.01, 1e-8  # accuracy of a step solved with an older factorisation
@@ -86,8 +87,14 @@ class Newton:
         forces: Float[np.ndarray, "nodes 3"],
         held: HeldCase,
         options: NewtonOptions | None = None,
+        after: "Newton | None" = None,
     ) -> None:
-        """Take the problem; nothing is computed yet."""
+        """Take the problem; nothing is computed yet.
+
+        A search `after` another of a similar tangent takes over the factorisation that the other
+        has made, which must then factor anew. So a mesh whose factors fill the memory needs them
+        once only, and the first steps need none.
+        """
         self.assembly = assembly
         self.pattern = pool.pattern
         self.youngs = youngs
@@ -95,8 +102,8 @@ class Newton:
         self.held = held
         self.options = options or NewtonOptions()
         self._fixed = held.fixed.ravel()
-        self._lease = pool.lease()
-        self._factored = False
+        self._lease: Lease = pool.lease() if after is None else after._lease.hand_over()
+        self._factored = self._lease.factored
 
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> Equilibrated:
         """Find the equilibrium, warm from `start` if given."""

@@ -69,11 +69,19 @@ class Sensitivity:
 
     def transpose_times(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " m"]:
         """Return the transpose of S du/de times observed weights: the adjoint gradient (eq. 12)."""
+        return -self.unit_work(self.adjoint(weights))
+
+    def adjoint(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, "nodes 3"]:
+        """Return the displacement by forces that are the observed weights."""
         rhs = np.zeros(self.tangent.pattern.size)
         np.add.at(rhs, self.observed, weights)
         if self.frame is not None:
             rhs = (rhs.reshape(-1, 3) @ self.frame).ravel()
-        return -self._unit_work(self.tangent.solve(rhs)[:, None])[:, 0]
+        return self.tangent.solve(rhs).reshape(-1, 3)
+
+    def unit_work(self, field: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, " m"]:
+        """Return each element's unit force (eq. 11) times a nodal field."""
+        return self._unit_work(field.reshape(-1, 1))[:, 0]
 
     def _unit_loads(self, rows: Int[np.ndarray, " k"]) -> Float[np.ndarray, "unknowns k"]:
         """Loads along each of some observed unknowns."""

@@ -2,6 +2,7 @@
 
 from tactorch.inverse.evaluation import Evaluation
 from tactorch.inverse.invert import START_MPA, Settings, invert, make_objective
+from tactorch.inverse.misfit import MISFITS
 from tactorch.inverse.model_error import MODEL_ERRORS, ModelError, corrected, discretisation_error
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
@@ -30,6 +31,7 @@ from tactorch.inverse.uniform import UniformFit, uniform_fit
 
 __all__ = [
     "LBFGS",
+    "MISFITS",
     "MODEL_ERRORS",
     "OPTIMIZERS",
     "PARAMETERIZATIONS",

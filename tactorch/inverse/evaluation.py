@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from tactorch.fem import Equilibrated, Newton, map_cases
 from tactorch.fem.sensitivity import Sensitivity, force_rates
 from tactorch.inverse.correlation import CommonError
+from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import Nuisance, Placed
 
 _PREDICTABLE = 0.5  # largest relative change of a modulus for which du/de foretells u
@@ -98,7 +99,8 @@ class Evaluation:
     Attributes:
         youngs: The map, MPa.
         nuisance: What else the predictions depend on.
-        residuals: Predicted minus observed, all presses in a row, in standard deviations.
+        residuals: Half their square is minimised: predicted minus observed, all presses in a row,
+            in standard deviations, or what the misfit makes of that.
         misfit_mm2: Half the sum of squared differences (eq. 7), mm^2.
     """
 
@@ -108,9 +110,11 @@ class Evaluation:
         nuisance: Nuisance,
         presses: list[Solved],
         common: CommonError | None = None,
+        misfit: Misfit | None = None,
     ) -> None:
         """Compare predictions with observations, whose errors may have something in common."""
         self._common = common
+        self._misfit = misfit or Squares()
         self.youngs = youngs
         self.nuisance = nuisance
         self._presses = presses
@@ -120,17 +124,28 @@ class Evaluation:
         ]
         self.misfit_mm2 = 0.5 * float(sum(d @ d for d in difference))
         scaled = [d * seen.scale for d, seen in zip(difference, self._observations, strict=True)]
-        self.residuals = self._whiten(scaled)
+        self._begins = np.cumsum([0, *(len(d) for d in difference[:-1])])
+        self._white = self._whiten(np.concatenate(scaled))
+        self.residuals = self._misfit.residuals(self._white, self._begins)
 
-    def _whiten(self, parts: list[Float[np.ndarray, "p *k"]]) -> Float[np.ndarray, "data *k"]:
-        """Join what is in standard deviations of each datum by itself, press by press."""
-        joined = np.concatenate(parts)
-        return joined if self._common is None else self._common.whiten(joined)
+    def _whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
+        """From standard deviations of each datum by itself to independent ones; symmetric."""
+        return values if self._common is None else self._common.whiten(values)
+
+    def _join(self, parts: list[np.ndarray]) -> Float[np.ndarray, "data *k"]:
+        """Derivatives of the residuals from those of each press in standard deviations."""
+        white = self._whiten(np.concatenate(parts))
+        return self._misfit.derivative(self._white, self._begins, white)
 
     @property
     def chi2(self) -> float:
-        """Mean squared residual; one when the data are fitted to their noise."""
-        return float(np.mean(self.residuals**2))
+        """Mean squared deviation, or a robust stand-in; one when the data are fitted to noise."""
+        return self._misfit.chi2(self._white, self._begins)
+
+    @property
+    def chi2_of_presses(self) -> Float[np.ndarray, " presses"]:
+        """Mean squared deviation of each press."""
+        return np.array([np.mean(r**2) for r in np.split(self._white, self._begins[1:])])
 
     @property
     def displacements(self) -> list[Float[np.ndarray, "nodes 3"]]:
@@ -158,7 +173,7 @@ class Evaluation:
         def work(i: int) -> np.ndarray:
             return self.sensitivities[i].matrix() * self._observations[i].scale[:, None]
 
-        return self._whiten(map_cases(work, len(self._presses)))
+        return self._join(map_cases(work, len(self._presses)))
 
     def nuisance_jacobian(self, names: tuple[str, ...]) -> Float[np.ndarray, "data k"]:
         """Return d residuals / d nuisance parameters, one column a component, a solve each.
@@ -172,7 +187,7 @@ class Evaluation:
             columns = press.nuisance_columns(names, sensitivity, self.youngs)
             return columns * press.seen.scale[:, None]
 
-        return self._whiten(map_cases(work, len(self._presses)))
+        return self._join(map_cases(work, len(self._presses)))
 
     def jacobian_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa), one solve a press."""
@@ -181,19 +196,28 @@ class Evaluation:
         def work(i: int) -> np.ndarray:
             return self.sensitivities[i].times(change) * self._observations[i].scale
 
-        return self._whiten(map_cases(work, len(self._presses)))
+        return self._join(map_cases(work, len(self._presses)))
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " m"]:
         """Return the transpose of d residuals / d youngs times `weights`, one solve a press."""
-        ends = np.cumsum([len(seen.index) for seen in self._observations])[:-1]
-        white = weights if self._common is None else self._common.whiten(weights)
-        parts = np.split(white, ends)
+        parts = self._split(weights)
         self.sensitivities  # noqa: B018
+        found = map_cases(
+            lambda i: self.sensitivities[i].transpose_times(parts[i]), len(self._presses)
+        )
+        return np.sum(found, axis=0)
 
-        def work(i: int) -> np.ndarray:
-            return self.sensitivities[i].transpose_times(parts[i] * self._observations[i].scale)
+    def adjoints(self, weights: Float[np.ndarray, " data"]) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return each press's adjoint displacement for weights of the residuals, 1/N."""
+        parts = self._split(weights)
+        self.sensitivities  # noqa: B018
+        return map_cases(lambda i: self.sensitivities[i].adjoint(parts[i]), len(self._presses))
 
-        return np.sum(map_cases(work, len(self._presses)), axis=0)
+    def _split(self, weights: Float[np.ndarray, " data"]) -> list[Float[np.ndarray, " p"]]:
+        """Weights of the residuals as weights of each press's observed displacements, 1/mm."""
+        white = self._whiten(self._misfit.derivative(self._white, self._begins, weights))
+        parts = zip(np.split(white, self._begins[1:]), self._observations, strict=True)
+        return [part * seen.scale for part, seen in parts]
 
     def gradient(self) -> Float[np.ndarray, " m"]:
         """Return the gradient of half the sum of squared residuals, by one adjoint solve a press.

@@ -10,6 +10,7 @@ import numpy as np
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import NewtonOptions
+from tactorch.inverse.misfit import make_misfit
 from tactorch.inverse.model_error import chosen, corrected, discretisation_error
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
@@ -42,6 +43,8 @@ class Settings:
         edge: Jump of log-modulus below which total variation is quadratic.
         bounds: Limits of Young's modulus.
         noise: Standard deviations for presses that do not state theirs.
+        misfit: "squares", "huber" for outlying markers, or "adaptive" for presses that are worse
+            than stated; see `tactorch.inverse.misfit`.
         model_error: "discretisation" corrects for what the mesh gets wrong, "none" does not, and
             "auto" does unless the presses were computed on the same mesh; see
             `tactorch.inverse.model_error`.
@@ -58,6 +61,7 @@ class Settings:
     edge: float = 0.03
     bounds: Bounds = field(default_factory=Bounds)
     noise: NoiseModel = field(default_factory=NoiseModel)
+    misfit: str = "squares"
     model_error: str = "auto"
     element: str = "tet4"
     solver: str = "auto"
@@ -111,6 +115,7 @@ def invert(
             "parameterization": str(objective.parameterization),
             "model error": chosen(settings.model_error, recording, settings.element),
             "set of unknowns": str(settings.unknowns),
+            "misfit": settings.misfit,
         },
     )
     if resume is not None:
@@ -147,6 +152,7 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
         solver=settings.solver,
         noise=settings.noise,
         newton=settings.newton,
+        misfit=make_misfit(settings.misfit),
     )
     if chosen(settings.model_error, recording, settings.element) == "discretisation":
         fit = uniform_fit(problem, settings.bounds, settings.unknowns)

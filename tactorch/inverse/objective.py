@@ -167,8 +167,12 @@ class Objective:
         cap = self.parameterization.max_step
         return np.concatenate([np.full(m, cap), np.full(self.unknowns.size, _FARTHEST)])
 
-    def at(self, x: Float[np.ndarray, " size"], near: Point | None = None) -> Point:
+    def at(
+        self, x: Float[np.ndarray, " size"], near: Point | None = None, *, take_over: bool = False
+    ) -> Point:
         """Evaluate at x, starting the equilibria from a nearby point.
+
+        `take_over` passes the factorisations of `near` on: see `InverseProblem.evaluate`.
 
         Raises:
             ConvergenceError: a press has no equilibrium at these moduli.
@@ -179,4 +183,5 @@ class Objective:
         youngs = np.clip(youngs, bounds.lower, bounds.upper)
         nuisance = self.unknowns.nuisance(x[m:], self.problem.assumed)
         before = None if near is None else near.evaluation
-        return Point(x, self.problem.evaluate(youngs, before, nuisance), self)
+        found = self.problem.evaluate(youngs, before, nuisance, take_over)
+        return Point(x, found, self)

@@ -10,6 +10,7 @@ from tactorch.fem.body import check_youngs
 from tactorch.fem.materials import make_material
 from tactorch.inverse.correlation import CommonError
 from tactorch.inverse.evaluation import Evaluation, Observation, Solved
+from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.nuisance import Nuisance, Placing
 from tactorch.recording import Press, Recording
@@ -24,6 +25,7 @@ class InverseProblem:
         solver: Linear solver.
         noise: Standard deviations for presses that do not state theirs.
         newton: Settings of the equilibrium search.
+        misfit: What a residual costs; its square by default.
     """
 
     def __init__(
@@ -34,6 +36,7 @@ class InverseProblem:
         solver: str = "auto",
         noise: NoiseModel | None = None,
         newton: NewtonOptions | None = None,
+        misfit: Misfit | None = None,
     ) -> None:
         """Set up the body and the observations."""
         spec = recording.material
@@ -51,6 +54,7 @@ class InverseProblem:
         self.assumed = Nuisance.assumed(recording)
         self.placing = Placing(recording)
         self.common: CommonError | None = None
+        self.misfit = misfit or Squares()
         self._weight = self._body_force()
         self.evaluations = 0
 
@@ -76,7 +80,6 @@ class InverseProblem:
         youngs: Float[np.ndarray, " m"],
         near: Evaluation | None = None,
         nuisance: Nuisance | None = None,
-        *,
         take_over: bool = False,
     ) -> Evaluation:
         """Solve all presses at these moduli, side by side.
@@ -110,7 +113,7 @@ class InverseProblem:
 
         self.evaluations += 1
         solved = map_cases(work, len(self.observations))
-        return Evaluation(youngs, values, solved, self.common)
+        return Evaluation(youngs, values, solved, self.common, self.misfit)
 
 
 def _observe(press: Press, deviation: float) -> Observation:

@@ -16,16 +16,50 @@ class Lease:
 
     def __init__(self, solver: Solver, pool: "SolverPool") -> None:
         """Take over `solver`; used by `SolverPool.lease`."""
-        self._solver = solver
+        self._pool = pool
+        self._take(solver)
+
+    def _take(self, solver: Solver) -> None:
+        self.factored = False
+        self._solver: Solver | None = solver
         self.direct = solver.direct
-        self.close = weakref.finalize(self, pool._take_back, solver)
+        self.close = weakref.finalize(self, self._pool._take_back, solver)
+
+    @property
+    def handed_over(self) -> bool:
+        """Whether the solver is another lease's now."""
+        return self._solver is None
+
+    def hand_over(self) -> "Lease":
+        """Return a lease of the same solver, its factorisation included; this one loses both.
+
+        The next `factor` takes another solver from the pool.
+        """
+        solver, self._solver = self._solver, None
+        if solver is None:
+            return self._pool.lease()
+        self.close.detach()
+        heir = Lease(solver, self._pool)
+        heir.factored = self.factored
+        return heir
 
     def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
         """See `Solver.factor`."""
-        return self._solver.factor(values)
+        if self._solver is None:
+            self._take(self._pool.idle())
+        assert self._solver is not None
+        status = self._solver.factor(values)
+        self.factored = status is Status.OK
+        return status
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
-        """See `Solver.solve`."""
+        """See `Solver.solve`.
+
+        Raises:
+            RuntimeError: the factorisation was handed over.
+        """
+        if self._solver is None:
+            raise RuntimeError("the factorisation was handed over; factor anew before solving")
         return self._solver.solve(rhs)
 
 
@@ -47,9 +81,13 @@ class SolverPool:
 
     def lease(self) -> Lease:
         """Lend an idle solver, or a newly analysed one."""
+        return Lease(self.idle(), self)
+
+    def idle(self) -> Solver:
+        """Take out an idle solver, or a newly analysed one; for leases."""
         with self._lock:
             solver = self._idle.pop() if self._idle else None
-        return Lease(solver or analyse(self.pattern, self.backend, self._modes), self)
+        return solver or analyse(self.pattern, self.backend, self._modes)
 
     def _take_back(self, solver: Solver) -> None:
         with self._lock:

@@ -442,6 +442,11 @@ ONE = "presses/0000"
         settings=("model_error=mesh",),
     ),
     Case(
+        "unknown misfit",
+        ("misfit=l1 is unknown", "squares, huber, adaptive"),
+        settings=("misfit=l1",),
+    ),
+    Case(
         "deviation of zero for an unknown",
         ("unknowns.poisson=0", "above 0, or null"),
         settings=("unknowns.poisson=0",),
