@@ -3,18 +3,25 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
+from scipy.special import ndtri
 
 from tactorch.errors import ConfigError
 from tactorch.recording import Press, Recording
 
+_MEDIAN = float(ndtri(0.75))  # median size of a standard normal number
+
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Standard deviations for presses that do not state their noise.
+    """Standard deviations of the observed displacements.
+
+    In this order: `mm`, where given; what the press states; what the recording's unloaded frames
+    show; `relative`.
 
     Attributes:
         relative: Noise as a fraction of the root mean square of all observed displacements; also
-            a floor for stated noise, since no model is exact.
+            a floor for stated and estimated noise, since no model is exact.
         mm: Noise in mm, overriding what the recording says.
     """
 
@@ -33,16 +40,28 @@ class NoiseModel:
     def deviations(self, recording: Recording) -> list[float]:
         """Return the standard deviation of each press's displacements, mm."""
         floor = self.relative * signal_rms(recording.presses)
-        return [max(self._stated(press, floor), floor) for press in recording.presses]
+        default = floor if recording.unloaded is None else unloaded_noise(recording.unloaded)
+        return [max(self._stated(press, default), floor) for press in recording.presses]
 
     def assumed(self, recording: Recording) -> bool:
         """Say whether the noise of some press is assumed, for want of a statement."""
-        return self.mm is None and any(press.noise_mm is None for press in recording.presses)
+        known = self.mm is not None or recording.unloaded is not None
+        return not known and any(press.noise_mm is None for press in recording.presses)
 
     def _stated(self, press: Press, default: float) -> float:
         if self.mm is not None:
             return self.mm
         return default if press.noise_mm is None else press.noise_mm
+
+
+def unloaded_noise(frames: Float[np.ndarray, "frames n 3"]) -> float:
+    """Estimate the standard deviation (mm) of each displacement from frames without contact.
+
+    From the median change between frames in turn: neither a slow drift nor a few stray markers
+    count.
+    """
+    changes = np.abs(np.diff(frames, axis=0))
+    return float(np.nanmedian(changes)) / (_MEDIAN * np.sqrt(2.0))
 
 
 def signal_rms(presses: tuple[Press, ...]) -> float:

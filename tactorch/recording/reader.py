@@ -42,6 +42,8 @@ class Reader:
             name: self._array(name, "f", (mesh.n_tets,)) if name in self.file else None
             for name in ("truth", "reference")
         }
+        n = mesh.n_points
+        unloaded = self._array("unloaded", "f", (None, n, 3)) if "unloaded" in self.file else None
         density = self._attribute("/", "density", float) if "density" in self.file.attrs else None
         gravity = self._array("gravity", "f", (3,))
         try:
@@ -53,6 +55,7 @@ class Reader:
                 provenance=provenance,
                 density=density,
                 gravity=gravity,
+                unloaded=unloaded,
                 check_units=check_units,
             )
         except RecordingError as error:

@@ -35,6 +35,9 @@ class Recording:
         provenance: Where the data come from, as plain JSON values.
         density: Mass density, tonne/mm^3; None where weight plays no part.
         gravity: Acceleration of gravity, (3,), mm/s^2; default zero.
+        unloaded: What the sensor reported while nothing was pressed, two frames or more,
+            (frames, n, 3), mm; NaN where nothing was observed. It tells the noise of presses that
+            do not state theirs.
         check_units: Refuse magnitudes that suggest a wrong unit (`tactorch.recording.plausibility`
             lists the limits). Not stored.
 
@@ -51,6 +54,7 @@ class Recording:
     provenance: dict[str, Any] = field(default_factory=dict)
     density: float | None = None
     gravity: Float[np.ndarray, "3"] = field(default_factory=_no_gravity)
+    unloaded: Float[np.ndarray, "frames n 3"] | None = None
     check_units: InitVar[bool] = True
 
     def __post_init__(self, check_units_: bool) -> None:
@@ -62,6 +66,7 @@ class Recording:
             object.__setattr__(self, name, self._moduli(name))
         object.__setattr__(self, "provenance", _plain(self.provenance))
         self._check_weight()
+        self._check_unloaded()
         for press in self.presses:
             press.validate(self.mesh.n_points)
         if check_units_:
@@ -124,6 +129,20 @@ class Recording:
                 "Give holes a small modulus, such as 0.001 MPa"
             )
         return array
+
+    def _check_unloaded(self) -> None:
+        if self.unloaded is None:
+            return
+        frames = len(self.unloaded)
+        array = real_array(self.unloaded, (frames, self.mesh.n_points, 3), "unloaded")
+        object.__setattr__(self, "unloaded", array)
+        if frames < 2:
+            raise RecordingError("unloaded has one frame; noise takes two or more")
+        if not np.isfinite(np.diff(array, axis=0)).any():
+            raise RecordingError(
+                "unloaded has no value that is finite in two frames in turn; give the displacements"
+                " that the sensor reported before contact, mm"
+            )
 
     def _check_weight(self) -> None:
         object.__setattr__(self, "gravity", real_array(self.gravity, (3,), "gravity"))

@@ -60,7 +60,7 @@ def _write(file: "h5py.File", recording: Recording) -> None:
     _mark(material, "parameters", json.dumps(recording.material.parameters))
     _put(file, "gravity", recording.gravity)
     file["provenance"] = _fixed_text(json.dumps(recording.provenance))
-    for name in ("truth", "reference"):
+    for name in ("truth", "reference", "unloaded"):
         if getattr(recording, name) is not None:
             _put(file, name, getattr(recording, name))
     presses = file.create_group("presses")

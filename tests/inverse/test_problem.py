@@ -245,6 +245,21 @@ def test_unstated_noise_is_assumed_and_said_so(recording: Recording) -> None:
     assert not NoiseModel(mm=0.1).assumed(recording)
 
 
+def test_unloaded_frames_tell_the_noise(recording: Recording) -> None:
+    """A drift, stray markers and unseen nodes do not count."""
+    rng = np.random.default_rng(0)
+    frames = 0.01 * rng.standard_normal((12, recording.mesh.n_points, 3))
+    frames += 0.002 * np.arange(12)[:, None, None]
+    frames[rng.random(frames.shape) < 0.02] = 5.0
+    frames[:, :3] = np.nan
+    shown = replace(recording, unloaded=frames)
+    np.testing.assert_allclose(NoiseModel().deviations(shown), 0.01, rtol=0.12)
+    assert not NoiseModel().assumed(shown)
+    assert NoiseModel(mm=0.25).deviations(shown) == [0.25] * 2
+    stated = with_press(shown, 0, noise_mm=0.03)
+    assert NoiseModel().deviations(stated)[0] == 0.03
+
+
 @pytest.mark.parametrize("settings", [{"relative": 0.0}, {"relative": 1.0}, {"mm": 0.0}])
 def test_useless_noise_is_refused(settings: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=f"noise.{next(iter(settings))}"):

@@ -163,3 +163,18 @@ def test_does_not_suspect_what_is_possible(record: Make, fields: dict[str, Any])
         assert record({"displacement": fields["displacement"] * factor})
         assert record({"forces": fields["forces"] * factor})
         assert record(truth=np.full(48, 0.2 * factor))
+
+
+@pytest.mark.parametrize(
+    ("frames", "says"),
+    [
+        (np.zeros((1, 27, 3)), "unloaded has one frame"),
+        (np.full((3, 27, 3), np.nan), "unloaded has no value that is finite"),
+        (np.zeros((2, 26, 3)), "unloaded"),
+    ],
+)
+def test_unloaded_frames_that_tell_nothing_are_refused(
+    record: Callable[..., Recording], frames: np.ndarray, says: str
+) -> None:
+    with pytest.raises(RecordingError, match=says):
+        record(unloaded=frames)

@@ -52,6 +52,17 @@ def presses(draw: st.DrawFn, n: int) -> dict[str, Any]:
     }
 
 
+def frames(nodes: int) -> st.SearchStrategy[np.ndarray]:
+    """Draw two frames without contact, the last node unseen."""
+
+    def shaped(values: np.ndarray) -> np.ndarray:
+        found = values.reshape(2, nodes, 3)
+        found[:, -1] = np.nan
+        return found
+
+    return numbers(6 * nodes, -1e-2, 1e-2).map(shaped)
+
+
 @st.composite
 def recordings(draw: st.DrawFn) -> dict[str, Any]:
     """Draw what Recording(**fields) takes, with parts for mesh, presses and material."""
@@ -66,6 +77,7 @@ def recordings(draw: st.DrawFn) -> dict[str, Any]:
         "provenance": draw(st.dictionaries(st.text(max_size=5), JSON, max_size=3)),
         "density": 1e-9,
         "gravity": draw(numbers(3, -1e4, 1e4)),
+        "unloaded": draw(st.none() | frames(4 * cells + 4)),
     }
 
 
@@ -101,13 +113,19 @@ def test_round_trip_changes_nothing(
     assert loaded.material == recording.material
     assert loaded.provenance == recording.provenance
     assert loaded.density == recording.density
-    for name in ("truth", "reference", "gravity"):
+    for name in ("truth", "reference", "gravity", "unloaded"):
         same(getattr(loaded, name), getattr(recording, name))
     assert len(loaded.presses) == len(recording.presses)
     for one, other in zip(loaded.presses, recording.presses, strict=True):
         for name in (*ARRAYS, "weights", "direction"):
             same(getattr(one, name), getattr(other, name))
         assert (one.name, one.step, one.noise_mm) == (other.name, other.step, other.noise_mm)
+
+
+def test_the_first_version_is_still_read(saved: Path) -> None:
+    with h5py.File(saved, "r+") as file:
+        file.attrs["version"] = 1
+    assert Recording.load(saved).unloaded is None
 
 
 @pytest.fixture
@@ -125,7 +143,7 @@ def test_file_is_as_documented(saved: Path) -> None:
     with h5py.File(saved) as file:
         assert dict(file.attrs) == {
             "format": b"tactorch-recording",
-            "version": 1,
+            "version": 2,
             "units": b"mm, N, MPa, tonne/mm^3",
         }
         assert set(file) == {"mesh", "material", "gravity", "provenance", "truth", "presses"}
@@ -250,7 +268,7 @@ def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
     [
         (mark("/", "format", None), "has format None"),
         (mark("/", "format", "other"), "has format 'other'"),
-        (mark("/", "version", 2), "has version 2, and this tactorch reads up to 1; upgrade"),
+        (mark("/", "version", 3), "has version 3, and this tactorch reads up to 2; upgrade"),
         (mark("/", "version", 0), "has version 0, which never existed"),
         (mark("/", "version", "one"), "attribute 'version' of '/' is 'one'; int is needed"),
         (mark("/", "units", "m"), "is in units 'm'"),
