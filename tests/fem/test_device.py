@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import ELEMENTS, MATERIALS, SoftBody, Supports, make_material
+from tactorch.fem import MATERIALS, SoftBody, Supports, make_material
 from tactorch.fem.batched_cg import solve_batch
 from tactorch.fem.device import DeviceBody, DeviceOptions
 from tactorch.mesh import TetMesh, box_mesh
