@@ -2,7 +2,10 @@
 
 - `sensitivity_matrix`, `credibility`: which elements do the observed displacements feel at all?
 - `layer_profile`: how does that fall with depth?
-- `LaplacePosterior`: given data, noise and prior, how uncertain is each modulus?
+- `LaplacePosterior`: given data, noise and prior, how uncertain is each modulus? With
+  `LowRankPosterior` for large meshes.
+- `variational_posterior`: the same under total variation, whose own scales are uncertain too: the
+  one whose intervals hold.
 - `coverage`, `calibration_curve`: over objects of known truth, do the stated deviations hold?
 """
 
@@ -12,6 +15,8 @@ from tactorch.credibility.coverage import (
     calibration_error,
     coverage,
 )
+from tactorch.credibility.gaussian import GaussianPosterior
+from tactorch.credibility.low_rank import LowRankPosterior
 from tactorch.credibility.posterior import LaplacePosterior
 from tactorch.credibility.sensitivity import (
     Credibility,
@@ -19,15 +24,20 @@ from tactorch.credibility.sensitivity import (
     layer_profile,
     sensitivity_matrix,
 )
+from tactorch.credibility.variational import VariationalPosterior, variational_posterior
 
 __all__ = [
     "Coverage",
     "Credibility",
+    "GaussianPosterior",
     "LaplacePosterior",
+    "LowRankPosterior",
+    "VariationalPosterior",
     "calibration_curve",
     "calibration_error",
     "coverage",
     "credibility",
     "layer_profile",
     "sensitivity_matrix",
+    "variational_posterior",
 ]

@@ -20,8 +20,8 @@ class Coverage:
 
     Attributes:
         level: Probability that the intervals claim.
-        fraction: Share over all elements of all objects.
-        per_object: Share of each object's elements.
+        fraction: Share over all elements of all objects, by weight where they have one.
+        per_object: Share of each object's elements, likewise.
     """
 
     level: float
@@ -29,16 +29,21 @@ class Coverage:
     per_object: Float[np.ndarray, " objects"]
 
 
-def coverage(objects: Sequence[Judged], level: float = 0.95) -> Coverage:
+def coverage(
+    objects: Sequence[Judged],
+    level: float = 0.95,
+    weights: Sequence[np.ndarray] | None = None,
+) -> Coverage:
     """Count true values within the central normal intervals.
 
     Args:
         objects: Truth, mean and standard deviation of each element, per object.
         level: Probability that the intervals claim.
+        weights: How much each element counts, per object: its volume, say; all alike by default.
 
     Raises:
-        ConfigError: no object, shapes that differ, a deviation that is not positive, or a level
-            not between 0 and 1.
+        ConfigError: no object, shapes that differ, a deviation that is not positive, weights that
+            are negative or fit no element, or a level not between 0 and 1.
     """
     if not 0 < level < 1:
         raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
@@ -46,8 +51,13 @@ def coverage(objects: Sequence[Judged], level: float = 0.95) -> Coverage:
         raise ConfigError("objects is empty; give at least one (truth, mean, deviation).")
     reach = float(ndtri(0.5 + 0.5 * level))
     hits = [_distance(i, judged) <= reach for i, judged in enumerate(objects)]
-    per_object = np.array([float(hit.mean()) for hit in hits])
-    return Coverage(level, float(np.concatenate(hits).mean()), per_object)
+    if weights is None:
+        weights = [np.ones(len(hit)) for hit in hits]
+    _check_weights(weights, hits)
+    pairs = list(zip(hits, weights, strict=True))
+    per_object = np.array([float(np.average(hit, weights=weight)) for hit, weight in pairs])
+    total = sum(float(weight.sum()) for weight in weights)
+    return Coverage(level, sum(float(hit @ weight) for hit, weight in pairs) / total, per_object)
 
 
 def calibration_curve(
@@ -62,6 +72,19 @@ def calibration_error(
 ) -> float:
     """Return the mean distance of the covered share from the level: 0 is perfect."""
     return float(np.abs(calibration_curve(objects, levels) - levels).mean())
+
+
+def _check_weights(weights: Sequence[np.ndarray], hits: Sequence[np.ndarray]) -> None:
+    if len(weights) != len(hits):
+        raise ConfigError(
+            f"weights of {len(weights)} objects for {len(hits)}; give one array each."
+        )
+    for i, (weight, hit) in enumerate(zip(weights, hits, strict=True)):
+        if weight.shape != hit.shape or not np.all(weight >= 0) or not weight.sum() > 0:
+            raise ConfigError(
+                f"object {i}: weights {weight.shape} must be one an element ({hit.shape}), none "
+                "negative and not all 0."
+            )
 
 
 def _distance(index: int, judged: Judged) -> np.ndarray:

@@ -1,8 +1,9 @@
 """Gaussian (Laplace) approximation of the posterior at a solution, by dense algebra.
 
-The precision is H = J^T J + weight * Q, with J the sensitivity of the residuals (in standard
-deviations) and Q the prior's curvature, both in parameters x. Memory is two m x m matrices: fit
-for a few thousand elements. Total variation is stood for by its quadratic majorant at the map.
+The precision is H = J^T J + P, with J the sensitivity of the residuals (in standard deviations)
+and P the prior's weighted curvature, both in parameters x. Memory is two m x m matrices: fit for
+a few thousand elements; `LowRankPosterior` is for more. Total variation is stood for by its
+quadratic majorant at the map; `variational_posterior` gives it a width of its own.
 """
 
 from dataclasses import dataclass
@@ -12,15 +13,15 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 from jaxtyping import Float, Int
-from scipy.special import ndtri
 
+from tactorch.credibility.gaussian import GaussianPosterior
 from tactorch.errors import ConfigError
 from tactorch.inverse import Parameterization, Point
 from tactorch.linalg import DenseCholesky
 
 
 @dataclass(frozen=True, eq=False)
-class LaplacePosterior:
+class LaplacePosterior(GaussianPosterior):
     """A normal distribution of the parameters x.
 
     Attributes:
@@ -39,32 +40,34 @@ class LaplacePosterior:
     def at(point: Point, weight: float) -> "LaplacePosterior":
         """Take the posterior at a point of the objective.
 
+        Global unknowns that are estimated beside the map count with their own prior: what is not
+        known of them widens the elements' deviations.
+
         Args:
             point: The solution.
-            weight: Weight of the prior there.
+            weight: Weight of the prior on the map there.
 
         Raises:
             ConfigError: the weight is negative, or data and prior leave something undetermined.
         """
-        return LaplacePosterior.of(
-            point.x,
-            point.jacobian,
-            weight,
-            point.penalty_curvature,
-            point.objective.parameterization,
-        )
+        check_weight(weight)
+        prior, meaning = point.prior_curvature(weight), point.objective.parameterization
+        return LaplacePosterior.of(point.elements, point.jacobian, 1.0, prior, meaning)
 
     @staticmethod
     def of(
         mean: Float[np.ndarray, " m"],
         jacobian: Float[np.ndarray, "data unknowns"],
         weight: float,
-        prior: sp.csr_matrix,
+        prior: sp.spmatrix | sp.sparray,
         parameterization: Parameterization,
     ) -> "LaplacePosterior":
-        """Take the posterior of a linear model; see `at`."""
-        if not weight >= 0:
-            raise ConfigError(f"weight={weight} of the prior must be 0 or more.")
+        """Take the posterior of a linear model with the prior's precision weight * prior; see `at`.
+
+        Raises:
+            ConfigError: the weight is negative, or data and prior leave something undetermined.
+        """
+        check_weight(weight)
         precision = jacobian.T @ jacobian
         coo = prior.tocoo()
         np.add.at(precision, (coo.row, coo.col), weight * coo.data)
@@ -81,51 +84,30 @@ class LaplacePosterior:
         return torch.cholesky_inverse(self.factor.lower).numpy()
 
     def variance(self) -> Float[np.ndarray, " m"]:
-        """Return the variance of each element's parameter."""
+        """See `GaussianPosterior.variance`."""
         return self._covariance.diagonal()[: len(self.mean)].copy()
 
-    def deviation(self) -> Float[np.ndarray, " m"]:
-        """Return the standard deviation of each element's parameter."""
-        return np.sqrt(self.variance())
-
-    def interval(
-        self, level: float = 0.95
-    ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Return lower and upper moduli (MPa) that hold each element's with this probability.
-
-        The ends are those of the normal interval of x, turned into moduli and cut to the bounds.
-
-        Raises:
-            ConfigError: `level` is not between 0 and 1.
-        """
-        if not 0 < level < 1:
-            raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
-        reach = float(ndtri(0.5 + 0.5 * level)) * self.deviation()
-        limits = self.parameterization.limits
-        low, high = (np.clip(self.mean + sign * reach, *limits) for sign in (-1, 1))
-        return self.parameterization.youngs(low), self.parameterization.youngs(high)
-
     def covariance(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
-        """Return the covariance of some elements' parameters."""
+        """See `GaussianPosterior.covariance`."""
         return self._covariance[np.ix_(elements, elements)]
 
-    def correlation(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
-        """Return the correlation of some elements' parameters."""
-        covariance = self.covariance(elements)
-        deviation = np.sqrt(covariance.diagonal())
-        return covariance / np.outer(deviation, deviation)
-
     def resolution_diagonal(self) -> Float[np.ndarray, " m"]:
-        """Return diag(H^-1 J^T J): near 1 where the data decide, near 0 where the prior does."""
+        """See `GaussianPosterior.resolution_diagonal`."""
         seen = self._covariance[: len(self.mean)] @ self.jacobian.T
         return np.einsum("mp,pm->m", seen, self.jacobian[:, : len(self.mean)])
 
     def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
-        """Draw parameters, one map a row."""
+        """See `GaussianPosterior.sample`."""
         noise = torch.from_numpy(rng.standard_normal((self.jacobian.shape[1], n)))
         drawn = torch.linalg.solve_triangular(self.factor.lower.T, noise, upper=True).numpy()
         return self.mean + drawn[: len(self.mean)].T
 
     def log_det(self) -> float:
-        """Return the logarithm of the determinant of the precision H."""
+        """See `GaussianPosterior.log_det`."""
         return 2.0 * float(torch.log(torch.diagonal(self.factor.lower)).sum())
+
+
+def check_weight(weight: float) -> None:
+    """Refuse a negative or undefined weight of the prior."""
+    if not weight >= 0:
+        raise ConfigError(f"weight={weight} of the prior must be 0 or more.")

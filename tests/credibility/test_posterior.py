@@ -6,7 +6,13 @@ import scipy.sparse as sp
 
 from tactorch.credibility import LaplacePosterior, calibration_error, coverage
 from tactorch.errors import ConfigError
-from tactorch.inverse import InverseProblem, Objective, make_parameterization, make_regularizer
+from tactorch.inverse import (
+    InverseProblem,
+    Objective,
+    Unknowns,
+    make_parameterization,
+    make_regularizer,
+)
 
 M = 12
 LOG = make_parameterization("log")
@@ -62,12 +68,13 @@ def test_truths_of_the_prior_are_covered_as_claimed(model: tuple[np.ndarray, np.
     rng = np.random.default_rng(8)
     root = np.linalg.cholesky(np.linalg.inv(2.0 * prior))
     covariance = np.linalg.inv(jacobian.T @ jacobian + 2.0 * prior)
+    deviation = posterior(model).deviation()  # the same whatever the data
     judged = []
     for _ in range(400):
         truth = root @ rng.normal(size=M)
         data = jacobian @ truth + rng.normal(size=7)
         mean = covariance @ (jacobian.T @ data)
-        judged.append((truth, mean, posterior(model, mean).deviation()))
+        judged.append((truth, mean, deviation))
     assert coverage(judged, 0.9).fraction == pytest.approx(0.9, abs=0.02)
     assert calibration_error(judged) < 0.02
     bold = [(t, m, 0.5 * d) for t, m, d in judged]
@@ -92,6 +99,20 @@ def test_at_a_point_of_the_objective(
     found = LaplacePosterior.at(point, 3.0)
     precision = point.jacobian.T @ point.jacobian + 3.0 * point.penalty_curvature.toarray()
     np.testing.assert_allclose(found.variance(), np.linalg.inv(precision).diagonal(), rtol=1e-4)
+
+
+def test_global_unknowns_count_with_their_own_prior(
+    make_problem: Callable[..., InverseProblem], moduli: np.ndarray
+) -> None:
+    problem = make_problem()
+    prior = make_regularizer("total_variation", problem.recording.mesh)
+    objective = Objective(problem, LOG, prior, Unknowns(force_scale=0.2))
+    point = objective.at(objective.start(moduli))
+    found = LaplacePosterior.at(point, 3.0)
+    precision = point.jacobian.T @ point.jacobian + 3.0 * point.penalty_curvature.toarray()
+    precision[-1, -1] += 1.0
+    expected = np.linalg.inv(precision).diagonal()[:-1]
+    np.testing.assert_allclose(found.variance(), expected, rtol=1e-4)
 
 
 def test_undetermined_moduli_are_refused(model: tuple[np.ndarray, np.ndarray]) -> None:

@@ -1,0 +1,69 @@
+"""What every normal posterior of the parameters offers, dense or of low rank."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import ndtri
+
+from tactorch.errors import ConfigError
+from tactorch.inverse import Parameterization
+
+
+class GaussianPosterior(ABC):
+    """A normal distribution of the parameters x, one an element.
+
+    Attributes:
+        mean: Its mean.
+        parameterization: What x means.
+    """
+
+    mean: Float[np.ndarray, " m"]
+    parameterization: Parameterization
+
+    @abstractmethod
+    def variance(self) -> Float[np.ndarray, " m"]:
+        """Return the variance of each element's parameter."""
+
+    @abstractmethod
+    def covariance(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+        """Return the covariance of some elements' parameters."""
+
+    @abstractmethod
+    def resolution_diagonal(self) -> Float[np.ndarray, " m"]:
+        """Return diag(H^-1 J^T J): near 1 where the data decide, near 0 where the prior does."""
+
+    @abstractmethod
+    def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
+        """Draw parameters, one map a row."""
+
+    @abstractmethod
+    def log_det(self) -> float:
+        """Return the logarithm of the determinant of the precision H."""
+
+    def deviation(self) -> Float[np.ndarray, " m"]:
+        """Return the standard deviation of each element's parameter."""
+        return np.sqrt(self.variance())
+
+    def interval(
+        self, level: float = 0.95
+    ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Return lower and upper moduli (MPa) that hold each element's with this probability.
+
+        The ends are those of the normal interval of x, turned into moduli and cut to the bounds.
+
+        Raises:
+            ConfigError: `level` is not between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
+        reach = float(ndtri(0.5 + 0.5 * level)) * self.deviation()
+        limits = self.parameterization.limits
+        low, high = (np.clip(self.mean + sign * reach, *limits) for sign in (-1, 1))
+        return self.parameterization.youngs(low), self.parameterization.youngs(high)
+
+    def correlation(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+        """Return the correlation of some elements' parameters."""
+        covariance = self.covariance(elements)
+        deviation = np.sqrt(covariance.diagonal())
+        return covariance / np.outer(deviation, deviation)
