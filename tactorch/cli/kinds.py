@@ -31,6 +31,10 @@ def _is_point(value: Any) -> bool:
     return isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))
 
 
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
+
+
 def _is_relabelling(value: Any) -> bool:
     return isinstance(value, Mapping) and all(map(_is_number, (*value.values(), *value.keys())))
 
@@ -53,6 +57,7 @@ _NUMBERS = Kind(
     "a table of numbers: {NAME: NUMBER}",
     lambda v: isinstance(v, Mapping) and all(map(_is_number, v.values())),
 )
+_LEVELS = Kind("two moduli: [A,B]", _is_pair)
 _RELABELLING = Kind("a table of moduli: {OLD: NEW}", _is_relabelling)
 
 # By the last part of a setting's name, which means the same wherever it stands.
@@ -61,7 +66,7 @@ _NAMES_OF: dict[Kind, str] = {
         lower upper relative mm max_seconds snr_db weight edge tolerance damping forcing ftol gtol
         poisson lame_factor noise_mm round_rest_m p_max_mpa spring_n_per_mm patch_radius_mm
         relative_edge_length edge_length_mm fine_edge_length_mm fine_relative
-        force_scale rest_scale translation_mm rotation_rad
+        force_scale rest_scale translation_mm rotation_rad level_mpa length_mm deviation
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
     """,
     _MODULUS: "start_mpa",
@@ -69,14 +74,15 @@ _NAMES_OF: dict[Kind, str] = {
         seed samples steps max_iterations max_evaluations stage_iterations cg_iterations memory
         max_trials
     """,
-    _TEXT: "name misfit model_error element generator hold space hessian source",
+    _TEXT: "name misfit model_error element generator hold space hessian source weight_rule",
     _PATH: "path out recording run run_dir resume",
     _POINT: "center size radii axis",
     _FLAG: "plots check_units",
     _PATHS: "compare",
     _NAMES: "faces",
     _POINTS: "patch_centers_mm",
-    _NUMBERS: "parameters",
+    _NUMBERS: "parameters parts",
+    _LEVELS: "levels_mpa",
     _RELABELLING: "relabel_truth",
 }
 KINDS = {name: kind for kind, names in _NAMES_OF.items() for name in names.split()}
@@ -85,6 +91,7 @@ _OPTIONAL = """
     mm max_seconds snr_db weight edge_length_mm fine_edge_length_mm fine_relative noise_mm
     patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume
     unknowns.poisson force_scale rest_scale translation_mm rotation_rad
+    edge level_mpa levels_mpa
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 

@@ -14,6 +14,7 @@ from tactorch.errors import ConfigError
 from tactorch.inverse import (
     Bounds,
     NoiseModel,
+    PriorOptions,
     Settings,
     Start,
     Unknowns,
@@ -67,11 +68,13 @@ def inversion_of(cfg: DictConfig) -> Settings:
     optimizer, prior = plain(cfg.optimizer), plain(cfg.regularization)
     if cfg.max_seconds is not None and not cfg.max_seconds > 0:
         raise ConfigError(f"max_seconds={cfg.max_seconds}: give a time above 0, or null.")
+    name, edge, weight = (prior.pop(key) for key in ("name", "edge", "weight"))
     return Settings(
-        optimizer=make_optimizer(optimizer.pop("name"), **optimizer, weight=prior["weight"]),
+        optimizer=make_optimizer(optimizer.pop("name"), **optimizer, weight=weight),
         parameterization=cfg.parameterization.name,
-        regularization=prior["name"],
-        edge=prior["edge"],
+        regularization=name,
+        edge=edge,
+        prior=_made("regularization", PriorOptions, prior),
         bounds=_made("bounds", Bounds, plain(cfg.bounds)),
         noise=_made("noise", NoiseModel, plain(cfg.noise)),
         misfit=cfg.misfit,

@@ -7,8 +7,12 @@
 - `variational_posterior`: the same under total variation, whose own scales are uncertain too: the
   one whose intervals hold.
 - `coverage`, `calibration_curve`: over objects of known truth, do the stated deviations hold?
+- `Belief`: the update by a press (eq. 16 and 17), and what a press is expected to tell.
+- `candidate_patches`: where a sensor can press. `Presser`, `SimulatedPresser`: who presses.
 """
 
+from tactorch.credibility.belief import Belief
+from tactorch.credibility.candidates import Patch, candidate_patches
 from tactorch.credibility.coverage import (
     Coverage,
     calibration_curve,
@@ -18,6 +22,7 @@ from tactorch.credibility.coverage import (
 from tactorch.credibility.gaussian import GaussianPosterior
 from tactorch.credibility.low_rank import LowRankPosterior
 from tactorch.credibility.posterior import LaplacePosterior
+from tactorch.credibility.presser import Presser, SimulatedPresser
 from tactorch.credibility.sensitivity import (
     Credibility,
     credibility,
@@ -27,14 +32,19 @@ from tactorch.credibility.sensitivity import (
 from tactorch.credibility.variational import VariationalPosterior, variational_posterior
 
 __all__ = [
+    "Belief",
     "Coverage",
     "Credibility",
     "GaussianPosterior",
     "LaplacePosterior",
     "LowRankPosterior",
+    "Patch",
+    "Presser",
+    "SimulatedPresser",
     "VariationalPosterior",
     "calibration_curve",
     "calibration_error",
+    "candidate_patches",
     "coverage",
     "credibility",
     "layer_profile",

@@ -1,5 +1,6 @@
 """From presses to a map of Young's modulus: data, prior and optimizer, combined freely."""
 
+from tactorch.inverse.coarse import CoarseStart
 from tactorch.inverse.evaluation import Evaluation
 from tactorch.inverse.invert import START_MPA, Settings, invert, make_objective
 from tactorch.inverse.misfit import MISFITS
@@ -14,6 +15,7 @@ from tactorch.inverse.optimizers import (
     OPTIMIZERS,
     TNC,
     GaussNewton,
+    NewtonCG,
     Optimizer,
     make_optimizer,
 )
@@ -25,7 +27,7 @@ from tactorch.inverse.parameterization import (
 )
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.regularization import REGULARIZERS, make_regularizer
+from tactorch.inverse.regularization import REGULARIZERS, PriorOptions, make_regularizer
 from tactorch.inverse.starts import Start, best_uniform, homogeneous, monte_carlo, start_map
 from tactorch.inverse.uniform import UniformFit, uniform_fit
 
@@ -39,11 +41,13 @@ __all__ = [
     "START_MPA",
     "TNC",
     "Bounds",
+    "CoarseStart",
     "Evaluation",
     "GaussNewton",
     "InverseProblem",
     "ModelError",
     "Monitor",
+    "NewtonCG",
     "NoiseModel",
     "Nuisance",
     "NuisanceEstimate",
@@ -52,6 +56,7 @@ __all__ = [
     "OutOfTime",
     "Parameterization",
     "Point",
+    "PriorOptions",
     "Reconstruction",
     "Settings",
     "Start",

@@ -10,6 +10,7 @@ import numpy as np
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import NewtonOptions
+from tactorch.inverse.adaptive import adapt
 from tactorch.inverse.misfit import make_misfit
 from tactorch.inverse.model_error import chosen, corrected, discretisation_error
 from tactorch.inverse.monitor import Monitor, OutOfTime
@@ -22,7 +23,7 @@ from tactorch.inverse.parameterization import Bounds, make_parameterization
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.progress import progress
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.regularization import make_regularizer
+from tactorch.inverse.regularization import PriorOptions, make_regularizer
 from tactorch.inverse.starts import Start, start_map
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.recording import Recording
@@ -37,14 +38,15 @@ class Settings:
     """Everything but the recording that decides an inversion.
 
     Attributes:
-        optimizer: A name ("gauss_newton", "tnc", "lbfgs") or an optimizer.
+        optimizer: A name ("gauss_newton", "newton_cg", "tnc", "lbfgs") or an optimizer.
         parameterization: "log", "scaled" or "identity".
-        regularization: "total_variation", "smoothness" or "none".
-        edge: Jump of log-modulus below which total variation is quadratic.
+        regularization: A name: see `tactorch.inverse.regularization.REGULARIZERS`.
+        edge: Where priors turn from smooth to sharp (log-modulus), or None for each one's own.
+        prior: What else some priors need.
         bounds: Limits of Young's modulus.
         noise: Standard deviations for presses that do not state theirs.
         misfit: "squares", "huber" for outlying markers, or "adaptive" for presses that are worse
-            than stated; see `tactorch.inverse.misfit`.
+            than stated; see `tactorch.inverse.misfit` and `tactorch.inverse.adaptive`.
         model_error: "discretisation" corrects for what the mesh gets wrong, "none" does not, and
             "auto" does unless the presses were computed on the same mesh; see
             `tactorch.inverse.model_error`.
@@ -58,7 +60,8 @@ class Settings:
     optimizer: str | Optimizer = field(default_factory=GaussNewton)
     parameterization: str = "log"
     regularization: str = "total_variation"
-    edge: float = 0.03
+    edge: float | None = None
+    prior: PriorOptions = field(default_factory=PriorOptions)
     bounds: Bounds = field(default_factory=Bounds)
     noise: NoiseModel = field(default_factory=NoiseModel)
     misfit: str = "squares"
@@ -157,12 +160,17 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
     if chosen(settings.model_error, recording, settings.element) == "discretisation":
         fit = uniform_fit(problem, settings.bounds, settings.unknowns)
         corrected(problem, discretisation_error(problem, fit.youngs_mpa, fit.nuisance))
-    return Objective(
+    objective = Objective(
         problem,
         make_parameterization(settings.parameterization, settings.bounds),
-        make_regularizer(settings.regularization, recording.mesh, edge=settings.edge),
+        make_regularizer(
+            settings.regularization, recording.mesh, edge=settings.edge, options=settings.prior
+        ),
         settings.unknowns,
     )
+    if settings.misfit == "adaptive":
+        adapt(objective)
+    return objective
 
 
 def _described(start: Start) -> float | str:

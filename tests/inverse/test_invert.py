@@ -107,7 +107,7 @@ def test_config_says_what_was_done(recording: Recording) -> None:
     config = json.loads(json.dumps(invert(recording, settings).config))
     assert config["optimizer"] == {
         "name": "gauss_newton", "max_iterations": 3, "tolerance": 1e-3, "weight": None,
-        "damping": 1e-6, "max_trials": 12, "space": "auto",
+        "damping": 1e-6, "max_trials": 12, "space": "auto", "weight_rule": "discrepancy",
     }  # fmt: skip
     assert config["settings"]["bounds"] == {"lower": 0.01, "upper": 10.0}
     assert config["settings"]["noise"]["relative"] == 1e-3

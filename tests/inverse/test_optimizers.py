@@ -33,6 +33,7 @@ Make = Callable[..., Recording]
 
 SHORT: dict[str, dict[str, int]] = {
     "gauss_newton": {"max_iterations": 8},
+    "newton_cg": {"max_iterations": 8},
     "tnc": {"max_evaluations": 40},
     "lbfgs": {"max_iterations": 12},
 }
@@ -179,11 +180,11 @@ def test_either_space_gives_the_same_map(cube: Recording) -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_noise_is_not_fitted(make_cube: Make, seed: int) -> None:
-    """The discrepancy principle stops near a mean squared residual of one."""
+    """The discrepancy principle ends near a mean squared residual of one, from either side."""
     noisy = make_cube(snr_db=30.0, seed=seed)
     found = invert(noisy)
     assert found.stop_reason == "the data are fitted to their noise"
-    assert 0.4 < found.history[-1]["chi2"] <= 1.0
+    assert 0.9 <= found.history[-1]["chi2"] <= 1.02
     assert noisy.truth is not None
     assert pearson(found.youngs, noisy.truth) > 0.6
     assert found.youngs.max() < 4.0  # nothing runs off to the bounds
@@ -299,7 +300,7 @@ def test_lbfgs_lowers_the_weight_in_stages(recording: Recording) -> None:
         ("lbfgs", {"memory": 0}, "memory"),
         ("lbfgs", {"stage_iterations": -3}, "stage_iterations=-3"),
         ("lbfgs", {"weight": -0.5}, "weight=-0.5"),
-        ("adam", {}, "'adam' is unknown; choose one of gauss_newton, tnc, lbfgs"),
+        ("adam", {}, "'adam' is unknown; choose one of gauss_newton, newton_cg, tnc, lbfgs"),
     ],
 )
 def test_wrong_settings_are_refused(name: str, settings: dict[str, Any], message: str) -> None:

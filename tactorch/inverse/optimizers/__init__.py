@@ -6,9 +6,15 @@ from tactorch.errors import ConfigError
 from tactorch.inverse.optimizers.base import Optimizer
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.optimizers.lbfgs import LBFGS
+from tactorch.inverse.optimizers.newton_cg import NewtonCG
 from tactorch.inverse.optimizers.tnc import TNC
 
-OPTIMIZERS: dict[str, type] = {"gauss_newton": GaussNewton, "tnc": TNC, "lbfgs": LBFGS}
+OPTIMIZERS: dict[str, type] = {
+    "gauss_newton": GaussNewton,
+    "newton_cg": NewtonCG,
+    "tnc": TNC,
+    "lbfgs": LBFGS,
+}
 
 
 def make_optimizer(name: str, **settings: Any) -> Optimizer:
@@ -26,4 +32,4 @@ def make_optimizer(name: str, **settings: Any) -> Optimizer:
     return optimizer
 
 
-__all__ = ["LBFGS", "OPTIMIZERS", "TNC", "GaussNewton", "Optimizer", "make_optimizer"]
+__all__ = ["LBFGS", "OPTIMIZERS", "TNC", "GaussNewton", "NewtonCG", "Optimizer", "make_optimizer"]

@@ -20,6 +20,7 @@ from tactorch.inverse.optimizers.base import (
 )
 from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_step
 from tactorch.inverse.optimizers.weight import Cooling
+from tactorch.inverse.optimizers.weight_rules import WEIGHT_RULES
 
 # The prior bears what the data do not see; damping is for the nonlinearity alone, so it starts
 # small, falls after every step that was foretold at all, and jumps where a step failed.
@@ -42,6 +43,7 @@ class GaussNewton:
         damping: First damping, relative to the mean diagonal of J^T J.
         max_trials: Steps tried at one iterate before giving up.
         space: Where to solve: "data" (p x p), "parameter" (m x m), or "auto" by size.
+        weight_rule: What chooses the weight where none is given: "discrepancy", "l_curve" or "gcv".
     """
 
     max_iterations: int = 60
@@ -50,6 +52,7 @@ class GaussNewton:
     damping: float = 1e-6
     max_trials: int = 12
     space: str = "auto"
+    weight_rule: str = "discrepancy"
     name: str = field(default="gauss_newton")
 
     def __post_init__(self) -> None:
@@ -63,13 +66,18 @@ class GaussNewton:
             raise ConfigError(
                 f"optimizer.space={self.space} is unknown; choose {', '.join(_SPACES)}."
             )
+        if self.weight_rule not in WEIGHT_RULES:
+            raise ConfigError(
+                f"optimizer.weight_rule={self.weight_rule} is unknown; choose "
+                f"{', '.join(WEIGHT_RULES)}."
+            )
 
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
     ) -> str:
         """See `Optimizer.minimize`."""
         point = objective.at(start)
-        cooling = Cooling.start(point, self.weight, monitor.state)
+        cooling = Cooling.start(point, self.weight, monitor.state, self.weight_rule)
         damping = monitor.state.get("damping", self.damping)
         if not monitor.history:
             self._report(monitor, point, cooling, cooling.weight, damping, 0.0)
@@ -83,9 +91,11 @@ class GaussNewton:
             step = float(np.abs(after.x - point.x).max())
             fall = point.value(weight) - after.value(weight)
             point = after
-            cooling.lower(point.evaluation.chi2)
+            cooling.follow(point)
+            still = settled and fall <= self.tolerance * point.value(weight)
+            done = still and not cooling.retry(point)
             self._report(monitor, point, cooling, weight, damping, step)
-            if settled and fall <= self.tolerance * point.value(weight):
+            if done:
                 return cooling.ended or "the objective no longer falls"
         return "iteration limit reached"
 

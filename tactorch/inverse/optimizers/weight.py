@@ -1,7 +1,8 @@
 """The weight of the prior, chosen without the truth: cooled until the data are fitted.
 
 Discrepancy principle (Morozov, 1966): lower the weight until the mean squared residual reaches
-one, that is, the noise, and no further.
+one, that is, the noise, and no further. What converges to less than the noise at that weight was
+overfitted: the weight is raised again, and bisected. Other rules: see `weight_rules`.
 """
 
 from dataclasses import dataclass
@@ -9,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactorch.inverse.objective import Point
+from tactorch.inverse.optimizers.spectrum import Spectrum
+from tactorch.inverse.optimizers.weight_rules import RULES
 
 _FAST, _SLOW = 1.0 / 3.0, 0.6
 _NEAR = 10.0  # mean squared residual below which the weight is lowered slowly
@@ -19,7 +22,13 @@ _UNFITTED = (
     "the prior is exhausted and the data are not fitted to their noise: the noise is larger than "
     "stated, or the model is wrong"
 )
-_REASONS = (_UNSTOPPED, _FITTED, _UNFITTED)  # saved by index
+_CHOSEN = "the weight of the prior has settled"
+_REASONS = (_UNSTOPPED, _FITTED, _UNFITTED, _CHOSEN)  # saved by index
+# Mean squared residual, once converged, that counts as the noise.
+_OVERFITTED, _MISFITTED = 0.9, 1.02
+_ROUNDS, _RAISE = 8, 3.0
+_CHANGE, _LOOKS = 3.0, 30  # largest change of a chosen weight in one step; most choices
+_SAME = 1.2
 _RULE = 30.0
 
 
@@ -32,15 +41,25 @@ class Cooling:
         first: Weight at the start.
         fixed: Whether it was given.
         ended: Why it falls no further; empty while it falls, or where it was given.
+        rule: What decides: "discrepancy", "l_curve" or "gcv".
+        rounds: Weights tried since the first end, or choices made by another rule.
+        below: Largest weight that overfitted once converged; zero if none did.
+        above: Smallest weight that misfitted once converged; infinite if none did.
     """
 
     weight: float
     first: float
     fixed: bool
     ended: str = _UNSTOPPED
+    rule: str = "discrepancy"
+    rounds: int = 0
+    below: float = 0.0
+    above: float = np.inf
 
     @staticmethod
-    def start(point: Point, weight: float | None, state: dict[str, float]) -> "Cooling":
+    def start(
+        point: Point, weight: float | None, state: dict[str, float], rule: str = "discrepancy"
+    ) -> "Cooling":
         """Take the given weight, a resumed one, or one at which the prior rules at `point`."""
         if point.objective.prior.name == "none":
             return Cooling(0.0, 0.0, True)
@@ -48,16 +67,75 @@ class Cooling:
             return Cooling(weight, weight, True)
         if "weight" in state:
             ended = _REASONS[int(state["ended"])]
-            return Cooling(state["weight"], state["first_weight"], False, ended)
+            return Cooling(
+                state["weight"],
+                state["first_weight"],
+                False,
+                ended,
+                rule,
+                int(state.get("weight_rounds", 0)),
+                state.get("weight_below", 0.0),
+                state.get("weight_above", np.inf),
+            )
         first = ruling_weight(point)
-        return Cooling(first, first, fixed=first == 0.0)
+        return Cooling(first, first, fixed=first == 0.0, rule=rule)
 
     def state(self) -> dict[str, float]:
         """Numbers from which to resume; none where the weight was given."""
         if self.fixed:
             return {}
         ended = float(_REASONS.index(self.ended))
-        return {"weight": self.weight, "first_weight": self.first, "ended": ended}
+        return {
+            "weight": self.weight,
+            "first_weight": self.first,
+            "ended": ended,
+            "weight_rounds": float(self.rounds),
+            "weight_below": self.below,
+            "weight_above": self.above,
+        }
+
+    def follow(self, point: Point) -> None:
+        """Take the next weight by the rule, after a step to `point`."""
+        chi2 = point.evaluation.chi2
+        if self.rule == "discrepancy":
+            self.lower(chi2)
+            return
+        if self.fixed or self.ended:
+            return
+        if chi2 > _NEAR and self.weight >= _EXHAUSTED * self.first:
+            self.weight *= _FAST  # far from the data, the linearised problem says little
+            return
+        spectrum = Spectrum.of(point)
+        wanted = self.weight if spectrum is None else RULES[self.rule](spectrum)
+        change = float(np.clip(wanted / self.weight, 1.0 / _CHANGE, _CHANGE))
+        self.weight *= change
+        self.rounds += 1
+        if max(change, 1.0 / change) <= _SAME or self.rounds >= _LOOKS:
+            self.ended = _CHOSEN
+
+    def retry(self, point: Point) -> bool:
+        """Say whether the converged map calls for another weight, and take it.
+
+        The weight rises until the map misfits, then is bisected; no more than a few rounds. Where
+        the noise is only assumed, a smaller misfit is no overfit.
+        """
+        problem, chi2 = point.objective.problem, point.evaluation.chi2
+        if problem.noise.assumed(problem.recording):
+            return False
+        if self.ended != _FITTED or self.rule != "discrepancy" or self.rounds >= _ROUNDS:
+            return False
+        if _OVERFITTED <= chi2 <= _MISFITTED:
+            return False
+        if chi2 < _OVERFITTED:
+            self.below = max(self.below, self.weight)
+        else:
+            self.above = min(self.above, self.weight)
+        if np.isinf(self.above):
+            self.weight *= _RAISE
+        else:
+            self.weight = float(np.sqrt(max(self.below, self.above / _RAISE**2) * self.above))
+        self.rounds += 1
+        return True
 
     def lower(self, chi2: float) -> None:
         """Lower the weight, unless it was given, has ended or ends now."""

@@ -2,25 +2,72 @@
 
 from tactorch.errors import ConfigError
 from tactorch.inverse.regularization.base import NoPrior, Regularizer
+from tactorch.inverse.regularization.binary_well import BinaryWell
+from tactorch.inverse.regularization.composite import Composite
+from tactorch.inverse.regularization.log_jumps import LogJumps
+from tactorch.inverse.regularization.matern import Matern
+from tactorch.inverse.regularization.options import PriorOptions
 from tactorch.inverse.regularization.smoothness import Smoothness
+from tactorch.inverse.regularization.sparsity import Sparsity
+from tactorch.inverse.regularization.tikhonov import Tikhonov
 from tactorch.inverse.regularization.total_variation import TotalVariation
 from tactorch.mesh import TetMesh
 
-REGULARIZERS = ("none", "smoothness", "total_variation")
+REGULARIZERS = (
+    "none",
+    "smoothness",
+    "total_variation",
+    "log_jumps",
+    "tikhonov",
+    "sparsity",
+    "binary_well",
+    "matern",
+    "composite",
+)
 
 
-def make_regularizer(name: str, mesh: TetMesh, *, edge: float = 0.03) -> Regularizer:
-    """Make a prior by name; `edge` is the jump at which total variation turns from smooth to sharp.
+def make_regularizer(
+    name: str, mesh: TetMesh, *, edge: float | None = None, options: PriorOptions | None = None
+) -> Regularizer:
+    """Make a prior by name.
+
+    Args:
+        name: One of `REGULARIZERS`.
+        mesh: The object.
+        edge: Where total variation, sparsity and the logarithm of jumps turn from smooth to sharp;
+            None takes each one's own default.
+        options: What else some priors need.
 
     Raises:
-        ConfigError: the name is unknown.
+        ConfigError: the name is unknown, or a setting cannot be used.
     """
-    if name == "none":
-        return NoPrior(mesh)
-    if name == "smoothness":
-        return Smoothness(mesh)
-    if name == "total_variation":
-        return TotalVariation(mesh, edge)
+    options = options or PriorOptions()
+    turn = {} if edge is None else {"edge": edge}
+    match name:
+        case "none":
+            return NoPrior(mesh)
+        case "smoothness":
+            return Smoothness(mesh)
+        case "total_variation":
+            return TotalVariation(mesh, **turn)
+        case "log_jumps":
+            return LogJumps(mesh, **turn)
+        case "tikhonov":
+            return Tikhonov(mesh, options.level_mpa)
+        case "sparsity":
+            return Sparsity(mesh, options.level_mpa, **turn)
+        case "binary_well":
+            return BinaryWell(mesh, options.levels_mpa)
+        case "matern":
+            return Matern(mesh, options.length_mm, options.deviation, options.level_mpa)
+        case "composite":
+            shares = options.parts.items()
+            return Composite(
+                [
+                    (share, make_regularizer(n, mesh, edge=edge, options=options))
+                    for n, share in shares
+                ]
+            )
     raise ConfigError(
         f"regularization '{name}' is unknown; choose one of {', '.join(REGULARIZERS)}."
     )
@@ -28,9 +75,16 @@ def make_regularizer(name: str, mesh: TetMesh, *, edge: float = 0.03) -> Regular
 
 __all__ = [
     "REGULARIZERS",
+    "BinaryWell",
+    "Composite",
+    "LogJumps",
+    "Matern",
     "NoPrior",
+    "PriorOptions",
     "Regularizer",
     "Smoothness",
+    "Sparsity",
+    "Tikhonov",
     "TotalVariation",
     "make_regularizer",
 ]

@@ -1,4 +1,4 @@
-"""What a prior is: a convex penalty on the logarithm of Young's modulus.
+"""What a prior is: a penalty on the logarithm of Young's modulus.
 
 Priors act on log-moduli whatever the parameterisation, since tissue differs by factors.
 """

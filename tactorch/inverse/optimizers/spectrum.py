@@ -1,0 +1,106 @@
+"""The linearised problem at one point, solved for every weight of the prior at once.
+
+Near x the map minimises 1/2 |r + J d|^2 + w (1/2 d^T P d + g^T d). With P = L L^T and
+J L^-T = U S V^T everything is diagonal, and one decomposition serves all weights (Golub, Heath and
+Wahba, 1979; Hansen, 1998).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from tactorch.inverse.objective import Point
+
+# What the prior does not see (a uniform change, say) is held by this share of its mean diagonal.
+_HOLD = 1e-6
+_DECADES, _PER_DECADE = 8, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """The linearised problem in the coordinates where it is diagonal.
+
+    Attributes:
+        squares: Squared singular values S^2, k of them.
+        pull: S U^T r.
+        push: V^T L^-1 g.
+        misfit: |r|^2 at the point.
+        n_data: Number of data.
+    """
+
+    squares: Float[np.ndarray, " k"]
+    pull: Float[np.ndarray, " k"]
+    push: Float[np.ndarray, " k"]
+    misfit: float
+    n_data: int
+
+    @staticmethod
+    def of(point: Point) -> "Spectrum | None":
+        """Decompose at `point`, for the map alone; None where the prior cannot be factored."""
+        m = len(point.youngs)
+        return Spectrum.decomposed(
+            point.jacobian[:, :m],
+            point.evaluation.residuals,
+            point.penalty_curvature[:m, :m],
+            point.penalty_gradient[:m],
+        )
+
+    @staticmethod
+    def decomposed(
+        jacobian: Float[np.ndarray, "p m"],
+        residuals: Float[np.ndarray, " p"],
+        curvature: sp.csr_matrix,
+        gradient: Float[np.ndarray, " m"],
+    ) -> "Spectrum | None":
+        """Decompose J, r, P, g; None where P, held a little, cannot be factored."""
+        prior = curvature.toarray()
+        prior[np.diag_indices_from(prior)] += _HOLD * prior.trace() / len(prior)
+        try:
+            factor = la.cholesky(prior, lower=True, overwrite_a=True, check_finite=False)
+            values, vectors = _right_vectors(jacobian, factor)
+        except la.LinAlgError:
+            return None
+        slope = la.solve_triangular(factor, jacobian.T @ residuals, lower=True)
+        push = la.solve_triangular(factor, gradient, lower=True)
+        misfit = float(residuals @ residuals)
+        return Spectrum(values, vectors.T @ slope, vectors.T @ push, misfit, len(residuals))
+
+    def weights(self) -> Float[np.ndarray, " w"]:
+        """Weights worth looking at, from the largest squared singular value down."""
+        exponents = np.linspace(0.0, -_DECADES, _DECADES * _PER_DECADE + 1)
+        return float(self.squares.max()) * 10.0**exponents
+
+    def _steps(self, weights: np.ndarray) -> np.ndarray:
+        w = weights[:, None]
+        return -(self.pull + w * self.push) / (self.squares + w)
+
+    def misfits(self, weights: Float[np.ndarray, " w"]) -> Float[np.ndarray, " w"]:
+        """Squared residuals |r + J d|^2 that each weight leaves."""
+        steps = self._steps(weights)
+        left = self.misfit + 2.0 * steps @ self.pull + (steps * steps) @ self.squares
+        return np.maximum(left, np.finfo(float).tiny)
+
+    def penalties(self, weights: Float[np.ndarray, " w"]) -> Float[np.ndarray, " w"]:
+        """The prior's quadratic, above its least and without its weight, that each leaves."""
+        left = self._steps(weights) + self.push
+        return np.maximum(0.5 * (left * left).sum(axis=1), np.finfo(float).tiny)
+
+    def freedom(self, weights: Float[np.ndarray, " w"]) -> Float[np.ndarray, " w"]:
+        """Data that each weight uses up: the trace of the influence matrix."""
+        return (self.squares / (self.squares + weights[:, None])).sum(axis=1)
+
+
+def _right_vectors(jacobian: np.ndarray, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """S^2 and V of J L^-T, through the smaller of J L^-T and its transpose."""
+    scaled = la.solve_triangular(factor, jacobian.T, lower=True)  # (J L^-T)^T, m x p
+    m, p = scaled.shape
+    if p >= m:
+        values, vectors = la.eigh(scaled @ scaled.T, driver="evd", check_finite=False)
+        return np.maximum(values, 0.0), vectors
+    values, left = la.eigh(scaled.T @ scaled, driver="evd", check_finite=False)
+    seen = values > 1e-12 * values[-1]
+    vectors = scaled @ left[:, seen] / np.sqrt(values[seen])
+    return values[seen], vectors

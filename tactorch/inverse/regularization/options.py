@@ -1,0 +1,33 @@
+"""Settings of a prior beside its name, its weight and its edge."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from tactorch.errors import ConfigError
+
+_PARTS = {"total_variation": 1.0, "sparsity": 1.0}
+
+
+@dataclass(frozen=True)
+class PriorOptions:
+    """What only some priors need; the others pass it over.
+
+    Attributes:
+        level_mpa: Reference of Tikhonov, background of sparsity, mean of Matern, MPa; None
+            estimates it from the map.
+        levels_mpa: The two moduli of the binary well, MPa; None estimates them from the map.
+        length_mm: Correlation length of Matern, mm.
+        deviation: Standard deviation of the log-modulus of Matern.
+        parts: Shares of the priors that a composite is made of, by name.
+    """
+
+    level_mpa: float | None = None
+    levels_mpa: Sequence[float] | None = None
+    length_mm: float = 3.0
+    deviation: float = 0.5
+    parts: Mapping[str, float] = field(default_factory=lambda: dict(_PARTS))
+
+    def __post_init__(self) -> None:
+        """Refuse a composite within a composite."""
+        if "composite" in self.parts:
+            raise ConfigError("regularization.parts: a composite cannot hold a composite.")

@@ -1,0 +1,224 @@
+"""Newton by conjugate gradients: products, second derivatives, and the map of Gauss-Newton."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError
+from tactorch.inverse import (
+    GaussNewton,
+    InverseProblem,
+    Objective,
+    Settings,
+    Unknowns,
+    invert,
+    make_objective,
+    make_optimizer,
+)
+from tactorch.inverse.optimizers import NewtonCG
+from tactorch.inverse.optimizers.conjugate_gradients import truncated
+from tactorch.inverse.optimizers.hessian import SecondOrder
+from tactorch.inverse.optimizers.preconditioner import PriorSolver
+from tactorch.inverse.optimizers.probing import data_trace
+from tactorch.inverse.optimizers.weight import ruling_weight
+from tactorch.recording import Recording
+
+Make = Callable[..., Recording]
+
+
+@pytest.fixture(scope="module")
+def noisy(make_cube: Make) -> Recording:
+    return make_cube(snr_db=30.0, seed=1)
+
+
+@pytest.fixture
+def objective(recording: Recording) -> Objective:
+    return make_objective(recording, Settings())
+
+
+def correlation(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.corrcoef(first, second)[0, 1])
+
+
+@pytest.mark.parametrize("prior", ["total_variation", "smoothness"])
+def test_the_map_is_that_of_gauss_newton(noisy: Recording, prior: str) -> None:
+    maps = [
+        invert(noisy, Settings(optimizer=optimizer, regularization=prior)).youngs
+        for optimizer in (GaussNewton(weight=3.0), NewtonCG(weight=3.0))
+    ]
+    assert correlation(*maps) > 0.9999
+    np.testing.assert_allclose(maps[0], maps[1], rtol=0.02)
+
+
+def test_with_a_cooled_weight_too(noisy: Recording) -> None:
+    ours, theirs = (invert(noisy, Settings(optimizer=o)) for o in (NewtonCG(), GaussNewton()))
+    assert correlation(ours.youngs, theirs.youngs) > 0.99
+    assert ours.stop_reason == theirs.stop_reason == "the data are fitted to their noise"
+
+
+def test_no_sensitivity_matrix_is_formed(noisy: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise AssertionError("the sensitivity matrix was asked for")
+
+    monkeypatch.setattr("tactorch.fem.sensitivity.Sensitivity.matrix", refuse)
+    found = invert(noisy, Settings(optimizer=NewtonCG(max_iterations=3)))
+    assert found.misfit_mm2 < 0.1 * found.history[0]["misfit"]
+
+
+def test_one_set_of_factors_serves_all_iterates(noisy: Recording) -> None:
+    """Each press's search takes over the last one's solver instead of analysing another."""
+    objective = make_objective(noisy, Settings())
+    near = objective.at(objective.start(np.full(noisy.mesh.n_tets, 0.2)))
+    gradient = near.data_gradient
+    leases = [near.evaluation.search(i)._lease for i in range(3)]
+    solvers = {id(lease._solver) for lease in leases}
+    step = np.full(noisy.mesh.n_tets, 0.01)
+    there = objective.at(near.x + step, near, take_over=True)
+    assert {id(there.evaluation.search(i)._lease._solver) for i in range(3)} == solvers
+    assert all(lease.handed_over for lease in leases)
+    alone = objective.at(near.x + step)
+    np.testing.assert_allclose(
+        there.evaluation.residuals, alone.evaluation.residuals, rtol=1e-6, atol=1e-6
+    )
+    np.testing.assert_allclose(there.data_gradient, alone.data_gradient, rtol=1e-6)
+    # What was handed over is made anew where it is wanted again.
+    np.testing.assert_allclose(near.evaluation.gradient() * near.youngs, gradient, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("after", "hessian"), [(0, "gauss_newton"), (5, "gauss_newton"), (2, "true")]
+)
+def test_a_resumed_run_ends_with_the_same_map(
+    noisy: Recording, tmp_path: Path, after: int, hessian: str
+) -> None:
+    def stop(record: dict[str, Any], youngs: np.ndarray) -> None:
+        if record["iteration"] == after:
+            raise KeyboardInterrupt
+
+    settings = Settings(optimizer=NewtonCG(hessian=hessian, max_iterations=after + 3))
+    checkpoint = tmp_path / "checkpoint.npz"
+    whole = invert(noisy, settings)
+    first = invert(noisy, settings, checkpoint=checkpoint, on_iteration=stop)
+    found = invert(noisy, settings, resume=checkpoint)
+    assert first.iterations == after < whole.iterations == found.iterations
+    np.testing.assert_allclose(found.youngs, whole.youngs, rtol=1e-6)
+
+
+@pytest.mark.parametrize("parameterization", ["log", "scaled"])
+def test_true_products_are_differences_of_the_gradient(
+    recording: Recording, moduli: np.ndarray, parameterization: str
+) -> None:
+    objective = make_objective(recording, Settings(parameterization=parameterization))
+    x = objective.start(moduli)
+    change = np.random.default_rng(0).standard_normal(len(x))
+    change *= 1.0 if parameterization == "log" else 0.002
+    point = objective.at(x)
+    gauss_newton = point.transpose_times(point.jacobian_times(change))
+    product = gauss_newton + SecondOrder(point).product(change)
+    h = 1e-4
+    ahead, behind = (objective.at(x + side * h * change).data_gradient for side in (1, -1))
+    difference = (ahead - behind) / (2.0 * h)
+    size = np.abs(difference).max()
+    np.testing.assert_allclose(product, difference, atol=1e-5 * size)
+    assert np.abs(gauss_newton - difference).max() > 1e-2 * size  # there is a second order
+
+
+def test_true_products_are_symmetric(objective: Objective, moduli: np.ndarray) -> None:
+    second = SecondOrder(objective.at(objective.start(moduli)))
+    one, other = np.random.default_rng(1).standard_normal((2, len(moduli)))
+    assert one @ second.product(other) == pytest.approx(other @ second.product(one), rel=1e-8)
+
+
+def test_the_true_hessian_ends_at_the_same_minimum(make_tiny: Make) -> None:
+    noisy = make_tiny(faces=("z+",), snr_db=30.0)
+    settings = {"weight": 3.0, "tolerance": 1e-6}
+    maps = [
+        invert(noisy, Settings(optimizer=NewtonCG(hessian=h, **settings))).youngs
+        for h in ("gauss_newton", "true")
+    ]
+    np.testing.assert_allclose(maps[0], maps[1], rtol=5e-3)
+
+
+def test_the_true_hessian_refuses_nuisance_parameters(recording: Recording) -> None:
+    settings = Settings(optimizer=NewtonCG(hessian="true"), unknowns=Unknowns(poisson=0.02))
+    with pytest.raises(ConfigError, match="hessian=true"):
+        invert(recording, settings)
+
+
+def test_nuisance_parameters_are_estimated(make_cube: Make) -> None:
+    wrong = make_cube(snr_db=40.0, seed=1)
+    settings = {"unknowns": Unknowns(force_scale=0.2)}
+    ours, theirs = (
+        invert(wrong, Settings(optimizer=optimizer, **settings)).nuisance
+        for optimizer in (NewtonCG(weight=3.0), GaussNewton(weight=3.0))
+    )
+    assert ours["force_scale"].value == pytest.approx(theirs["force_scale"].value, rel=1e-2)
+
+
+def test_the_trace_is_estimated(objective: Objective, moduli: np.ndarray) -> None:
+    point = objective.at(objective.start(moduli))
+    exact = float((point.jacobian**2).sum())
+    assert data_trace(point, probes=200) == pytest.approx(exact, rel=0.1)
+    assert data_trace(point) == data_trace(point)
+    rough = ruling_weight(point) * data_trace(point) / exact
+    assert rough == pytest.approx(ruling_weight(point), rel=0.6)
+
+
+def test_conjugate_gradients_stop_at_negative_curvature() -> None:
+    matrix, gradient = np.diag([1.0, 2.0, -1.0]), np.array([1.0, 1.0, 1e-3])
+    found = truncated(lambda v: matrix @ v, lambda v: v, gradient, 1e-12, 50)
+    assert found.bent
+    assert gradient @ found.step < 0
+    np.testing.assert_allclose(found.image, matrix @ found.step)
+    first = truncated(lambda v: -v, lambda v: v, gradient, 1e-12, 50)
+    np.testing.assert_allclose(first.step, -gradient)
+
+
+def test_conjugate_gradients_solve() -> None:
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((12, 12))
+    matrix, gradient = root @ root.T + np.eye(12), rng.standard_normal(12)
+    found = truncated(lambda v: matrix @ v, lambda v: v / 3.0, gradient, 1e-10, 50)
+    np.testing.assert_allclose(found.step, -np.linalg.solve(matrix, gradient), rtol=1e-6)
+    assert found.iterations <= 20
+
+
+def test_the_preconditioner_holds_what_is_fixed(objective: Objective, moduli: np.ndarray) -> None:
+    prior = objective.at(objective.start(moduli)).prior_curvature(2.0)
+    rng = np.random.default_rng(2)
+    shift, rhs = rng.uniform(0.5, 1.0, len(moduli)), rng.standard_normal(len(moduli))
+    fixed = rng.random(len(moduli)) < 0.3
+    solver = PriorSolver()
+    assert solver.factor(prior, shift, fixed)
+    found = solver.solve(rhs)
+    assert not found[fixed].any()
+    dense = prior.toarray() + np.diag(shift)
+    expected = np.linalg.solve(dense[~fixed][:, ~fixed], rhs[~fixed])
+    np.testing.assert_allclose(found[~fixed], expected, rtol=1e-9)
+    assert not solver.factor(prior, -1e3 * shift, fixed)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"forcing": 0.0}, "forcing=0.0 must be above 0"),
+        ({"forcing": 1.0}, "forcing=1.0 must be below 1"),
+        ({"cg_iterations": 0}, "cg_iterations=0"),
+        ({"hessian": "bfgs"}, "hessian=bfgs is unknown; choose gauss_newton, true"),
+        ({"weight": -1.0}, "weight=-1.0"),
+    ],
+)
+def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make_optimizer("newton_cg", **settings)
+
+
+def test_a_problem_counts_its_evaluations(noisy: Recording) -> None:
+    problem = InverseProblem(noisy)
+    youngs = np.full(noisy.mesh.n_tets, 0.2)
+    near = problem.evaluate(youngs)
+    problem.evaluate(1.01 * youngs, near, take_over=True)
+    assert problem.evaluations == 2
