@@ -4,31 +4,35 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactorch.credibility import Patch, SimulatedPresser
+from tactorch.credibility import SimulatedPresser
 from tactorch.fem import SoftBody, make_material
 from tactorch.mesh import Sphere, TetMesh, box_mesh
 from tactorch.phantoms.sampling import element_means
-from tactorch.recording import MaterialSpec, Press
+from tactorch.recording import MaterialSpec
 
 RADIUS_MM = 10.0
 BACKGROUND_MPA, INCLUSION_MPA = 0.1, 0.5
-POISSON = 0.45
-PRESSURE_MPA = 0.012
-NOISE = 0.01  # of the typical displacement under the sensor
+POISSON = 0.4
+SENSOR_MM, PRESSURE_MPA = 3.0, 0.012
+NOISE_MM = 0.003  # 1 % of the typical displacement under the sensor, 0.3 mm
 _SAMPLES = 4  # along an element's edge, for what a boundary cuts
 
 
-def hemisphere(divisions: int) -> TetMesh:
+def hemisphere(across: int, up: int) -> TetMesh:
     """Mesh a hemisphere on its flat side, by a half cube of cells blown up to it.
 
-    A ball's shells are the cube's: p goes to p |p|_max / |p|.
+    A ball's shells are the cube's: p goes to p |p|_max / |p|. Flat facets lack volume, so that
+    meshes of unlike fineness would differ in shape: the radius is adjusted to the true volume.
     """
-    shape = (2 * divisions, 2 * divisions, divisions)
-    cube = box_mesh((2.0, 2.0, 1.0), shape, origin_mm=(-1.0, -1.0, 0.0), tets_per_cell=5)
+    cube = box_mesh(
+        (2.0, 2.0, 1.0), (across, across, up), origin_mm=(-1.0, -1.0, 0.0), tets_per_cell=5
+    )
     length = np.linalg.norm(cube.points, axis=1)
     longest = np.abs(cube.points).max(axis=1)
     grown = RADIUS_MM * longest / np.maximum(length, 1e-12)
-    return TetMesh.create(cube.points * grown[:, None], cube.tets)
+    mesh = TetMesh.create(cube.points * grown[:, None], cube.tets)
+    lacking = 2.0 / 3.0 * np.pi * RADIUS_MM**3 / mesh.volumes.sum()
+    return TetMesh.create(mesh.points * np.cbrt(lacking), mesh.tets)
 
 
 def held(mesh: TetMesh) -> np.ndarray:
@@ -48,9 +52,9 @@ class Hemisphere:
         rng = np.random.default_rng([seed, 16])
         around = rng.uniform(0.0, 2.0 * np.pi)
         turns = (around, around + rng.uniform(0.6, 1.4) * np.pi)
-        depths = (rng.uniform(3.2, 3.8), rng.uniform(4.2, 5.0))
+        depths = (rng.uniform(3.4, 3.8), rng.uniform(4.2, 4.8))
         heights = np.deg2rad(rng.uniform(35.0, 70.0, 2))
-        radii = rng.uniform(2.0, 2.6, 2)
+        radii = rng.uniform(2.7, 3.1, 2)
         balls = []
         for turn, depth, height, radius in zip(turns, depths, heights, radii, strict=True):
             flat = np.cos(height)
@@ -72,3 +76,18 @@ class Hemisphere:
 def material() -> MaterialSpec:
     """Return the law that presses and inversion share."""
     return MaterialSpec("neo_hookean", POISSON)
+
+
+def make_presser(body: Hemisphere, finer: TetMesh, mesh: TetMesh, seed: int) -> SimulatedPresser:
+    """Press with quadratic elements on the finer mesh, and report over the other."""
+    law = make_material("neo_hookean", POISSON)
+    return SimulatedPresser(
+        body=SoftBody(finer, law, element="tet10"),
+        youngs=np.exp(body.truth(finer)),
+        held=held(finer),
+        mesh=mesh,
+        mesh_held=held(mesh),
+        pressure_mpa=PRESSURE_MPA,
+        noise_mm=NOISE_MM,
+        seed=seed,
+    )

@@ -9,8 +9,11 @@
 - `coverage`, `calibration_curve`: over objects of known truth, do the stated deviations hold?
 - `Belief`: the update by a press (eq. 16 and 17), and what a press is expected to tell.
 - `candidate_patches`: where a sensor can press. `Presser`, `SimulatedPresser`: who presses.
+- `sample`: active sampling, the next place chosen by a `Rule`: `LargestUncertainty` (the paper's),
+  `ExpectedInformation` and `ExpectedError` (ours), `UniformGrid`, `Random`.
 """
 
+from tactorch.credibility.active import Step, sample
 from tactorch.credibility.belief import Belief
 from tactorch.credibility.candidates import Patch, candidate_patches
 from tactorch.credibility.coverage import (
@@ -23,6 +26,15 @@ from tactorch.credibility.gaussian import GaussianPosterior
 from tactorch.credibility.low_rank import LowRankPosterior
 from tactorch.credibility.posterior import LaplacePosterior
 from tactorch.credibility.presser import Presser, SimulatedPresser
+from tactorch.credibility.rules import (
+    ExpectedError,
+    ExpectedInformation,
+    LargestUncertainty,
+    Random,
+    Rule,
+    Situation,
+    UniformGrid,
+)
 from tactorch.credibility.sensitivity import (
     Credibility,
     credibility,
@@ -35,12 +47,20 @@ __all__ = [
     "Belief",
     "Coverage",
     "Credibility",
+    "ExpectedError",
+    "ExpectedInformation",
     "GaussianPosterior",
     "LaplacePosterior",
+    "LargestUncertainty",
     "LowRankPosterior",
     "Patch",
     "Presser",
+    "Random",
+    "Rule",
     "SimulatedPresser",
+    "Situation",
+    "Step",
+    "UniformGrid",
     "VariationalPosterior",
     "calibration_curve",
     "calibration_error",
@@ -48,6 +68,7 @@ __all__ = [
     "coverage",
     "credibility",
     "layer_profile",
+    "sample",
     "sensitivity_matrix",
     "variational_posterior",
 ]

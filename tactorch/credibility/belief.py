@@ -86,6 +86,18 @@ class Belief:
         spread = np.eye(len(jacobian)) + jacobian @ self.covariance @ jacobian.T
         return float(np.log(sl.cholesky(spread, lower=True).diagonal()).sum())
 
+    def variance_fall(self, jacobian: Float[np.ndarray, "data m"]) -> Float[np.ndarray, " m"]:
+        """Return by how much a press is to lower the variance of each element; it needs no data.
+
+        Raises:
+            ConfigError: the jacobian has another number of columns than there are elements.
+        """
+        self._check(jacobian)
+        cross = jacobian @ self.covariance
+        lower = sl.cholesky(np.eye(len(jacobian)) + cross @ jacobian.T, lower=True)
+        half = sl.solve_triangular(lower, cross, lower=True)
+        return np.square(half).sum(axis=0)
+
     def _check(self, jacobian: np.ndarray) -> None:
         if jacobian.shape[1] != len(self.mean):
             raise ConfigError(

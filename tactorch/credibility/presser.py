@@ -1,6 +1,6 @@
 """Who carries out a press: a simulated body now, a robot as well."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -17,6 +17,10 @@ from tactorch.simulation.transfer import Transfer
 @runtime_checkable
 class Presser(Protocol):
     """Presses a patch, and reports it over the nodes of the mesh of the inversion."""
+
+    def plan(self, patch: Patch) -> Press:
+        """Return the press as it would be reported, with displacement 0."""
+        ...
 
     def press(self, patch: Patch) -> Press:
         """Carry the press out."""
@@ -51,6 +55,22 @@ class SimulatedPresser:
     def _transfer(self) -> Transfer:
         return Transfer.between(self.body.discretisation, self.mesh.points)
 
+    def plan(self, patch: Patch) -> Press:
+        """Return the press as it would be reported, with displacement 0.
+
+        Raises:
+            ConfigError: the patch misses the surface.
+        """
+        forces = self.pressure_mpa * patch.forces(self.mesh)
+        return Press(
+            forces=forces,
+            observed=_rows(np.any(forces != 0.0, axis=1)),
+            displacement=np.zeros_like(forces),
+            fixed=_rows(self.mesh_held),
+            noise_mm=self.noise_mm,
+            direction=patch.inward,
+        )
+
     def press(self, patch: Patch) -> Press:
         """Press, and observe the nodes in contact.
 
@@ -58,21 +78,14 @@ class SimulatedPresser:
             ConvergenceError: the body collapses.
             ConfigError: the patch misses the surface.
         """
-        forces = self.pressure_mpa * patch.forces(self.mesh)
         supports = Supports(fixed=_rows(self.held))
         load = self.pressure_mpa * patch.forces(self.body.mesh)
         found = self.body.equilibrate(self.youngs, load, supports).require()
         place = np.round(patch.center * 1e6).astype(np.int64) & 0xFFFFFFFF
         rng = np.random.default_rng([self.seed, *place.tolist()])
-        noise = self.noise_mm * rng.standard_normal(forces.shape)
-        return Press(
-            forces=forces,
-            observed=_rows(np.any(forces != 0.0, axis=1)),
-            displacement=self._transfer(found.displacement) + noise,
-            fixed=_rows(self.mesh_held),
-            noise_mm=self.noise_mm,
-            direction=patch.inward,
-        )
+        plan = self.plan(patch)
+        noise = self.noise_mm * rng.standard_normal(plan.forces.shape)
+        return replace(plan, displacement=self._transfer(found.displacement) + noise)
 
 
 def _rows(nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, "n 3"]:

@@ -46,6 +46,15 @@ def test_gain_is_half_the_fall_of_log_det(belief: Belief) -> None:
     assert belief.information_gain(jacobian) == pytest.approx(fall / 2, rel=1e-9)
 
 
+def test_variance_falls_as_foretold(belief: Belief) -> None:
+    jacobian = np.random.default_rng(4).standard_normal((4, 6))
+    after = belief.after_press(jacobian, np.ones(4))
+    fall = belief.covariance.diagonal() - after.covariance.diagonal()
+    np.testing.assert_allclose(belief.variance_fall(jacobian), fall, rtol=1e-9)
+    with pytest.raises(ConfigError, match="5 columns"):
+        belief.variance_fall(np.ones((2, 5)))
+
+
 def test_wrong_shapes_and_values_are_refused(belief: Belief) -> None:
     with pytest.raises(ConfigError, match="5 elements"):
         belief.after_map(np.zeros(5), np.ones(5))

@@ -1,0 +1,319 @@
+"""Active sampling on a hemisphere with two inclusions (Section V-C, Fig. 12 a).
+
+    python benchmarks/active_sampling.py [--seeds 3] [--budget 9] [--workers 1] [--out FOLDER]
+
+A hemisphere of 10 mm radius, 0.1 MPa, held at its flat side, with two balls of 0.5 MPa at unequal
+depths and sides, drawn anew by each seed. It is pressed by a round sensor of 3 mm radius, normal
+to the surface, at 12 kPa. Presses are computed with quadratic elements on a finer mesh than the
+inversion's, whose elements are linear; noise is 1 % of the typical displacement under the sensor.
+The inversion has its default settings: it corrects for what its mesh gets wrong, which is more
+than the noise, and stops cooling where the data are fitted. No rule sees the truth.
+
+Rules: a uniform grid laid out for the whole budget (farthest points, evened out), random places,
+the paper's (largest uncertainty), and two of ours: the largest expected information, and the
+largest expected fall of the variance by volume. All but the first two begin at the top.
+
+The error is the root mean square of log E by volume; Pearson's r is by volume as well. The given
+error is that of the uniform grid after its whole budget. The presses that a rule needs are those
+after which its lowest error so far is no larger, for the grid too, which may be there early; a
+rule that is never there within the budget counts as one press more than that. `presses` counts on
+the mean curve over seeds, `presses_by_seed` on each seed's against that seed's grid.
+
+The last line printed is one JSON object.
+"""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from active_objects import (
+    BACKGROUND_MPA,
+    RADIUS_MM,
+    SENSOR_MM,
+    Hemisphere,
+    held,
+    hemisphere,
+    make_presser,
+    material,
+)
+from machine import describe_machine
+
+from tactorch.credibility import (
+    ExpectedError,
+    ExpectedInformation,
+    LargestUncertainty,
+    Patch,
+    Presser,
+    Random,
+    Rule,
+    Step,
+    UniformGrid,
+    candidate_patches,
+    sample,
+)
+from tactorch.inverse import GaussNewton, Settings
+from tactorch.mesh import TetMesh
+from tactorch.recording import Press
+from tactorch.viz.active import plot_sampling
+
+PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
+RULES = ("uniform", "random", "paper", "information", "error")
+AIM = 2.0 / 3.0
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run every rule on every object and print the table and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--budget", type=int, default=9)
+    parser.add_argument("--workers", type=int, default=1, help="objects side by side")
+    parser.add_argument("--candidates", type=int, default=40)
+    parser.add_argument("--cells", type=int, nargs=2, default=(7, 4), help="across and up")
+    parser.add_argument("--finer", type=int, nargs=2, default=(10, 5), help="of the presses")
+    parser.add_argument("--rules", nargs="+", choices=RULES, default=RULES)
+    parser.add_argument("--out", type=Path, help="folder for active_sampling.json, .md and .png")
+    options = parser.parse_args(arguments)
+    rules = ["uniform", *(rule for rule in options.rules if rule != "uniform")]
+    mesh, finer = (hemisphere(*cells) for cells in (options.cells, options.finer))
+    patches = candidate_patches(mesh, held(mesh), SENSOR_MM, options.candidates)
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    work = partial(
+        run_rules, rules=rules, mesh=mesh, finer=finer, patches=patches, budget=options.budget
+    )
+    runs = gather(work, seeds, options.workers)
+    report = {"elements": mesh.n_tets, "candidates": len(patches), **judge(runs)}
+    lines = table(report)
+    print("\n".join(lines))
+    if options.out is not None:
+        _write(options.out, lines, report, runs, patches, Hemisphere.draw(seeds[0]))
+    print(json.dumps(report))
+
+
+def gather(
+    work: Callable[[int], dict[str, "Run"]], seeds: Sequence[int], workers: int
+) -> dict[str, list["Run"]]:
+    """Run the seeds, side by side where there is more than one worker; return runs by rule."""
+    if workers == 1:
+        found = [work(seed) for seed in seeds]
+    else:
+        # One thread each: processes that share cores hinder one another's threads.
+        os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            found = list(pool.map(work, seeds))
+    return {rule: [runs[rule] for runs in found] for rule in found[0]}
+
+
+def run_rules(
+    seed: int,
+    rules: Sequence[str],
+    mesh: TetMesh,
+    finer: TetMesh,
+    patches: list[Patch],
+    budget: int,
+) -> dict[str, "Run"]:
+    """Run every rule on one object."""
+    body = Hemisphere.draw(seed)
+    presser = Remembering(make_presser(body, finer, mesh, seed))
+    return {rule: run(rule, seed, presser, mesh, patches, body, budget) for rule in rules}
+
+
+@dataclass
+class Remembering:
+    """A presser that makes each press once: a patch gives every rule the same data."""
+
+    presser: Presser
+    known: dict[bytes, Press] = field(default_factory=dict)
+
+    def plan(self, patch: Patch) -> Press:
+        """See `Presser.plan`."""
+        return self.presser.plan(patch)
+
+    def press(self, patch: Patch) -> Press:
+        """See `Presser.press`."""
+        key = patch.center.tobytes()
+        if key not in self.known:
+            self.known[key] = self.presser.press(patch)
+        return self.known[key]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One rule on one object."""
+
+    places: list[int]
+    errors: np.ndarray
+    pearsons: np.ndarray
+    deviations: np.ndarray
+    seconds: float
+
+
+def make_rule(name: str, budget: int, seed: int) -> Rule:
+    """Return a rule by its name here."""
+    rules: dict[str, Rule] = {
+        "uniform": UniformGrid(budget),
+        "random": Random(seed),
+        "paper": LargestUncertainty(),
+        "information": ExpectedInformation(),
+        "error": ExpectedError(),
+    }
+    return rules[name]
+
+
+def settings() -> Settings:
+    """Return the default settings, but for an optimizer that stops at one part in a hundred."""
+    return Settings(optimizer=GaussNewton(max_iterations=25, tolerance=1e-2))
+
+
+def run(
+    name: str,
+    seed: int,
+    presser: Presser,
+    mesh: TetMesh,
+    patches: list[Patch],
+    body: Hemisphere,
+    budget: int,
+) -> Run:
+    """Sample by one rule; the truth is for the score alone."""
+    truth, shares, began = body.truth(mesh), mesh.volumes / mesh.volumes.sum(), time.perf_counter()
+    scores: list[tuple[float, float]] = []
+
+    def on_press(step: Step) -> None:
+        scores.append(score(np.log(step.youngs), truth, shares))
+        print(
+            f"# seed {seed}, {name}, press {len(scores)} at {step.place}: error "
+            f"{scores[-1][0]:.3f}, r {scores[-1][1]:.3f}, deviation {step.rms_deviation:.3f}, "
+            f"{step.seconds:.0f} s",
+            flush=True,
+        )
+
+    steps = sample(
+        presser, mesh, patches, make_rule(name, budget, seed), budget,
+        settings(), material=material(), start_mpa=BACKGROUND_MPA, on_press=on_press,
+    )  # fmt: skip
+    errors, pearsons = np.array(scores).T
+    return Run(
+        [step.place for step in steps],
+        errors,
+        pearsons,
+        np.array([step.rms_deviation for step in steps]),
+        time.perf_counter() - began,
+    )
+
+
+def score(found: np.ndarray, truth: np.ndarray, shares: np.ndarray) -> tuple[float, float]:
+    """Return the root mean square error and Pearson's r, both by volume; r is 0 if undefined."""
+    error = float(np.sqrt(shares @ (found - truth) ** 2))
+    a, b = found - shares @ found, truth - shares @ truth
+    spread = float(np.sqrt((shares @ a**2) * (shares @ b**2)))
+    return error, float(shares @ (a * b)) / spread if spread > 1e-12 else 0.0
+
+
+def presses_needed(errors: np.ndarray, target: float) -> int:
+    """Return after how many presses the lowest error so far is at most the target.
+
+    One more than there are errors if it never is.
+    """
+    there = np.flatnonzero(np.minimum.accumulate(errors) <= target)
+    return int(there[0]) + 1 if len(there) else len(errors) + 1
+
+
+def judge(runs: dict[str, list[Run]]) -> dict[str, Any]:
+    """Compare the rules with the uniform grid."""
+    grid = np.array([one.errors for one in runs["uniform"]])
+    target = float(grid.mean(axis=0)[-1])
+    own = presses_needed(grid.mean(axis=0), target)
+    figures = {}
+    for name, found in runs.items():
+        errors = np.array([one.errors for one in found])
+        by_seed = [presses_needed(e, g[-1]) for e, g in zip(errors, grid, strict=True)]
+        needed = presses_needed(errors.mean(axis=0), target)
+        figures[name] = {
+            "presses": needed,
+            "ratio": needed / own,
+            "presses_by_seed": by_seed,
+            "mean_presses_by_seed": float(np.mean(by_seed)),
+            "errors": errors.mean(axis=0).tolist(),
+            "pearsons": np.mean([one.pearsons for one in found], axis=0).tolist(),
+            "errors_by_seed": errors.tolist(),
+            "deviations": np.mean([one.deviations for one in found], axis=0).tolist(),
+            "places_by_seed": [one.places for one in found],
+            "seconds": sum(one.seconds for one in found),
+        }
+    mean_own = figures["uniform"]["mean_presses_by_seed"]
+    for one in figures.values():
+        one["ratio_by_seed"] = one["mean_presses_by_seed"] / mean_own
+    return {
+        "seeds": len(grid),
+        "budget": grid.shape[1],
+        "target_error": target,
+        "aim": AIM,
+        "rules": figures,
+    }
+
+
+def table(report: dict[str, Any]) -> list[str]:
+    """One row a rule."""
+    budget = report["budget"]
+    middle = max(1, round(AIM * budget))
+    head = [
+        "rule", f"error at {middle}", f"error at {budget}", f"r at {middle}", f"r at {budget}",
+        "presses to the grid's error", "ratio to the grid", "by seed", "ratio by seed",
+    ]  # fmt: skip
+    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    for name, one in report["rules"].items():
+        cells = [
+            name,
+            *(
+                f"{one[key][at - 1]:.3f}"
+                for key in ("errors", "pearsons")
+                for at in (middle, budget)
+            ),
+            _count(one["presses"], budget),
+            f"{one['ratio']:.2f}",
+            ", ".join(_count(n, budget) for n in one["presses_by_seed"]),
+            f"{one['ratio_by_seed']:.2f}",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def _count(presses: int, budget: int) -> str:
+    return str(presses) if presses <= budget else f"> {budget}"
+
+
+def _write(
+    folder: Path,
+    lines: list[str],
+    report: dict[str, Any],
+    runs: dict[str, list[Run]],
+    patches: list[Patch],
+    body: Hemisphere,
+) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({"machine": describe_machine(PACKAGES), **report}, indent=2)
+    (folder / "active_sampling.json").write_text(text + "\n")
+    (folder / "active_sampling.md").write_text("\n".join(lines) + "\n")
+    centers = np.array([patch.center for patch in patches])
+    plot_sampling(
+        {name: np.array([one.errors for one in found]) for name, found in runs.items()},
+        {name: centers[found[0].places] for name, found in runs.items()},
+        folder / "active_sampling.png",
+        target=report["target_error"],
+        balls=body.balls,
+        radius_mm=SENSOR_MM,
+        outline_mm=RADIUS_MM,
+    )
+
+
+if __name__ == "__main__":
+    main()

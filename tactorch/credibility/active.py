@@ -1,0 +1,176 @@
+"""Active sampling: press, invert, and choose where to press next (Section V-C)."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.credibility.belief import Belief
+from tactorch.credibility.candidates import Patch
+from tactorch.credibility.posterior import LaplacePosterior
+from tactorch.credibility.presser import Presser
+from tactorch.credibility.rules import Rule, Situation
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse import START_MPA, InverseProblem, Point, Settings, invert, make_objective
+from tactorch.mesh import TetMesh
+from tactorch.recording import MaterialSpec, Press, Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What stands after one more press.
+
+    Attributes:
+        place: The candidate that was pressed.
+        youngs: The map from all presses so far, MPa.
+        deviation: Of each parameter (log-modulus by default) under the posterior there.
+        rms_deviation: Its root mean square by volume.
+        seconds: Since the first press began.
+    """
+
+    place: int
+    youngs: Float[np.ndarray, " m"]
+    deviation: Float[np.ndarray, " m"]
+    rms_deviation: float
+    seconds: float
+
+
+def sample(
+    presser: Presser,
+    mesh: TetMesh,
+    candidates: Sequence[Patch],
+    rule: Rule,
+    budget: int,
+    settings: Settings | None = None,
+    *,
+    material: MaterialSpec,
+    start_mpa: float = START_MPA,
+    target_deviation: float = 0.0,
+    on_press: Callable[[Step], None] | None = None,
+) -> list[Step]:
+    """Press where the rule says, inverting all presses after each, from the map before.
+
+    Args:
+        presser: Who presses.
+        mesh: Of the inversion.
+        candidates: Places to press.
+        rule: Chooses among those not pressed yet.
+        budget: How many presses at most.
+        settings: Of the inversions.
+        material: Law of the body.
+        start_mpa: Where the first inversion starts.
+        target_deviation: Root mean square deviation of the parameters at which to stop.
+        on_press: Called after each press and its inversion.
+
+    Raises:
+        ConfigError: there are fewer candidates than the budget, or a setting cannot be used.
+        ConvergenceError: the presses have no equilibrium at the map before.
+    """
+    if not 1 <= budget <= len(candidates):
+        raise ConfigError(
+            f"budget={budget} must be 1 to {len(candidates)}, as many as there are candidates."
+        )
+    settings, began = settings or Settings(), time.perf_counter()
+    body = _Body(mesh, material, settings)
+    presses: list[Press] = []
+    steps: list[Step] = []
+    youngs = np.full(mesh.n_tets, float(start_mpa))
+    place = rule.first(candidates)
+    while True:
+        presses.append(presser.press(candidates[place]))
+        point, posterior = body.solve(presses, youngs)
+        youngs, deviation = point.youngs, posterior.deviation()
+        rms = float(np.sqrt(mesh.volumes @ deviation**2 / mesh.volumes.sum()))
+        steps.append(Step(place, youngs, deviation, rms, time.perf_counter() - began))
+        if on_press is not None:
+            on_press(steps[-1])
+        if len(steps) == budget or rms <= target_deviation:
+            return steps
+        pressed = tuple(step.place for step in steps)
+
+        def foretell(places: Sequence[int], at: Point = point) -> list[np.ndarray | None]:
+            return body.foretell([presser.plan(candidates[i]) for i in places], at)
+
+        place = rule.choose(
+            Situation(
+                mesh=mesh,
+                candidates=candidates,
+                pressed=pressed,
+                belief=Belief(posterior.mean, posterior.covariance(np.arange(mesh.n_tets))),
+                credibility=credibilities(point),
+                jacobians=foretell,
+            )
+        )
+
+
+def credibilities(point: Point) -> Float[np.ndarray, "presses m"]:
+    """Return the square of L (eq. 15) of each press by itself, as a precision.
+
+    L is by the parameter, in standard deviations of the noise, and of an element of mean volume:
+    else small elements would count as hardly felt.
+    """
+    mesh = point.objective.problem.recording.mesh
+    counts = [len(seen.index) for seen in point.objective.problem.observations]
+    rows = np.split(point.jacobian[:, : mesh.n_tets], np.cumsum(counts)[:-1])
+    felt = np.array([np.abs(part).max(axis=0) for part in rows])
+    return (felt * mesh.volumes.mean() / mesh.volumes) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """What all inversions share."""
+
+    mesh: TetMesh
+    material: MaterialSpec
+    settings: Settings
+
+    def _recording(self, presses: Sequence[Press]) -> Recording:
+        # Presses yet to be made are without displacement, so units are not told by it.
+        return Recording(
+            mesh=self.mesh, presses=tuple(presses), material=self.material, check_units=False
+        )
+
+    def solve(self, presses: Sequence[Press], start: np.ndarray) -> tuple[Point, LaplacePosterior]:
+        """Return the map of the presses, and the posterior there."""
+        recording, settings = self._recording(presses), self.settings
+        found = invert(recording, settings, start_mpa=start, show_progress=False)
+        objective = make_objective(recording, settings)
+        point = objective.at(objective.start(found.youngs))
+        return point, LaplacePosterior.at(point, found.history[-1].get("weight", 0.0))
+
+    def foretell(self, presses: Sequence[Press], point: Point) -> list[np.ndarray | None]:
+        """Return the Jacobians of presses not made yet, side by side, at the present map.
+
+        Their noise is what the inversion takes the present data to have: what the sensor states,
+        and what the mesh gets wrong.
+        """
+        scales = np.concatenate([seen.scale for seen in point.objective.problem.observations])
+        noise = float(1.0 / np.median(scales))
+        # Displacements do not matter here; presses that moved nothing are refused as data.
+        nothing = np.full(presses[0].forces.shape, noise)
+        planned = [replace(press, displacement=nothing, noise_mm=noise) for press in presses]
+        try:
+            return list(self._rows(planned, point))
+        except ConvergenceError:
+            return [self._rows_or_none(press, point) for press in planned]
+
+    def _rows_or_none(self, press: Press, point: Point) -> np.ndarray | None:
+        try:
+            return self._rows([press], point)[0]
+        except ConvergenceError:
+            return None
+
+    def _rows(self, presses: Sequence[Press], point: Point) -> list[np.ndarray]:
+        settings = self.settings
+        problem = InverseProblem(
+            self._recording(presses),
+            element=settings.element,
+            solver=settings.solver,
+            newton=settings.newton,
+        )
+        slope = point.objective.parameterization.slope(point.elements)
+        counts = [len(seen.index) for seen in problem.observations]
+        rows = problem.evaluate(point.youngs).jacobian() * slope
+        return np.split(rows, np.cumsum(counts)[:-1])

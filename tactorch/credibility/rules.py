@@ -1,0 +1,222 @@
+"""Where to press next: rules over what is known so far (Section V-C, and beyond it)."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.credibility.belief import Belief
+from tactorch.credibility.candidates import Patch
+from tactorch.errors import ConfigError
+from tactorch.mesh import TetMesh
+from tactorch.mesh.values import Real, positive
+
+_REACH = 2.0  # radii of the sensor: how far from its centre a patch's area goes
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What is known after some presses.
+
+    Attributes:
+        mesh: The body.
+        candidates: Places to press.
+        pressed: Which of them were pressed, in turn.
+        belief: Of the parameters (log-moduli by default), from all presses.
+        credibility: Of each press: the square of the largest derivative of any datum (in standard
+            deviations of its noise) by the parameter of an element of mean volume.
+        jacobians: Foretells the derivatives of candidates' data, in standard deviations of the
+            noise; None for a candidate under which the body would collapse.
+    """
+
+    mesh: TetMesh
+    candidates: Sequence[Patch]
+    pressed: tuple[int, ...]
+    belief: Belief
+    credibility: Float[np.ndarray, "presses m"]
+    jacobians: Callable[[Sequence[int]], list[np.ndarray | None]]
+
+    @property
+    def left(self) -> list[int]:
+        """Candidates that were not pressed."""
+        return _left(len(self.candidates), self.pressed)
+
+
+@runtime_checkable
+class Rule(Protocol):
+    """Chooses places to press."""
+
+    def first(self, candidates: Sequence[Patch]) -> int:
+        """Return the candidate to press before anything is known."""
+        ...
+
+    def choose(self, now: Situation) -> int:
+        """Return the candidate to press next, one that was not pressed."""
+        ...
+
+
+class _FromTheTop:
+    """Begins with the first candidate: `candidate_patches` puts it farthest from what is held."""
+
+    def first(self, candidates: Sequence[Patch]) -> int:
+        """See `Rule.first`."""
+        return 0
+
+
+@dataclass(frozen=True)
+class LargestUncertainty(_FromTheTop):
+    """The paper's rule: press the area of largest uncertainty under eq. (16).
+
+    Sigma* and R are diagonal there, so the precisions of an element add up: that of the prior, and
+    its credibility under each press. The paper says of the place no more than that it is found "by
+    projecting onto the area with the maximum uncertainty". Here each element belongs to the
+    candidate nearest to its centroid, within two radii of the sensor; the next press is the
+    candidate whose elements have the largest mean variance, by volume.
+
+    Attributes:
+        prior_deviation: Of each parameter before any press.
+    """
+
+    prior_deviation: Real = 1.0
+
+    def __post_init__(self) -> None:
+        positive("prior_deviation", self.prior_deviation)
+
+    def choose(self, now: Situation) -> int:
+        """See `Rule.choose`."""
+        variance = 1.0 / (self.prior_deviation**-2 + now.credibility.sum(axis=0))
+        means = area_means(now.mesh, now.candidates, variance)
+        return max(now.left, key=lambda i: means[i])
+
+
+class _Foretelling(_FromTheTop, ABC):
+    """Foretells each candidate's data, and takes the one that scores best."""
+
+    def choose(self, now: Situation) -> int:
+        """See `Rule.choose`."""
+        found = zip(now.left, now.jacobians(now.left), strict=True)
+        scores = {i: self.score(now, rows) for i, rows in found if rows is not None}
+        return max(scores, key=lambda i: scores[i]) if scores else now.left[0]
+
+    @abstractmethod
+    def score(self, now: Situation, jacobian: Float[np.ndarray, "data m"]) -> float:
+        """Return how much a press with this Jacobian is worth."""
+
+
+@dataclass(frozen=True)
+class ExpectedInformation(_Foretelling):
+    """Press where the data are expected to tell most: log det(I + J Sigma J^T) / 2."""
+
+    def score(self, now: Situation, jacobian: Float[np.ndarray, "data m"]) -> float:
+        """Return the expected information, in nats."""
+        return now.belief.information_gain(jacobian)
+
+
+@dataclass(frozen=True)
+class ExpectedError(_Foretelling):
+    """Press where the variance of the parameters, summed by volume, is expected to fall most."""
+
+    def score(self, now: Situation, jacobian: Float[np.ndarray, "data m"]) -> float:
+        """Return the fall of the mean variance by volume."""
+        volumes = now.mesh.volumes
+        return float(now.belief.variance_fall(jacobian) @ volumes / volumes.sum())
+
+
+@dataclass(frozen=True)
+class UniformGrid:
+    """A grid over the candidates for the whole budget, laid out before the first press.
+
+    It begins with farthest points and evens them out (Lloyd's k-medoids): each place moves to the
+    middle of the candidates that are nearest to it.
+
+    Attributes:
+        budget: How many places.
+    """
+
+    budget: int
+
+    def places(self, candidates: Sequence[Patch]) -> list[int]:
+        """Return the grid in farthest-point order.
+
+        Raises:
+            ConfigError: there are fewer candidates than places.
+        """
+        if not 1 <= self.budget <= len(candidates):
+            raise ConfigError(
+                f"budget={self.budget}: a grid takes 1 to {len(candidates)} places, as many as "
+                "there are candidates."
+            )
+        centers = np.array([patch.center for patch in candidates])
+        gaps = np.linalg.norm(centers[:, None] - centers, axis=2)
+        places = _farthest(gaps, list(range(len(gaps))), self.budget)
+        for _ in range(len(gaps)):
+            owner = gaps[:, places].argmin(axis=1)
+            groups = [np.flatnonzero(owner == k) for k in range(self.budget)]
+            moved = [int(g[(gaps[np.ix_(g, g)] ** 2).sum(axis=1).argmin()]) for g in groups]
+            if moved == places:
+                break
+            places = moved
+        return _farthest(gaps, places, self.budget)
+
+    def first(self, candidates: Sequence[Patch]) -> int:
+        """See `Rule.first`."""
+        return self.places(candidates)[0]
+
+    def choose(self, now: Situation) -> int:
+        """See `Rule.choose`."""
+        return self.places(now.candidates)[len(now.pressed)]
+
+
+@dataclass(frozen=True)
+class Random:
+    """Any candidate, as the seed says.
+
+    Attributes:
+        seed: Of the order.
+    """
+
+    seed: int = 0
+
+    def first(self, candidates: Sequence[Patch]) -> int:
+        """See `Rule.first`."""
+        return self._draw(len(candidates), ())
+
+    def choose(self, now: Situation) -> int:
+        """See `Rule.choose`."""
+        return self._draw(len(now.candidates), now.pressed)
+
+    def _draw(self, count: int, pressed: tuple[int, ...]) -> int:
+        rng = np.random.default_rng([self.seed, len(pressed)])
+        return int(rng.choice(_left(count, pressed)))
+
+
+def area_means(
+    mesh: TetMesh, candidates: Sequence[Patch], values: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, " candidates"]:
+    """Return the mean of each candidate's elements by volume; 0 where it has none.
+
+    An element belongs to the candidate nearest to its centroid, if within two radii of the sensor.
+    """
+    centers = np.array([patch.center for patch in candidates])
+    gaps = np.linalg.norm(mesh.centroids[:, None] - centers, axis=2)
+    owner = gaps.argmin(axis=1)
+    reach = _REACH * np.array([patch.radius_mm for patch in candidates])
+    share = np.where(gaps.min(axis=1) <= reach[owner], mesh.volumes, 0.0)
+    total = np.bincount(owner, share, minlength=len(candidates))
+    return np.bincount(owner, share * values, minlength=len(candidates)) / np.maximum(total, 1e-300)
+
+
+def _left(count: int, pressed: tuple[int, ...]) -> list[int]:
+    return [i for i in range(count) if i not in set(pressed)]
+
+
+def _farthest(gaps: np.ndarray, among: list[int], count: int) -> list[int]:
+    """Farthest-point order among some, from the one nearest to candidate 0."""
+    order = [min(among, key=lambda i: gaps[0, i])]
+    while len(order) < count:
+        rest = [i for i in among if i not in order]
+        order.append(max(rest, key=lambda i: gaps[i, order].min()))
+    return order
