@@ -469,7 +469,7 @@ ONE = "presses/0000"
     ),
     Case(
         "unknown option of a group",
-        ("optimizer=adam is unknown", "gauss_newton, lbfgs, tnc"),
+        ("optimizer=adam is unknown", "gauss_newton, lbfgs, newton_cg, tnc"),
         settings=("optimizer=adam",),
     ),
     Case("unknown element", ("hex8", "tet4"), settings=("element=hex8",)),
