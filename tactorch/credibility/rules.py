@@ -26,6 +26,7 @@ class Situation:
         candidates: Places to press.
         pressed: Which of them were pressed, in turn.
         belief: Of the parameters (log-moduli by default), from all presses.
+        slope: Derivative of each modulus by its parameter at the present map, MPa.
         credibility: Of each press: the square of the largest derivative of any datum (in standard
             deviations of its noise) by the parameter of an element of mean volume.
         jacobians: Foretells the derivatives of candidates' data, in standard deviations of the
@@ -36,6 +37,7 @@ class Situation:
     candidates: Sequence[Patch]
     pressed: tuple[int, ...]
     belief: Belief
+    slope: Float[np.ndarray, " m"]
     credibility: Float[np.ndarray, "presses m"]
     jacobians: Callable[[Sequence[int]], list[np.ndarray | None]]
 
@@ -117,12 +119,27 @@ class ExpectedInformation(_Foretelling):
 
 @dataclass(frozen=True)
 class ExpectedError(_Foretelling):
-    """Press where the variance of the parameters, summed by volume, is expected to fall most."""
+    """Press where the mean squared error of the map, by volume, is expected to fall most.
+
+    Of the moduli, a press is worth most where something stiff was found that is not yet sharp; of
+    the parameters (log-moduli by default), everything counts alike.
+
+    Attributes:
+        of: "youngs" or "parameters".
+    """
+
+    of: str = "youngs"
+
+    def __post_init__(self) -> None:
+        if self.of not in ("youngs", "parameters"):
+            raise ConfigError(f"of={self.of} is unknown; choose youngs or parameters.")
 
     def score(self, now: Situation, jacobian: Float[np.ndarray, "data m"]) -> float:
         """Return the fall of the mean variance by volume."""
-        volumes = now.mesh.volumes
-        return float(now.belief.variance_fall(jacobian) @ volumes / volumes.sum())
+        fall = now.belief.variance_fall(jacobian)
+        if self.of == "youngs":
+            fall = fall * now.slope**2
+        return float(fall @ now.mesh.volumes / now.mesh.volumes.sum())
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,8 @@ def discretisation_error(
 def _predicted(
     problem: InverseProblem, youngs_mpa: float, nuisance: Nuisance | None
 ) -> list[np.ndarray]:
-    found = problem.evaluate(np.full(problem.n_unknowns, youngs_mpa), nuisance=nuisance)
+    uniform = np.full(problem.n_unknowns, youngs_mpa)
+    found = problem.evaluate(uniform, nuisance=nuisance, chained=True)
     return [
         u.ravel()[seen.index] for u, seen in zip(found.reported, problem.observations, strict=True)
     ]

@@ -8,6 +8,7 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem import NewtonOptions, SoftBody, Supports, map_cases
 from tactorch.fem.body import check_youngs
 from tactorch.fem.materials import make_material
+from tactorch.fem.newton import Newton
 from tactorch.inverse.correlation import CommonError
 from tactorch.inverse.evaluation import Evaluation, Observation, Solved
 from tactorch.inverse.misfit import Misfit, Squares
@@ -81,6 +82,7 @@ class InverseProblem:
         near: Evaluation | None = None,
         nuisance: Nuisance | None = None,
         take_over: bool = False,
+        chained: bool = False,
     ) -> Evaluation:
         """Solve all presses at these moduli, side by side.
 
@@ -90,6 +92,8 @@ class InverseProblem:
             nuisance: What else the predictions depend on; by default what the recording states.
             take_over: Whether to take the factorisations of `near` over, which must then factor
                 anew for its derivatives. It saves time and half the memory.
+            chained: Whether to solve one press after the other, each taking over the factorisation
+                of the one before: the memory of one press, where no derivatives are wanted.
 
         Raises:
             ConvergenceError: a press has no equilibrium; names the press.
@@ -100,11 +104,12 @@ class InverseProblem:
         weight = self._weight * values.rest_scale.prod()
         starts = None if near is None else near.predict(youngs)
 
-        def work(i: int) -> Solved:
+        def work(i: int, after: Newton | None = None) -> Solved:
             press, placed = self.recording.presses[i], self.placing.at(values, i)
             supports = Supports(press.fixed, press.prescribed, press.springs)
             forces = self.body.discretisation.spread(placed.forces) + weight
-            after = near.search(i) if near is not None and take_over else None
+            if near is not None and take_over:
+                after = near.search(i)
             newton = self.body.search(youngs, forces, supports, assembly=assembly, after=after)
             found = newton.run(None if starts is None else starts[i])
             if not found.converged:
@@ -112,7 +117,12 @@ class InverseProblem:
             return Solved(self.observations[i], placed, weight, newton, found)
 
         self.evaluations += 1
-        solved = map_cases(work, len(self.observations))
+        if chained:
+            solved = [work(0)]
+            for i in range(1, len(self.observations)):
+                solved.append(work(i, solved[-1].newton))
+        else:
+            solved = map_cases(work, len(self.observations))
         return Evaluation(youngs, values, solved, self.common, self.misfit)
 
 

@@ -45,7 +45,8 @@ def now(mesh: TetMesh, patches: list[Patch]) -> Situation:
         return [np.eye(m)[mask][:6] for mask in near]
 
     felt = (mesh.centroids[:, 0] < 4.0).astype(float)[None]
-    return Situation(mesh, patches, (0,), Belief(np.zeros(m), np.eye(m)), felt, jacobians)
+    belief = Belief(np.zeros(m), np.eye(m))
+    return Situation(mesh, patches, (0,), belief, np.ones(m), felt, jacobians)
 
 
 def peaked(now: Situation, at: int) -> Situation:
@@ -88,6 +89,16 @@ def test_papers_variance_is_that_of_its_update(now: Situation) -> None:
 def test_ours_go_where_the_belief_is_wide(now: Situation, rule: Rule) -> None:
     for at in (5, 10, 15):
         assert rule.choose(peaked(now, at)) == at
+
+
+def test_error_of_the_moduli_counts_more_where_it_is_stiff(now: Situation) -> None:
+    for at in (5, 10, 15):
+        gaps = np.linalg.norm(now.mesh.centroids - now.candidates[at].center, axis=1)
+        stiff = replace(now, slope=np.where(gaps < 1.5, 0.5, 0.1))
+        assert ExpectedError().choose(stiff) == at
+        assert ExpectedError("parameters").choose(stiff) == ExpectedError("parameters").choose(now)
+    with pytest.raises(ConfigError, match="of=energy"):
+        ExpectedError("energy")
 
 
 @pytest.mark.parametrize("rule", [ExpectedInformation(), ExpectedError()])

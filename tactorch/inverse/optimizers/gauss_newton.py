@@ -93,7 +93,8 @@ class GaussNewton:
             point = after
             cooling.follow(point)
             still = settled and fall <= self.tolerance * point.value(weight)
-            done = still and not cooling.retry(point)
+            retried = (still or cooling.overshot(point)) and cooling.retry(point)
+            done = still and not retried
             self._report(monitor, point, cooling, weight, damping, step)
             if done:
                 return cooling.ended or "the objective no longer falls"

@@ -113,7 +113,8 @@ class NewtonCG:
             point = after
             cooling.lower(point.evaluation.chi2)
             still = settled and fall <= self.tolerance * point.value(weight)
-            done = still and not cooling.retry(point)
+            retried = (still or cooling.overshot(point)) and cooling.retry(point)
+            done = still and not retried
             run.report(point, cooling, weight, step)
             if done:
                 return cooling.ended or "the objective no longer falls"

@@ -27,6 +27,7 @@ _REASONS = (_UNSTOPPED, _FITTED, _UNFITTED, _CHOSEN)  # saved by index
 # Mean squared residual, once converged, that counts as the noise.
 _OVERFITTED, _MISFITTED = 0.9, 1.02
 _ROUNDS, _RAISE = 8, 3.0
+_FAR_OVER, _MOST_RAISED = 0.1, 100.0  # mean squared residual that needs no converging to be judged
 _CHANGE, _LOOKS = 3.0, 30  # largest change of a chosen weight in one step; most choices
 _SAME = 1.2
 _RULE = 30.0
@@ -131,11 +132,15 @@ class Cooling:
         else:
             self.above = min(self.above, self.weight)
         if np.isinf(self.above):
-            self.weight *= _RAISE
+            self.weight *= float(np.clip(1.0 / chi2, _RAISE, _MOST_RAISED))
         else:
             self.weight = float(np.sqrt(max(self.below, self.above / _RAISE**2) * self.above))
         self.rounds += 1
         return True
+
+    def overshot(self, point: Point) -> bool:
+        """Say whether a map on its way fits so well that the weight need not converge."""
+        return self.ended == _FITTED and point.evaluation.chi2 < _FAR_OVER
 
     def lower(self, chi2: float) -> None:
         """Lower the weight, unless it was given, has ended or ends now."""
