@@ -101,7 +101,7 @@ def sample(
                 mesh=mesh,
                 candidates=candidates,
                 pressed=pressed,
-                slope=point.objective.parameterization.slope(point.elements),
+                slope=point.objective.parameterization.slope(posterior.mean),
                 belief=Belief(posterior.mean, posterior.covariance(np.arange(mesh.n_tets))),
                 credibility=credibilities(point),
                 jacobians=foretell,

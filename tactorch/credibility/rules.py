@@ -26,7 +26,7 @@ class Situation:
         candidates: Places to press.
         pressed: Which of them were pressed, in turn.
         belief: Of the parameters (log-moduli by default), from all presses.
-        slope: Derivative of each modulus by its parameter at the present map, MPa.
+        slope: Derivative of each modulus by its parameter at the belief's mean, MPa.
         credibility: Of each press: the square of the largest derivative of any datum (in standard
             deviations of its noise) by the parameter of an element of mean volume.
         jacobians: Foretells the derivatives of candidates' data, in standard deviations of the

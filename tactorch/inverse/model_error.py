@@ -55,7 +55,7 @@ class ModelError:
         deviation: Standard deviation of the error that the offset leaves, one a press, mm.
     """
 
-    offset: list[Float[np.ndarray, " p"]]
+    offset: list[Float[np.ndarray, " _"]]
     deviation: list[float]
 
 

@@ -75,10 +75,7 @@ def test_score_is_by_volume(benchmark: ModuleType):
 
 @pytest.mark.slow
 def test_runs_from_end_to_end(benchmark: ModuleType, tmp_path, capsys):
-    small = (
-        "--seeds 1 --budget 2 --candidates 6 --cells 4 2 --finer 6 3 --rules uniform error --worlds"
-    )
-    small = [*small, "other mesh"]
+    small = "--seeds 1 --budget 2 --candidates 6 --cells 4 2 --finer 6 3 --rules uniform error"
     benchmark.main([*small.split(), "--worlds", "other mesh", "--out", str(tmp_path)])
     assert '"error"' in capsys.readouterr().out.splitlines()[-1]
     assert (tmp_path / "active_sampling_other_mesh.png").stat().st_size > 1000
