@@ -14,7 +14,14 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.fem.linearization import Linearization
 from tactorch.fem.supports import HeldCase
-from tactorch.linalg import IndefiniteError, SolverPool, Status, lagged_solve
+from tactorch.linalg import (
+    IndefiniteError,
+    SolverPool,
+    Status,
+    column_rank,
+    dot,
+    lagged_solve,
+)
 from tactorch.linalg.pool import Lease
 
 _ARMIJO = 1e-4
@@ -102,8 +109,12 @@ class Newton:
         self.held = held
         self.options = options or NewtonOptions()
         self._fixed = held.fixed.ravel()
-        self._lease: Lease = pool.lease() if after is None else after._lease.hand_over()
+        self._pool = pool
+        # What is linear is solved at once, if exactly.
+        self._bears_rough = pool.has_rough and assembly.barrier
+        self._lease = pool.lease(self._bears_rough) if after is None else after._lease.hand_over()
         self._factored = self._lease.factored
+        self._kept: Lease | None = None
 
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> Equilibrated:
         """Find the equilibrium, warm from `start` if given."""
@@ -122,11 +133,12 @@ class Newton:
     def _is_held(self) -> bool:
         """Whether the supports resist all six rigid motions."""
         modes = self.assembly.discretisation.rigid_modes[self.held.held.ravel()]
-        return len(modes) >= 6 and int(np.linalg.matrix_rank(modes, tol=1e-8)) == 6
+        return len(modes) >= 6 and column_rank(modes, 1e-8) == 6
 
     def linearize(self, found: Equilibrated) -> Linearization:
         """Return the tangent at an equilibrium."""
         assert found.response is not None
+        self._turn_exact()
         values = self.pattern.hold(self._tangent(found.response), self._fixed)
         self._factored = False  # the solver is the linearisation's from now on
         return Linearization(self.pattern, values, self._lease, self._fixed)
@@ -177,7 +189,7 @@ class Newton:
 
     def _energy(self, response: Response, u: np.ndarray, load: float) -> tuple[float, float]:
         """Total energy, and the size of its terms (for judging round-off)."""
-        elastic = float(self.youngs @ response.energy)
+        elastic = dot(self.youngs, response.energy)
         springs = 0.5 * float((self.held.springs * u * u).sum())
         work = load * float((self.forces * u).sum())
         return elastic + springs - work, abs(elastic) + springs + abs(work)
@@ -251,7 +263,7 @@ class Newton:
     ) -> np.ndarray | None:
         """Newton step, where fixed unknowns move by `jump`; None if the tangent stays singular."""
         step = self._solve(self._tangent(response), residual, jump, rtol)
-        if step is None or (not jump.any() and residual @ step > 0.0):
+        if step is None or (not jump.any() and dot(residual, step) > 0.0):
             step = self._solve(self._definite_tangent(response), residual, jump)
         if step is None:  # semi-definite and singular: shift it
             values = self._definite_tangent(response)
@@ -273,18 +285,38 @@ class Newton:
                 step = lagged_solve(self.pattern, held, self._lease, rhs, rtol)
                 if step is not None:
                     return step + jump
+            if self._bears_rough:
+                self._turn_rough()
+                if self._lease.factor(held) is Status.OK:
+                    step = lagged_solve(self.pattern, held, self._lease, rhs, rtol or _TIGHT)
+                    if step is not None:
+                        self._factored = True
+                        return step + jump
+                self._bears_rough = False
+            self._turn_exact()
             self._factored = self._lease.factor(held) is Status.OK
             return self._lease.solve(rhs) + jump if self._factored else None
         except IndefiniteError:
             self._factored = False
             return None
 
+    def _turn_rough(self) -> None:
+        """Factor roughly from here on; a solver that was taken over waits for the equilibrium."""
+        if not self._lease.rough:
+            self._kept, self._lease = self._lease, self._pool.lease(rough=True)
+
+    def _turn_exact(self) -> None:
+        """Factor exactly from here on."""
+        if self._lease.rough:
+            self._lease.close()
+            self._lease, self._kept = self._kept or self._pool.lease(), None
+
     def _search(
         self, u: np.ndarray, response: Response, residual: np.ndarray, step: np.ndarray, load: float
     ) -> tuple[np.ndarray, Response] | None:
         """Shorten the step until no element inverts and the energy falls enough."""
         energy, size = self._energy(response, u, load)
-        slope = float(residual @ step.ravel())
+        slope = dot(residual, step.ravel())
         noise = _ROUND_OFF * size
         fraction = 1.0
         while fraction >= self.options.min_line_step:

@@ -7,6 +7,7 @@ from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.pool import SolverPool
 from tactorch.linalg.protocol import IndefiniteError, Solver, Status
 from tactorch.linalg.threads import single_threaded
+from tactorch.linalg.vectors import column_rank, dot, norm
 
 __all__ = [
     "BACKENDS",
@@ -18,6 +19,9 @@ __all__ = [
     "SymmetricPattern",
     "analyse",
     "available",
+    "column_rank",
+    "dot",
     "lagged_solve",
+    "norm",
     "single_threaded",
 ]

@@ -46,6 +46,7 @@ def analyse(
     pattern: SymmetricPattern,
     backend: str = "auto",
     near_nullspace: Float[np.ndarray, "size modes"] | None = None,
+    rough: bool = False,
 ) -> Solver:
     """Analyse a pattern with the chosen backend.
 
@@ -53,13 +54,14 @@ def analyse(
         pattern: Upper triangle of the symmetric matrix.
         backend: One of `BACKENDS`.
         near_nullspace: Rigid-body modes, used by multigrid alone.
+        rough: Whether four digits suffice; only PARDISO makes a difference.
 
     Raises:
         ConfigError: the backend is unknown or not installed.
     """
     name = resolve(backend, pattern.size)
     if name == "pardiso":
-        return pardiso.Pardiso(pattern)
+        return pardiso.Pardiso(pattern, rough)
     if name == "superlu":
         return SuperLU(pattern)
     return Multigrid(pattern, near_nullspace)

@@ -28,3 +28,13 @@ def hold(indptr, indices, values, fixed, scale, out):
             out[k] = 0.0 if fixed[i] or fixed[indices[k]] else values[k]
         if fixed[i]:
             out[indptr[i]] = scale
+
+
+@no_type_check
+@numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+def dot(a, b):
+    """Scalar product of two vectors."""
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total

@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.protocol import Factored
+from tactorch.linalg.vectors import dot, norm
 
 # A factorisation costs ten to twenty-five solves, on small meshes as on large ones.
 _MAX_ITERATIONS = 10
@@ -32,19 +33,19 @@ def lagged_solve(
     """
     x = np.zeros_like(rhs)
     residual = rhs.copy()
-    goal = rtol * float(np.linalg.norm(rhs))
+    goal = rtol * norm(rhs)
     direction, previous = np.zeros_like(rhs), 1.0
     for iteration in range(_MAX_ITERATIONS):
         z = solver.solve(residual)
-        rz = float(residual @ z)
+        rz = dot(residual, z)
         direction = z if iteration == 0 else z + (rz / previous) * direction
         image = pattern.product(values, direction)
-        curvature = float(direction @ image)
+        curvature = dot(direction, image)
         if not (curvature > 0.0 and rz > 0.0):
             return None
         step, previous = rz / curvature, rz
         x += step * direction
         residual -= step * image
-        if float(np.linalg.norm(residual)) <= goal:
+        if norm(residual) <= goal:
             return x
     return None

@@ -30,6 +30,7 @@ class Multigrid:
 
     name = "multigrid"
     direct = False
+    rough = False
 
     def __init__(
         self,

@@ -87,6 +87,9 @@ def _release(pt: np.ndarray, iparm: np.ndarray, arrays: dict[str, Any]) -> None:
 class Pardiso:
     """Sparse Cholesky; see `tactorch.linalg.Solver`.
 
+    A rough one factors in single precision: in two thirds of the time and half the memory, good to
+    about four digits, for preconditioning.
+
     Raises:
         RuntimeError: PARDISO failed for a reason other than indefiniteness (memory, say).
     """
@@ -94,18 +97,21 @@ class Pardiso:
     name = "pardiso"
     direct = True
 
-    def __init__(self, pattern: SymmetricPattern) -> None:
+    def __init__(self, pattern: SymmetricPattern, rough: bool = False) -> None:
         """Analyse the pattern (fill-reducing order and symbolic factorisation)."""
         self.pattern = pattern
+        self.rough = rough
+        self._type: type[np.floating] = np.float32 if rough else np.float64
         self._pt = np.zeros(64, dtype=np.int64)
         self._iparm = np.zeros(64, dtype=np.int32)
         self._iparm[0] = 1  # the values below, not the defaults
         self._iparm[1] = 2  # nested dissection (METIS)
+        self._iparm[27] = int(rough)
         self._iparm[34] = 1  # indices count from zero
-        none = self._none = np.zeros(1)
+        none = self._none = np.zeros(1, dtype=self._type)
         empty = {"pattern": pattern, "values": none, "rhs": none, "out": none}
         # Symbolic analysis reads no values when matching and scaling are off.
-        self._run(_ANALYSE, np.ones(pattern.nnz), none, none)
+        self._run(_ANALYSE, np.ones(pattern.nnz, dtype=self._type), none, none)
         self._values = none
         self._finalizer = weakref.finalize(self, _release, self._pt, self._iparm, empty)
 
@@ -129,13 +135,15 @@ class Pardiso:
         """Factor; indefinite matrices are reported, not raised."""
         if not np.all(np.isfinite(values)):
             return Status.INDEFINITE
-        self._values = np.ascontiguousarray(values)
+        self._values = np.ascontiguousarray(values, dtype=self._type)
         code = self._run(_FACTOR, self._values, self._none, self._none)
         return Status.INDEFINITE if code == _NOT_POSITIVE_DEFINITE else Status.OK
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
         """Solve for all columns of `rhs` in one call."""
-        b = np.asfortranarray(rhs, dtype=np.float64)
+        # Small residuals leave the range of single precision.
+        unit = (float(np.abs(rhs).max()) or 1.0) if self.rough else 1.0
+        b = np.asfortranarray(rhs / unit if self.rough else rhs, dtype=self._type)
         out = np.empty_like(b, order="F")
         self._run(_SOLVE, self._values, b, out)
-        return out
+        return out.astype(np.float64) * unit if self.rough else out

@@ -23,6 +23,7 @@ class Lease:
         self.factored = False
         self._solver: Solver | None = solver
         self.direct = solver.direct
+        self.rough = solver.rough
         self.close = weakref.finalize(self, self._pool._take_back, solver)
 
     @property
@@ -37,7 +38,7 @@ class Lease:
         """
         solver, self._solver = self._solver, None
         if solver is None:
-            return self._pool.lease()
+            return self._pool.lease(self.rough)
         self.close.detach()
         heir = Lease(solver, self._pool)
         heir.factored = self.factored
@@ -46,7 +47,7 @@ class Lease:
     def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
         """See `Solver.factor`."""
         if self._solver is None:
-            self._take(self._pool.idle())
+            self._take(self._pool.idle(self.rough))
         assert self._solver is not None
         status = self._solver.factor(values)
         self.factored = status is Status.OK
@@ -76,19 +77,26 @@ class SolverPool:
         self.pattern = pattern
         self.backend = resolve(backend, pattern.size)
         self._modes = near_nullspace
-        self._idle: list[Solver] = []
+        self._idle: dict[bool, list[Solver]] = {False: [], True: []}
         self._lock = threading.RLock()  # a finalizer may run inside the lock's own thread
 
-    def lease(self) -> Lease:
-        """Lend an idle solver, or a newly analysed one."""
-        return Lease(self.idle(), self)
+    @property
+    def has_rough(self) -> bool:
+        """Whether this backend has solvers that factor faster and solve less exactly."""
+        return self.backend == "pardiso"
 
-    def idle(self) -> Solver:
+    def lease(self, rough: bool = False) -> Lease:
+        """Lend an idle solver, or a newly analysed one; a rough one if the backend has it."""
+        return Lease(self.idle(rough), self)
+
+    def idle(self, rough: bool = False) -> Solver:
         """Take out an idle solver, or a newly analysed one; for leases."""
+        rough = rough and self.has_rough
         with self._lock:
-            solver = self._idle.pop() if self._idle else None
-        return solver or analyse(self.pattern, self.backend, self._modes)
+            idle = self._idle[rough]
+            solver = idle.pop() if idle else None
+        return solver or analyse(self.pattern, self.backend, self._modes, rough)
 
     def _take_back(self, solver: Solver) -> None:
         with self._lock:
-            self._idle.append(solver)
+            self._idle[solver.rough].append(solver)

@@ -18,6 +18,7 @@ class SuperLU:
 
     name = "superlu"
     direct = True
+    rough = False
 
     def __init__(self, pattern: SymmetricPattern) -> None:
         """Compute the fill-reducing order once."""

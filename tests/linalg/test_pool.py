@@ -13,9 +13,9 @@ def analyses(monkeypatch) -> list[str]:
     made: list[str] = []
     analyse = pool.analyse
 
-    def counted(pattern, backend, modes):
+    def counted(pattern, backend, modes, rough):
         made.append(backend)
-        return analyse(pattern, backend, modes)
+        return analyse(pattern, backend, modes, rough)
 
     monkeypatch.setattr(pool, "analyse", counted)
     return made
@@ -41,6 +41,25 @@ def test_a_closed_lease_gives_its_solver_back_once(lattice, analyses):
     keep = [solvers.lease(), solvers.lease()]
     assert len(analyses) == 2  # not three, and the one solver is not lent twice
     assert len(keep) == 2
+
+
+@pytest.mark.parametrize("backend", available())
+def test_rough_solvers_are_lent_apart(backend, lattice):
+    system = lattice(0)
+    solvers = SolverPool(system.pattern, backend)
+    rough, exact = solvers.lease(rough=True), solvers.lease()
+    assert rough.rough == solvers.has_rough
+    assert not exact.rough
+    rhs = np.random.default_rng(0).standard_normal(system.pattern.size)
+    for scale in (1.0, 1e-60):  # below the range of single precision
+        expected = np.linalg.solve(system.dense, scale * rhs)
+        for lease, error in ((rough, 1e-4), (exact, 1e-12)):
+            assert lease.factor(system.values) is Status.OK
+            np.testing.assert_allclose(
+                lease.solve(scale * rhs), expected, rtol=0, atol=error * np.abs(expected).max()
+            )
+    rough.close()
+    assert rough.hand_over().rough == solvers.has_rough
 
 
 def test_nothing_is_analysed_before_the_first_lease(lattice, analyses):

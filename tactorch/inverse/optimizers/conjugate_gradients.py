@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.linalg import dot
+
 Linear = Callable[[np.ndarray], np.ndarray]
 
 
@@ -43,14 +45,14 @@ def truncated(
     step, image = np.zeros_like(gradient), np.zeros_like(gradient)
     residual = -gradient
     z = precondition(residual)
-    size = first = float(residual @ z)
+    size = first = dot(residual, z)
     direction = z
     past: list[tuple[np.ndarray, np.ndarray, float]] = []
     for iteration in range(max_iterations):
         if size <= rtol**2 * first or size <= 0.0:
             return Solved(step, image, iteration, False)
         along = product(direction)
-        curvature = float(direction @ along)
+        curvature = dot(direction, along)
         if curvature <= 0.0:
             if iteration == 0:
                 step, image = direction, along
@@ -61,8 +63,8 @@ def truncated(
         past.append((residual, z, size))
         residual = residual - length * along
         for old, image_of_old, square in past:
-            residual = residual - (float(image_of_old @ residual) / square) * old
+            residual = residual - (dot(image_of_old, residual) / square) * old
         z = precondition(residual)
-        size, before = float(residual @ z), size
+        size, before = dot(residual, z), size
         direction = z + (size / before) * direction
     return Solved(step, image, max_iterations, False)
