@@ -67,7 +67,7 @@ _NAMES_OF: dict[Kind, str] = {
         poisson lame_factor noise_mm round_rest_m p_max_mpa spring_n_per_mm patch_radius_mm
         relative_edge_length edge_length_mm fine_edge_length_mm fine_relative
         force_scale rest_scale translation_mm rotation_rad level_mpa length_mm deviation
-        tikhonov smoothness total_variation log_jumps sparsity binary_well matern
+        model_error_left tikhonov smoothness total_variation log_jumps sparsity binary_well matern
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
     """,
     _MODULUS: "start_mpa",

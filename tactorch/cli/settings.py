@@ -79,6 +79,7 @@ def inversion_of(cfg: DictConfig) -> Settings:
         noise=_made("noise", NoiseModel, plain(cfg.noise)),
         misfit=cfg.misfit,
         model_error=cfg.model_error,
+        model_error_left=cfg.model_error_left,
         unknowns=_made("unknowns", Unknowns, plain(cfg.unknowns)),
         element=cfg.element,
         solver=cfg.solver.name,

@@ -12,7 +12,7 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.adaptive import adapt
 from tactorch.inverse.misfit import make_misfit
-from tactorch.inverse.model_error import chosen, corrected, discretisation_error
+from tactorch.inverse.model_error import LEFT, chosen, corrected, discretisation_error
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.nuisance import Unknowns
@@ -50,6 +50,8 @@ class Settings:
         model_error: "discretisation" corrects for what the mesh gets wrong, "none" does not, and
             "auto" does unless the presses were computed on the same mesh; see
             `tactorch.inverse.model_error`.
+        model_error_left: Share of the mesh's error that stays as uncertainty once it is taken off,
+            0 to 1: less than the default where elements are small beside what is sought.
         element: "tet4" or "tet10".
         solver: "auto", "pardiso", "superlu" or "multigrid".
         newton: Settings of the equilibrium search.
@@ -66,6 +68,7 @@ class Settings:
     noise: NoiseModel = field(default_factory=NoiseModel)
     misfit: str = "squares"
     model_error: str = "auto"
+    model_error_left: float = LEFT
     element: str = "tet4"
     solver: str = "auto"
     newton: NewtonOptions = field(default_factory=NewtonOptions)
@@ -117,6 +120,7 @@ def invert(
             "mesh": recording.mesh.content_hash()[:12],
             "parameterization": str(objective.parameterization),
             "model error": chosen(settings.model_error, recording, settings.element),
+            "model error left": str(settings.model_error_left),
             "set of unknowns": str(settings.unknowns),
             "misfit": settings.misfit,
         },
@@ -159,7 +163,8 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
     )
     if chosen(settings.model_error, recording, settings.element) == "discretisation":
         fit = uniform_fit(problem, settings.bounds, settings.unknowns)
-        corrected(problem, discretisation_error(problem, fit.youngs_mpa, fit.nuisance))
+        left = settings.model_error_left
+        corrected(problem, discretisation_error(problem, fit.youngs_mpa, fit.nuisance, left))
     objective = Objective(
         problem,
         make_parameterization(settings.parameterization, settings.bounds),

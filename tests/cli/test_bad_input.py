@@ -442,6 +442,11 @@ ONE = "presses/0000"
         settings=("model_error=mesh",),
     ),
     Case(
+        "share of the model's error above one",
+        ("model_error_left=2", "0 to 1"),
+        settings=("model_error=discretisation", "model_error_left=2"),
+    ),
+    Case(
         "unknown misfit",
         ("misfit=l1 is unknown", "squares, huber, adaptive"),
         settings=("misfit=l1",),

@@ -121,3 +121,13 @@ def test_unusable_settings_are_refused(recording: Recording):
     quadratic = InverseProblem(recording, element="tet10")
     with pytest.raises(ConfigError, match="element=tet10 choose model_error=none"):
         discretisation_error(quadratic, 0.2)
+
+
+def test_the_share_that_is_left_scales_the_uncertainty(cube: Recording):
+    problem = InverseProblem(cube)
+    third, none = (discretisation_error(problem, 0.3, left=left) for left in (1.0 / 3.0, 0.0))
+    assert none.deviation == [0.0] * len(cube.presses)
+    for press, deviation in zip(third.offset, third.deviation, strict=True):
+        assert deviation == pytest.approx(np.sqrt(np.mean(press**2)) / 3.0)
+    with pytest.raises(ConfigError, match="model_error_left=-0.1"):
+        discretisation_error(problem, 0.3, left=-0.1)
