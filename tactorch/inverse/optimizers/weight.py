@@ -27,7 +27,7 @@ _REASONS = (_UNSTOPPED, _FITTED, _UNFITTED, _CHOSEN)  # saved by index
 # Mean squared residual, once converged, that counts as the noise.
 _OVERFITTED, _MISFITTED = 0.9, 1.02
 _ROUNDS, _RAISE = 8, 3.0
-_FAR_OVER, _MOST_RAISED = 0.1, 100.0  # mean squared residual that needs no converging to be judged
+_FAR_OVER, _MOST_RAISED = 0.3, 100.0  # mean squared residual that needs no converging to be judged
 _CHANGE, _LOOKS = 3.0, 30  # largest change of a chosen weight in one step; most choices
 _SAME = 1.2
 _RULE = 30.0
