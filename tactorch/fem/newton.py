@@ -112,7 +112,9 @@ class Newton:
         self._pool = pool
         # What is linear is solved at once, if exactly.
         self._bears_rough = pool.has_rough and assembly.barrier
-        self._lease = pool.lease(self._bears_rough) if after is None else after._lease.hand_over()
+        self._lease: Lease = (
+            pool.lease(self._bears_rough) if after is None else after._lease.hand_over()
+        )
         self._factored = self._lease.factored
         self._kept: Lease | None = None
 

@@ -129,5 +129,5 @@ def test_the_share_that_is_left_scales_the_uncertainty(cube: Recording):
     assert none.deviation == [0.0] * len(cube.presses)
     for press, deviation in zip(third.offset, third.deviation, strict=True):
         assert deviation == pytest.approx(np.sqrt(np.mean(press**2)) / 3.0)
-    with pytest.raises(ConfigError, match="model_error_left=-0.1"):
+    with pytest.raises(ConfigError, match=r"model_error_left=-0\.1"):
         discretisation_error(problem, 0.3, left=-0.1)

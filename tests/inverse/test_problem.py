@@ -273,3 +273,13 @@ def test_presses_that_moved_nothing_are_refused(recording: Recording) -> None:
     ]
     with pytest.raises(ConfigError, match="moved nothing"):
         InverseProblem(replace(recording, presses=tuple(still), check_units=False))
+
+
+def test_a_chain_of_presses_predicts_the_same(recording: Recording) -> None:
+    problem = InverseProblem(recording)
+    youngs = np.random.default_rng(0).uniform(0.1, 0.4, problem.n_unknowns)
+    beside, chained = problem.evaluate(youngs), problem.evaluate(youngs, chained=True)
+    for a, b in zip(beside.reported, chained.reported, strict=True):
+        np.testing.assert_allclose(b, a, rtol=0, atol=1e-9 * np.abs(a).max())
+    searches = [chained.search(i) for i in range(len(recording.presses))]
+    assert [search._lease.handed_over for search in searches[:-1]] == [True] * (len(searches) - 1)

@@ -1,5 +1,8 @@
 """The prior's weight: cooled until the data are fitted to their noise, and no further."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,3 +71,33 @@ def test_a_single_element_has_nothing_to_regularise() -> None:
     recording = Recording(mesh, (press,), MaterialSpec("neo_hookean", 0.4))
     point = make_objective(recording, Settings()).at(np.array([np.log(0.2)]))
     assert Cooling.start(point, None, {}) == Cooling(0.0, 0.0, fixed=True)
+
+
+@pytest.fixture
+def fitted(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Point]:
+    """A point of a recording that states its noise, made to fit as well as one likes."""
+    presses = tuple(replace(press, noise_mm=0.01) for press in recording.presses)
+    objective = make_objective(replace(recording, presses=presses), Settings())
+    point = objective.at(np.full(recording.mesh.n_tets, np.log(0.2)))
+
+    def made(chi2: float) -> Point:
+        monkeypatch.setattr(type(point.evaluation), "chi2", chi2)
+        return point
+
+    return made
+
+
+def test_an_overfitted_map_raises_the_weight_by_as_much_as_it_says(
+    fitted: Callable[[float], Point],
+) -> None:
+    cooling = Cooling(1.0, 30.0, False)
+    assert not cooling.overshot(fitted(0.01))  # the weight still falls
+    cooling.lower(0.5)
+    assert cooling.overshot(fitted(0.01))
+    assert not cooling.overshot(fitted(0.5))
+    for chi2, weight in ((0.05, 20.0), (0.8, 60.0)):  # 1 / chi2, but no less than threefold
+        assert cooling.retry(fitted(chi2))
+        assert cooling.weight == pytest.approx(weight)
+    assert cooling.retry(fitted(3.0))  # too much: between the last two
+    assert 20.0 < cooling.weight < 60.0
+    assert not cooling.retry(fitted(0.97))
