@@ -51,17 +51,21 @@ def test_presses_are_counted_by_the_lowest_error_so_far(benchmark: ModuleType):
 
 def test_ratios_are_to_what_the_grid_needs_itself(benchmark: ModuleType):
     runs = {
-        "uniform": made(benchmark, [5, 4, 3, 2], [5, 4, 2, 2]),
+        "grid of 4": made(benchmark, [5, 4, 3, 2], [5, 4, 2, 2]),
+        "grid of 2": made(benchmark, [5, 4.0], [6, 3.0]),
         "error": made(benchmark, [5, 2, 2, 2], [5, 4, 3, 3]),
     }
-    found = benchmark.judge(runs)
-    assert found["target_error"] == 2.0
-    ours = found["rules"]["error"]
+    found = benchmark.judge(runs, [2, 4])
+    four = found["grids"]["4"]
+    assert (four["target_error"], four["presses"]) == (2.0, 4)
+    ours = four["rules"]["error"]
     assert ours["presses_by_seed"] == [2, 5]  # the second never gets there
-    assert ours["mean_presses_by_seed"] == 3.5
-    assert ours["ratio_by_seed"] == pytest.approx(1.0)
+    assert ours["ratio_by_seed"] == pytest.approx(3.5 / 3.5)
     assert ours["presses"] == 5
     assert ours["ratio"] == pytest.approx(5 / 4)
+    two = found["grids"]["2"]
+    assert (two["target_error"], two["presses"]) == (3.5, 2)
+    assert two["rules"]["error"]["presses"] == 2
     assert "> 4" in benchmark.table(found)[-1]
 
 
@@ -75,7 +79,7 @@ def test_score_is_by_volume(benchmark: ModuleType):
 
 @pytest.mark.slow
 def test_runs_from_end_to_end(benchmark: ModuleType, tmp_path, capsys):
-    small = "--seeds 1 --budget 2 --candidates 6 --cells 4 2 --finer 6 3 --rules uniform error"
+    small = "--seeds 1 --grids 2 --candidates 6 --cells 4 2 --finer 6 3 --rules error"
     benchmark.main([*small.split(), "--worlds", "other mesh", "--out", str(tmp_path)])
     assert '"error"' in capsys.readouterr().out.splitlines()[-1]
     assert (tmp_path / "active_sampling_other_mesh.png").stat().st_size > 1000
