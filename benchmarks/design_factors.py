@@ -1,6 +1,7 @@
 """Design factors (Section IV-B, Table II): how hard, how often, from how many sides, how noisy.
 
     python benchmarks/design_factors.py [--paper FILE] [--only CELL ...] [--out FOLDER]
+                                        [--regularization NAME]
 
 Two cubes of 10 mm and 0.2 MPa with a ball of 1 MPa, radius 0.2 sides, 0.3 (model 1) and 0.6
 (model 2) sides below the top; Poisson's ratio 0.45; whole faces pressed, bottom on springs:
@@ -43,6 +44,7 @@ MODELS = {"model1": "cube_shallow_sphere", "model2": "cube_deep_sphere"}
 SIDES = ("z+", "x+", "y+")
 METRICS = {"s": "normalised_correlation", "ssim": "ssim", "psnr": "psnr", "rmse_mpa": "rmse_mpa"}
 KPA = 1e-3  # MPa
+_DEFAULT = Settings().regularization
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--paper", type=Path, help="JSON file with the paper's table2")
     parser.add_argument("--only", nargs="+", choices=list(CELLS), default=list(CELLS))
     parser.add_argument("--models", nargs="+", choices=list(MODELS), default=list(MODELS))
+    parser.add_argument("--regularization", default=_DEFAULT, help="prior of all cells")
     parser.add_argument("--out", type=Path, help="folder for design_factors.json and .md")
     options = parser.parse_args(arguments)
     paper, meter, results = _paper(options.paper), OtherWork(), {}
@@ -79,8 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         results[model] = {}
         for name in options.only:
             cell = {
-                "same_mesh": run_cell(model, CELLS[name], same_mesh=True),
-                "other_mesh": run_cell(model, CELLS[name], same_mesh=False),
+                "same_mesh": run_cell(model, CELLS[name], options.regularization, same_mesh=True),
+                "other_mesh": run_cell(model, CELLS[name], options.regularization, same_mesh=False),
                 "paper": paper.get(model, {}).get(name),
             }
             results[model][name] = cell
@@ -90,16 +93,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if share is not None:
         print(f"\nOther processes took {share:.0%} of the cores meanwhile.")
     if options.out is not None:
-        _write(options.out, lines, results)
+        more = "" if options.regularization == _DEFAULT else f"_{options.regularization}"
+        _write(options.out / f"design_factors{more}", lines, results)
     print(json.dumps(results))
 
 
-def run_cell(model: str, cell: Cell, *, same_mesh: bool) -> dict[str, float]:
+def run_cell(model: str, cell: Cell, prior: str, *, same_mesh: bool) -> dict[str, float]:
     """Simulate and invert one cell; returns the metrics of Table II and a few more."""
     recording = record(model, cell, same_mesh=same_mesh)
     truth = recording.truth
     assert truth is not None
-    found = invert(replace(recording, truth=None), Settings(), start_mpa=0.2, show_progress=False)
+    blind, settings = replace(recording, truth=None), Settings(regularization=prior)
+    found = invert(blind, settings, start_mpa=0.2, show_progress=False)
     all_scores = scores(recording.mesh, found.youngs, truth)
     own = {short: all_scores[name] for short, name in METRICS.items()}
     more = {name: all_scores[name] for name in ("position_error_mm", "contrast_recovery", "dice")}
@@ -170,11 +175,11 @@ def _row(model: str, name: str, cell: dict[str, Any]) -> str:
     return f"| {' | '.join([model, name, *figures])} |"
 
 
-def _write(folder: Path, lines: list[str], results: dict[str, Any]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
+def _write(path: Path, lines: list[str], results: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"machine": describe_machine(PACKAGES), "models": results}, indent=2)
-    (folder / "design_factors.json").write_text(text + "\n")
-    (folder / "design_factors.md").write_text("\n".join(lines) + "\n")
+    path.with_suffix(".json").write_text(text + "\n")
+    path.with_suffix(".md").write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":
