@@ -19,4 +19,7 @@ class CommonError:
 
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
         """Return the whitened residuals or their derivatives; the map is its own transpose."""
-        return values - self._basis @ (self._loss * (self._basis.T @ values).T).T
+        if values.ndim == 1:  # not by BLAS: see `tactorch.linalg.vectors`
+            inner = self._loss * np.einsum("dk,d->k", self._basis, values)
+            return values - np.einsum("dk,k->d", self._basis, inner)
+        return values - self._basis @ (self._loss[:, None] * (self._basis.T @ values))
