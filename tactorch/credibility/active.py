@@ -14,7 +14,16 @@ from tactorch.credibility.presser import Presser
 from tactorch.credibility.rules import Rule, Situation
 from tactorch.credibility.variational import variational_posterior
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.inverse import START_MPA, InverseProblem, Point, Settings, invert, make_objective
+from tactorch.inverse import (
+    START_MPA,
+    CommonError,
+    InverseProblem,
+    Point,
+    Settings,
+    invert,
+    make_objective,
+    smooth_pattern,
+)
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 
@@ -68,7 +77,8 @@ def sample(
         on_press: Called after each press and its inversion.
 
     Raises:
-        ConfigError: there are fewer candidates than the budget, or a setting cannot be used.
+        ConfigError: there are fewer candidates than the budget, nuisance parameters are to be
+            estimated, or a setting cannot be used.
         ConvergenceError: the presses have no equilibrium at the map before.
     """
     if not 1 <= budget <= len(candidates):
@@ -76,6 +86,11 @@ def sample(
             f"budget={budget} must be 1 to {len(candidates)}, as many as there are candidates."
         )
     settings, began = settings or Settings(), time.perf_counter()
+    if settings.unknowns.size:
+        raise ConfigError(
+            "active sampling does not know nuisance parameters; estimate them from a recording "
+            "first, and sample with Settings(unknowns=Unknowns())."
+        )
     body = _Body(mesh, material, settings)
     presses: list[Press] = []
     steps: list[Step] = []
@@ -155,8 +170,8 @@ class _Body:
     def foretell(self, presses: Sequence[Press], point: Point) -> list[np.ndarray | None]:
         """Return the Jacobians of presses not made yet, side by side, at the present map.
 
-        Their noise is what the inversion takes the present data to have: what the sensor states,
-        and what the mesh gets wrong.
+        Their errors are what the inversion takes the present data to have: the sensor's noise, and
+        what the mesh gets wrong, rough and smooth.
         """
         scales = np.concatenate([seen.scale for seen in point.objective.problem.observations])
         noise = float(1.0 / np.median(scales))
@@ -185,4 +200,10 @@ class _Body:
         slope = point.objective.parameterization.slope(point.elements)
         counts = [len(seen.index) for seen in problem.observations]
         rows = problem.evaluate(point.youngs).jacobian() * slope
-        return np.split(rows, np.cumsum(counts)[:-1])
+        parts = np.split(rows, np.cumsum(counts)[:-1])
+        known = point.objective.problem.model_deviation
+        if known is None:
+            return parts
+        left, points = float(np.median(known)), self.mesh.points
+        smooth = [smooth_pattern(points, seen, left) for seen in problem.observations]
+        return [CommonError(s).whiten(part) for s, part in zip(smooth, parts, strict=True)]

@@ -172,7 +172,10 @@ class UniformGrid:
         for _ in range(len(gaps)):
             owner = gaps[:, places].argmin(axis=1)
             groups = [np.flatnonzero(owner == k) for k in range(self.budget)]
-            moved = [int(g[(gaps[np.ix_(g, g)] ** 2).sum(axis=1).argmin()]) for g in groups]
+            moved = [
+                int(g[(gaps[np.ix_(g, g)] ** 2).sum(axis=1).argmin()]) if len(g) else place
+                for g, place in zip(groups, places, strict=True)
+            ]
             if moved == places:
                 break
             places = moved
@@ -183,7 +186,16 @@ class UniformGrid:
         return self.places(candidates)[0]
 
     def choose(self, now: Situation) -> int:
-        """See `Rule.choose`."""
+        """See `Rule.choose`.
+
+        Raises:
+            ConfigError: all places of the grid were pressed.
+        """
+        if len(now.pressed) >= self.budget:
+            raise ConfigError(
+                f"budget={self.budget}: all places of the uniform grid were pressed; give it as "
+                "large a budget as the sampling has."
+            )
         return self.places(now.candidates)[len(now.pressed)]
 
 

@@ -116,7 +116,8 @@ class Newton:
             pool.lease(self._bears_rough) if after is None else after._lease.hand_over()
         )
         self._factored = self._lease.factored
-        self._kept: Lease | None = None
+        if after is not None:
+            after._factored = False
 
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> Equilibrated:
         """Find the equilibrium, warm from `start` if given."""
@@ -287,8 +288,7 @@ class Newton:
                 step = lagged_solve(self.pattern, held, self._lease, rhs, rtol)
                 if step is not None:
                     return step + jump
-            if self._bears_rough:
-                self._turn_rough()
+            if self._bears_rough and self._lease.rough:
                 if self._lease.factor(held) is Status.OK:
                     step = lagged_solve(self.pattern, held, self._lease, rhs, rtol or _TIGHT)
                     if step is not None:
@@ -302,16 +302,11 @@ class Newton:
             self._factored = False
             return None
 
-    def _turn_rough(self) -> None:
-        """Factor roughly from here on; a solver that was taken over waits for the equilibrium."""
-        if not self._lease.rough:
-            self._kept, self._lease = self._lease, self._pool.lease(rough=True)
-
     def _turn_exact(self) -> None:
         """Factor exactly from here on."""
         if self._lease.rough:
             self._lease.close()
-            self._lease, self._kept = self._kept or self._pool.lease(), None
+            self._lease = self._pool.lease()
 
     def _search(
         self, u: np.ndarray, response: Response, residual: np.ndarray, step: np.ndarray, load: float

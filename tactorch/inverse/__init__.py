@@ -1,10 +1,17 @@
 """From presses to a map of Young's modulus: data, prior and optimizer, combined freely."""
 
 from tactorch.inverse.coarse import CoarseStart
+from tactorch.inverse.correlation import CommonError
 from tactorch.inverse.evaluation import Evaluation
 from tactorch.inverse.invert import START_MPA, Settings, invert, make_objective
 from tactorch.inverse.misfit import MISFITS
-from tactorch.inverse.model_error import MODEL_ERRORS, ModelError, corrected, discretisation_error
+from tactorch.inverse.model_error import (
+    MODEL_ERRORS,
+    ModelError,
+    corrected,
+    discretisation_error,
+    smooth_pattern,
+)
 from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.nuisance import Nuisance, Unknowns
@@ -42,6 +49,7 @@ __all__ = [
     "TNC",
     "Bounds",
     "CoarseStart",
+    "CommonError",
     "Evaluation",
     "GaussNewton",
     "InverseProblem",
@@ -72,6 +80,7 @@ __all__ = [
     "make_parameterization",
     "make_regularizer",
     "monte_carlo",
+    "smooth_pattern",
     "start_map",
     "uniform_fit",
 ]

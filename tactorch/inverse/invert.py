@@ -119,8 +119,7 @@ def invert(
         identity={
             "mesh": recording.mesh.content_hash()[:12],
             "parameterization": str(objective.parameterization),
-            "model error": chosen(settings.model_error, recording, settings.element),
-            "model error left": str(settings.model_error_left),
+            "model error": _of_model(recording, settings),
             "set of unknowns": str(settings.unknowns),
             "misfit": settings.misfit,
         },
@@ -176,6 +175,13 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
     if settings.misfit == "adaptive":
         adapt(objective)
     return objective
+
+
+def _of_model(recording: Recording, settings: Settings) -> str:
+    """What is done about the model's error, in words by which runs are told apart."""
+    name = chosen(settings.model_error, recording, settings.element)
+    usual = name == "none" or settings.model_error_left == LEFT
+    return name if usual else f"{name}, {settings.model_error_left:g} left"
 
 
 def _described(start: Start) -> float | str:

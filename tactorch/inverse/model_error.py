@@ -17,6 +17,7 @@ from scipy.linalg import orth
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.correlation import CommonError
+from tactorch.inverse.evaluation import Observation
 from tactorch.inverse.nuisance import Nuisance
 from tactorch.inverse.problem import InverseProblem
 from tactorch.recording import Recording
@@ -134,14 +135,11 @@ def corrected(problem: InverseProblem, error: ModelError) -> None:
         )
     ]
     problem.common = CommonError(_smooth_patterns(problem, error))
+    problem.model_deviation = error.deviation
 
 
 def _smooth_patterns(problem: InverseProblem, error: ModelError) -> Float[np.ndarray, "data k"]:
-    """Affine fields over each place that is pressed, each as large as the deviation.
-
-    One of them may hold all of the error, so each has the size of the whole. In deviations of the
-    white noise.
-    """
+    """Affine fields over each place that is pressed, in deviations of the white noise."""
     seen = problem.observations
     begins = np.cumsum([0, *(len(one.index) for one in seen)])
     places: dict[bytes, list[int]] = {}
@@ -149,14 +147,28 @@ def _smooth_patterns(problem: InverseProblem, error: ModelError) -> Float[np.nda
         places.setdefault(one.index.tobytes(), []).append(i)
     blocks = []
     for members in places.values():
-        fields = _affine(problem.recording.mesh.points, seen[members[0]].index)
-        data, count = fields.shape
-        block = np.zeros((begins[-1], count))
-        for i in members:
-            height = error.deviation[i] * np.sqrt(data / 3.0)  # a field moves one component
-            block[begins[i] : begins[i + 1]] = height * seen[i].scale[:, None] * fields
+        parts = [
+            smooth_pattern(problem.recording.mesh.points, seen[i], error.deviation[i])
+            for i in members
+        ]
+        block = np.zeros((begins[-1], parts[0].shape[1]))
+        for i, part in zip(members, parts, strict=True):
+            block[begins[i] : begins[i + 1]] = part
         blocks.append(block)
     return np.hstack(blocks)
+
+
+def smooth_pattern(
+    points: Float[np.ndarray, "n 3"], seen: Observation, deviation: float
+) -> Float[np.ndarray, "data k"]:
+    """Affine fields over one place, each as large as an error of this deviation (mm).
+
+    One of them may hold all of the error, so each has the size of the whole. In deviations of the
+    white noise.
+    """
+    fields = _affine(points, seen.index)
+    height = deviation * np.sqrt(len(fields) / 3.0)  # a field moves one component
+    return height * seen.scale[:, None] * fields
 
 
 def _affine(

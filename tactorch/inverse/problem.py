@@ -55,6 +55,7 @@ class InverseProblem:
         self.assumed = Nuisance.assumed(recording)
         self.placing = Placing(recording)
         self.common: CommonError | None = None
+        self.model_deviation: list[float] | None = None  # mm, of each press, if it is counted
         self.misfit = misfit or Squares()
         self._weight = self._body_force()
         self.evaluations = 0

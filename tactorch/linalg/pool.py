@@ -24,11 +24,16 @@ class Lease:
         self._solver: Solver | None = solver
         self.direct = solver.direct
         self.rough = solver.rough
-        self.close = weakref.finalize(self, self._pool._take_back, solver)
+        self._return = weakref.finalize(self, self._pool._take_back, solver)
+
+    def close(self) -> None:
+        """Give the solver back; the next `factor` takes another."""
+        self._return()
+        self._solver, self.factored = None, False
 
     @property
     def handed_over(self) -> bool:
-        """Whether the solver is another lease's now."""
+        """Whether the solver is another lease's now, or the pool's."""
         return self._solver is None
 
     def hand_over(self) -> "Lease":
@@ -39,7 +44,7 @@ class Lease:
         solver, self._solver = self._solver, None
         if solver is None:
             return self._pool.lease(self.rough)
-        self.close.detach()
+        self._return.detach()
         heir = Lease(solver, self._pool)
         heir.factored = self.factored
         return heir

@@ -13,7 +13,13 @@ from tactorch.linalg import kernels
 
 
 def dot(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> float:
-    """Return the scalar product."""
+    """Return the scalar product.
+
+    Raises:
+        ValueError: the lengths differ.
+    """
+    if a.shape != b.shape:
+        raise ValueError(f"vectors of {a.shape} and {b.shape} have no scalar product")
     return float(kernels.dot(a, b))
 
 

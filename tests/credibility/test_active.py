@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from tactorch.credibility import (
 from tactorch.credibility.rules import Situation
 from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody, make_material
-from tactorch.inverse import GaussNewton, Settings
+from tactorch.inverse import GaussNewton, Settings, Unknowns
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import MaterialSpec
 
@@ -54,8 +55,9 @@ def run(
 ) -> Callable[..., list[Step]]:
     def run(rule: object, budget: int, **options: object) -> list[Step]:
         law = MaterialSpec("neo_hookean", 0.3)
+        chosen = options.pop("settings", SETTINGS)
         return sample(
-            presser, mesh, patches, rule, budget, SETTINGS, material=law, start_mpa=0.1, **options
+            presser, mesh, patches, rule, budget, chosen, material=law, start_mpa=0.1, **options
         )
 
     return run
@@ -79,7 +81,9 @@ def test_stops_where_the_posterior_is_narrow_enough(run: Callable[..., list[Step
     assert len(run(UniformGrid(4), 4, target_deviation=1e3)) == 1
 
 
+@pytest.mark.parametrize("model_error", ["none", "discretisation"])
 def test_information_is_of_the_data_the_press_would_have(
+    model_error: str,
     run: Callable[..., list[Step]],
     presser: SimulatedPresser,
     patches: list[Patch],
@@ -92,7 +96,7 @@ def test_information_is_of_the_data_the_press_would_have(
             seen.append(now)
             return super().choose(now)
 
-    run(Watching(3), 3)
+    run(Watching(3), 3, settings=replace(SETTINGS, model_error=model_error))
     now = seen[-1]
     assert now.pressed == tuple(UniformGrid(3).places(patches)[:2])
     assert set(now.left) | set(now.pressed) == set(range(8))
@@ -101,7 +105,15 @@ def test_information_is_of_the_data_the_press_would_have(
     assert [len(rows) for rows in again] == counts
     felt = [np.abs(rows).max(axis=0) for rows in again]
     expected = (np.array(felt) * now.mesh.volumes.mean() / now.mesh.volumes) ** 2
-    np.testing.assert_allclose(now.credibility, expected, rtol=1e-4)
+    # Each press has its own share of the mesh's error, the foretold ones the median of them.
+    rtol = 1e-4 if model_error == "none" else 0.5
+    large = expected > 1e-3 * expected.max()
+    np.testing.assert_allclose(now.credibility[large], expected[large], rtol=rtol)
+
+
+def test_nuisance_parameters_are_refused(run: Callable[..., list[Step]]) -> None:
+    with pytest.raises(ConfigError, match="nuisance"):
+        run(UniformGrid(2), 2, settings=replace(SETTINGS, unknowns=Unknowns(poisson=0.02)))
 
 
 def test_the_budget_is_checked(run: Callable[..., list[Step]]) -> None:

@@ -91,13 +91,26 @@ def test_an_overfitted_map_raises_the_weight_by_as_much_as_it_says(
     fitted: Callable[[float], Point],
 ) -> None:
     cooling = Cooling(1.0, 30.0, False)
-    assert not cooling.overshot(fitted(0.01))  # the weight still falls
+    assert not cooling.retry(fitted(0.01))  # the weight still falls
     cooling.lower(0.5)
-    assert cooling.overshot(fitted(0.01))
-    assert not cooling.overshot(fitted(0.5))
     for chi2, weight in ((0.05, 20.0), (0.8, 60.0)):  # 1 / chi2, but no less than threefold
         assert cooling.retry(fitted(chi2))
         assert cooling.weight == pytest.approx(weight)
     assert cooling.retry(fitted(3.0))  # too much: between the last two
     assert 20.0 < cooling.weight < 60.0
     assert not cooling.retry(fitted(0.97))
+
+
+def test_far_overfitted_maps_need_not_converge_but_are_no_bound(
+    fitted: Callable[[float], Point],
+) -> None:
+    cooling = Cooling(1.0, 30.0, False)
+    cooling.lower(0.5)
+    assert not cooling.retry(fitted(0.5), converged=False)
+    for weight in (100.0, 1e4, 1e6):
+        assert cooling.retry(fitted(0.0), converged=False)
+        assert cooling.weight == pytest.approx(weight)
+        assert cooling.below == 0.0
+    assert not cooling.retry(fitted(0.0), converged=False)  # often enough
+    assert cooling.retry(fitted(0.1))
+    assert cooling.below == pytest.approx(1e6)

@@ -58,8 +58,20 @@ def test_rough_solvers_are_lent_apart(backend, lattice):
             np.testing.assert_allclose(
                 lease.solve(scale * rhs), expected, rtol=0, atol=error * np.abs(expected).max()
             )
-    rough.close()
-    assert rough.hand_over().rough == solvers.has_rough
+    heir = rough.hand_over()
+    assert heir.rough == rough.hand_over().rough == solvers.has_rough
+    heir.close()
+    assert heir.hand_over()._solver is not None
+
+
+def test_a_closed_lease_lends_nothing_that_is_idle(lattice):
+    solvers = SolverPool(lattice(0).pattern)
+    closed = solvers.lease()
+    closed.close()
+    heir, other = closed.hand_over(), solvers.lease()
+    assert heir._solver is not other._solver
+    with pytest.raises(RuntimeError, match="factor anew"):
+        closed.solve(np.ones(lattice(0).pattern.size))
 
 
 def test_nothing_is_analysed_before_the_first_lease(lattice, analyses):

@@ -9,6 +9,8 @@ def test_products_are_those_of_numpy():
     assert dot(a, b) == pytest.approx(float(a @ b), rel=1e-10)
     assert norm(a) == pytest.approx(float(np.linalg.norm(a)), rel=1e-12)
     assert norm(np.zeros(3)) == 0.0
+    with pytest.raises(Exception, match=r"scalar product|Type-check"):
+        dot(a, b[:-1])
 
 
 @pytest.mark.parametrize("rank", range(7))

@@ -93,8 +93,7 @@ class GaussNewton:
             point = after
             cooling.follow(point)
             still = settled and fall <= self.tolerance * point.value(weight)
-            retried = (still or cooling.overshot(point)) and cooling.retry(point)
-            done = still and not retried
+            done = not cooling.retry(point, converged=still) and still
             self._report(monitor, point, cooling, weight, damping, step)
             if done:
                 return cooling.ended or "the objective no longer falls"

@@ -113,8 +113,7 @@ class NewtonCG:
             point = after
             cooling.lower(point.evaluation.chi2)
             still = settled and fall <= self.tolerance * point.value(weight)
-            retried = (still or cooling.overshot(point)) and cooling.retry(point)
-            done = still and not retried
+            done = not cooling.retry(point, converged=still) and still
             run.report(point, cooling, weight, step)
             if done:
                 return cooling.ended or "the objective no longer falls"

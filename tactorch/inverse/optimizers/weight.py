@@ -27,7 +27,8 @@ _REASONS = (_UNSTOPPED, _FITTED, _UNFITTED, _CHOSEN)  # saved by index
 # Mean squared residual, once converged, that counts as the noise.
 _OVERFITTED, _MISFITTED = 0.9, 1.02
 _ROUNDS, _RAISE = 8, 3.0
-_FAR_OVER, _MOST_RAISED = 0.3, 100.0  # mean squared residual that needs no converging to be judged
+_FAR_OVER, _EARLY = 0.3, 3  # mean squared residual that needs no converging; how often it may not
+_MOST_RAISED = 100.0
 _CHANGE, _LOOKS = 3.0, 30  # largest change of a chosen weight in one step; most choices
 _SAME = 1.2
 _RULE = 30.0
@@ -114,33 +115,32 @@ class Cooling:
         if max(change, 1.0 / change) <= _SAME or self.rounds >= _LOOKS:
             self.ended = _CHOSEN
 
-    def retry(self, point: Point) -> bool:
-        """Say whether the converged map calls for another weight, and take it.
+    def retry(self, point: Point, converged: bool = True) -> bool:
+        """Say whether the map calls for another weight, and take it.
 
-        The weight rises until the map misfits, then is bisected; no more than a few rounds. Where
-        the noise is only assumed, a smaller misfit is no overfit.
+        The weight rises until the converged map misfits, then is bisected; no more than a few
+        rounds. The first of them need not converge where the data are far overfitted. Where the
+        noise is only assumed, a smaller misfit is no overfit.
         """
         problem, chi2 = point.objective.problem, point.evaluation.chi2
         if problem.noise.assumed(problem.recording):
             return False
         if self.ended != _FITTED or self.rule != "discrepancy" or self.rounds >= _ROUNDS:
             return False
+        if not converged and (chi2 >= _FAR_OVER or self.rounds >= _EARLY):
+            return False
         if _OVERFITTED <= chi2 <= _MISFITTED:
             return False
-        if chi2 < _OVERFITTED:
-            self.below = max(self.below, self.weight)
-        else:
+        if chi2 > _MISFITTED:
             self.above = min(self.above, self.weight)
+        elif converged:
+            self.below = max(self.below, self.weight)
         if np.isinf(self.above):
-            self.weight *= float(np.clip(1.0 / chi2, _RAISE, _MOST_RAISED))
+            self.weight *= float(np.clip(1.0 / max(chi2, 1.0 / _MOST_RAISED), _RAISE, None))
         else:
             self.weight = float(np.sqrt(max(self.below, self.above / _RAISE**2) * self.above))
         self.rounds += 1
         return True
-
-    def overshot(self, point: Point) -> bool:
-        """Say whether a map on its way fits so well that the weight need not converge."""
-        return self.ended == _FITTED and point.evaluation.chi2 < _FAR_OVER
 
     def lower(self, chi2: float) -> None:
         """Lower the weight, unless it was given, has ended or ends now."""
