@@ -30,6 +30,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from machine import peak_gib
 
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.inverse import InverseProblem, Settings, best_uniform, homogeneous, invert
@@ -192,8 +193,6 @@ def _size(values: np.ndarray) -> float:
 
 def inverted(recording: Recording, picture: Path | None, limit: float | None) -> dict[str, Any]:
     """Invert, find the lesion, draw the slices; returns the figures."""
-    from scale import peak_gib
-
     settings = Settings(optimizer=NewtonCG(), model_error_left=LEFT, max_seconds=limit)
     blind = replace(recording, truth=None)
     began = time.perf_counter()

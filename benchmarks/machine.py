@@ -2,6 +2,8 @@
 
 import os
 import platform
+import resource
+import sys
 import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -16,6 +18,12 @@ def describe_machine(packages: tuple[str, ...]) -> dict[str, str | int]:
         "python": platform.python_version(),
         **{name: _version(name) for name in packages},
     }
+
+
+def peak_gib() -> float:
+    """Largest resident memory of this process so far, GiB."""
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most / 2.0 ** (30 if sys.platform == "darwin" else 20)
 
 
 def _processor() -> str:

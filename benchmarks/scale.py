@@ -16,7 +16,6 @@ The breast (`breast.py`) commits none. The last line printed is one JSON object 
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -25,7 +24,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from machine import describe_machine
+from machine import describe_machine, peak_gib
 
 from tactorch.inverse import Settings, invert
 from tactorch.inverse.optimizers import NewtonCG
@@ -141,12 +140,6 @@ def inverted(recording: Recording, max_seconds: float | None = None) -> dict[str
             recording.mesh, found.youngs, recording.truth
         )
     return figures
-
-
-def peak_gib() -> float:
-    """Largest resident memory of this process so far, GiB."""
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most / 2.0 ** (30 if sys.platform == "darwin" else 20)
 
 
 def _breast(out: Path | None, max_seconds: float | None) -> dict[str, Any] | None:
