@@ -23,8 +23,8 @@ from tactorch.inverse.problem import InverseProblem
 from tactorch.recording import Recording
 
 # What the correction leaves of the error, measured with truth on cubes whose balls are two to four
-# elements across: 0.13 to 0.41. Where elements are small beside what is sought it is less: moduli
-# drawn at random left 0.00 to 0.15 on a mesh of 65,000 elements (`benchmarks/breast.py`).
+# elements across: 0.13 to 0.41. Where elements are small beside what is sought it is less:
+# balls drawn at random left 0.00 to 0.15 on a mesh of 65,000 elements (`benchmarks/breast.py`).
 LEFT = 1.0 / 3.0
 _TRIALS, _STIFFER = 6, 1.3
 MODEL_ERRORS = ("auto", "none", "discretisation")
