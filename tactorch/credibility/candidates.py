@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
+from tactorch.mesh.spread import farthest_order
 from tactorch.mesh.values import Real, positive
 
 _CUTS = 8  # parts along a triangle's edge, each counted in or out of the patch
@@ -87,18 +88,8 @@ def candidate_patches(
             f"radius_mm={radius:g}: no patch fits without touching what is held; use a smaller one."
         )
     centers = np.array([patch.center for patch in fitting])
-    return [fitting[i] for i in _spread(centers, mesh.points[held], count)]
-
-
-def _spread(centers: np.ndarray, avoided: np.ndarray, count: int) -> list[int]:
-    """Farthest-point order; the first is the farthest from `avoided`."""
-    gaps = np.linalg.norm(centers[:, None] - avoided, axis=2).min(axis=1)
-    order = [int(gaps.argmax())]
-    nearest = np.linalg.norm(centers - centers[order[0]], axis=1)
-    while len(order) < min(count, len(centers)):
-        order.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(centers - centers[order[-1]], axis=1))
-    return order
+    gaps = np.linalg.norm(centers[:, None] - mesh.points[held], axis=2).min(axis=1)
+    return [fitting[i] for i in farthest_order(centers, count, int(gaps.argmax()))]
 
 
 def _vertex_normals(mesh: TetMesh) -> Float[np.ndarray, "n 3"]:

@@ -12,6 +12,7 @@ from tactorch.credibility.belief import Belief
 from tactorch.credibility.candidates import Patch
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
+from tactorch.mesh.spread import farthest_order
 from tactorch.mesh.values import Real, positive
 
 _REACH = 2.0  # radii of the sensor: how far from its centre a patch's area goes
@@ -168,7 +169,7 @@ class UniformGrid:
             )
         centers = np.array([patch.center for patch in candidates])
         gaps = np.linalg.norm(centers[:, None] - centers, axis=2)
-        places = _farthest(gaps, list(range(len(gaps))), self.budget)
+        places = farthest_order(centers, self.budget, 0)
         for _ in range(len(gaps)):
             owner = gaps[:, places].argmin(axis=1)
             groups = [np.flatnonzero(owner == k) for k in range(self.budget)]
@@ -179,7 +180,8 @@ class UniformGrid:
             if moved == places:
                 break
             places = moved
-        return _farthest(gaps, places, self.budget)
+        first = int(gaps[0, places].argmin())
+        return [places[i] for i in farthest_order(centers[places], self.budget, first)]
 
     def first(self, candidates: Sequence[Patch]) -> int:
         """See `Rule.first`."""
@@ -240,12 +242,3 @@ def area_means(
 
 def _left(count: int, pressed: tuple[int, ...]) -> list[int]:
     return [i for i in range(count) if i not in set(pressed)]
-
-
-def _farthest(gaps: np.ndarray, among: list[int], count: int) -> list[int]:
-    """Farthest-point order among some, from the one nearest to candidate 0."""
-    order = [min(among, key=lambda i: gaps[0, i])]
-    while len(order) < count:
-        rest = [i for i in among if i not in order]
-        order.append(max(rest, key=lambda i: gaps[i, order].min()))
-    return order

@@ -18,6 +18,7 @@ from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.mesh import TetMesh
+from tactorch.mesh.spread import farthest_order
 
 _ROUNDS = 10  # of moving cluster centres
 _JUMP = 0.5  # deviation of a log-modulus between touching clusters that is expected
@@ -35,7 +36,8 @@ def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
     if not 1 <= count <= mesh.n_tets:
         raise ConfigError(f"groups={count} must be from 1 to the {mesh.n_tets} elements.")
     centroids, volumes = mesh.centroids, mesh.volumes
-    centres = centroids[_far_apart(centroids, count)]
+    middle = np.linalg.norm(centroids - centroids.mean(axis=0), axis=1).argmin()
+    centres = centroids[farthest_order(centroids, count, int(middle))]
     labels = cKDTree(centres).query(centroids)[1]
     for _ in range(_ROUNDS):
         mass = np.bincount(labels, volumes, minlength=count)
@@ -44,16 +46,6 @@ def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
         centres[kept] = (np.array(moments)[:, kept] / mass[kept]).T
         labels = cKDTree(centres).query(centroids)[1]
     return np.unique(labels, return_inverse=True)[1].astype(np.int64)
-
-
-def _far_apart(points: Float[np.ndarray, "m 3"], count: int) -> list[int]:
-    """Each next point is the one farthest from those before."""
-    chosen = [int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmin())]
-    distance = np.full(len(points), np.inf)
-    for _ in range(count - 1):
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-        chosen.append(int(distance.argmax()))
-    return chosen
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,17 @@
 """Logarithm of jumps: a large jump costs hardly more than a middling one, so contrast survives."""
 
 import numpy as np
-import scipy.sparse as sp
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError
-from tactorch.inverse.regularization.base import jumps, relative_areas
+from tactorch.inverse.regularization.base import OfJumps
 from tactorch.mesh import TetMesh
 
 
-class LogJumps:
+class LogJumps(OfJumps):
     """Sum over interior faces of area * edge * log(1 + (jump / edge)^2), in mean areas.
 
     Not convex: total variation shrinks a jump by the same force whatever its size, this one by less
-    the larger it is (Lorentzian of Black and Rangarajan, 1996). Concave in the squared jump, so
-    reweighted least squares still lowers it: the curvature is a majorant's.
+    the larger it is (Lorentzian of Black and Rangarajan, 1996).
 
     Args:
         mesh: The object.
@@ -28,26 +25,12 @@ class LogJumps:
 
     def __init__(self, mesh: TetMesh, edge: float = 0.1) -> None:
         """Assemble the jumps."""
-        if not edge > 0:
-            raise ConfigError(f"regularization.edge={edge} must be above 0 (log-modulus).")
-        self.edge = edge
-        self._jumps = jumps(mesh)
-        self._areas = relative_areas(mesh)
+        super().__init__(mesh, edge)
 
-    def _weights(self, difference: np.ndarray) -> np.ndarray:
-        return 2.0 * self._areas * self.edge / (self.edge**2 + difference * difference)
+    def _weights(self, jump: Float[np.ndarray, " faces"]) -> Float[np.ndarray, " faces"]:
+        return 2.0 * self._areas * self.edge / (self.edge**2 + jump * jump)
 
     def value(self, field: Float[np.ndarray, " m"]) -> float:
         """Return the penalty, zero for a uniform field."""
         ratio = (self._jumps @ field) / self.edge
         return self.edge * float(self._areas @ np.log1p(ratio * ratio))
-
-    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the penalty's gradient."""
-        difference = self._jumps @ field
-        return self._jumps.T @ (self._weights(difference) * difference)
-
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
-        """Return the majorant at `field`."""
-        weights = sp.diags(self._weights(self._jumps @ field))
-        return (self._jumps.T @ weights @ self._jumps).tocsr()

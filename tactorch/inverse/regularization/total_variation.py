@@ -1,19 +1,16 @@
 """Total variation: jumps across faces count by their size, so that edges stay sharp."""
 
 import numpy as np
-import scipy.sparse as sp
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError
-from tactorch.inverse.regularization.base import jumps, relative_areas
+from tactorch.inverse.regularization.base import OfJumps
 from tactorch.mesh import TetMesh
 
 
-class TotalVariation:
+class TotalVariation(OfJumps):
     """Sum over interior faces of area * sqrt(jump^2 + edge^2), in units of the mean area.
 
-    Reweighted least squares (lagged diffusivity, Vogel and Oman, 1996): the curvature at a field
-    is the Hessian of the quadratic that touches the penalty there from above.
+    Reweighted least squares is lagged diffusivity here (Vogel and Oman, 1996).
 
     Args:
         mesh: The object.
@@ -27,25 +24,14 @@ class TotalVariation:
 
     def __init__(self, mesh: TetMesh, edge: float = 0.03) -> None:
         """Assemble the jumps."""
-        if not edge > 0:
-            raise ConfigError(f"regularization.edge={edge} must be above 0 (log-modulus).")
-        self.edge = edge
-        self._jumps = jumps(mesh)
-        self._areas = relative_areas(mesh)
+        super().__init__(mesh, edge)
 
-    def _size(self, field: np.ndarray) -> np.ndarray:
-        difference = self._jumps @ field
-        return np.sqrt(difference * difference + self.edge**2)
+    def _size(self, jump: np.ndarray) -> np.ndarray:
+        return np.sqrt(jump * jump + self.edge**2)
+
+    def _weights(self, jump: Float[np.ndarray, " faces"]) -> Float[np.ndarray, " faces"]:
+        return self._areas / self._size(jump)
 
     def value(self, field: Float[np.ndarray, " m"]) -> float:
         """Return the penalty, zero for a uniform field."""
-        return float(self._areas @ (self._size(field) - self.edge))
-
-    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the penalty's gradient."""
-        return self._jumps.T @ (self._areas * (self._jumps @ field) / self._size(field))
-
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
-        """Return the majorant at `field`."""
-        weights = sp.diags(self._areas / self._size(field))
-        return (self._jumps.T @ weights @ self._jumps).tocsr()
+        return float(self._areas @ (self._size(self._jumps @ field) - self.edge))
