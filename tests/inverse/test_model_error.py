@@ -131,3 +131,11 @@ def test_the_share_that_is_left_scales_the_uncertainty(cube: Recording):
         assert deviation == pytest.approx(np.sqrt(np.mean(press**2)) / 3.0)
     with pytest.raises(ConfigError, match=r"model_error_left=-0\.1"):
         discretisation_error(problem, 0.3, left=-0.1)
+
+
+def test_the_error_grows_with_the_displacement_that_is_observed(finer: Recording):
+    """A modulus half as large again would lose a third of it, but for large strains."""
+    problem = InverseProblem(finer)
+    fit = best_uniform(problem)
+    right, stiff = (discretisation_error(problem, youngs).offset[0] for youngs in (fit, 1.5 * fit))
+    assert np.linalg.norm(stiff - right) < 0.2 * np.linalg.norm(right)
