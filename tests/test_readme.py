@@ -16,11 +16,11 @@ def blocks() -> list[str]:
 
 
 def test_the_readme_has_the_blocks_that_run() -> None:
-    assert len(blocks()) == 3
+    assert len(blocks()) == 4
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("index", [0, 1, 2])
+@pytest.mark.parametrize("index", [0, 1, 2, 3])
 def test_block_runs_as_it_stands(index: int, tmp_path: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-c", blocks()[index]], cwd=tmp_path, capture_output=True, text=True

@@ -2,6 +2,7 @@
 
 - `sensitivity_matrix`, `credibility`: which elements do the observed displacements feel at all?
 - `layer_profile`: how does that fall with depth?
+- `posterior_of`: how far each modulus of a reconstruction can be trusted, by one of these:
 - `LaplacePosterior`: given data, noise and prior, how uncertain is each modulus? With
   `LowRankPosterior` for large meshes.
 - `variational_posterior`: the same under total variation, whose own scales are uncertain too: the
@@ -41,6 +42,7 @@ from tactorch.credibility.sensitivity import (
     layer_profile,
     sensitivity_matrix,
 )
+from tactorch.credibility.trust import posterior_of
 from tactorch.credibility.variational import VariationalPosterior, variational_posterior
 
 __all__ = [
@@ -68,6 +70,7 @@ __all__ = [
     "coverage",
     "credibility",
     "layer_profile",
+    "posterior_of",
     "sample",
     "sensitivity_matrix",
     "variational_posterior",

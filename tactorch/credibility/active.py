@@ -9,12 +9,13 @@ from jaxtyping import Float
 
 from tactorch.credibility.belief import Belief
 from tactorch.credibility.candidates import Patch
-from tactorch.credibility.posterior import LaplacePosterior
+from tactorch.credibility.gaussian import GaussianPosterior
 from tactorch.credibility.presser import Presser
 from tactorch.credibility.rules import Rule, Situation
-from tactorch.credibility.variational import variational_posterior
+from tactorch.credibility.trust import posterior_at
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse import (
+    INTERRUPTED,
     START_MPA,
     CommonError,
     InverseProblem,
@@ -27,8 +28,6 @@ from tactorch.inverse import (
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 
-_VARIATIONAL = 2000  # unknowns up to which the variational posterior takes seconds
-
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -36,6 +35,7 @@ class Step:
 
     Attributes:
         place: The candidate that was pressed.
+        press: What it gave; a `Recording` of all steps' presses holds the whole session.
         youngs: The map from all presses so far, MPa.
         deviation: Of each parameter (log-modulus by default) under the posterior there.
         rms_deviation: Its root mean square by volume.
@@ -43,6 +43,7 @@ class Step:
     """
 
     place: int
+    press: Press
     youngs: Float[np.ndarray, " m"]
     deviation: Float[np.ndarray, " m"]
     rms_deviation: float
@@ -63,6 +64,9 @@ def sample(
     on_press: Callable[[Step], None] | None = None,
 ) -> list[Step]:
     """Press where the rule says, inverting all presses after each, from the map before.
+
+    An interruption (Ctrl-C) within an inversion keeps that inversion's best map, and no further
+    press is made.
 
     Args:
         presser: Who presses.
@@ -98,13 +102,13 @@ def sample(
     place = rule.first(candidates)
     while True:
         presses.append(presser.press(candidates[place]))
-        point, posterior = body.solve(presses, youngs)
+        point, posterior, stopped = body.solve(presses, youngs)
         youngs, deviation = point.youngs, posterior.deviation()
         rms = float(np.sqrt(mesh.volumes @ deviation**2 / mesh.volumes.sum()))
-        steps.append(Step(place, youngs, deviation, rms, time.perf_counter() - began))
+        steps.append(Step(place, presses[-1], youngs, deviation, rms, time.perf_counter() - began))
         if on_press is not None:
             on_press(steps[-1])
-        if len(steps) == budget or rms <= target_deviation:
+        if stopped or len(steps) == budget or rms <= target_deviation:
             return steps
         pressed = tuple(step.place for step in steps)
 
@@ -116,7 +120,7 @@ def sample(
                 mesh=mesh,
                 candidates=candidates,
                 pressed=pressed,
-                slope=point.objective.parameterization.slope(posterior.mean),
+                parameterization=point.objective.parameterization,
                 belief=Belief(posterior.mean, posterior.covariance(np.arange(mesh.n_tets))),
                 credibility=credibilities(point),
                 jacobians=foretell,
@@ -137,14 +141,6 @@ def credibilities(point: Point) -> Float[np.ndarray, "presses m"]:
     return (felt * mesh.volumes.mean() / mesh.volumes) ** 2
 
 
-def _posterior(point: Point, weight: float) -> LaplacePosterior:
-    """The widest that can be had: Laplace's trusts total variation where no press was yet."""
-    few = point.objective.size <= _VARIATIONAL
-    if few and weight > 0 and point.objective.prior.name == "total_variation":
-        return variational_posterior(point, weight)
-    return LaplacePosterior.at(point, weight)
-
-
 @dataclass(frozen=True, eq=False)
 class _Body:
     """What all inversions share."""
@@ -159,13 +155,17 @@ class _Body:
             mesh=self.mesh, presses=tuple(presses), material=self.material, check_units=False
         )
 
-    def solve(self, presses: Sequence[Press], start: np.ndarray) -> tuple[Point, LaplacePosterior]:
-        """Return the map of the presses, and the posterior there."""
+    def solve(
+        self, presses: Sequence[Press], start: np.ndarray
+    ) -> tuple[Point, GaussianPosterior, bool]:
+        """Return the map of the presses, the posterior there, and whether it was interrupted."""
         recording, settings = self._recording(presses), self.settings
         found = invert(recording, settings, start_mpa=start, show_progress=False)
         objective = make_objective(recording, settings)
         point = objective.at(objective.start(found.youngs))
-        return point, _posterior(point, found.history[-1].get("weight", 0.0))
+        # The widest that can be had: Laplace's trusts total variation where no press was yet.
+        posterior = posterior_at(point, found.history[-1].get("weight", 0.0))
+        return point, posterior, found.stop_reason == INTERRUPTED
 
     def foretell(self, presses: Sequence[Press], point: Point) -> list[np.ndarray | None]:
         """Return the Jacobians of presses not made yet, side by side, at the present map.

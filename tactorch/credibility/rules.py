@@ -11,6 +11,7 @@ from jaxtyping import Float
 from tactorch.credibility.belief import Belief
 from tactorch.credibility.candidates import Patch
 from tactorch.errors import ConfigError
+from tactorch.inverse.parameterization import Parameterization
 from tactorch.mesh import TetMesh
 from tactorch.mesh.spread import farthest_order
 from tactorch.mesh.values import Real, positive
@@ -27,7 +28,7 @@ class Situation:
         candidates: Places to press.
         pressed: Which of them were pressed, in turn.
         belief: Of the parameters (log-moduli by default), from all presses.
-        slope: Derivative of each modulus by its parameter at the belief's mean, MPa.
+        parameterization: Makes moduli (MPa) of the parameters.
         credibility: Of each press: the square of the largest derivative of any datum (in standard
             deviations of its noise) by the parameter of an element of mean volume.
         jacobians: Foretells the derivatives of candidates' data, in standard deviations of the
@@ -38,7 +39,7 @@ class Situation:
     candidates: Sequence[Patch]
     pressed: tuple[int, ...]
     belief: Belief
-    slope: Float[np.ndarray, " m"]
+    parameterization: Parameterization
     credibility: Float[np.ndarray, "presses m"]
     jacobians: Callable[[Sequence[int]], list[np.ndarray | None]]
 
@@ -139,7 +140,8 @@ class ExpectedError(_Foretelling):
         """Return the fall of the mean variance by volume."""
         fall = now.belief.variance_fall(jacobian)
         if self.of == "youngs":
-            fall = fall * now.slope**2
+            before = now.belief.covariance.diagonal()
+            fall = now.parameterization.variance_fall(now.belief.mean, before, before - fall)
         return float(fall @ now.mesh.volumes / now.mesh.volumes.sum())
 
 

@@ -51,14 +51,14 @@ class SoftBody:
         self.material = material
         self.newton = newton or NewtonOptions()
         self.discretisation = Discretisation(mesh, make_element(element))
-        self._solver = solver
+        self.solver = solver
         self.assembly = Assembly(self.discretisation, material, material.poisson, mesh.points)
 
     @cached_property
     def pool(self) -> SolverPool:
         """Analysed solvers, shared by all load cases."""
         d = self.discretisation
-        backend = self._solver
+        backend = self.solver
         modes = d.rigid_modes if backend in ("auto", "multigrid") else None
         return SolverPool(d.pattern, backend, modes)
 

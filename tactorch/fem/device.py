@@ -99,6 +99,10 @@ class DeviceBody:
             )  # fmt: skip
             done = relative <= self.options.rtol
             u = self._line_search(u, torch.where(done[:, None, None], 0.0, step), residual)
+        internal = self._internal(u)
+        relative = self._size(self._balance(internal, u)) / self._scale(internal)
+        if bool((relative <= self.options.rtol).all()):
+            return u
         bad = torch.nonzero(relative > self.options.rtol)[:, 0].tolist()
         raise ConvergenceError(
             f"Load cases {bad} have no equilibrium after {self.options.max_iterations} steps on "

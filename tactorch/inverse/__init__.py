@@ -3,7 +3,14 @@
 from tactorch.inverse.coarse import CoarseStart
 from tactorch.inverse.correlation import CommonError
 from tactorch.inverse.evaluation import Evaluation
-from tactorch.inverse.invert import START_MPA, Settings, invert, make_objective
+from tactorch.inverse.invert import (
+    INTERRUPTED,
+    START_MPA,
+    Settings,
+    invert,
+    make_objective,
+    solution,
+)
 from tactorch.inverse.misfit import MISFITS
 from tactorch.inverse.model_error import (
     MODEL_ERRORS,
@@ -39,6 +46,7 @@ from tactorch.inverse.starts import Start, best_uniform, homogeneous, monte_carl
 from tactorch.inverse.uniform import UniformFit, uniform_fit
 
 __all__ = [
+    "INTERRUPTED",
     "LBFGS",
     "MISFITS",
     "MODEL_ERRORS",
@@ -81,6 +89,7 @@ __all__ = [
     "make_regularizer",
     "monte_carlo",
     "smooth_pattern",
+    "solution",
     "start_map",
     "uniform_fit",
 ]

@@ -22,7 +22,9 @@ def adapt(objective: Objective) -> Float[np.ndarray, " presses"]:
 
     A first inversion, by the convex cost of `Adaptive`, bounds what a bad press can do to the map.
     A press whose residuals there are larger than the median press's (and than stated) gets their
-    size as its deviation. Most presses must be as good as they state.
+    size as its deviation. Most presses must be as good as they state. (A `Press` is one frame, so
+    a bad frame of a good series is told apart.) It is Gauss-Newton whatever the optimizer of the
+    inversion that follows, of a few dozen steps.
 
     Args:
         objective: Its problem has the misfit "adaptive"; it is changed.
@@ -45,6 +47,9 @@ def adapt(objective: Objective) -> Float[np.ndarray, " presses"]:
         replace(seen, scale=seen.scale / factor)
         for seen, factor in zip(problem.observations, factors, strict=True)
     ]
+    if problem.common is not None:  # the model's error is as large as before
+        counts = [len(seen.index) for seen in problem.observations]
+        problem.common = problem.common.widened(np.repeat(factors, counts))
     problem.misfit = Squares()
     for press, factor in zip(problem.recording.presses, factors, strict=True):
         if factor > _WORTH_SAYING:

@@ -14,8 +14,12 @@ class CommonError:
 
     def __init__(self, patterns: Float[np.ndarray, "data k"]) -> None:
         """Decompose the patterns."""
-        self._basis, sizes, _ = np.linalg.svd(patterns, full_matrices=False)
-        self._loss = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
+        self._basis, self._sizes, _ = np.linalg.svd(patterns, full_matrices=False)
+        self._loss = 1.0 - 1.0 / np.sqrt(1.0 + self._sizes**2)
+
+    def widened(self, factors: Float[np.ndarray, " data"]) -> "CommonError":
+        """Return the same error in deviations of a white noise that is `factors` times as large."""
+        return CommonError(self._basis * self._sizes / factors[:, None])
 
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
         """Return the whitened residuals or their derivatives; the map is its own transpose."""

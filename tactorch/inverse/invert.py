@@ -3,12 +3,13 @@
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactorch.errors import ConvergenceError
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.adaptive import adapt
 from tactorch.inverse.misfit import make_misfit
@@ -17,7 +18,7 @@ from tactorch.inverse.monitor import Monitor, OutOfTime
 from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.nuisance import Unknowns
 from tactorch.inverse.nuisance_estimate import estimates
-from tactorch.inverse.objective import Objective
+from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers import GaussNewton, Optimizer, make_optimizer
 from tactorch.inverse.parameterization import Bounds, make_parameterization
 from tactorch.inverse.problem import InverseProblem
@@ -31,6 +32,7 @@ from tactorch.versions import versions
 
 _log = logging.getLogger(__name__)
 START_MPA = 0.2
+INTERRUPTED = "interrupted"
 
 
 @dataclass
@@ -123,6 +125,7 @@ def invert(
             "set of unknowns": str(settings.unknowns),
             "misfit": settings.misfit,
         },
+        task=_task(recording, settings, optimizer),
     )
     if resume is not None:
         monitor.restore(Path(resume), objective.size)
@@ -137,10 +140,12 @@ def invert(
             "(noise.relative). Too small a value overfits.",
             settings.noise.relative,
         )
-    with progress(optimizer.name, show_progress) as update:
-        monitor.on_record = update
-        reason = _run(optimizer, objective, x, monitor)
-    monitor.save()
+    reason = monitor.ended
+    if not reason:
+        with progress(optimizer.name, show_progress) as update:
+            monitor.on_record = update
+            reason = _run(optimizer, objective, x, monitor)
+        monitor.save()
     found = _result(recording, settings, optimizer, objective, monitor, reason)
     return replace(found, config={"start_mpa": _described(start_mpa), **found.config})
 
@@ -160,6 +165,7 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
         newton=settings.newton,
         misfit=make_misfit(settings.misfit),
     )
+    problem.unknowns = settings.unknowns
     if chosen(settings.model_error, recording, settings.element) == "discretisation":
         fit = uniform_fit(problem, settings.bounds, settings.unknowns)
         left = settings.model_error_left
@@ -177,11 +183,50 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
     return objective
 
 
+def solution(recording: Recording, found: Reconstruction, settings: Settings) -> Point:
+    """Return the point of the objective at which an inversion has ended.
+
+    Args:
+        recording: Presses that were inverted.
+        found: Result.
+        settings: Settings of the inversion.
+
+    Raises:
+        ConfigError: the settings free other nuisance parameters than the result has, or the
+            recording has another mesh.
+        ConvergenceError: a press has no equilibrium there.
+    """
+    free = settings.unknowns
+    if set(free.names) != set(found.nuisance) or recording.mesh.n_tets != len(found.youngs):
+        raise ConfigError(
+            f"the result has {len(found.youngs)} moduli and the free parameters "
+            f"{sorted(found.nuisance)}, recording and settings {recording.mesh.n_tets} and "
+            f"{sorted(free.names)}; give those of the inversion."
+        )
+    objective = make_objective(recording, settings)
+    values = {name: estimate.value for name, estimate in found.nuisance.items()}
+    x = objective.start(found.youngs)
+    x[len(found.youngs) :] = free.z(values, objective.problem.assumed)
+    return objective.at(x)
+
+
 def _of_model(recording: Recording, settings: Settings) -> str:
     """What is done about the model's error, in words by which runs are told apart."""
     name = chosen(settings.model_error, recording, settings.element)
     usual = name == "none" or settings.model_error_left == LEFT
     return name if usual else f"{name}, {settings.model_error_left:g} left"
+
+
+def _task(recording: Recording, settings: Settings, optimizer: Optimizer) -> str:
+    """Everything but the start that decides the result, in few characters."""
+    digest = sha256(repr(_plain(replace(settings, optimizer="", max_seconds=None))).encode())
+    digest.update(repr((optimizer.name, _fields(optimizer), recording.material)).encode())
+    digest.update(repr(settings.noise.deviations(recording)).encode())
+    for press in recording.presses:
+        held = (press.springs, press.fixed, press.prescribed)
+        for array in (press.forces, press.displacement, press.weights, *held):
+            digest.update(np.asarray(0 if array is None else array).tobytes())
+    return digest.hexdigest()[:16]
 
 
 def _described(start: Start) -> float | str:
@@ -194,13 +239,15 @@ def _described(start: Start) -> float | str:
 def _run(optimizer: Optimizer, objective: Objective, x: np.ndarray, monitor: Monitor) -> str:
     """Run to an end; interruptions keep the best so far."""
     try:
-        return optimizer.minimize(objective, x, monitor)
+        reason = optimizer.minimize(objective, x, monitor)
+        monitor.ended = "" if reason.endswith("limit reached") else reason
+        return reason
     except OutOfTime:
         return "time limit reached"
     except KeyboardInterrupt:
         if monitor.best is None:
             raise
-        return "interrupted"
+        return INTERRUPTED
     except ConvergenceError as error:  # an unstable equilibrium has no derivatives
         if monitor.point is None:
             raise

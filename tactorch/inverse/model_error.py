@@ -93,7 +93,13 @@ def discretisation_error(
             "model_error=discretisation compares plain tetrahedra with quadratic ones; with "
             f"element={problem.body.discretisation.element.name} choose model_error=none."
         )
-    finer = InverseProblem(problem.recording, element="tet10", noise=problem.noise)
+    finer = InverseProblem(
+        problem.recording,
+        element="tet10",
+        solver=problem.body.solver,
+        noise=problem.noise,
+        newton=problem.body.newton,
+    )
     youngs = youngs_mpa
     for trial in range(_TRIALS):
         try:

@@ -37,6 +37,8 @@ class Monitor:
             (largest change of a parameter), damping.
         state: The optimizer's own numbers, for resuming.
         identity: What a checkpoint must agree in to be resumed: name and value.
+        task: All that decides the result; a run of the same task that had ended has nothing to do.
+        ended: Why such a run ended; empty where there is something to do.
     """
 
     max_seconds: float | None = None
@@ -46,6 +48,8 @@ class Monitor:
     history: list[dict[str, Any]] = field(default_factory=list)
     state: dict[str, float] = field(default_factory=dict)
     identity: dict[str, str] = field(default_factory=dict)
+    task: str = ""
+    ended: str = ""
     best: Float[np.ndarray, " m"] | None = None
     point: Point | None = None
     _began: float = field(default_factory=time.perf_counter)
@@ -120,6 +124,8 @@ class Monitor:
                 state_names=np.array(list(self.state), dtype=str),
                 identity=np.array(list(self.identity.values()), dtype=str),
                 identity_names=np.array(list(self.identity), dtype=str),
+                task=self.task,
+                ended=self.ended,
             )
 
     def restore(self, path: Path, n_unknowns: int) -> None:
@@ -143,6 +149,8 @@ class Monitor:
             self.state = _dict(saved, "state")
             identity = _dict(saved, "identity")
             self.best, self._spent = saved["x"], float(saved["seconds"])
+            if str(saved.get("task")) == self.task:
+                self.ended = str(saved["ended"])
         except (OSError, ValueError, KeyError, EOFError, BadZipFile, AttributeError) as error:
             raise FileError(
                 f"checkpoint '{source}' cannot be read ({error}); start anew without resume."

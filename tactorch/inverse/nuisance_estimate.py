@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import TactorchError
+from tactorch.errors import ConvergenceError, TactorchError
 from tactorch.inverse.objective import Point
 from tactorch.linalg import DenseCholesky
 
@@ -20,7 +20,7 @@ class NuisanceEstimate:
     Attributes:
         value: Its components.
         deviation: Their posterior standard deviations, of scales relative; NaN where the problem
-            is too large for the dense matrix that they take.
+            is too large for the dense matrix that they take, or an equilibrium is unstable.
         prior_deviation: What they were before the data.
     """
 
@@ -70,7 +70,10 @@ def _deviation_of_z(point: Point, weight: float) -> Float[np.ndarray, " k"]:
     k = len(point.z)
     if len(point.x) > _DENSE:
         return np.full(k, np.nan)
-    precision = point.jacobian.T @ point.jacobian
+    try:
+        precision = point.jacobian.T @ point.jacobian
+    except ConvergenceError:  # an unstable equilibrium, at which the search has ended
+        return np.full(k, np.nan)
     coo = point.prior_curvature(weight).tocoo()
     np.add.at(precision, (coo.row, coo.col), coo.data)
     # Where neither data nor prior say anything of an element, its modulus must not be free to

@@ -43,6 +43,21 @@ class Parameterization(ABC):
     def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return d youngs / d x, MPa."""
 
+    def variance_fall(
+        self,
+        mean: Float[np.ndarray, " m"],
+        before: Float[np.ndarray, " m"],
+        after: Float[np.ndarray, " m"],
+    ) -> Float[np.ndarray, " m"]:
+        """Return by how much the variance of the moduli is expected to fall, MPa^2.
+
+        Args:
+            mean: Of the parameters, which are normally distributed.
+            before: Their variances.
+            after: Their variances once more is known, which moves the means too.
+        """
+        return self.slope(mean) ** 2 * (before - after)
+
     @abstractmethod
     def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return the parameters of moduli."""
@@ -110,6 +125,28 @@ class Log(Parameterization):
     def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return d youngs / d x, MPa."""
         return np.exp(x)
+
+    def variance_fall(
+        self,
+        mean: Float[np.ndarray, " m"],
+        before: Float[np.ndarray, " m"],
+        after: Float[np.ndarray, " m"],
+    ) -> Float[np.ndarray, " m"]:
+        """Return by how much the variance of the moduli is expected to fall, MPa^2.
+
+        Exact for the log-normal distribution: the new mean is m + N(0, v - v'), and so
+        E[e^(2 m' + v') (e^v' - 1)] = e^(2 m + 2 v) (1 - e^-v'). No variance is taken as larger
+        than that of anything within the bounds.
+
+        Args:
+            mean: Of the parameters, which are normally distributed.
+            before: Their variances.
+            after: Their variances once more is known, which moves the means too.
+        """
+        low, high = self.limits
+        share = np.minimum(1.0, (high - low) ** 2 / 12.0 / np.maximum(before, 1e-300))
+        v, w = share * before, share * after
+        return np.exp(2.0 * (mean + v)) * (np.exp(-w) - np.exp(-v))
 
     def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return the parameters of moduli."""

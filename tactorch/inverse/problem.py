@@ -13,7 +13,7 @@ from tactorch.inverse.correlation import CommonError
 from tactorch.inverse.evaluation import Evaluation, Observation, Solved
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.noise import NoiseModel
-from tactorch.inverse.nuisance import Nuisance, Placing
+from tactorch.inverse.nuisance import Nuisance, Placing, Unknowns
 from tactorch.recording import Press, Recording
 
 
@@ -56,6 +56,7 @@ class InverseProblem:
         self.placing = Placing(recording)
         self.common: CommonError | None = None
         self.model_deviation: list[float] | None = None  # mm, of each press, if it is counted
+        self.unknowns = Unknowns()  # that are estimated beside the map, for starts to know
         self.misfit = misfit or Squares()
         self._weight = self._body_force()
         self.evaluations = 0

@@ -29,8 +29,9 @@ def best_uniform(
 
 
 def homogeneous(problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
-    """Start from the best uniform modulus."""
-    return np.full(problem.n_unknowns, best_uniform(problem, bounds))
+    """Start from the best uniform modulus, nuisance parameters that are free fitted beside it."""
+    fit = uniform_fit(problem, bounds, problem.unknowns)
+    return np.full(problem.n_unknowns, fit.youngs_mpa)
 
 
 def monte_carlo(

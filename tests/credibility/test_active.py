@@ -77,6 +77,21 @@ def test_presses_differ_and_leave_a_map_each(run: Callable[..., list[Step]], rul
     assert steps[0].seconds <= steps[-1].seconds
 
 
+def test_an_interruption_ends_the_session_with_what_was_measured(
+    run: Callable[..., list[Step]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    minimize = GaussNewton.minimize
+
+    def interrupted(self: GaussNewton, *arguments: object) -> str:
+        minimize(self, *arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(GaussNewton, "minimize", interrupted)
+    steps = run(LargestUncertainty(), 3)
+    assert len(steps) == 1
+    assert steps[0].press.observed.any()
+
+
 def test_stops_where_the_posterior_is_narrow_enough(run: Callable[..., list[Step]]) -> None:
     assert len(run(UniformGrid(4), 4, target_deviation=1e3)) == 1
 

@@ -17,6 +17,7 @@ from tactorch.credibility import (
 )
 from tactorch.credibility.rules import area_means
 from tactorch.errors import ConfigError
+from tactorch.inverse.parameterization import Log
 from tactorch.mesh import TetMesh, box_mesh
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -46,7 +47,7 @@ def now(mesh: TetMesh, patches: list[Patch]) -> Situation:
 
     felt = (mesh.centroids[:, 0] < 4.0).astype(float)[None]
     belief = Belief(np.zeros(m), np.eye(m))
-    return Situation(mesh, patches, (0,), belief, np.ones(m), felt, jacobians)
+    return Situation(mesh, patches, (0,), belief, Log(), felt, jacobians)
 
 
 def peaked(now: Situation, at: int) -> Situation:
@@ -94,7 +95,8 @@ def test_ours_go_where_the_belief_is_wide(now: Situation, rule: Rule) -> None:
 def test_error_of_the_moduli_counts_more_where_it_is_stiff(now: Situation) -> None:
     for at in (5, 10, 15):
         gaps = np.linalg.norm(now.mesh.centroids - now.candidates[at].center, axis=1)
-        stiff = replace(now, slope=np.where(gaps < 1.5, 0.5, 0.1))
+        logs = np.log(np.where(gaps < 1.5, 0.5, 0.1))
+        stiff = replace(now, belief=Belief(logs, now.belief.covariance))
         assert ExpectedError().choose(stiff) == at
         assert ExpectedError("parameters").choose(stiff) == ExpectedError("parameters").choose(now)
     with pytest.raises(ConfigError, match="of=energy"):

@@ -29,6 +29,14 @@ def test_dependent_patterns_are_no_trouble() -> None:
     np.testing.assert_allclose(twice.whiten(values), once.whiten(values), atol=1e-12)
 
 
+def test_a_widened_noise_leaves_the_common_error_as_large() -> None:
+    rng = np.random.default_rng(1)
+    patterns, factors = rng.standard_normal((8, 2)), rng.uniform(1.0, 5.0, 8)
+    found = CommonError(patterns).widened(factors).whiten(np.eye(8))
+    expected = CommonError(patterns / factors[:, None]).whiten(np.eye(8))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
 def test_products_of_the_jacobian_are_whitened_alike(
     recording: Recording, moduli: np.ndarray
 ) -> None:

@@ -292,3 +292,16 @@ def test_description_names_units() -> None:
     assert "1.2 s" in text
     assert "misfit 1.0000e-03 mm2" in text
     assert "weight 0.5" in text
+
+
+def test_a_run_that_had_ended_has_nothing_more_to_do(noisy: Recording, tmp_path: Path) -> None:
+    """Killed between the end of the search and the end of the run."""
+    path = tmp_path / "ended.npz"
+    settings = Settings(optimizer=GaussNewton(tolerance=1e-2))
+    whole = invert(noisy, settings, checkpoint=path)
+    again = invert(noisy, settings, checkpoint=path, resume=path)
+    assert again.history == whole.history
+    assert again.stop_reason == whole.stop_reason
+    np.testing.assert_allclose(again.youngs, whole.youngs, rtol=1e-12)
+    finer = invert(noisy, Settings(optimizer=GaussNewton(tolerance=1e-6)), resume=path)
+    assert finer.iterations > whole.iterations

@@ -56,6 +56,38 @@ def test_what_x_means() -> None:
     assert make_parameterization("scaled", bounds).limits == (0.0, 1.0)
 
 
+NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(60)
+WEIGHTS = WEIGHTS / WEIGHTS.sum()
+
+
+def _variance(p: Parameterization, mean: float, variance: float) -> float:
+    """Variance of the modulus of a normal parameter, by quadrature."""
+    youngs = p.youngs(mean + np.sqrt(variance) * NODES)
+    return float((youngs - youngs @ WEIGHTS) ** 2 @ WEIGHTS)
+
+
+@pytest.mark.parametrize(
+    ("name", "mean", "before", "after"),
+    [("identity", 0.3, 0.04, 0.01), ("scaled", 0.5, 0.002, 0.0), ("log", -1.0, 0.8, 0.3)],
+)
+def test_variance_falls_as_its_mean_over_all_data(
+    name: str, mean: float, before: float, after: float
+) -> None:
+    p = make_parameterization(name)
+    means = mean + np.sqrt(before - after) * NODES  # of the parameter, once more is known
+    later = np.array([_variance(p, float(m), after) for m in means]) @ WEIGHTS
+    fall = _variance(p, mean, before) - later
+    found = p.variance_fall(np.array([mean]), np.array([before]), np.array([after]))
+    np.testing.assert_allclose(found, fall, rtol=1e-9)
+
+
+def test_logs_are_never_less_certain_than_the_bounds() -> None:
+    log = make_parameterization("log")
+    wide = log.variance_fall(np.zeros(2), np.array([1e3, 1e6]), np.array([0.0, 0.0]))
+    assert np.isfinite(wide).all()
+    assert wide[0] == pytest.approx(wide[1])
+
+
 def test_scaled_never_falls_below_its_bound() -> None:
     assert make_parameterization("scaled").youngs(np.array([-1e-9]))[0] == 0.001
 

@@ -10,15 +10,17 @@ from tactorch.inverse import (
     GaussNewton,
     InverseProblem,
     Settings,
+    Unknowns,
     best_uniform,
     homogeneous,
     invert,
+    make_objective,
     monte_carlo,
     start_map,
 )
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
-from tactorch.simulation import PressPlan, simulate
+from tactorch.simulation import PressPlan, misjudged, simulate
 
 
 @pytest.fixture(scope="module")
@@ -117,3 +119,15 @@ def test_every_iteration_is_shown_with_its_map(recording: Recording):
     assert [record["iteration"] for record, _ in seen] == list(range(len(found.history)))
     assert np.array_equal(seen[-1][1], found.youngs)
     assert np.allclose(seen[0][1], 0.2)
+
+
+def test_what_is_free_beside_the_map_is_fitted_with_the_modulus(uniform: Recording):
+    """A shape that is believed a tenth too large would be taken for another modulus."""
+    large = misjudged(uniform, size=1.1)
+    free = Settings(unknowns=Unknowns(rest_scale=0.2), model_error="none")
+    beside, alone = (
+        homogeneous(make_objective(large, settings).problem, Bounds())[0]
+        for settings in (free, Settings(model_error="none"))
+    )
+    assert beside == pytest.approx(0.37, rel=0.01)
+    assert alone < 0.2

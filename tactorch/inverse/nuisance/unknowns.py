@@ -1,5 +1,6 @@
 """Which nuisance parameters are estimated beside the moduli, and how far they may be off."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -77,6 +78,18 @@ class Unknowns:
             value = origin * np.exp(shift) if name in _RATIOS else origin + shift
             changes[name] = float(value[0]) if _SIZES[name] == 1 else value
         return replace(assumed, **changes)
+
+    def z(
+        self, values: Mapping[str, Float[np.ndarray, " _"]], assumed: Nuisance
+    ) -> Float[np.ndarray, " k"]:
+        """Return z of values, by name; the inverse of `nuisance`."""
+        parts = [np.zeros(0)]
+        for name in self.names:
+            value = np.atleast_1d(values[name])
+            origin = np.atleast_1d(getattr(assumed, name))
+            shift = np.log(value / origin) if name in _RATIOS else value - origin
+            parts.append(shift / getattr(self, name))
+        return np.concatenate(parts)
 
     def slopes(self) -> Float[np.ndarray, " k"]:
         """Return d(value, or log of a scale) / dz: the prior deviations, one a component."""
