@@ -1,6 +1,7 @@
 """Continuing a run: its folder remembers the settings it was started with."""
 
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,10 @@ _VERBS = ("invert", "demo")
 def with_resume(verb: str, settings: list[str]) -> list[str]:
     """Let `resume=RUN` repeat that run's settings in its folder; the given ones win.
 
+    A run that was stopped before its first checkpoint starts anew.
+
     Raises:
-        FileError: it is not a run folder, or holds no checkpoint.
+        FileError: it is not a run folder.
         ConfigError: it is a run of another command, or several runs are asked for.
     """
     chosen = [s.split("=", 1)[1] for s in settings if s.startswith("resume=")]
@@ -28,7 +31,6 @@ def with_resume(verb: str, settings: list[str]) -> list[str]:
 
 def _repeated(verb: str, run: Path, settings: list[str]) -> list[str]:
     require_folder(run, "run to resume")
-    require_file(run / CHECKPOINT, "checkpoint of the run to resume")
     earlier = _load(run, "overrides.yaml")
     hydra = _load(run, "hydra.yaml")
     if not isinstance(earlier, list) or not isinstance(hydra, dict):
@@ -36,6 +38,10 @@ def _repeated(verb: str, run: Path, settings: list[str]) -> list[str]:
     made_by = hydra["hydra"]["job"]["name"]
     if made_by != verb:
         raise ConfigError(f"'{run}' is a run of {made_by}; continue it with tactorch {made_by}.")
+    if not (run / CHECKPOINT).exists():
+        notice = f"'{run}' was stopped before its first checkpoint; it starts anew."
+        print(notice, file=sys.stderr)
+        settings = [s for s in settings if _key(s) != "resume"]
     given = {_key(setting) for setting in settings}
     kept = [s for s in earlier if _key(s) not in {*given, "resume", "run_dir"}]
     kept = [_moved(s, Path(hydra["hydra"]["runtime"]["cwd"])) for s in kept]

@@ -588,11 +588,6 @@ def checkpoint(change: Callable[[Path], object]) -> Spoil:
 
 
 @cases(
-    Case(
-        "checkpoint missing",
-        ("checkpoint of the run to resume not found",),
-        checkpoint(Path.unlink),
-    ),
     Case("checkpoint cut short", ("checkpoint.npz' cannot be read", "start anew"), checkpoint(cut)),
     Case(
         "checkpoint that is text",

@@ -57,6 +57,20 @@ def test_killed_run_goes_on_from_its_checkpoint(tactorch: Any, recording: Path) 
     np.testing.assert_allclose(load().youngs, load("whole").youngs, rtol=1e-9)
 
 
+def test_a_run_stopped_before_its_first_checkpoint_starts_anew(
+    tactorch: Any, recording: Path
+) -> None:
+    start = ("invert", f"recording={recording}", *RUN, "optimizer.max_iterations=2")
+    assert tactorch(*start).status == 0
+    expected = load().youngs
+    for path in (Path("run/checkpoint.npz"), Path("run/reconstruction.h5")):
+        path.unlink()
+    done = tactorch("invert", "resume=run")
+    assert done.status == 0, done.err
+    assert "stopped before its first checkpoint" in done.err
+    np.testing.assert_allclose(load().youngs, expected, rtol=1e-9)
+
+
 def test_resume_repeats_the_settings_of_the_run(tactorch: Any, recording: Path) -> None:
     tactorch(
         "invert", f"recording={recording}", "run_dir=run", "plots=false", "optimizer=lbfgs",
