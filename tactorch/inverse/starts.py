@@ -3,6 +3,7 @@
 A start is a function of the inverse problem, so a learned one plugs in the same way.
 """
 
+import os
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.fem import map_cases
 from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.uniform import FIRST_MPA, uniform_fit
@@ -42,7 +44,8 @@ def monte_carlo(
 ) -> Callable[[InverseProblem, Bounds], np.ndarray]:
     """Make a start that draws maps and keeps the one that fits best.
 
-    Draws without an equilibrium are passed over; the presses of each are solved side by side.
+    Draws without an equilibrium are passed over. Draws are solved side by side where there are
+    fewer presses than cores, else the presses of each.
 
     Args:
         draw: Draws a map, MPa; a prior's `sample`, say.
@@ -56,20 +59,25 @@ def monte_carlo(
         raise ConfigError(f"draws={draws} must be at least 1.")
 
     def start(problem: InverseProblem, bounds: Bounds) -> np.ndarray:
-        best, lowest = None, np.inf
-        for i in range(draws):
-            youngs = np.clip(draw(np.random.default_rng([seed, i])), bounds.lower, bounds.upper)
+        drawn = [
+            np.clip(draw(np.random.default_rng([seed, i])), bounds.lower, bounds.upper)
+            for i in range(draws)
+        ]
+
+        def work(i: int) -> float:
             try:
-                chi2 = problem.evaluate(youngs).chi2
+                return problem.evaluate(drawn[i]).chi2
             except ConvergenceError:
-                continue
-            if chi2 < lowest:
-                best, lowest = youngs, chi2
-        if best is None:
+                return np.inf
+
+        few = len(problem.recording.presses) < (os.cpu_count() or 1)
+        chi2 = map_cases(work, draws) if few else [work(i) for i in range(draws)]
+        best = int(np.argmin(chi2))
+        if np.isinf(chi2[best]):
             raise ConvergenceError(
                 f"None of {draws} random starts carries the presses; draw stiffer maps."
             )
-        return best
+        return drawn[best]
 
     return start
 

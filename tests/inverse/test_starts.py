@@ -63,8 +63,10 @@ def test_jacobian_times_is_the_jacobian_times(recording: Recording):
     assert np.allclose(at.jacobian_times(change), at.jacobian() @ change, rtol=1e-9, atol=1e-9)
 
 
-def test_monte_carlo_keeps_the_draw_that_fits_best(uniform: Recording):
-    problem, m = InverseProblem(uniform), uniform.mesh.n_tets
+@pytest.mark.parametrize("presses", [1, 2])
+def test_monte_carlo_keeps_the_draw_that_fits_best(uniform: Recording, presses: int):
+    """One press leaves cores for draws side by side."""
+    problem, m = InverseProblem(uniform.select(range(presses))), uniform.mesh.n_tets
 
     def draw(rng: np.random.Generator) -> np.ndarray:
         return np.full(m, rng.uniform(0.1, 1.0))
