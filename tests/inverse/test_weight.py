@@ -101,6 +101,31 @@ def test_an_overfitted_map_raises_the_weight_by_as_much_as_it_says(
     assert not cooling.retry(fitted(0.97))
 
 
+@pytest.mark.parametrize(
+    ("course", "weight"),
+    [
+        ((1.125, 1.212, 1.24), 1.0 / 3.0),  # it misfits, ever more slowly
+        ((0.38, 0.44, 0.47), 3.0),  # it overfits, and will
+        ((0.70, 0.79, 0.87), None),  # it overfits yet
+        ((1.30, 1.20, 1.12), None),  # it misfits yet
+        ((0.80, 0.70, 0.75), None),  # who knows
+        ((0.50, 0.55, 0.60), None),  # it does not slow down
+        ((1.03, 1.04, 1.045), None),  # it hardly misfits
+    ],
+)
+def test_what_the_course_of_the_misfit_foretells_is_not_waited_for(
+    fitted: Callable[[float], Point], course: tuple[float, ...], weight: float | None
+) -> None:
+    cooling = Cooling(1.0, 30.0, False)
+    cooling.lower(0.5)
+    told = []
+    for chi2 in course:
+        told.append(cooling.retry(fitted(chi2), converged=False))
+        cooling = Cooling.start(fitted(chi2), None, cooling.state())  # as a resumed run does
+    assert told == [False, False, weight is not None]
+    assert cooling.weight == pytest.approx(1.0 if weight is None else weight)
+
+
 def test_far_overfitted_maps_need_not_converge_but_are_no_bound(
     fitted: Callable[[float], Point],
 ) -> None:

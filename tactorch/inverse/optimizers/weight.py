@@ -29,6 +29,9 @@ _OVERFITTED, _MISFITTED = 0.9, 1.02
 _ROUNDS, _RAISE = 8, 3.0
 _FAR_OVER, _EARLY = 0.3, 3  # mean squared residual that needs no converging; how often it may not
 _MOST_RAISED = 100.0
+# Ratio of successive changes of the misfit up to which its limit is foretold, and how far beyond
+# the limits that must lie.
+_CREEPING, _BEYOND = 0.9, 1.05
 _CHANGE, _LOOKS = 3.0, 30  # largest change of a chosen weight in one step; most choices
 _SAME = 1.2
 _RULE = 30.0
@@ -47,6 +50,8 @@ class Cooling:
         rounds: Weights tried since the first end, or choices made by another rule.
         below: Largest weight that overfitted once converged; zero if none did.
         above: Smallest weight that misfitted once converged; infinite if none did.
+        last: Mean squared residual at the last look, if the weight was the same; else zero.
+        before: The same at the look before.
     """
 
     weight: float
@@ -57,6 +62,8 @@ class Cooling:
     rounds: int = 0
     below: float = 0.0
     above: float = np.inf
+    last: float = 0.0
+    before: float = 0.0
 
     @staticmethod
     def start(
@@ -78,6 +85,8 @@ class Cooling:
                 int(state.get("weight_rounds", 0)),
                 state.get("weight_below", 0.0),
                 state.get("weight_above", np.inf),
+                state.get("weight_last", 0.0),
+                state.get("weight_before", 0.0),
             )
         first = ruling_weight(point)
         return Cooling(first, first, fixed=first == 0.0, rule=rule)
@@ -94,6 +103,8 @@ class Cooling:
             "weight_rounds": float(self.rounds),
             "weight_below": self.below,
             "weight_above": self.above,
+            "weight_last": self.last,
+            "weight_before": self.before,
         }
 
     def follow(self, point: Point) -> None:
@@ -119,28 +130,43 @@ class Cooling:
         """Say whether the map calls for another weight, and take it.
 
         The weight rises until the converged map misfits, then is bisected; no more than a few
-        rounds. The first of them need not converge where the data are far overfitted. Where the
-        noise is only assumed, a smaller misfit is no overfit.
+        rounds. A map need not converge where the misfit's course tells its end (Aitken, 1926), and
+        the first few not where the data are far overfitted. Where the noise is only assumed, a
+        smaller misfit is no overfit.
         """
         problem, chi2 = point.objective.problem, point.evaluation.chi2
         if problem.noise.assumed(problem.recording):
             return False
         if self.ended != _FITTED or self.rule != "discrepancy" or self.rounds >= _ROUNDS:
             return False
-        if not converged and (chi2 >= _FAR_OVER or self.rounds >= _EARLY):
+        sure = converged or self._foretold(chi2)
+        self.last, self.before = chi2, self.last
+        if not sure and (chi2 >= _FAR_OVER or self.rounds >= _EARLY):
             return False
         if _OVERFITTED <= chi2 <= _MISFITTED:
             return False
         if chi2 > _MISFITTED:
             self.above = min(self.above, self.weight)
-        elif converged:
+        elif sure:
             self.below = max(self.below, self.weight)
         if np.isinf(self.above):
             self.weight *= float(np.clip(1.0 / max(chi2, 1.0 / _MOST_RAISED), _RAISE, None))
         else:
             self.weight = float(np.sqrt(max(self.below, self.above / _RAISE**2) * self.above))
         self.rounds += 1
+        self.last = self.before = 0.0
         return True
+
+    def _foretold(self, chi2: float) -> bool:
+        """Whether the misfit is beyond a limit, and will stay there once converged."""
+        if not self.before:
+            return False
+        first, second = self.last - self.before, chi2 - self.last
+        if not 0.0 < second * first <= _CREEPING * first * first:
+            return False
+        end = chi2 + second * second / (first - second)
+        over = max(chi2, end) < _OVERFITTED / _BEYOND
+        return over or min(chi2, end) > _MISFITTED * _BEYOND
 
     def lower(self, chi2: float) -> None:
         """Lower the weight, unless it was given, has ended or ends now."""
