@@ -141,6 +141,7 @@ def corrected(problem: InverseProblem, error: ModelError) -> None:
     presses on one place, and without it the data would seem to know small uniform motions, such as
     those of the springs below, better than they do.
     """
+    before = np.concatenate([seen.scale for seen in problem.observations])
     problem.observations = [
         replace(
             seen,
@@ -151,6 +152,8 @@ def corrected(problem: InverseProblem, error: ModelError) -> None:
             problem.observations, error.offset, error.deviation, strict=True
         )
     ]
+    after = np.concatenate([seen.scale for seen in problem.observations])
+    problem.sure_noise = float(np.mean((after / before) ** 2))
     problem.common = CommonError(_smooth_patterns(problem, error))
     problem.model_deviation = error.deviation
 

@@ -56,6 +56,7 @@ class InverseProblem:
         self.placing = Placing(recording)
         self.common: CommonError | None = None
         self.model_deviation: list[float] | None = None  # mm, of each press, if it is counted
+        self.sure_noise = 1.0  # share of the data's variance that is noise, and no model's error
         self.unknowns = Unknowns()  # that are estimated beside the map, for starts to know
         self.misfit = misfit or Squares()
         self._weight = self._body_force()

@@ -60,6 +60,8 @@ def test_deviations_add_up_in_squares(finer: Recording):
     corrected(problem, error)
     after = 1.0 / problem.observations[0].scale
     assert np.allclose(after**2, before**2 + error.deviation[0] ** 2)
+    shares = [(b / a) ** 2 for b, a in zip(before, after, strict=True)]
+    assert problem.sure_noise == pytest.approx(np.mean(shares))
 
 
 def test_what_the_presses_of_one_place_share_is_counted_once(cube: Recording):

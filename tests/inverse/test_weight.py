@@ -101,6 +101,18 @@ def test_an_overfitted_map_raises_the_weight_by_as_much_as_it_says(
     assert not cooling.retry(fitted(0.97))
 
 
+def test_a_misfit_of_the_noise_alone_is_no_overfit(fitted: Callable[[float], Point]) -> None:
+    """Half of the variance is for a model's error that may not be there."""
+    cooling = Cooling(1.0, 30.0, False)
+    cooling.lower(0.5)
+    point = fitted(0.6)
+    point.objective.problem.sure_noise = 0.5
+    assert not cooling.retry(point)
+    assert cooling.retry(fitted(0.4))
+    point.objective.problem.sure_noise = 1.0
+    assert cooling.retry(fitted(0.6))
+
+
 @pytest.mark.parametrize(
     ("course", "weight"),
     [

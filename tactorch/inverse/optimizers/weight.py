@@ -132,18 +132,20 @@ class Cooling:
         The weight rises until the converged map misfits, then is bisected; no more than a few
         rounds. A map need not converge where the misfit's course tells its end (Aitken, 1926), and
         the first few not where the data are far overfitted. Where the noise is only assumed, a
-        smaller misfit is no overfit.
+        smaller misfit is no overfit; nor is it where it is no smaller than the noise alone, for the
+        model's error beside it may be less than was allowed for.
         """
         problem, chi2 = point.objective.problem, point.evaluation.chi2
         if problem.noise.assumed(problem.recording):
             return False
         if self.ended != _FITTED or self.rule != "discrepancy" or self.rounds >= _ROUNDS:
             return False
-        sure = converged or self._foretold(chi2)
+        least = _OVERFITTED * problem.sure_noise
+        sure = converged or self._foretold(chi2, least)
         self.last, self.before = chi2, self.last
         if not sure and (chi2 >= _FAR_OVER or self.rounds >= _EARLY):
             return False
-        if _OVERFITTED <= chi2 <= _MISFITTED:
+        if least <= chi2 <= _MISFITTED:
             return False
         if chi2 > _MISFITTED:
             self.above = min(self.above, self.weight)
@@ -157,7 +159,7 @@ class Cooling:
         self.last = self.before = 0.0
         return True
 
-    def _foretold(self, chi2: float) -> bool:
+    def _foretold(self, chi2: float, least: float) -> bool:
         """Whether the misfit is beyond a limit, and will stay there once converged."""
         if not self.before:
             return False
@@ -165,7 +167,7 @@ class Cooling:
         if not 0.0 < second * first <= _CREEPING * first * first:
             return False
         end = chi2 + second * second / (first - second)
-        over = max(chi2, end) < _OVERFITTED / _BEYOND
+        over = max(chi2, end) < least / _BEYOND
         return over or min(chi2, end) > _MISFITTED * _BEYOND
 
     def lower(self, chi2: float) -> None:
