@@ -49,7 +49,7 @@ class Parameterization(ABC):
         before: Float[np.ndarray, " m"],
         after: Float[np.ndarray, " m"],
     ) -> Float[np.ndarray, " m"]:
-        """Return by how much the variance of the moduli is expected to fall, MPa^2.
+        """Return by how much the variance of the moduli is expected to fall, MPa^2; to first order.
 
         Args:
             mean: Of the parameters, which are normally distributed.
@@ -132,16 +132,11 @@ class Log(Parameterization):
         before: Float[np.ndarray, " m"],
         after: Float[np.ndarray, " m"],
     ) -> Float[np.ndarray, " m"]:
-        """Return by how much the variance of the moduli is expected to fall, MPa^2.
+        """See `Parameterization.variance_fall`; exact for the log-normal distribution.
 
-        Exact for the log-normal distribution: the new mean is m + N(0, v - v'), and so
-        E[e^(2 m' + v') (e^v' - 1)] = e^(2 m + 2 v) (1 - e^-v'). No variance is taken as larger
-        than that of anything within the bounds.
-
-        Args:
-            mean: Of the parameters, which are normally distributed.
-            before: Their variances.
-            after: Their variances once more is known, which moves the means too.
+        The new mean is m + N(0, v - v'), so E[e^(2 m' + v') (e^v' - 1)] is
+        e^(2 m + 2 v) (1 - e^-v'). No variance is taken as larger than that of anything within the
+        bounds.
         """
         low, high = self.limits
         share = np.minimum(1.0, (high - low) ** 2 / 12.0 / np.maximum(before, 1e-300))
