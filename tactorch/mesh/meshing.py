@@ -6,6 +6,7 @@ import logging
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ def tetrahedralize(
     *,
     relative_edge_length: Real = 0.1,
     epsilon: Real = 1e-3,
+    inner: Sequence[tuple[Rows, Rows]] = (),
     cache: bool = True,
 ) -> TetMesh:
     """Fill a closed triangle surface with tetrahedra.
@@ -46,6 +48,8 @@ def tetrahedralize(
         relative_edge_length: Target as a share of the bounding box's diagonal, where
             `edge_length_mm` is not given; the paper's 10 % by default.
         epsilon: How far the result may leave the surface, as a share of the diagonal.
+        inner: Closed surfaces inside, vertices and triangles of each, that elements shall follow
+            rather than cut; what they enclose is filled too.
         cache: Whether to look up and store the result.
 
     Returns:
@@ -64,16 +68,36 @@ def tetrahedralize(
     tolerance = positive("epsilon", epsilon)
     volume = enclosed_volume(points, faces)
     _check_count(volume, length)
-    key = _key(points, faces, length, tolerance)
+    whole, all_faces = _with_inner(points, faces, inner)
+    key = _key(whole, all_faces, length, tolerance)
     mesh = load_mesh(key) if cache else None
     if mesh is None:
-        mesh = _sound(*_run_tetwild(points, faces, length, tolerance))
+        mesh = _sound(*_run_tetwild(whole, all_faces, length, tolerance))
         # The result stays within epsilon of the surface, so this much volume may differ.
         _check_volume(mesh, volume, 2 * tolerance * diagonal * surface_area(points, faces))
         logger.info("Meshed: %r, target edge length %.4g mm.", mesh, length)
         if cache:
             store_mesh(key, mesh)
     return mesh
+
+
+def _with_inner(
+    points: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "k 3"],
+    inner: Sequence[tuple[Rows, Rows]],
+) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "q 3"]]:
+    """Add closed surfaces, which must lie inside, to the outer one."""
+    all_points, all_faces, count = [points], [faces], len(points)
+    low, high = bounding_box(points)
+    slack = 1e-6 * float(np.linalg.norm(high - low))  # of surfaces that touch the outer one
+    for vertices, triangles in inner:
+        new, sides = closed_surface(vertices, triangles)
+        if (new < low - slack).any() or (new > high + slack).any():
+            raise MeshError("An inner surface reaches out of the outer one's bounding box.")
+        all_points.append(new)
+        all_faces.append(sides + count)
+        count += len(new)
+    return np.concatenate(all_points), np.concatenate(all_faces)
 
 
 def _edge_length(edge_length_mm: Real | None, relative: Real, diagonal: float) -> float:

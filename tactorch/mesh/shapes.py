@@ -31,8 +31,8 @@ class Shape(Protocol):
         ...
 
 
-class _Contains:
-    """Inside is where the distance is not positive."""
+class Contains:
+    """For shapes: inside is where the distance is not positive."""
 
     def contains(self: Shape, points: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
         """Return whether each point is inside or on the surface."""
@@ -40,15 +40,15 @@ class _Contains:
 
 
 @dataclass(frozen=True)
-class Sphere(_Contains):
+class Sphere(Contains):
     """A ball: `center_mm`, `radius_mm`."""
 
     center_mm: Vector = (0.0, 0.0, 0.0)
     radius_mm: Real = 1.0
 
     def __post_init__(self) -> None:
-        _store(self, center_mm=vector("center_mm", self.center_mm))
-        _store(self, radius_mm=positive("radius_mm", self.radius_mm))
+        store(self, center_mm=vector("center_mm", self.center_mm))
+        store(self, radius_mm=positive("radius_mm", self.radius_mm))
 
     def signed_distance(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return the distance of each point to the surface, mm, negative inside."""
@@ -60,15 +60,15 @@ class Sphere(_Contains):
 
 
 @dataclass(frozen=True)
-class Box(_Contains):
+class Box(Contains):
     """A cuboid along the axes: `center_mm` and full edge lengths `size_mm`."""
 
     center_mm: Vector = (0.0, 0.0, 0.0)
     size_mm: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        _store(self, center_mm=vector("center_mm", self.center_mm))
-        _store(self, size_mm=sizes("size_mm", self.size_mm))
+        store(self, center_mm=vector("center_mm", self.center_mm))
+        store(self, size_mm=sizes("size_mm", self.size_mm))
 
     def signed_distance(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return the distance of each point to the surface, mm, negative inside."""
@@ -81,7 +81,7 @@ class Box(_Contains):
 
 
 @dataclass(frozen=True)
-class Cylinder(_Contains):
+class Cylinder(Contains):
     """A solid cylinder: `center_mm` at mid-height, `radius_mm`, full `height_mm`, `axis`."""
 
     center_mm: Vector = (0.0, 0.0, 0.0)
@@ -90,10 +90,10 @@ class Cylinder(_Contains):
     axis: Vector = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        _store(self, center_mm=vector("center_mm", self.center_mm))
-        _store(self, radius_mm=positive("radius_mm", self.radius_mm))
-        _store(self, height_mm=positive("height_mm", self.height_mm))
-        _store(self, axis=unit_vector("axis", self.axis))
+        store(self, center_mm=vector("center_mm", self.center_mm))
+        store(self, radius_mm=positive("radius_mm", self.radius_mm))
+        store(self, height_mm=positive("height_mm", self.height_mm))
+        store(self, axis=unit_vector("axis", self.axis))
 
     def signed_distance(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return the distance of each point to the surface, mm, negative inside."""
@@ -112,15 +112,15 @@ class Cylinder(_Contains):
 
 
 @dataclass(frozen=True)
-class Ellipsoid(_Contains):
+class Ellipsoid(Contains):
     """An ellipsoid along the axes: `center_mm` and semi-axes `radii_mm`."""
 
     center_mm: Vector = (0.0, 0.0, 0.0)
     radii_mm: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        _store(self, center_mm=vector("center_mm", self.center_mm))
-        _store(self, radii_mm=sizes("radii_mm", self.radii_mm))
+        store(self, center_mm=vector("center_mm", self.center_mm))
+        store(self, radii_mm=sizes("radii_mm", self.radii_mm))
 
     def signed_distance(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return the distance of each point to the surface, mm, negative inside."""
@@ -175,6 +175,7 @@ def _around(center: Vector, half: Float[np.ndarray, "3"]) -> Float[np.ndarray, "
     return np.stack((np.array(center) - half, np.array(center) + half))
 
 
-def _store(shape: object, **fields: float | tuple[float, float, float]) -> None:
+def store(shape: object, **fields: object) -> None:
+    """Set fields of a frozen shape, once checked."""
     for name, value in fields.items():
         object.__setattr__(shape, name, value)

@@ -49,33 +49,104 @@ def cylinder_surface(
     Raises:
         ConfigError: A length is not positive, a value not finite, or there are too few segments.
     """
+    radius, half = positive("radius_mm", radius_mm), positive("height_mm", height_mm) / 2
+    profile = np.array([(0.0, -half), (radius, -half), (radius, half), (0.0, half)])
+    return revolved_surface(profile, center_mm, axis, segments)
+
+
+def revolved_surface(
+    profile: Float[np.ndarray, "c 2"],
+    center_mm: Vector = (0.0, 0.0, 0.0),
+    axis: Vector = (0.0, 0.0, 1.0),
+    segments: int = 48,
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "k 3"]]:
+    """Return vertices and outward triangles of a solid of revolution, as rings of `segments` sides.
+
+    Args:
+        profile: Its outline as (radius, height), from one end on the axis to the other, upward;
+            only the ends have radius 0.
+        center_mm: What (0, 0) of the outline stands for.
+        axis: Direction of the axis, of any length.
+        segments: Sides of each ring, at least 3.
+
+    Raises:
+        ConfigError: The outline does not begin and end on the axis, a value is not finite, or
+            there are too few segments.
+    """
     if segments < 3:
         raise ConfigError(f"segments={segments} must be at least 3.")
-    radius, height = positive("radius_mm", radius_mm), positive("height_mm", height_mm)
+    radii, heights = profile.T
+    if len(profile) < 3 or radii[0] != 0 or radii[-1] != 0 or not (radii[1:-1] > 0).all():
+        raise ConfigError("The outline must begin and end on the axis, and be off it between.")
     direction = np.array(unit_vector("axis", axis))
     first, second = _normal_plane(direction)
     angles = 2 * np.pi * np.arange(segments) / segments
-    ring = radius * (np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second))
-    up = height / 2 * direction
-    center = np.array(vector("center_mm", center_mm))
-    vertices = np.concatenate((ring - up, ring + up, [-up, up])) + center
-    return vertices, _prism_triangles(segments)
+    circle = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second)
+    rings = radii[1:-1, None, None] * circle + heights[1:-1, None, None] * direction
+    poles = heights[[0, -1], None] * direction
+    vertices = np.concatenate((rings.reshape(-1, 3), poles))
+    return vertices + np.array(vector("center_mm", center_mm)), _ring_triangles(
+        len(profile) - 2, segments
+    )
 
 
-def _prism_triangles(segments: int) -> Int[np.ndarray, "k 3"]:
-    """Triangles over bottom ring, top ring, bottom centre, top centre."""
-    here = np.arange(segments)
-    following = (here + 1) % segments
-    top_here, top_following = here + segments, following + segments
-    bottom = np.full(segments, 2 * segments)
-    return np.concatenate(
+def torus_surface(
+    radius_mm: Real,
+    tube_mm: Real,
+    center_mm: Vector = (0.0, 0.0, 0.0),
+    axis: Vector = (0.0, 0.0, 1.0),
+    segments: tuple[int, int] = (48, 24),
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "k 3"]]:
+    """Return vertices and outward triangles of a torus.
+
+    Args:
+        radius_mm: Of the core of the ring.
+        tube_mm: Around the core.
+        center_mm: Its centre.
+        axis: Direction of the axis, of any length.
+        segments: Sides along the ring and around the tube, at least 3 each.
+
+    Raises:
+        ConfigError: A length is not positive, or there are too few segments.
+    """
+    if min(segments) < 3:
+        raise ConfigError(f"segments={segments} must be at least 3 each.")
+    radius, tube = positive("radius_mm", radius_mm), positive("tube_mm", tube_mm)
+    direction = np.array(unit_vector("axis", axis))
+    first, second = _normal_plane(direction)
+    along, around = (2 * np.pi * np.arange(n) / n for n in segments)
+    outward = np.outer(np.cos(along), first) + np.outer(np.sin(along), second)
+    across = (radius + tube * np.cos(around))[None, :, None] * outward[:, None]
+    vertices = (across + (tube * np.sin(around))[None, :, None] * direction).reshape(-1, 3)
+    i, j = np.divmod(np.arange(len(vertices)), segments[1])
+    right, up = (i + 1) % segments[0] * segments[1], (j + 1) % segments[1]
+    here, beside = i * segments[1] + j, right + j
+    above, across_corner = i * segments[1] + up, right + up
+    triangles = np.concatenate(
         (
-            np.column_stack((here, following, top_following)),
-            np.column_stack((here, top_following, top_here)),
-            np.column_stack((bottom, following, here)),
-            np.column_stack((bottom + 1, top_here, top_following)),
+            np.column_stack((here, beside, across_corner)),
+            np.column_stack((here, across_corner, above)),
         )
     )
+    return vertices + np.array(vector("center_mm", center_mm)), triangles
+
+
+def _ring_triangles(rings: int, segments: int) -> Int[np.ndarray, "k 3"]:
+    """Triangles over rings from the lowest to the highest, then the lower and the upper pole."""
+    here = np.arange(segments)
+    following = (here + 1) % segments
+    lower, upper = rings * segments, rings * segments + 1
+    top = (rings - 1) * segments
+    sides = []
+    for ring in range(rings - 1):
+        a, b = here + ring * segments, following + ring * segments
+        sides += [
+            np.column_stack((a, b, b + segments)),
+            np.column_stack((a, b + segments, a + segments)),
+        ]
+    below = np.column_stack((np.full(segments, lower), following, here))
+    above = np.column_stack((np.full(segments, upper), here + top, following + top))
+    return np.concatenate((*sides, below, above))
 
 
 def _normal_plane(

@@ -1,10 +1,10 @@
 """Structural similarity in space: both fields on one voxel grid."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from tactorch.errors import ConfigError
-from tactorch.mesh import TetMesh
+from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.metrics.checks import check_on_mesh
 
 
@@ -46,7 +46,8 @@ def ssim(
         raise ConfigError(f"window is {window}; it must be odd, and from 3 to {voxels} voxels")
     if not (np.isfinite(range_mpa) and range_mpa > 0):
         raise ConfigError(f"range_mpa is {range_mpa}; give a range above 0 MPa")
-    elements, inside = _voxels(mesh, voxels)
+    grid = VoxelGrid(mesh, voxels)
+    elements, inside = grid.nearest, grid.inside
     _, similarity = structural_similarity(
         youngs[elements], truth[elements], win_size=window, data_range=range_mpa, full=True
     )
@@ -55,23 +56,3 @@ def ssim(
     inner[(slice(margin, -margin),) * 3] = True
     counted = inside & inner
     return float(similarity[counted if counted.any() else inside].mean())
-
-
-def _voxels(
-    mesh: TetMesh, count: int
-) -> tuple[Int[np.ndarray, "v v v"], Bool[np.ndarray, "v v v"]]:
-    """Return each voxel's element of nearest centroid, and whether its centre is in the body."""
-    from scipy.spatial import cKDTree
-
-    from tactorch.mesh.locate import locate
-
-    low, high = mesh.bounds
-    axes = [low[i] + (high[i] - low[i]) * (np.arange(count) + 0.5) / count for i in range(3)]
-    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    _, nearest = cKDTree(mesh.centroids).query(centres)
-    inside = locate(mesh, centres) >= 0
-    # Slivers of a body can slip between all centres; then its nearest moduli stand for it.
-    if not inside.any():
-        inside[:] = True
-    shape = (count, count, count)
-    return nearest.reshape(shape).astype(np.int64), inside.reshape(shape)

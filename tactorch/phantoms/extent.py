@@ -3,59 +3,37 @@
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.mesh import Box, Cylinder, Ellipsoid, Shape, Sphere
+from tactorch.mesh import Hyperboloid, Lathe, Shape, Union, skin
 
-# Directions are sampled every 5 degrees, the axes among them.
-_STEPS = 72
-# Lattice points along each axis for shapes of unknown kind.
-_LATTICE = 24
+# Sides of round shapes: what is found is short by 0.1 % of the radius at most.
+_SEGMENTS = 72
+_COARSE = 24
+_PER_TRIANGLE = 7  # steps along an edge of a triangle, where corners do not tell enough
 
 
 def protrusion(shape: Shape, body: Shape) -> float:
-    """Return by how much `shape` reaches out of a convex `body`, mm; negative where well inside.
+    """Return by how much `shape` reaches out of a body, mm; negative where well inside.
 
-    The distance to a convex body is convex, so it is largest at an extreme point of the shape.
-    Round shapes are sampled every 5 degrees: what is found is short by 0.1 % of the radius at most.
+    The distance to a convex body is convex, so it is largest at an extreme point of the shape. Of
+    bodies with a waist the shape's whole surface is sampled.
     """
-    return float(body.signed_distance(extreme_points(shape)).max())
+    steps = _PER_TRIANGLE if isinstance(body, Hyperboloid | Lathe) else 1
+    return float(body.signed_distance(_surface_points(shape, _SEGMENTS, steps)).max())
 
 
-def extreme_points(shape: Shape) -> Float[np.ndarray, "k 3"]:
-    """Return points of the shape whose convex hull is (nearly) the shape, mm."""
-    if isinstance(shape, Box):
-        low, high = shape.bounds()
-        choice = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        return np.where(choice == 1, high, low)
-    if isinstance(shape, Sphere):
-        return np.array(shape.center_mm) + shape.radius_mm * _directions()
-    if isinstance(shape, Ellipsoid):
-        return np.array(shape.center_mm) + np.array(shape.radii_mm) * _directions()
-    if isinstance(shape, Cylinder):
-        return _rims(shape)
-    return _lattice(shape)
+def clearance(shape: Shape, other: Shape) -> float:
+    """Return about how far two shapes are apart, mm; negative where they overlap."""
+    here, there = (_surface_points(one, _COARSE, 3) for one in (shape, other))
+    return float(min(other.signed_distance(here).min(), shape.signed_distance(there).min()))
 
 
-def _directions() -> Float[np.ndarray, "k 3"]:
-    around = 2.0 * np.pi * np.arange(_STEPS) / _STEPS
-    up = np.pi * np.arange(_STEPS // 2 + 1) / (_STEPS // 2)
-    a, b = (grid.ravel() for grid in np.meshgrid(around, up))
-    return np.column_stack((np.cos(a) * np.sin(b), np.sin(a) * np.sin(b), np.cos(b)))
-
-
-def _rims(cylinder: Cylinder) -> Float[np.ndarray, "k 3"]:
-    axis = np.array(cylinder.axis)
-    first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
-    first /= np.linalg.norm(first)
-    angles = 2.0 * np.pi * np.arange(_STEPS) / _STEPS
-    circle = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(axis, first))
-    ring = np.array(cylinder.center_mm) + cylinder.radius_mm * circle
-    up = cylinder.height_mm / 2 * axis
-    return np.concatenate((ring - up, ring + up))
-
-
-def _lattice(shape: Shape) -> Float[np.ndarray, "k 3"]:
-    low, high = shape.bounds()
-    steps = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, _LATTICE)] * 3), axis=-1).reshape(-1, 3)
-    points = low + steps * (high - low)
-    inside = points[shape.contains(points)]
-    return inside if len(inside) else (low + high)[None] / 2
+def _surface_points(shape: Shape, segments: int, steps: int) -> Float[np.ndarray, "p 3"]:
+    """Points on the surface (of a union: of its parts), `steps` along each triangle's edge."""
+    if isinstance(shape, Union):
+        return np.concatenate([_surface_points(part, segments, steps) for part in shape.parts])
+    vertices, triangles = skin(shape, segments)
+    if steps == 1:
+        return vertices
+    counts = [(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]
+    shares = np.array(counts) / steps
+    return np.einsum("pc,kcd->kpd", shares, vertices[triangles]).reshape(-1, 3)

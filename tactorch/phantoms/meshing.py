@@ -1,20 +1,26 @@
 """Meshes of a phantom's body."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import (
     Box,
     Cylinder,
+    Hemisphere,
+    Hyperboloid,
+    Lathe,
     Shape,
     TetMesh,
     box_mesh,
-    box_surface,
-    cylinder_surface,
+    skin,
     tetrahedralize,
 )
 from tactorch.mesh.values import Real, positive
 
+#: Bodies: each can have a flat side to be held by.
+BODIES = (Box, Cylinder, Hemisphere, Hyperboloid, Lathe)
 GENERATORS = ("auto", "structured", "tetwild")
 #: A structured grid of more cells is taken for a mistake in the edge length.
 MAX_CELLS = 1_000_000
@@ -28,8 +34,9 @@ def mesh_body(
     relative_edge_length: Real,
     generator: str,
     cache: bool,
+    inside: Sequence[Shape] = (),
 ) -> TetMesh:
-    """Mesh a body; see `Phantom.mesh`."""
+    """Mesh a body, along the surfaces of the shapes `inside` it; see `Phantom.mesh`."""
     if generator not in GENERATORS:
         raise ConfigError(f"generator={generator!r}: choose one of {', '.join(GENERATORS)}.")
     low, high = body.bounds()
@@ -38,10 +45,12 @@ def mesh_body(
         length = relative * float(np.linalg.norm(high - low))
     else:
         length = positive("edge_length_mm", edge_length_mm)
-    if generator == "structured" or (generator == "auto" and isinstance(body, Box)):
+    if generator == "structured" and inside:
+        raise ConfigError("generator='structured' cannot follow inclusions; use 'tetwild'.")
+    if generator == "structured" or (generator == "auto" and isinstance(body, Box) and not inside):
         return _structured(body, length)
-    vertices, triangles = _surface(body)
-    return tetrahedralize(vertices, triangles, length, cache=cache)
+    inner = [skin(shape) for shape in inside]
+    return tetrahedralize(*skin(body), length, inner=inner, cache=cache)
 
 
 def _structured(body: Shape, length: float) -> TetMesh:
@@ -58,11 +67,3 @@ def _structured(body: Shape, length: float) -> TetMesh:
             f" cells (limit {MAX_CELLS:.0e}); choose a larger one, and check the units."
         )
     return box_mesh(body.size_mm, counts, center_mm=body.center_mm, tets_per_cell=5)
-
-
-def _surface(body: Shape) -> tuple[np.ndarray, np.ndarray]:
-    if isinstance(body, Box):
-        return box_surface(body.size_mm, body.center_mm)
-    if isinstance(body, Cylinder):
-        return cylinder_surface(body.radius_mm, body.height_mm, body.center_mm, body.axis)
-    raise ConfigError(f"A {type(body).__name__} cannot be meshed as a body; use a Box or Cylinder.")

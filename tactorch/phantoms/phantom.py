@@ -8,8 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, MeshError
-from tactorch.mesh import Box, Cylinder, Shape, TetMesh
+from tactorch.mesh import Shape, TetMesh
 from tactorch.mesh.values import Real, positive
+from tactorch.phantoms.background import (
+    Background,
+    background_from_config,
+    background_to_config,
+)
 from tactorch.phantoms.config import (
     as_mapping,
     refuse_unknown,
@@ -17,9 +22,11 @@ from tactorch.phantoms.config import (
     shape_to_config,
 )
 from tactorch.phantoms.extent import protrusion
-from tactorch.phantoms.meshing import mesh_body
+from tactorch.phantoms.meshing import BODIES, mesh_body
 from tactorch.phantoms.sampling import element_means
 
+#: The modulus of a hole: the lower bound of the paper's inversions (Section IV-A), MPa.
+HOLE_MPA = 1e-3
 #: How far a mesh's bounding box or an inclusion may leave the body, as a share of its diagonal.
 TOLERANCE = 5e-3
 
@@ -36,10 +43,11 @@ class Phantom:
     """A soft body with inclusions.
 
     Attributes:
-        body: The outer shape, a `Box` or `Cylinder`; mm.
+        body: The outer shape, one of `BODIES`: a box, cylinder, hemisphere or hyperboloid; mm.
         inclusions: Pairs of a shape and its Young's modulus, MPa. Where two overlap the later one
             counts. They may touch the body's surface but not reach out of it.
-        youngs_mpa: Young's modulus of all the rest, MPa.
+        youngs_mpa: Young's modulus of all the rest, MPa; one number or a `Background`. A hole is
+            an inclusion of a modulus that bears nothing, such as `HOLE_MPA`.
 
     Raises:
         ConfigError: A modulus is not positive, an inclusion reaches out of the body, or the body
@@ -48,15 +56,17 @@ class Phantom:
 
     body: Shape
     inclusions: Sequence[tuple[Shape, Real]] = ()
-    youngs_mpa: Real = 0.2
+    youngs_mpa: Real | Background = 0.2
 
     def __post_init__(self) -> None:
-        if not isinstance(self.body, Box | Cylinder):
+        if not isinstance(self.body, BODIES):
+            kinds = ", ".join(kind.__name__ for kind in BODIES)
             raise ConfigError(
-                f"body is a {type(self.body).__name__}; use a Box or a Cylinder, which can be"
-                " meshed and have flat sides to press on."
+                f"body is a {type(self.body).__name__}; use one of {kinds}, which can be meshed"
+                " and have flat sides."
             )
-        object.__setattr__(self, "youngs_mpa", positive("youngs_mpa", self.youngs_mpa))
+        if not isinstance(self.youngs_mpa, Background):
+            object.__setattr__(self, "youngs_mpa", positive("youngs_mpa", self.youngs_mpa))
         checked = tuple(self._inclusion(i, pair) for i, pair in enumerate(self.inclusions))
         object.__setattr__(self, "inclusions", checked)
 
@@ -71,7 +81,10 @@ class Phantom:
 
         A point on the surface of an inclusion belongs to it.
         """
-        values = np.full(len(points), float(self.youngs_mpa))
+        if isinstance(self.youngs_mpa, Background):
+            values = self.youngs_mpa.at(points).copy()
+        else:
+            values = np.full(len(points), float(self.youngs_mpa))
         for shape, youngs in self.inclusions:
             values[shape.contains(points)] = youngs
         return values
@@ -99,9 +112,10 @@ class Phantom:
         *,
         relative_edge_length: Real = 0.1,
         generator: str = "auto",
+        conforming: bool = False,
         cache: bool = True,
     ) -> TetMesh:
-        """Mesh the body; the elements do not follow the inclusions.
+        """Mesh the body.
 
         Args:
             edge_length_mm: Mean edge length to stay below (structured) or aim at (tetwild).
@@ -109,13 +123,16 @@ class Phantom:
                 `edge_length_mm` is not given; the paper's 10 % by default.
             generator: "structured" (boxes only; five tetrahedra per cell; the same every time),
                 "tetwild" (`tetrahedralize`; any body), or "auto": structured where possible.
+            conforming: Whether elements follow the surfaces of the inclusions, so that none is of
+                two moduli; by tetwild. To invert on such a mesh leaks the truth.
             cache: Whether `tetrahedralize` looks up and stores its result.
 
         Raises:
             ConfigError: A setting cannot be used, or pytetwild is not installed.
             MeshError: Meshing failed.
         """
-        return mesh_body(self.body, edge_length_mm, relative_edge_length, generator, cache)
+        inside = [shape for shape, _ in self.inclusions] if conforming else []
+        return mesh_body(self.body, edge_length_mm, relative_edge_length, generator, cache, inside)
 
     def check_mesh(self, mesh: TetMesh) -> None:
         """Refuse a mesh whose bounding box is not that of the body.
@@ -142,7 +159,9 @@ class Phantom:
         ]
         return {
             "body": shape_to_config(self.body),
-            "youngs_mpa": self.youngs_mpa,
+            "youngs_mpa": background_to_config(self.youngs_mpa)
+            if isinstance(self.youngs_mpa, Background)
+            else self.youngs_mpa,
             "inclusions": inclusions,
         }
 
@@ -151,10 +170,11 @@ class Phantom:
         """Make a phantom from a dictionary such as `to_config` returns.
 
         Args:
-            config: `body` (a shape: `shape` is box, cylinder, ellipsoid or sphere, beside its
-                fields), `youngs_mpa`, and `inclusions` (shapes, each with a `youngs_mpa`).
-                Whatever is left out takes its default; `body` and an inclusion's `youngs_mpa`
-                must be there.
+            config: `body` (a shape: `shape` is one of `config.SHAPES`, beside its fields),
+                `youngs_mpa` (a number, or a background: `field` is one of
+                `background.BACKGROUNDS`, beside its fields), and `inclusions` (shapes, each with
+                a `youngs_mpa`). Whatever is left out takes its default; `body` and an inclusion's
+                `youngs_mpa` must be there.
 
         Raises:
             ConfigError: A key is missing or unknown, or a value cannot be used.
@@ -164,7 +184,12 @@ class Phantom:
         if "body" not in values:
             raise ConfigError("phantom: body is missing; give its shape and size.")
         body = shape_from_config(values["body"], "phantom.body")
-        youngs = _number(values.get("youngs_mpa", cls.youngs_mpa), "phantom.youngs_mpa")
+        given = values.get("youngs_mpa", cls.youngs_mpa)
+        youngs: Real | Background
+        if isinstance(given, Mapping):
+            youngs = background_from_config(given, "phantom.youngs_mpa")
+        else:
+            youngs = _number(given, "phantom.youngs_mpa")
         entries = values.get("inclusions") or ()
         if isinstance(entries, Mapping | str) or not isinstance(entries, Sequence):
             raise ConfigError(f"phantom.inclusions is {entries!r}; give a list of shapes.")

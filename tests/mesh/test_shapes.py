@@ -4,7 +4,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
-from tactorch.mesh import Box, Cylinder, Ellipsoid, Shape, Sphere, box_surface, cylinder_surface
+from tactorch.mesh import (
+    Box,
+    Cone,
+    Cylinder,
+    Ellipsoid,
+    Hemisphere,
+    Hyperboloid,
+    Lathe,
+    Rotated,
+    Shape,
+    Sphere,
+    Torus,
+    Union,
+    box_surface,
+    cylinder_surface,
+    skin,
+)
 from tactorch.mesh.closed import closed_surface, enclosed_volume
 
 quick = settings(deadline=None, max_examples=30)
@@ -16,7 +32,16 @@ SHAPES: list[Shape] = [
     Cylinder((1, 2, 3), 1.5, 1.0),
     Ellipsoid((1, 2, 3), (1.0, 2.0, 3.0)),
     Ellipsoid((1, 2, 3), (2.0, 2.0, 0.3)),
+    Torus((1, 2, 3), 2.0, 0.7, (1, 2, 2)),
+    Cone((1, 2, 3), 2.0, 3.0, (1, 2, 2)),
+    Cone((1, 2, 3), 2.0, 3.0, (0, 0, -1), 0.5),
+    Hemisphere((1, 2, 3), 2.0, (-1, 2, 0)),
+    Hyperboloid((1, 2, 3), 0.6, 1.5, 3.0, (0, 1, 0)),
+    Lathe((1, 2, 2), ((0, 0), (1, 0), (1.5, 1), (0.5, 1.5), (0.7, 2), (0, 2.5))),
+    Rotated(Box((1, 2, 3), (2, 3, 4)), (20, 30, 40)),
 ]
+#: Inside, distances are those to the nearest surface of a part.
+JOINED = Union((Sphere((1, 2, 3), 1.5), Box((2, 2, 3), (2, 3, 1))))
 
 
 def around(shape: Shape, seed: int, k: int = 200) -> np.ndarray:
@@ -56,7 +81,7 @@ def test_distance_is_euclidean(shape: Shape, seed: int) -> None:
     assert np.abs(shape.signed_distance(ends)).max() < 1e-3
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=repr)
+@pytest.mark.parametrize("shape", [*SHAPES, JOINED], ids=repr)
 def test_sign_and_bounds(shape: Shape) -> None:
     assert isinstance(shape, Shape)
     points = around(shape, 0, 4000)
@@ -65,7 +90,7 @@ def test_sign_and_bounds(shape: Shape) -> None:
     assert 0 < inside.sum() < len(points)
     assert ((points[inside] >= low) & (points[inside] <= high)).all()
     np.testing.assert_array_equal(inside, shape.signed_distance(points) <= 0)
-    assert shape.contains(np.array([[1.0, 2.0, 3.0]])).all()
+    assert shape.contains(np.array([[1.0, 2.0, 3.0]])).all() != isinstance(shape, Torus)
 
 
 @pytest.mark.parametrize(
@@ -75,6 +100,13 @@ def test_sign_and_bounds(shape: Shape) -> None:
         (Box((1, 2, 3), (2, 3, 4)), 24.0),
         (Cylinder((1, 2, 3), 1.5, 4.0, (1, 2, 2)), np.pi * 9),
         (Ellipsoid((1, 2, 3), (1.0, 2.0, 3.0)), 8 * np.pi),
+        (Torus((1, 2, 3), 2.0, 0.7, (1, 2, 2)), 2 * np.pi**2 * 2.0 * 0.49),
+        (Cone((1, 2, 3), 2.0, 3.0, (1, 2, 2)), 4 * np.pi),
+        (Cone((1, 2, 3), 2.0, 3.0, (1, 2, 2), 1.0), 7 * np.pi),
+        (Hemisphere((1, 2, 3), 2.0, (-1, 2, 0)), 16 / 3 * np.pi),
+        (Hyperboloid((1, 2, 3), 0.6, 1.5, 3.0), np.pi * 3 * (0.36 + (2.25 - 0.36) / 3)),
+        (Rotated(Box((1, 2, 3), (2, 3, 4)), (20, 30, 40)), 24.0),
+        (Union((Sphere((0, 0, 0), 1.0), Sphere((3, 0, 0), 1.0))), 8 / 3 * np.pi),
     ],
 )
 def test_volume(shape: Shape, volume: float) -> None:
@@ -165,3 +197,31 @@ def test_cylinder_surface(radius: float, height: float, seed: int, segments: int
     assert enclosed_volume(vertices, triangles) == pytest.approx(prism)
     solid = Cylinder((1, 2, 3), radius, height, tuple(axis))
     assert np.abs(solid.signed_distance(vertices[: 2 * segments])).max() < 1e-9 * (radius + height)
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, JOINED], ids=repr)
+def test_skin_is_the_surface_outward(shape: Shape) -> None:
+    """Closed, on the shape's surface, and of its volume."""
+    vertices, triangles = skin(shape, 72)
+    closed_surface(vertices, triangles)
+    assert enclosed_volume(vertices, triangles) == pytest.approx(
+        volume_by_sampling(shape), rel=0.015
+    )
+    # Marching cubes is linear between its cells: it rounds edges off.
+    rounding = 0.05 if isinstance(shape, Union) else 1e-9
+    assert np.abs(shape.signed_distance(vertices)).max() < rounding
+
+
+def test_ring_needs_a_hole_and_a_hyperboloid_a_waist() -> None:
+    with pytest.raises(ConfigError, match="no hole"):
+        Torus(radius_mm=1.0, tube_mm=1.0)
+    with pytest.raises(ConfigError, match="narrowest at its waist"):
+        Hyperboloid(waist_mm=2.0, rim_mm=1.0)
+    with pytest.raises(ConfigError, match="begin and end on the axis"):
+        Lathe(outline_mm=((1, 0), (1, 1), (0, 1)))
+    with pytest.raises(ConfigError, match=r"parts\[0\]"):
+        Union(("ball",))
+    with pytest.raises(ConfigError, match="empty"):
+        Union(())
+    with pytest.raises(ConfigError, match="top_mm"):
+        Cone(top_mm=-1.0)

@@ -1,8 +1,11 @@
+import numpy as np
 import pytest
+from omegaconf import OmegaConf
 
+from tactorch.cli.catalog import conf_folder
 from tactorch.errors import ConfigError
 from tactorch.mesh import Box, Sphere
-from tactorch.phantoms import make_phantom
+from tactorch.phantoms import HOLE_MPA, PHANTOMS, make_phantom
 
 
 @pytest.mark.parametrize(
@@ -35,3 +38,30 @@ def test_changes_reach_the_phantom() -> None:
 def test_wrong_names_and_values_are_refused(name: str, changes: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make_phantom(name, **changes)
+
+
+@pytest.mark.parametrize("name", sorted({*PHANTOMS} - {"cube_sphere"}))  # the demo's is less deep
+def test_each_has_a_configuration_with_its_own_defaults(name: str) -> None:
+    settings = OmegaConf.to_container(OmegaConf.load(conf_folder() / "phantom" / f"{name}.yaml"))
+    assert settings.pop("name") == name
+    assert make_phantom(name, **settings) == make_phantom(name)
+
+
+def test_two_tiers_are_one_above_the_other() -> None:
+    phantom = make_phantom("cube_two_tiers")
+    x = np.array([0.0, 1.4, 1.6, 2.9, 3.1])
+    low = np.column_stack((5 + x, np.full(5, 5.0), np.full(5, 3.5)))
+    high = low + np.array([0.0, 0.0, 3.0])
+    np.testing.assert_array_equal(phantom.youngs_at(low) == 1.0, [1, 1, 1, 1, 0])
+    np.testing.assert_array_equal(phantom.youngs_at(high) == 1.0, [1, 1, 0, 0, 0])
+
+
+def test_depth_study_is_four_and_thirty_megapascal() -> None:
+    phantom = make_phantom("depth_cube", depth=0.3, offset=(0.1, -0.1))
+    assert phantom.inclusions == ((Sphere((6.0, 4.0, 7.0), 2.0), 30.0),)
+    assert phantom.youngs_mpa == 4.0
+
+
+def test_hole_bears_nothing() -> None:
+    phantom = make_phantom("cylinder_hole_sphere")
+    assert sorted(youngs for _, youngs in phantom.inclusions) == [HOLE_MPA, 1.0]

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.mesh import Box, Cylinder, TetMesh
-from tactorch.phantoms import Phantom
+from tactorch.mesh import Box, Cylinder, Sphere, TetMesh, face_nodes, select_face
+from tactorch.phantoms import Phantom, make_phantom
 
 
 def mean_edge(mesh: TetMesh) -> float:
@@ -37,10 +37,50 @@ def test_cylinder_is_meshed_by_tetwild() -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "volume", "flat"),
+    [
+        ("hemisphere_two_spheres", 2 / 3 * np.pi * 1000, ("z-",)),
+        ("hyperboloid_sphere", np.pi * 10 * (12.25 + (25 - 12.25) / 3), ("z-", "z+")),
+        ("toy_two_spheres", None, ("z-",)),
+    ],
+)
+def test_curved_bodies_are_meshed_with_their_flat_sides(
+    name: str, volume: float | None, flat: tuple[str, ...]
+) -> None:
+    phantom = make_phantom(name)
+    mesh = phantom.mesh(relative_edge_length=0.12)
+    if volume is not None:
+        assert mesh.volumes.sum() == pytest.approx(volume, rel=0.02)
+    for side in flat:
+        assert len(select_face(mesh, side))
+    found = phantom.on_mesh(mesh)
+    assert found.min() < 0.5 * found.max()
+
+
+def test_conforming_mesh_follows_the_inclusion() -> None:
+    """The inclusion's nodes lie on its surface, and its elements fill its volume."""
+    ball = Sphere((5.0, 5.0, 5.0), 2.5)
+    phantom = Phantom(Box((5.0, 5.0, 5.0), (10.0, 10.0, 10.0)), [(ball, 1.0)])
+    exact = 4 / 3 * np.pi * 2.5**3
+    off = {}
+    for conforming in (False, True):
+        mesh = phantom.mesh(2.0, generator="tetwild", conforming=conforming)
+        inside = phantom.on_mesh(mesh) == 1.0
+        outer = np.setdiff1d(mesh.tets[inside], []).astype(int)
+        rim = np.intersect1d(outer, mesh.tets[~inside])
+        off[conforming] = np.abs(ball.signed_distance(mesh.points[rim])).max()
+        volume = mesh.volumes[inside].sum()
+        assert len(face_nodes(mesh, "z+"))
+    assert off[True] < 0.05 < off[False]
+    assert volume == pytest.approx(exact, rel=0.03)
+
+
+@pytest.mark.parametrize(
     ("body", "settings", "message"),
     [
         (Box(), {"generator": "gmsh"}, "generator='gmsh'"),
         (Cylinder(), {"generator": "structured"}, "not a Cylinder"),
+        (Box(), {"generator": "structured", "conforming": True}, "cannot follow"),
         (Box(), {"edge_length_mm": 0.0}, "edge_length_mm"),
         (Box(), {"edge_length_mm": 1e-3}, "cells"),
         (Box(), {"relative_edge_length": -0.1}, "relative_edge_length"),
@@ -48,4 +88,4 @@ def test_cylinder_is_meshed_by_tetwild() -> None:
 )
 def test_wrong_settings_are_refused(body: Box | Cylinder, settings: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        Phantom(body).mesh(**settings)
+        Phantom(body, [(Sphere(radius_mm=0.1), 1.0)]).mesh(**settings)
