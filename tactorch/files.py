@@ -4,6 +4,7 @@ import os
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from hashlib import sha256
 from pathlib import Path
 
 from tactorch.errors import FileError
@@ -56,6 +57,15 @@ def require_folder(path: str | Path, what: str) -> Path:
     if not found.is_dir():
         raise FileError(f"{what} not found: '{found}' is not a folder.{_nearest(found)}")
     return found
+
+
+def checksum(path: str | Path) -> str:
+    """Return the SHA-256 of a file's content."""
+    digest = sha256()
+    with open(path, "rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def _nearest(path: Path) -> str:

@@ -5,7 +5,7 @@ from tactorch.fem.elements import ELEMENTS, Discretisation, Element, make_elemen
 from tactorch.fem.linearization import Linearization
 from tactorch.fem.materials import MATERIALS, make_material
 from tactorch.fem.newton import Equilibrated, Newton, NewtonOptions
-from tactorch.fem.parallel import map_cases
+from tactorch.fem.parallel import limit_workers, map_cases, worker_count
 from tactorch.fem.supports import Supports
 
 __all__ = [
@@ -19,7 +19,9 @@ __all__ = [
     "NewtonOptions",
     "SoftBody",
     "Supports",
+    "limit_workers",
     "make_element",
     "make_material",
     "map_cases",
+    "worker_count",
 ]

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.regularization import PriorOptions, make_regularizer
 from tactorch.inverse.starts import Start, start_map
 from tactorch.inverse.uniform import uniform_fit
+from tactorch.plain import plain, plain_fields
 from tactorch.recording import Recording
 from tactorch.versions import versions
 
@@ -219,8 +220,8 @@ def _of_model(recording: Recording, settings: Settings) -> str:
 
 def _task(recording: Recording, settings: Settings, optimizer: Optimizer) -> str:
     """Everything but the start that decides the result, in few characters."""
-    digest = sha256(repr(_plain(replace(settings, optimizer="", max_seconds=None))).encode())
-    digest.update(repr((optimizer.name, _fields(optimizer), recording.material)).encode())
+    digest = sha256(repr(plain(replace(settings, optimizer="", max_seconds=None))).encode())
+    digest.update(repr((optimizer.name, plain_fields(optimizer), recording.material)).encode())
     digest.update(repr(settings.noise.deviations(recording)).encode())
     for press in recording.presses:
         held = (press.springs, press.fixed, press.prescribed)
@@ -276,26 +277,10 @@ def _result(
         seconds=monitor.seconds,
         nuisance=estimates(point, monitor.history[-1].get("weight", 0.0)),
         config={
-            "settings": _plain(settings),
-            "optimizer": {"name": optimizer.name, **_fields(optimizer)},
-            "material": _plain(recording.material),
+            "settings": plain(settings),
+            "optimizer": {"name": optimizer.name, **plain_fields(optimizer)},
+            "material": plain(recording.material),
             "recording": recording.provenance,
             "versions": versions(),
         },
     )
-
-
-def _fields(value: Any) -> dict[str, Any]:
-    """Fields of a dataclass as plain JSON values; of another object, nothing is known."""
-    if not is_dataclass(value) or isinstance(value, type):
-        return {}
-    return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-
-
-def _plain(value: Any) -> Any:
-    """Settings as plain JSON values."""
-    if is_dataclass(value):
-        return _fields(value)
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)

@@ -3,7 +3,6 @@
 A start is a function of the inverse problem, so a learned one plugs in the same way.
 """
 
-import os
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import map_cases
+from tactorch.fem import map_cases, worker_count
 from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.uniform import FIRST_MPA, uniform_fit
@@ -70,7 +69,7 @@ def monte_carlo(
             except ConvergenceError:
                 return np.inf
 
-        few = len(problem.recording.presses) < (os.cpu_count() or 1)
+        few = len(problem.recording.presses) < worker_count()
         chi2 = map_cases(work, draws) if few else [work(i) for i in range(draws)]
         best = int(np.argmin(chi2))
         if np.isinf(chi2[best]):

@@ -25,16 +25,20 @@ if TYPE_CHECKING:
 
 
 class Reader:
-    """Reads one open file; every complaint names the file and the dataset."""
+    """Reads one open file, or a group of one; complaints name the file and the dataset."""
 
-    def __init__(self, file: "h5py.File", source: Path) -> None:
+    def __init__(
+        self, file: "h5py.Group", source: Path | str, known: TetMesh | None = None
+    ) -> None:
+        """Take what to read; a mesh that is `known` to be the file's is not read again."""
         self.file = file
         self.source = source
+        self.known = known
 
     def recording(self, check_units: bool) -> Recording:
         """Read and check everything."""
         self._check_format()
-        mesh = self._mesh()
+        mesh = self.mesh()
         material = self._material()
         presses = self._presses(mesh.n_points)
         provenance = self._json("provenance", self._text("provenance"))
@@ -79,7 +83,10 @@ class Reader:
         if units != UNITS:
             raise self._error(f"is in units {units!r}; {UNITS!r} is needed: convert the values")
 
-    def _mesh(self) -> TetMesh:
+    def mesh(self) -> TetMesh:
+        """Read the mesh."""
+        if self.known is not None:
+            return self.known
         points = self._array("mesh/points", "f", (None, 3))
         tets = self._array("mesh/tets", "i", (None, 4))
         try:
@@ -184,11 +191,12 @@ class Reader:
         return value
 
     def _attribute(self, group: str, name: str, kind: type) -> Any:
-        if group not in self.file:
+        if group != "/" and group not in self.file:
             raise self._error(f"lacks group '{group}'; the file is incomplete: write it again")
-        if name not in self.file[group].attrs:
+        attributes = (self.file if group == "/" else self.file[group]).attrs
+        if name not in attributes:
             raise self._error(f"lacks attribute '{name}' of '{group}'; write the recording again")
-        value = self.file[group].attrs[name]
+        value = attributes[name]
         if isinstance(value, bytes):
             value = value.decode("utf-8")
         accepted = {int: (np.integer, int), float: (np.floating, float), str: (str,)}[kind]

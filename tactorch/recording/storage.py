@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import h5py
 
 # From HDF5 1.10 on, the file's own structure carries checksums too, so that damage is noticed.
-_LIBVER = ("v110", "v110")
+LIBVER = ("v110", "v110")
 
 
 def save_recording(recording: Recording, path: str | Path) -> None:
@@ -36,8 +36,8 @@ def save_recording(recording: Recording, path: str | Path) -> None:
     import h5py
 
     try:
-        with atomic_path(path) as temporary, h5py.File(temporary, "w", libver=_LIBVER) as file:
-            _write(file, recording)
+        with atomic_path(path) as temporary, h5py.File(temporary, "w", libver=LIBVER) as file:
+            write_recording(file, recording)
     except ValueError as error:
         raise FileError(
             f"cannot write recording '{path}': {error}; leave out text that HDF5 cannot hold, such "
@@ -45,48 +45,50 @@ def save_recording(recording: Recording, path: str | Path) -> None:
         ) from error
 
 
-def _write(file: "h5py.File", recording: Recording) -> None:
-    _mark(file, "format", FORMAT)
-    _mark(file, "version", VERSION)
-    _mark(file, "units", UNITS)
+def write_recording(file: "h5py.Group", recording: Recording) -> None:
+    """Write a recording into a file or a group of one."""
+    mark(file, "format", FORMAT)
+    mark(file, "version", VERSION)
+    mark(file, "units", UNITS)
     if recording.density is not None:
-        _mark(file, "density", recording.density)
+        mark(file, "density", recording.density)
     mesh = recording.mesh
-    _put(file, "mesh/points", mesh.points.astype("<f8"))
-    _put(file, "mesh/tets", mesh.tets.astype("<i8"))
+    put(file, "mesh/points", mesh.points.astype("<f8"))
+    put(file, "mesh/tets", mesh.tets.astype("<i8"))
     material = file.create_group("material")
-    _mark(material, "name", recording.material.name)
-    _mark(material, "poisson", recording.material.poisson)
-    _mark(material, "parameters", json.dumps(recording.material.parameters))
-    _put(file, "gravity", recording.gravity)
-    file["provenance"] = _fixed_text(json.dumps(recording.provenance))
+    mark(material, "name", recording.material.name)
+    mark(material, "poisson", recording.material.poisson)
+    mark(material, "parameters", json.dumps(recording.material.parameters))
+    put(file, "gravity", recording.gravity)
+    file["provenance"] = fixed_text(json.dumps(recording.provenance))
     for name in ("truth", "reference", "unloaded"):
         if getattr(recording, name) is not None:
-            _put(file, name, getattr(recording, name))
+            put(file, name, getattr(recording, name))
     presses = file.create_group("presses")
-    _mark(presses, "count", len(recording.presses))
+    mark(presses, "count", len(recording.presses))
     for index, press in enumerate(recording.presses):
         _write_press(presses.create_group(f"{index:04d}"), press)
 
 
 def _write_press(group: "h5py.Group", press: Press) -> None:
-    _mark(group, "name", press.name)
-    _mark(group, "step", press.step)
+    mark(group, "name", press.name)
+    mark(group, "step", press.step)
     if press.noise_mm is not None:
-        _mark(group, "noise_mm", press.noise_mm)
+        mark(group, "noise_mm", press.noise_mm)
     for field in PRESS_ARRAYS:
         array = getattr(press, field)
-        _put(group, field, array.astype(np.uint8) if field in PRESS_MASKS else array)
+        put(group, field, array.astype(np.uint8) if field in PRESS_MASKS else array)
     for field in PRESS_OPTIONAL:
         if getattr(press, field) is not None:
-            _put(group, field, getattr(press, field))
+            put(group, field, getattr(press, field))
 
 
-def _mark(group: "h5py.Group", name: str, value: str | int | float) -> None:
-    group.attrs[name] = _fixed_text(value) if isinstance(value, str) else value
+def mark(group: "h5py.Group", name: str, value: str | int | float) -> None:
+    """Set an attribute, text in fixed length."""
+    group.attrs[name] = fixed_text(value) if isinstance(value, str) else value
 
 
-def _fixed_text(text: str) -> np.ndarray:
+def fixed_text(text: str) -> np.ndarray:
     """Return `text` as HDF5 text of fixed length.
 
     Text of variable length lies in a heap without checksums, and a damaged heap can hang HDF5.
@@ -99,7 +101,8 @@ def _fixed_text(text: str) -> np.ndarray:
     return np.array(content, dtype=h5py.string_dtype("utf-8", max(1, len(content))))
 
 
-def _put(group: "h5py.Group", name: str, array: np.ndarray) -> None:
+def put(group: "h5py.Group", name: str, array: np.ndarray) -> None:
+    """Write an array, compressed and with a checksum."""
     # gzip carries a checksum, which reading verifies.
     group.create_dataset(name, data=array, compression="gzip", compression_opts=4, shuffle=True)
 

@@ -1,0 +1,112 @@
+"""The data card: what is in a dataset, for people."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactorch.files import atomic_path
+from tactorch.generation.sample import Sample
+from tactorch.generation.sampleset import SampleSet
+
+CARD, PICTURE = "card.md", "card.png"
+_LOOKED_AT = 500  # samples that the statistics are over
+
+
+def write_card(samples: SampleSet) -> Path:
+    """Write card.md into the dataset's folder and return its path.
+
+    Raises:
+        FileError: A shard is missing or damaged, or the folder cannot be written.
+    """
+    path = samples.folder / CARD
+    with atomic_path(path) as temporary:
+        temporary.write_text(_text(samples, looked_at(samples)), encoding="utf-8")
+    return path
+
+
+def looked_at(samples: SampleSet) -> list[Sample]:
+    """Return the samples that the card's statistics are over, spread over the dataset."""
+    count = min(len(samples), _LOOKED_AT)
+    places = np.linspace(0, len(samples) - 1, count).astype(int)
+    return [samples[samples.indices[place]] for place in places]
+
+
+def _text(samples: SampleSet, chosen: Sequence[Sample]) -> str:
+    manifest = samples.manifest
+    recipe = manifest["recipe"]
+    size = sum(shard["bytes"] for shard in manifest["shards"])
+    lines = [
+        f"# {manifest['name']}",
+        "",
+        f"{len(samples)} samples in {len(manifest['shards'])} shards, {size / 1e6:.1f} MB;"
+        f" {len(manifest['failed'])} failed. Made by `tactorch generate` from random objects of the"
+        f" family `{recipe['family']}` with seed {recipe['seed']}.",
+        "",
+        f"![What is inside]({PICTURE})",
+        "",
+        "## What is in a sample",
+        "",
+        "A recording (presses on a mesh, forces in N, displacements in mm) with the true Young's"
+        " modulus of each element in MPa"
+        + (", and a reconstruction from the presses alone." if recipe["inversion"] else "."),
+        "",
+        *_statistics(chosen),
+        "## How it was made",
+        "",
+        _crime(recipe),
+        "",
+        *(f"- {key}: `{value}`" for key, value in recipe.items() if key != "inversion"),
+        "",
+        "Versions: " + ", ".join(f"{k} {v}" for k, v in manifest["versions"].items()) + ".",
+        "",
+        *_failures(manifest["failed"]),
+    ]
+    return "\n".join(lines)
+
+
+def _crime(recipe: dict[str, Any]) -> str:
+    if recipe["mesh"]["fine_relative"] is None:
+        return (
+            "Presses are computed on the mesh that they are inverted on, with the same model: an"
+            " inverse crime. Results on these data flatter."
+        )
+    return (
+        "Presses are computed on a finer mesh than the one they are recorded and inverted on, and"
+        " have noise: no inverse crime."
+    )
+
+
+def _statistics(chosen: Sequence[Sample]) -> list[str]:
+    if not chosen:
+        return []
+    labels = Counter(sample.label for sample in chosen)
+    rows = {
+        "presses": [len(s.recording.presses) for s in chosen],
+        "elements": [s.recording.mesh.n_tets for s in chosen],
+        "lowest modulus, MPa": [s.truth.min() for s in chosen],
+        "highest modulus, MPa": [s.truth.max() for s in chosen],
+        "largest displacement, mm": [s.largest_mm for s in chosen],
+    }
+    figures = [s.figures for s in chosen if s.figures]
+    for name in ("iterations", "chi2", "ssim", "pearson", "rmse_mpa"):
+        if figures:
+            rows[f"reconstruction: {name}"] = [f[name] for f in figures]
+    lines = [
+        "Labels: " + ", ".join(f"{name} {count}" for name, count in sorted(labels.items())) + ".",
+        "",
+        f"| over {len(chosen)} samples | 5 % | median | 95 % |",
+        "|---|---:|---:|---:|",
+    ]
+    for name, values in rows.items():
+        low, middle, high = np.nanquantile(np.array(values, dtype=float), [0.05, 0.5, 0.95])
+        lines.append(f"| {name} | {low:.4g} | {middle:.4g} | {high:.4g} |")
+    return [*lines, ""]
+
+
+def _failures(failed: dict[str, str]) -> list[str]:
+    if not failed:
+        return []
+    return ["## Failed", "", *(f"- {index}: {reason}" for index, reason in failed.items()), ""]

@@ -1,0 +1,82 @@
+"""Random plans of presses. Lengths in mm, pressures in MPa."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError
+from tactorch.mesh.values import Real, positive
+from tactorch.simulation import PressPlan
+
+
+@dataclass(frozen=True)
+class PressDraw:
+    """What plans of presses are drawn from.
+
+    Attributes:
+        faces: Sets of pressed sides, one of which is drawn.
+        p_max_mpa: Range of the highest pressure, MPa.
+        steps: Numbers of equal steps up to it, one of which is drawn.
+        patch_radius_mm: Range of the radius of the pressed patches; None presses whole sides.
+        patches: Fewest and most patches on each side, at random places.
+        hold: What holds the opposite side, see `PressPlan`.
+        spring_n_per_mm: Stiffness of each spring.
+
+    Raises:
+        ConfigError: A value cannot be used.
+    """
+
+    faces: Sequence[Sequence[str]] = (("z+", "x+", "y+"),)
+    p_max_mpa: Sequence[Real] = (0.02, 0.02)
+    steps: Sequence[int] = (4,)
+    patch_radius_mm: Sequence[Real] | None = None
+    patches: Sequence[int] = (1, 1)
+    hold: str = "springs"
+    spring_n_per_mm: Real = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.faces or not self.steps:
+            raise ConfigError("faces and steps must each offer at least one choice.")
+        _range("p_max_mpa", self.p_max_mpa)
+        if self.patch_radius_mm is not None:
+            _range("patch_radius_mm", self.patch_radius_mm)
+        if len(self.patches) != 2 or not 1 <= self.patches[0] <= self.patches[1]:
+            raise ConfigError(
+                f"patches={list(self.patches)}: give the fewest and the most, from 1."
+            )
+        support = {"hold": self.hold, "spring_n_per_mm": self.spring_n_per_mm}
+        for sides, steps in product(self.faces, self.steps):  # refuse what no draw could use
+            PressPlan.ramp(self.p_max_mpa[0], steps, faces=tuple(sides), **support)
+
+    def draw(self, rng: np.random.Generator, bounds: Float[np.ndarray, "2 3"]) -> PressPlan:
+        """Draw a plan for an object of a bounding box, mm."""
+        sides = tuple(self.faces[int(rng.integers(len(self.faces)))])
+        highest = float(rng.uniform(*_range("p_max_mpa", self.p_max_mpa)))
+        steps = int(self.steps[int(rng.integers(len(self.steps)))])
+        radius, centers = None, None
+        if self.patch_radius_mm is not None:
+            radius = float(rng.uniform(*_range("patch_radius_mm", self.patch_radius_mm)))
+            count = int(rng.integers(self.patches[0], self.patches[1] + 1))
+            margin = np.minimum(radius, (bounds[1] - bounds[0]) / 2)
+            centers = rng.uniform(bounds[0] + margin, bounds[1] - margin, (count, 3)).tolist()
+        return PressPlan.ramp(
+            highest,
+            steps,
+            faces=sides,
+            patch_radius_mm=radius,
+            patch_centers_mm=centers,
+            hold=self.hold,
+            spring_n_per_mm=self.spring_n_per_mm,
+        )
+
+
+def _range(name: str, pair: Sequence[Real]) -> tuple[float, float]:
+    if len(pair) != 2:
+        raise ConfigError(f"{name}={list(pair)}: give the lower and the upper end of a range.")
+    low, high = (positive(f"{name}[{i}]", value) for i, value in enumerate(pair))
+    if high < low:
+        raise ConfigError(f"{name}={list(pair)}: the upper end lies below the lower.")
+    return low, high

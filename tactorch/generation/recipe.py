@@ -1,0 +1,133 @@
+"""What a dataset is made of: all that decides its samples."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tactorch.errors import ConfigError
+from tactorch.fem import ELEMENTS, make_material
+from tactorch.generation.plans import PressDraw
+from tactorch.inverse import Settings
+from tactorch.mesh import TetMesh
+from tactorch.mesh.values import Real, positive
+from tactorch.phantoms import Drawn, Phantom, draw_phantom
+from tactorch.plain import plain
+from tactorch.recording import MaterialSpec
+
+
+@dataclass(frozen=True)
+class MeshSizes:
+    """How fine an object is meshed.
+
+    Attributes:
+        relative_edge_length: Of the recording, as a share of the bounding box's diagonal.
+        fine_relative: Of the mesh that presses are solved on; None for the same mesh, an inverse
+            crime.
+    """
+
+    relative_edge_length: Real = 0.1
+    fine_relative: Real | None = 0.05
+
+    def __post_init__(self) -> None:
+        positive("relative_edge_length", self.relative_edge_length)
+        if self.fine_relative is not None:
+            positive("fine_relative", self.fine_relative)
+
+    def meshes(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
+        """Return the recording's mesh and the finer one; structured: the same every time.
+
+        Raises:
+            ConfigError: The body is no box.
+        """
+        own = phantom.mesh(relative_edge_length=self.relative_edge_length, generator="structured")
+        if self.fine_relative is None:
+            return own, None
+        fine = phantom.mesh(relative_edge_length=self.fine_relative, generator="structured")
+        return own, fine
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Decides every sample of a dataset, whoever makes it and in whatever order.
+
+    Attributes:
+        name: Of the dataset.
+        count: Number of samples.
+        family: Of objects, see `tactorch.phantoms.FAMILIES`.
+        options: Of the family.
+        seed: Of everything drawn.
+        views: Recordings of each object, with presses and noise of their own.
+        presses: What plans of presses are drawn from.
+        mesh: How fine objects are meshed.
+        material: The constitutive law but for Young's modulus.
+        samples: How elements get their modulus, see `Phantom.on_mesh`.
+        element: "tet4" or "tet10", of the simulation.
+        snr_db: Range of the signal-to-noise ratio; None for no noise.
+        inversion: How each recording is inverted; None stores no reconstruction.
+        shard: Samples in a file.
+
+    Raises:
+        ConfigError: A value cannot be used.
+    """
+
+    name: str
+    count: int
+    family: str = "inclusions"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    views: int = 1
+    presses: PressDraw = field(default_factory=PressDraw)
+    mesh: MeshSizes = field(default_factory=MeshSizes)
+    material: MaterialSpec = field(default_factory=lambda: MaterialSpec("neo_hookean", 0.45))
+    samples: int = 4
+    element: str = "tet4"
+    snr_db: Sequence[Real] | None = (40.0, 40.0)
+    inversion: Settings | None = None
+    shard: int = 50
+
+    def __post_init__(self) -> None:
+        for name in ("count", "views", "shard", "samples"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name}={getattr(self, name)} must be at least 1.")
+        if self.seed < 0:
+            raise ConfigError(f"seed={self.seed} must not be negative.")
+        if self.snr_db is not None and (
+            len(self.snr_db) != 2 or not self.snr_db[0] <= self.snr_db[1]
+        ):
+            raise ConfigError(f"snr_db={self.snr_db}: give the lower and the upper end, in dB.")
+        if self.inversion is not None and self.inversion.max_seconds is not None:
+            raise ConfigError(
+                "max_seconds would make samples depend on the machine; limit max_iterations."
+            )
+        # Refuse what no sample could be made of.
+        if self.element not in ELEMENTS:
+            raise ConfigError(f"element={self.element!r}: choose one of {', '.join(ELEMENTS)}.")
+        make_material(self.material.name, self.material.poisson, **self.material.parameters)
+        self.mesh.meshes(self.drawn(0).phantom)
+
+    def drawn(self, index: int) -> Drawn:
+        """Draw the object of a sample."""
+        rng = np.random.default_rng([self.seed, 0, index // self.views])
+        return draw_phantom(self.family, rng, **self.options)
+
+    @property
+    def shards(self) -> int:
+        """Number of files."""
+        return -(-self.count // self.shard)
+
+    def indices(self, shard: int) -> range:
+        """Return the samples of a file."""
+        return range(shard * self.shard, min((shard + 1) * self.shard, self.count))
+
+    def to_config(self) -> dict[str, Any]:
+        """Return all that decides the samples as plain values, to compare recipes by."""
+        config = plain(self)
+        assert isinstance(config, dict)
+        if self.inversion is not None:
+            optimizer = self.inversion.optimizer
+            name = optimizer if isinstance(optimizer, str) else optimizer.name
+            config["inversion"] = {**plain(self.inversion), "optimizer": name}
+            config["inversion"]["optimizer_settings"] = plain(optimizer)
+        return config

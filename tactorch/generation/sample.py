@@ -1,0 +1,90 @@
+"""One sample: an object, its presses, and perhaps its reconstruction."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.generation.recipe import Recipe
+from tactorch.inverse import invert
+from tactorch.metrics import scores
+from tactorch.recording import Recording
+from tactorch.simulation import simulate
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample of a dataset.
+
+    Attributes:
+        index: Its number in the dataset.
+        object: Number of the object that was pressed.
+        label: What a recognizer should call the object.
+        facts: What was drawn, as plain values.
+        recording: Presses, with the truth per element.
+        reconstruction: Moduli found from the presses, (m,), MPa; None where none was made.
+        figures: Of the reconstruction: iterations, chi2 and scores against the truth.
+    """
+
+    index: int
+    object: int
+    label: str
+    facts: dict[str, Any]
+    recording: Recording
+    reconstruction: Float[np.ndarray, " m"] | None = None
+    figures: dict[str, float] | None = None
+
+    @property
+    def truth(self) -> Float[np.ndarray, " m"]:
+        """The true moduli, MPa."""
+        assert self.recording.truth is not None
+        return self.recording.truth
+
+    @property
+    def largest_mm(self) -> float:
+        """The largest observed component of a displacement, mm."""
+        seen = [press.displacement[press.observed] for press in self.recording.presses]
+        return float(np.abs(np.concatenate(seen)).max())
+
+
+def make_sample(recipe: Recipe, index: int) -> Sample:
+    """Make a sample; the same one whenever and wherever.
+
+    Raises:
+        TactorchError: The object cannot be drawn, meshed, pressed or reconstructed.
+    """
+    drawn = recipe.drawn(index)
+    rng = np.random.default_rng([recipe.seed, 1, index])
+    plan = recipe.presses.draw(rng, drawn.phantom.body.bounds())
+    snr_db = None
+    if recipe.snr_db is not None:
+        snr_db = float(rng.uniform(float(recipe.snr_db[0]), float(recipe.snr_db[1])))
+    mesh, fine = recipe.mesh.meshes(drawn.phantom)
+    recording = simulate(
+        drawn.phantom,
+        plan,
+        material=recipe.material,
+        mesh=mesh,
+        fine_mesh=fine,
+        samples=recipe.samples,
+        element=recipe.element,
+        snr_db=snr_db,
+        seed=int(rng.integers(2**31)),
+    )
+    youngs, figures = _reconstructed(recipe, recording)
+    number = index // recipe.views
+    return Sample(index, number, drawn.label, drawn.facts, recording, youngs, figures)
+
+
+def _reconstructed(
+    recipe: Recipe, recording: Recording
+) -> tuple[Float[np.ndarray, " m"] | None, dict[str, float] | None]:
+    if recipe.inversion is None:
+        return None, None
+    found = invert(recording, recipe.inversion, show_progress=False)
+    assert recording.truth is not None
+    last = found.history[-1]
+    figures = {"iterations": float(len(found.history) - 1), "chi2": float(last["chi2"])}
+    figures |= scores(recording.mesh, found.youngs, recording.truth)
+    return found.youngs, {k: float(v) for k, v in figures.items()}

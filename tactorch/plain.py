@@ -1,0 +1,22 @@
+"""Settings as plain values, to be stored and compared."""
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+
+def plain(value: Any) -> Any:
+    """Return settings as plain JSON values; what is none is described by its text."""
+    if is_dataclass(value):
+        return plain_fields(value)
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+def plain_fields(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass as plain values; of another object, nothing is known."""
+    if not is_dataclass(value) or isinstance(value, type):
+        return {}
+    return {field.name: plain(getattr(value, field.name)) for field in fields(value)}

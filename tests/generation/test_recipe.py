@@ -1,0 +1,101 @@
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactorch.errors import ConfigError
+from tactorch.generation import MeshSizes, PressDraw, Recipe
+from tactorch.inverse import Settings
+from tactorch.recording import MaterialSpec
+
+BOX = np.array([(0.0, 0.0, 0.0), (10.0, 10.0, 10.0)])
+Make = Callable[..., Recipe]
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_plans_stay_within_what_they_are_drawn_from(seed: int) -> None:
+    draw = PressDraw(
+        faces=(("z+",), ("x+", "y-")),
+        p_max_mpa=(0.01, 0.03),
+        steps=(2, 4),
+        patch_radius_mm=(1.0, 2.0),
+        patches=(2, 3),
+    )
+    plan = draw.draw(np.random.default_rng(seed), BOX)
+    again = draw.draw(np.random.default_rng(seed), BOX)
+    assert plan == again
+    assert plan.faces in (("z+",), ("x+", "y-"))
+    assert 0.01 <= max(plan.pressures_mpa) <= 0.03
+    assert len(plan.pressures_mpa) in (2, 4)
+    assert 1.0 <= plan.patch_radius_mm <= 2.0
+    assert 2 <= len(plan.patch_centers_mm) <= 3
+    centers = np.array(plan.patch_centers_mm)
+    assert ((centers >= plan.patch_radius_mm) & (centers <= 10 - plan.patch_radius_mm)).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"faces": ()}, "at least one choice"),
+        ({"faces": (("top",),)}, "unknown side 'top'"),
+        ({"p_max_mpa": (0.02, 0.01)}, "upper end lies below"),
+        ({"p_max_mpa": (0.02,)}, "lower and the upper"),
+        ({"patches": (0, 2)}, "patches"),
+        ({"steps": (4, 0)}, "steps=0"),
+        ({"spring_n_per_mm": -1.0}, "spring_n_per_mm"),
+    ],
+)
+def test_wrong_draws_are_refused(changes: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        PressDraw(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"count": 0}, "count=0"),
+        ({"seed": -1}, "seed=-1"),
+        ({"snr_db": (40.0, 30.0)}, "snr_db"),
+        ({"family": "cats"}, "'cats' is unknown"),
+        ({"options": {"sise": 1}}, "sise"),
+        ({"options": {"count": [3]}}, "fewest and the most"),
+        ({"options": {"backgrounds": ["uniform", "blue"]}}, "'blue' is unknown"),
+        ({"element": "hex8"}, "element='hex8'"),
+        ({"mesh": MeshSizes(1e-4)}, "cells"),
+        ({"material": MaterialSpec("steel", 0.3)}, "steel"),
+        ({"inversion": Settings(max_seconds=1.0)}, "max_seconds"),
+    ],
+)
+def test_wrong_recipes_are_refused(make_recipe: Make, changes: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make_recipe(**changes)
+
+
+def test_wrong_mesh_sizes_are_refused() -> None:
+    with pytest.raises(ConfigError, match="fine_relative"):
+        MeshSizes(fine_relative=0.0)
+
+
+def test_objects_are_shared_by_their_views(make_recipe: Make) -> None:
+    recipe = make_recipe(views=2)
+    phantoms = [recipe.drawn(index).phantom for index in range(4)]
+    assert phantoms[0] == phantoms[1] != phantoms[2] == phantoms[3]
+
+
+def test_configuration_says_all_and_fits_json(make_recipe: Make) -> None:
+    """Any change of what decides the samples changes the configuration."""
+    base = json.dumps(make_recipe().to_config())
+    changed = [
+        {"seed": 1},
+        {"mesh": MeshSizes(0.3, None)},
+        {"presses": PressDraw(hold="fixed")},
+        {"inversion": Settings()},
+        {"inversion": Settings(regularization="smoothness")},
+        {"inversion": Settings(optimizer="newton_cg")},
+        {"options": {}},
+    ]
+    texts = [json.dumps(make_recipe(**changes).to_config()) for changes in changed]
+    assert len({base, *texts}) == len(changed) + 1
