@@ -17,8 +17,8 @@ from tactorch.cli.catalog import PACKAGE, Catalog, conf_folder
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-# `import` is a word of Python's own.
-_MODULES = {"import": "import_"}
+# What is no name in Python.
+_MODULES = {"import": "import_", "evaluate-model": "evaluate_model"}
 _DEBUG = "HYDRA_FULL_ERROR"
 #: Exit status where the input is wrong, and where Ctrl-C ended the run.
 WRONG, INTERRUPTED = 2, 130

@@ -39,6 +39,10 @@ def _is_relabelling(value: Any) -> bool:
     return isinstance(value, Mapping) and all(map(_is_number, (*value.values(), *value.keys())))
 
 
+def _is_list(value: Any) -> bool:
+    return isinstance(value, list) and len(value) > 0
+
+
 _NUMBER = Kind("a number", _is_number)
 HOMOGENEOUS = "homogeneous"
 _MODULUS = Kind(f"a number or {HOMOGENEOUS}", lambda v: v == HOMOGENEOUS or _is_number(v))
@@ -60,6 +64,32 @@ _NUMBERS = Kind(
 _LEVELS = Kind("two moduli: [A,B]", _is_pair)
 _RELABELLING = Kind("a table of moduli: {OLD: NEW}", _is_relabelling)
 
+_RANGE = Kind("the ends of a range: [LOW,HIGH]", _is_pair)
+_WHOLES = Kind("a list of whole numbers: [A,B]", lambda v: _is_list(v) and all(map(_is_whole, v)))
+_SIDES = Kind(
+    "a list of sets of sides: [[z+],[z+,x+]]", lambda v: _is_list(v) and all(map(_NAMES.holds, v))
+)
+_OFFSET = Kind("two numbers: [X,Y]", _is_pair)
+_MODULI = Kind(
+    "a number, or a list of numbers",
+    lambda v: _is_number(v) or (_is_list(v) and all(map(_is_number, v))),
+)
+_SHARES = Kind("three shares: [TRAINING,VALIDATION,TEST]", lambda v: _is_point(v) and min(v) >= 0)
+_DEVICES = Kind("a whole number or auto", lambda v: v == "auto" or _is_whole(v))
+# By a setting's whole name, where its last part means something else elsewhere.
+_WHOLE_NAMES: dict[Kind, str] = {
+    _WHOLE: "dataset.count dataset.views dataset.shard phantom.count",
+    _OFFSET: "phantom.offset",
+    _MODULI: "phantom.youngs_mpa",
+    _SHARES: "data.shares",
+    _DEVICES: "trainer.devices",
+    _RANGE: "dataset.snr_db dataset.presses.p_max_mpa dataset.presses.patch_radius_mm",
+    _WHOLES: "dataset.presses.steps dataset.presses.patches",
+    _SIDES: "dataset.presses.faces",
+}
+#: Settings that belong to what is chosen by a name beside them, and are checked there.
+_FREE = ("dataset.family.",)
+
 # By the last part of a setting's name, which means the same wherever it stands.
 _NAMES_OF: dict[Kind, str] = {
     _NUMBER: """
@@ -69,16 +99,21 @@ _NAMES_OF: dict[Kind, str] = {
         force_scale rest_scale translation_mm rotation_rad level_mpa length_mm deviation
         model_error_left tikhonov smoothness total_variation log_jumps sparsity binary_well matern
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
+        tube low_mpa high_mpa hole_mpa waist_mm rim_mm radius_mm ball distance median_mpa spread
+        dropout learning_rate weight_decay gradient_clip max_minutes brightness
     """,
     _MODULUS: "start_mpa",
     _WHOLE: """
         seed samples steps max_iterations max_evaluations stage_iterations cg_iterations memory
-        max_trials
+        max_trials workers max_epochs splits hidden layers voxels batch split patience
     """,
-    _TEXT: "name misfit model_error element generator hold space hessian source weight_rule",
-    _PATH: "path out recording run run_dir resume",
+    _TEXT: """
+        name misfit model_error element generator hold space hessian source weight_rule executor
+        scheduler accelerator strategy precision part
+    """,
+    _PATH: "path out recording run run_dir resume folder",
     _POINT: "center size radii axis",
-    _FLAG: "plots check_units",
+    _FLAG: "plots check_units retry_failed card reconstruct augment",
     _PATHS: "compare",
     _NAMES: "faces",
     _POINTS: "patch_centers_mm",
@@ -86,13 +121,18 @@ _NAMES_OF: dict[Kind, str] = {
     _LEVELS: "levels_mpa",
     _RELABELLING: "relabel_truth",
 }
-KINDS = {name: kind for kind, names in _NAMES_OF.items() for name in names.split()}
+KINDS = {
+    name: kind
+    for table in (_NAMES_OF, _WHOLE_NAMES)
+    for kind, names in table.items()
+    for name in names.split()
+}
 # Settings that may be null: not given, not wanted, or found by the program.
 _OPTIONAL = """
     mm max_seconds snr_db weight edge_length_mm fine_edge_length_mm fine_relative noise_mm
     patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume
     unknowns.poisson force_scale rest_scale translation_mm rotation_rad
-    edge level_mpa levels_mpa
+    edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 
@@ -140,7 +180,7 @@ def _leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 def _check(name: str, value: Any) -> None:
     leaf = name.split(".")[-1]
-    kind = KINDS.get(leaf)
+    kind = None if name.startswith(_FREE) else KINDS.get(name, KINDS.get(leaf))
     if kind is None or kind.holds(value):
         return
     optional = leaf in OPTIONAL or name in OPTIONAL

@@ -8,6 +8,9 @@ VERBS = {
     "import": "turn files of others into a recording",
     "invert": "reconstruct the map of Young's modulus from a recording",
     "evaluate": "score a reconstruction against the truth",
+    "generate": "make a dataset of simulated presses on random objects",
+    "train": "train a network on a dataset",
+    "evaluate-model": "how good a trained network is, in numbers and pictures",
     "demo": "from presses to a map, on a simulated cube or a published case",
 }
 
@@ -44,6 +47,6 @@ def _dispatch(arguments: list[str] | None) -> None:
 
 def _usage() -> str:
     lines = ["tactorch: from presses on a soft object to a map of its Young's modulus", ""]
-    lines += [f"  tactorch {verb:<9} {text}" for verb, text in VERBS.items()]
+    lines += [f"  tactorch {verb:<15} {text}" for verb, text in VERBS.items()]
     lines += ["", "  tactorch VERB --help shows its settings; tactorch --version its versions."]
     return "\n".join(lines)

@@ -9,7 +9,12 @@ from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
 
 CHECKPOINT = "checkpoint.npz"
-_VERBS = ("invert", "demo")
+# Files that show that a run of a command got as far as having a state.
+_STATES = {
+    "invert": (CHECKPOINT,),
+    "demo": (CHECKPOINT,),
+    "train": ("last.ckpt", "split-*/last.ckpt"),
+}
 
 
 def with_resume(verb: str, settings: list[str]) -> list[str]:
@@ -22,7 +27,7 @@ def with_resume(verb: str, settings: list[str]) -> list[str]:
         ConfigError: it is a run of another command, or several runs are asked for.
     """
     chosen = [s.split("=", 1)[1] for s in settings if s.startswith("resume=")]
-    if verb not in _VERBS or not chosen or chosen[-1] in ("", "null"):
+    if verb not in _STATES or not chosen or chosen[-1] in ("", "null"):
         return settings
     if {"-m", "--multirun"} & set(settings):
         raise ConfigError("resume continues one run; leave out -m.")
@@ -38,7 +43,7 @@ def _repeated(verb: str, run: Path, settings: list[str]) -> list[str]:
     made_by = hydra["hydra"]["job"]["name"]
     if made_by != verb:
         raise ConfigError(f"'{run}' is a run of {made_by}; continue it with tactorch {made_by}.")
-    if not (run / CHECKPOINT).exists():
+    if not any(any(run.glob(pattern)) for pattern in _STATES[verb]):
         notice = f"'{run}' was stopped before its first checkpoint; it starts anew."
         print(notice, file=sys.stderr)
         settings = [s for s in settings if _key(s) != "resume"]
@@ -63,7 +68,11 @@ def _moved(setting: str, started_in: Path) -> str:
     """Keep a relative recording pointing where it did when the run was started."""
     key, value = setting.split("=", 1) if "=" in setting else (setting, "")
     path = value.strip("'\"")
-    if key not in ("recording", "path") or os.path.isabs(path) or Path.cwd() == started_in:
+    if (
+        key not in ("recording", "path", "data.folder")
+        or os.path.isabs(path)
+        or Path.cwd() == started_in
+    ):
         return setting
     return f"{key}='{os.path.relpath(started_in / path)}'"
 

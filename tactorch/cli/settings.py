@@ -48,19 +48,19 @@ def folder() -> Path:
 
 def phantom_of(cfg: DictConfig) -> Phantom:
     """Make the phantom."""
-    return _made("phantom", make_phantom, plain(cfg.phantom))
+    return made("phantom", make_phantom, plain(cfg.phantom))
 
 
 def plan_of(cfg: DictConfig) -> PressPlan:
     """Make the plan of presses."""
-    return _made("press", PressPlan.ramp, plain(cfg.press))
+    return made("press", PressPlan.ramp, plain(cfg.press))
 
 
 def material_of(cfg: DictConfig) -> MaterialSpec:
     """Make the material's description."""
     settings = plain(cfg.material)
     settings["parameters"] = settings["parameters"] or {}
-    return _made("material", MaterialSpec, settings)
+    return made("material", MaterialSpec, settings)
 
 
 def inversion_of(cfg: DictConfig) -> Settings:
@@ -74,13 +74,13 @@ def inversion_of(cfg: DictConfig) -> Settings:
         parameterization=cfg.parameterization.name,
         regularization=name,
         edge=edge,
-        prior=_made("regularization", PriorOptions, prior),
-        bounds=_made("bounds", Bounds, plain(cfg.bounds)),
-        noise=_made("noise", NoiseModel, plain(cfg.noise)),
+        prior=made("regularization", PriorOptions, prior),
+        bounds=made("bounds", Bounds, plain(cfg.bounds)),
+        noise=made("noise", NoiseModel, plain(cfg.noise)),
         misfit=cfg.misfit,
         model_error=cfg.model_error,
         model_error_left=cfg.model_error_left,
-        unknowns=_made("unknowns", Unknowns, plain(cfg.unknowns)),
+        unknowns=made("unknowns", Unknowns, plain(cfg.unknowns)),
         element=cfg.element,
         solver=cfg.solver.name,
         max_seconds=cfg.max_seconds,
@@ -92,7 +92,7 @@ def start_of(cfg: DictConfig) -> Start:
     return homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa)
 
 
-def _made(what: str, make: Callable[..., _T], settings: dict[str, Any]) -> _T:
+def made(what: str, make: Callable[..., _T], settings: dict[str, Any]) -> _T:
     """Call `make` with the settings of a group; its complaints then name the group.
 
     Raises:

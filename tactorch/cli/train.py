@@ -1,0 +1,117 @@
+"""`tactorch train`."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from omegaconf import DictConfig
+
+from tactorch.cli.report import write_json
+from tactorch.cli.settings import folder, log, made, plain
+from tactorch.errors import ConfigError
+
+SCORES, DATA = "scores.json", "data.json"
+
+
+def run(cfg: DictConfig) -> dict[str, Any]:
+    """Train, on one split or several, and write the scores."""
+    out = folder()
+    if cfg.resume is None:
+        _clear(out)
+    if cfg.splits < 1:
+        raise ConfigError(f"splits={cfg.splits} must be at least 1.")
+    rows = []
+    for number in range(cfg.splits):
+        place = out if cfg.splits == 1 else out / f"split-{number:02d}"
+        rows.append(_scores_of(cfg, number, place))
+        log.info("split %d of %d: %s", number + 1, cfg.splits, _told(rows[-1]))
+    values = {name: [row[name] for row in rows] for name in rows[0]}
+    summary = {
+        name: {"mean": float(np.mean(v)), "deviation": float(np.std(v, ddof=len(v) > 1))}
+        for name, v in values.items()
+    }
+    result = {"splits": rows, "summary": summary}
+    write_json(out / SCORES, result)
+    for name, figures in summary.items():
+        log.info("%s: %.4g +- %.2g", name, figures["mean"], figures["deviation"])
+    return result
+
+
+def _scores_of(cfg: DictConfig, number: int, place: Path) -> dict[str, float]:
+    """Train on one split; one that had ended is not trained again."""
+    from tactorch.learning.training import TrainerOptions, fit
+
+    options = made("trainer", TrainerOptions, {**plain(cfg.trainer), "seed": cfg.seed})
+    done = place / "split.json"
+    if cfg.resume is not None and done.is_file():
+        found: dict[str, Any] = json.loads(done.read_text(encoding="utf-8"))
+        if found["settings"] == _decisive(cfg):
+            scores: dict[str, float] = found["scores"]
+            return scores
+    data = data_of(cfg, number)
+    if cfg.resume is not None:
+        check_data(place, data)
+    write_json(place / DATA, {"fingerprint": data.fingerprint, "classes": data.classes})
+    scores = fit(model_of(cfg, data), data, place, options)
+    write_json(done, {"settings": _decisive(cfg), "scores": scores})
+    return scores
+
+
+def _decisive(cfg: DictConfig) -> dict[str, Any]:
+    """What a training's result depends on."""
+    return {name: plain(cfg[name]) for name in ("model", "data", "trainer")} | {"seed": cfg.seed}
+
+
+def _clear(out: Path) -> None:
+    """Remove the state of an earlier run in the same folder: this one starts anew."""
+    for pattern in ("*.ckpt", "split-*/*.ckpt", SCORES, "split.json", "split-*/split.json"):
+        for stale in out.glob(pattern):
+            stale.unlink()
+
+
+def check_data(place: Path, data: Any) -> None:
+    """Refuse data or a split that a network was not trained on: its test part may be known to it.
+
+    Raises:
+        ConfigError: They differ.
+    """
+    path = place / DATA
+    if not path.is_file():
+        return
+    if json.loads(path.read_text(encoding="utf-8"))["fingerprint"] != data.fingerprint:
+        raise ConfigError(
+            f"'{place}' was trained on other data, or on another split of them; give the same"
+            " data.folder, data.split and data.shares, or train anew."
+        )
+
+
+def data_of(cfg: DictConfig, number: int) -> Any:
+    """Make the data module of a split."""
+    settings = plain(cfg.data)
+    name = settings.pop("name")
+    if name != "recognition":
+        raise ConfigError(f"data '{name}' is unknown; choose recognition.")
+    from tactorch.learning.recognition_data import RecognitionData
+
+    settings["split"] += number
+    return made("data", RecognitionData, {**settings, "seed": cfg.seed})
+
+
+def model_of(cfg: DictConfig, data: Any) -> Any:
+    """Make the network for the data, with weights that depend on the seed alone."""
+    import lightning
+
+    settings = plain(cfg.model)
+    name = settings.pop("name")
+    if name != "recognizer":
+        raise ConfigError(f"model '{name}' is unknown; choose recognizer.")
+    from tactorch.learning.recognizer import Recognizer
+
+    lightning.seed_everything(cfg.seed, verbose=False)
+    given = {"classes": data.classes, "mean": data.mean, "deviation": data.deviation}
+    return made("model", Recognizer, {**given, **settings})
+
+
+def _told(scores: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in scores.items())

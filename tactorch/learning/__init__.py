@@ -1,0 +1,1 @@
+"""Networks that learn from simulated touch: which inclusion a map shows, and where to start."""

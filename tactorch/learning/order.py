@@ -1,0 +1,70 @@
+"""The order and the randomness of training, decided by seed, epoch and step alone.
+
+So a training that was killed goes on from its last checkpoint as if nothing had happened.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import lightning
+import numpy as np
+import torch
+from torch.utils.data import Sampler
+
+
+class EpochSampler(Sampler[tuple[int, int]]):
+    """Every place once, in an order that depends on seed and epoch alone.
+
+    Yields pairs of epoch and place, for datasets whose augmentation depends on both. Lightning
+    tells the epoch.
+
+    Args:
+        count: Number of places.
+        seed: Of the orders.
+    """
+
+    def __init__(self, count: int, seed: int = 0) -> None:
+        self.count, self.seed, self.epoch = count, seed, 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Take the number of the epoch to come."""
+        self.epoch = epoch
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        order = np.random.default_rng([self.seed, self.epoch]).permutation(self.count)
+        return iter([(self.epoch, int(place)) for place in order])
+
+
+class SeededSteps(lightning.Callback):
+    """Seeds what a network draws (dropout, say) at each step, by seed and step alone."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.seed = seed
+
+    def on_train_batch_start(
+        self, trainer: lightning.Trainer, module: lightning.LightningModule, *others: Any
+    ) -> None:
+        """Seed the step."""
+        torch.manual_seed(seed_of(self.seed, trainer.global_step))
+
+
+def seed_of(*words: int) -> int:
+    """Return one seed for several whole numbers, such as a seed, an epoch and a place."""
+    return int(np.random.SeedSequence(list(words)).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def rise_and_fall(steps: int, rise: float = 0.1) -> Callable[[int], float]:
+    """Return a learning rate's share by step: rising for a share of the steps, then a cosine."""
+    total = max(1, steps)
+    first = max(1, round(rise * total))
+
+    def share(step: int) -> float:
+        if step < first:
+            return (step + 1) / first
+        return 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - first) / max(1, total - first))))
+
+    return share

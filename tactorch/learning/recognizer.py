@@ -1,0 +1,133 @@
+"""The recognizer: which inclusion a map of Young's modulus shows (Section V-B)."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import lightning
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from tactorch.errors import ConfigError
+from tactorch.learning.order import rise_and_fall
+
+
+class FCN(nn.Module):
+    """A 3-D fully convolutional network (Long et al., 2015) with one score per class and voxel.
+
+    The scores' mean over the voxels decides, so that grids of any size will do, down to 4 voxels
+    in each direction.
+
+    Args:
+        classes: Number of classes.
+        hidden: Channels of the hidden layers; the paper has 64.
+        layers: Hidden layers; the first two halve the grid.
+        dropout: Share of channels dropped before the last layer, in training.
+    """
+
+    def __init__(
+        self, classes: int, hidden: int = 64, layers: int = 4, dropout: float = 0.3
+    ) -> None:
+        super().__init__()
+        if min(classes, hidden, layers) < 1:
+            raise ConfigError("classes, hidden and layers must be at least 1.")
+        if not 0 <= dropout < 1:
+            raise ConfigError(f"dropout={dropout} must be a share in [0, 1).")
+        blocks: list[nn.Module] = []
+        for layer in range(layers):
+            channels = 1 if layer == 0 else hidden
+            stride = 2 if layer < 2 else 1
+            blocks += [
+                nn.Conv3d(channels, hidden, 3, stride=stride, padding=1, bias=False),
+                nn.BatchNorm3d(hidden),
+                nn.ReLU(),
+            ]
+        self.hidden = nn.Sequential(*blocks)
+        self.drop = nn.Dropout3d(dropout)
+        self.score = nn.Conv3d(hidden, classes, 1)
+
+    def forward(self, maps: Float[Tensor, "b 1 x y z"]) -> Float[Tensor, "b c"]:
+        """Return the logits of each class."""
+        return self.score(self.drop(self.hidden(maps))).mean(dim=(2, 3, 4))
+
+
+class Recognizer(lightning.LightningModule):
+    """Learns to name inclusions from log-modulus on a grid.
+
+    Args:
+        classes: Their names.
+        mean: Of the training maps' log-modulus; a buffer among the weights.
+        deviation: Its standard deviation, likewise.
+        hidden: See `FCN`.
+        layers: See `FCN`.
+        dropout: See `FCN`.
+        learning_rate: Of Adam, at its highest.
+        weight_decay: Of Adam.
+    """
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(
+        self,
+        classes: Sequence[str],
+        mean: float = 0.0,
+        deviation: float = 1.0,
+        hidden: int = 64,
+        layers: int = 4,
+        dropout: float = 0.3,
+        learning_rate: float = 2e-3,
+        weight_decay: float = 1e-4,
+    ) -> None:
+        super().__init__()
+        if not (learning_rate > 0 and weight_decay >= 0):
+            raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
+        self.save_hyperparameters()
+        self.classes = list(classes)
+        self.register_buffer("mean", torch.tensor(float(mean)))
+        self.register_buffer("deviation", torch.tensor(float(deviation)))
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
+        self.network = FCN(len(self.classes), hidden, layers, dropout)
+
+    def forward(self, log_youngs: Float[Tensor, "b 1 x y z"]) -> Float[Tensor, "b c"]:
+        """Return the logits of each class for maps of log-modulus (MPa)."""
+        return self.network((log_youngs - self.mean) / self.deviation)
+
+    def training_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
+        """Return the cross-entropy of a batch."""
+        loss, _ = self._judge(batch)
+        self.log("train/loss", loss, on_step=False, on_epoch=True, sync_dist=True)
+        return loss
+
+    def validation_step(self, batch: Sequence[Tensor], index: int) -> None:
+        """Log the cross-entropy and the share of right answers."""
+        self._log("val", batch)
+
+    def test_step(self, batch: Sequence[Tensor], index: int) -> None:
+        """Log the cross-entropy and the share of right answers."""
+        self._log("test", batch)
+
+    def predict_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
+        """Return the probability of each class."""
+        return self(batch[0]).softmax(dim=1)
+
+    def configure_optimizers(self) -> Any:
+        """AdamW, its rate rising shortly and then falling to nothing along half a cosine."""
+        optimizer = torch.optim.AdamW(
+            self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay
+        )
+        shape = rise_and_fall(int(self.trainer.estimated_stepping_batches))
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, shape)
+        return [optimizer], [{"scheduler": schedule, "interval": "step"}]
+
+    def _judge(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        maps, labels = batch
+        logits = self(maps)
+        right = (logits.argmax(dim=1) == labels).double().mean()
+        return functional.cross_entropy(logits, labels), right
+
+    def _log(self, part: str, batch: Sequence[Tensor]) -> None:
+        loss, right = self._judge(batch)
+        values = {f"{part}/loss": loss, f"{part}/accuracy": right}
+        self.log_dict(values, batch_size=len(batch[1]), sync_dist=True)

@@ -1,0 +1,210 @@
+"""One training: from a data module and a module to weights, a curve and a summary."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import lightning
+import torch
+from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from tactorch.errors import ConfigError, FileError
+from tactorch.files import atomic_path
+from tactorch.learning.order import SeededSteps
+
+LAST, BEST, CURVE = "last.ckpt", "best.ckpt", "curve.json"
+
+
+@dataclass(frozen=True)
+class TrainerOptions:
+    """How to train.
+
+    Attributes:
+        max_epochs: Limit of epochs.
+        accelerator: "cpu", "gpu" or "auto".
+        devices: Number of devices, or "auto".
+        strategy: "auto", or "ddp" for several devices.
+        precision: Of the numbers, as Lightning names it.
+        patience: Epochs without a lower validation loss after which to stop; None never does.
+        gradient_clip: Largest norm of a gradient; None for any.
+        max_minutes: Time limit; None for none.
+        seed: Of weights, order, augmentation and dropout.
+        show_progress: Whether to show Lightning's progress bar.
+    """
+
+    max_epochs: int = 60
+    accelerator: str = "cpu"
+    devices: int | str = 1
+    strategy: str = "auto"
+    precision: str = "32-true"
+    patience: int | None = None
+    gradient_clip: float | None = 1.0
+    max_minutes: float | None = None
+    seed: int = 0
+    show_progress: bool = False
+
+    def __post_init__(self) -> None:
+        if self.max_epochs < 1:
+            raise ConfigError(f"trainer.max_epochs={self.max_epochs} must be at least 1.")
+        if self.accelerator == "gpu" and not torch.cuda.is_available():
+            raise ConfigError("trainer=gpu needs a CUDA device, and torch sees none here.")
+
+
+class Curve(lightning.Callback):
+    """The losses of every epoch, kept in the checkpoint and written beside it.
+
+    Args:
+        path: Of the JSON file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.epochs: list[dict[str, float]] = []
+
+    def on_train_epoch_end(
+        self, trainer: lightning.Trainer, module: lightning.LightningModule
+    ) -> None:
+        """Note the losses of the epoch."""
+        values = {k: float(v) for k, v in trainer.callback_metrics.items()}
+        self.epochs = self.epochs[: trainer.current_epoch]
+        self.epochs.append({"epoch": float(trainer.current_epoch), **values})
+        with atomic_path(self.path) as temporary:
+            temporary.write_text(json.dumps(self.epochs, indent=1) + "\n", encoding="utf-8")
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what the checkpoint keeps."""
+        return {"epochs": self.epochs}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint."""
+        self.epochs = list(state["epochs"])
+
+
+def fit(
+    module: lightning.LightningModule,
+    data: lightning.LightningDataModule,
+    folder: Path,
+    options: TrainerOptions | None = None,
+    callbacks: Sequence[lightning.Callback] = (),
+) -> dict[str, float]:
+    """Train, or go on from the folder's last checkpoint; returns the scores on the test part.
+
+    Args:
+        module: What to train; its weights are the best ones afterwards.
+        data: What to train on.
+        folder: Gets last.ckpt, best.ckpt, curve.json and TensorBoard's files.
+        options: How.
+        callbacks: Lightning's, beside our own.
+
+    Raises:
+        FileError: The checkpoint is damaged or of another model.
+        ConfigError: An option cannot be used.
+    """
+    options = options or TrainerOptions()
+    folder.mkdir(parents=True, exist_ok=True)
+    judged = _has_validation(data)
+    if options.patience is not None and not judged:
+        raise ConfigError("trainer.patience needs a validation part; give it a share of the data.")
+    trainer = _trainer(folder, options, judged, callbacks)
+    last, best = folder / LAST, folder / BEST
+    if last.is_file():
+        check_checkpoint(last, module)
+    trainer.fit(module, datamodule=data, ckpt_path=str(last) if last.is_file() else None)
+    if not judged:  # there is nothing to choose by: the last is as good as any
+        trainer.save_checkpoint(best)
+    load_weights(module, best)
+    scores = trainer.test(module, datamodule=data, verbose=False)
+    return {name: float(value) for part in scores for name, value in part.items()}
+
+
+def _trainer(
+    folder: Path,
+    options: TrainerOptions,
+    judged: bool,
+    callbacks: Sequence[lightning.Callback],
+) -> lightning.Trainer:
+    """Make Lightning's trainer; it keeps the last epoch, and the best where that can be told."""
+    kept = [ModelCheckpoint(folder, Path(LAST).stem, enable_version_counter=False)]
+    if judged:
+        name = Path(BEST).stem
+        kept.append(ModelCheckpoint(folder, name, monitor="val/loss", enable_version_counter=False))
+    limit = None if options.max_minutes is None else timedelta(minutes=options.max_minutes)
+    settings: dict[str, Any] = dict(
+        accelerator=options.accelerator,
+        devices=options.devices,
+        strategy=options.strategy,
+        precision=options.precision,
+        max_epochs=options.max_epochs,
+        max_time=limit,
+        gradient_clip_val=options.gradient_clip,
+        callbacks=[
+            *kept,
+            Curve(folder / CURVE),
+            SeededSteps(options.seed),
+            *_patience(options.patience),
+            *callbacks,
+        ],
+        logger=TensorBoardLogger(str(folder), name="", version="tensorboard"),
+        enable_progress_bar=options.show_progress,
+        enable_model_summary=False,
+        log_every_n_steps=1,
+        num_sanity_val_steps=0,
+        deterministic="warn",
+    )
+    try:
+        return lightning.Trainer(**settings)
+    except (ValueError, TypeError, RuntimeError, MisconfigurationException) as error:
+        raise ConfigError(f"trainer: {' '.join(str(error).split())}") from error
+
+
+def _has_validation(data: lightning.LightningDataModule) -> bool:
+    loader = data.val_dataloader()
+    return loader is not None and len(loader) > 0
+
+
+def check_checkpoint(path: Path, module: lightning.LightningModule) -> Mapping[str, Any]:
+    """Read a checkpoint, and make sure that its weights fit the module.
+
+    Raises:
+        FileError: It is missing, damaged or of another model; says what differs.
+    """
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        weights = content["state_dict"]
+    except FileNotFoundError as error:
+        raise FileError(f"checkpoint not found: '{path}'.") from error
+    except Exception as error:  # whatever a damaged archive leads to
+        raise FileError(
+            f"checkpoint '{path}' is damaged or no checkpoint ({type(error).__name__}); train anew,"
+            " or give another."
+        ) from error
+    wanted = module.state_dict()
+    for name in sorted({*weights, *wanted}):
+        have = tuple(weights[name].shape) if name in weights else None
+        want = tuple(wanted[name].shape) if name in wanted else None
+        if have != want:
+            there, here = ("missing" if shape is None else shape for shape in (have, want))
+            raise FileError(
+                f"checkpoint '{path}' is of another model: {name} is {there} there and {here} here;"
+                " give the settings that it was trained with."
+            )
+    assert isinstance(content, Mapping)
+    return content
+
+
+def load_weights(module: lightning.LightningModule, path: Path) -> None:
+    """Take the weights of a checkpoint.
+
+    Raises:
+        FileError: It is missing, damaged or of another model.
+    """
+    module.load_state_dict(check_checkpoint(path, module)["state_dict"])
+
+
+def _patience(epochs: int | None) -> list[lightning.Callback]:
+    return [] if epochs is None else [EarlyStopping("val/loss", patience=epochs)]
