@@ -1,6 +1,8 @@
 """`tactorch train`."""
 
 import json
+import logging
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,9 @@ SCORES, DATA = "scores.json", "data.json"
 
 def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, on one split or several, and write the scores."""
+    # Lightning's advice would hide what matters.
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    warnings.filterwarnings("ignore", module="lightning")
     out = folder()
     if cfg.resume is None:
         _clear(out)
