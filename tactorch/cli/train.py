@@ -18,6 +18,8 @@ SCORES, DATA = "scores.json", "data.json"
 
 def run(cfg: DictConfig) -> dict[str, Any]:
     """Train, on one split or several, and write the scores."""
+    import lightning.pytorch  # noqa: F401  (sets its own level)
+
     # Lightning's advice would hide what matters.
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     warnings.filterwarnings("ignore", module="lightning")
