@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
+from tactorch.cli.networks import data_of, model_of
 from tactorch.cli.report import write_json
 from tactorch.cli.settings import folder, log
-from tactorch.cli.train import DATA, check_data, data_of, model_of
+from tactorch.cli.train import DATA, check_data
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
 

@@ -83,7 +83,10 @@ _WHOLE_NAMES: dict[Kind, str] = {
     _MODULI: "phantom.youngs_mpa",
     _SHARES: "data.shares",
     _DEVICES: "trainer.devices",
-    _RANGE: "dataset.snr_db dataset.presses.p_max_mpa dataset.presses.patch_radius_mm",
+    _RANGE: """
+        dataset.snr_db dataset.presses.p_max_mpa dataset.presses.load
+        dataset.presses.patch_radius_mm
+    """,
     _WHOLES: "dataset.presses.steps dataset.presses.patches",
     _SIDES: "dataset.presses.faces",
 }
@@ -106,6 +109,7 @@ _NAMES_OF: dict[Kind, str] = {
     _WHOLE: """
         seed samples steps max_iterations max_evaluations stage_iterations cg_iterations memory
         max_trials workers max_epochs splits hidden layers voxels batch split patience
+        width encoded cells frames
     """,
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor
@@ -133,6 +137,7 @@ _OPTIONAL = """
     patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume
     unknowns.poisson force_scale rest_scale translation_mm rotation_rad
     edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
+    dataset.presses.load
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig
 
+from tactorch.cli.networks import data_of, facts_of, model_of, network_of
 from tactorch.cli.report import write_json
 from tactorch.cli.settings import folder, log, made, plain
 from tactorch.errors import ConfigError
@@ -28,6 +29,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
         _clear(out)
     if cfg.splits < 1:
         raise ConfigError(f"splits={cfg.splits} must be at least 1.")
+    network_of(cfg)
     rows = []
     for number in range(cfg.splits):
         place = out if cfg.splits == 1 else out / f"split-{number:02d}"
@@ -59,7 +61,7 @@ def _scores_of(cfg: DictConfig, number: int, place: Path) -> dict[str, float]:
     data = data_of(cfg, number)
     if cfg.resume is not None:
         check_data(place, data)
-    write_json(place / DATA, {"fingerprint": data.fingerprint, "classes": data.classes})
+    write_json(place / DATA, facts_of(cfg, data))
     scores = fit(model_of(cfg, data), data, place, options)
     write_json(done, {"settings": _decisive(cfg), "scores": scores})
     return scores
@@ -91,33 +93,6 @@ def check_data(place: Path, data: Any) -> None:
             f"'{place}' was trained on other data, or on another split of them; give the same"
             " data.folder, data.split and data.shares, or train anew."
         )
-
-
-def data_of(cfg: DictConfig, number: int) -> Any:
-    """Make the data module of a split."""
-    settings = plain(cfg.data)
-    name = settings.pop("name")
-    if name != "recognition":
-        raise ConfigError(f"data '{name}' is unknown; choose recognition.")
-    from tactorch.learning.recognition_data import RecognitionData
-
-    settings["split"] += number
-    return made("data", RecognitionData, {**settings, "seed": cfg.seed})
-
-
-def model_of(cfg: DictConfig, data: Any) -> Any:
-    """Make the network for the data, with weights that depend on the seed alone."""
-    import lightning
-
-    settings = plain(cfg.model)
-    name = settings.pop("name")
-    if name != "recognizer":
-        raise ConfigError(f"model '{name}' is unknown; choose recognizer.")
-    from tactorch.learning.recognizer import Recognizer
-
-    lightning.seed_everything(cfg.seed, verbose=False)
-    given = {"classes": data.classes, "mean": data.mean, "deviation": data.deviation}
-    return made("model", Recognizer, {**given, **settings})
 
 
 def _told(scores: dict[str, float]) -> str:

@@ -19,6 +19,8 @@ class PressDraw:
     Attributes:
         faces: Sets of pressed sides, one of which is drawn.
         p_max_mpa: Range of the highest pressure, MPa.
+        load: Range of the highest pressure over the object's median modulus, as one presses soft
+            objects more gently; it takes the place of `p_max_mpa`. None does not.
         steps: Numbers of equal steps up to it, one of which is drawn.
         patch_radius_mm: Range of the radius of the pressed patches; None presses whole sides.
         patches: Fewest and most patches on each side, at random places.
@@ -31,6 +33,7 @@ class PressDraw:
 
     faces: Sequence[Sequence[str]] = (("z+", "x+", "y+"),)
     p_max_mpa: Sequence[Real] = (0.02, 0.02)
+    load: Sequence[Real] | None = None
     steps: Sequence[int] = (4,)
     patch_radius_mm: Sequence[Real] | None = None
     patches: Sequence[int] = (1, 1)
@@ -41,6 +44,8 @@ class PressDraw:
         if not self.faces or not self.steps:
             raise ConfigError("faces and steps must each offer at least one choice.")
         _range("p_max_mpa", self.p_max_mpa)
+        if self.load is not None:
+            _range("load", self.load)
         if self.patch_radius_mm is not None:
             _range("patch_radius_mm", self.patch_radius_mm)
         if len(self.patches) != 2 or not 1 <= self.patches[0] <= self.patches[1]:
@@ -51,10 +56,12 @@ class PressDraw:
         for sides, steps in product(self.faces, self.steps):  # refuse what no draw could use
             PressPlan.ramp(self.p_max_mpa[0], steps, faces=tuple(sides), **support)
 
-    def draw(self, rng: np.random.Generator, bounds: Float[np.ndarray, "2 3"]) -> PressPlan:
-        """Draw a plan for an object of a bounding box, mm."""
+    def draw(
+        self, rng: np.random.Generator, bounds: Float[np.ndarray, "2 3"], youngs_mpa: float
+    ) -> PressPlan:
+        """Draw a plan for an object of a bounding box, mm, and a median modulus, MPa."""
         sides = tuple(self.faces[int(rng.integers(len(self.faces)))])
-        highest = float(rng.uniform(*_range("p_max_mpa", self.p_max_mpa)))
+        highest = self._highest(rng, youngs_mpa)
         steps = int(self.steps[int(rng.integers(len(self.steps)))])
         radius, centers = None, None
         if self.patch_radius_mm is not None:
@@ -71,6 +78,11 @@ class PressDraw:
             hold=self.hold,
             spring_n_per_mm=self.spring_n_per_mm,
         )
+
+    def _highest(self, rng: np.random.Generator, youngs_mpa: float) -> float:
+        if self.load is not None:
+            return youngs_mpa * float(rng.uniform(*_range("load", self.load)))
+        return float(rng.uniform(*_range("p_max_mpa", self.p_max_mpa)))
 
 
 def _range(name: str, pair: Sequence[Real]) -> tuple[float, float]:

@@ -56,11 +56,12 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
     """
     drawn = recipe.drawn(index)
     rng = np.random.default_rng([recipe.seed, 1, index])
-    plan = recipe.presses.draw(rng, drawn.phantom.body.bounds())
     snr_db = None
     if recipe.snr_db is not None:
         snr_db = float(rng.uniform(float(recipe.snr_db[0]), float(recipe.snr_db[1])))
     mesh, fine = recipe.mesh.meshes(drawn.phantom)
+    median = float(np.median(drawn.phantom.on_mesh(mesh, samples=recipe.samples)))
+    plan = recipe.presses.draw(rng, drawn.phantom.body.bounds(), median)
     recording = simulate(
         drawn.phantom,
         plan,

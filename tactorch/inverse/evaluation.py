@@ -157,6 +157,10 @@ class Evaluation:
         """Predicted report of the sensor, each press, mm."""
         return [press.reported for press in self._presses]
 
+    def observed(self, i: int) -> Float[np.ndarray, " p"]:
+        """Return the observed displacements of press i, mm, in the order of its residuals."""
+        return self._observations[i].displacement
+
     def search(self, i: int) -> Newton:
         """Return the equilibrium search of press i."""
         return self._presses[i].newton

@@ -14,11 +14,9 @@ from torch.utils.data import DataLoader, Dataset, TensorDataset
 from tactorch.errors import ConfigError
 from tactorch.generation import Maps, SampleSet
 from tactorch.learning.order import EpochSampler
-from tactorch.learning.splits import split_objects
+from tactorch.learning.splits import PARTS, split_objects
 from tactorch.learning.symmetry import IDENTITY, Symmetry, apply, symmetries
 from tactorch.mesh import VoxelGrid
-
-PARTS = ("train", "val", "test")
 
 
 class Turned(Dataset[tuple[Tensor, Tensor]]):

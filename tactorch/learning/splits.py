@@ -6,6 +6,8 @@ import numpy as np
 
 from tactorch.errors import ConfigError
 
+PARTS = ("train", "val", "test")
+
 
 def split_objects(
     objects: Sequence[int],

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -72,6 +73,19 @@ class VoxelGrid:
                 f"a field of shape {per_element.shape} is not over the {self.mesh.n_tets} elements."
             )
         return per_element[self.nearest]
+
+    def splat(self, nodal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "c v v v"]:
+        """Share each node's values out among the eight voxels around it; sums are kept."""
+        places = (self.mesh.points - self.mesh.bounds[0]) / self.size_mm - 0.5
+        corner = np.floor(places).astype(np.int64)
+        share = places - corner
+        out = np.zeros((self.count**3, nodal.shape[1]))
+        for step in product((0, 1), repeat=3):
+            at = np.clip(corner + step, 0, self.count - 1)
+            weight = np.prod(np.where(np.array(step) == 1, share, 1.0 - share), axis=1)
+            flat = (at[:, 0] * self.count + at[:, 1]) * self.count + at[:, 2]
+            np.add.at(out, flat, weight[:, None] * nodal)
+        return np.ascontiguousarray(out.T).reshape(nodal.shape[1], *self.shape)
 
     def at_elements(self, values: Float[np.ndarray, "v v v"]) -> Float[np.ndarray, " m"]:
         """Return a field on the voxels at the elements' centroids, linear between centres."""

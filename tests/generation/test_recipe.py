@@ -24,8 +24,8 @@ def test_plans_stay_within_what_they_are_drawn_from(seed: int) -> None:
         patch_radius_mm=(1.0, 2.0),
         patches=(2, 3),
     )
-    plan = draw.draw(np.random.default_rng(seed), BOX)
-    again = draw.draw(np.random.default_rng(seed), BOX)
+    plan = draw.draw(np.random.default_rng(seed), BOX, 0.2)
+    again = draw.draw(np.random.default_rng(seed), BOX, 0.2)
     assert plan == again
     assert plan.faces in (("z+",), ("x+", "y-"))
     assert 0.01 <= max(plan.pressures_mpa) <= 0.03
@@ -36,6 +36,13 @@ def test_plans_stay_within_what_they_are_drawn_from(seed: int) -> None:
     assert ((centers >= plan.patch_radius_mm) & (centers <= 10 - plan.patch_radius_mm)).all()
 
 
+def test_loads_go_with_the_object() -> None:
+    draw = PressDraw(load=(0.03, 0.09), steps=(2,))
+    for youngs in (0.05, 0.8):
+        plan = draw.draw(np.random.default_rng(0), BOX, youngs)
+        assert 0.03 * youngs <= max(plan.pressures_mpa) <= 0.09 * youngs
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -43,6 +50,7 @@ def test_plans_stay_within_what_they_are_drawn_from(seed: int) -> None:
         ({"faces": (("top",),)}, "unknown side 'top'"),
         ({"p_max_mpa": (0.02, 0.01)}, "upper end lies below"),
         ({"p_max_mpa": (0.02,)}, "lower and the upper"),
+        ({"load": (0.1, 0.05)}, "load=.*upper end lies below"),
         ({"patches": (0, 2)}, "patches"),
         ({"steps": (4, 0)}, "steps=0"),
         ({"spring_n_per_mm": -1.0}, "spring_n_per_mm"),

@@ -1,0 +1,82 @@
+"""A first, linear image of what presses show, on a coarse grid: cheap, and the same for any mesh.
+
+The presses are linearised at the best uniform modulus, and log E over it gets a Gaussian prior on
+the cells of the body's box; image and certainty are then one small dense solve (Tarantola, 2005,
+eq. 3.37 and 3.38). Lengths are shares of the box, so the prior has no unit.
+"""
+
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+from scipy.linalg import cho_factor, cho_solve
+
+from tactorch.inverse import Evaluation
+from tactorch.mesh import TetMesh
+
+# Of the prior: standard deviation of log E, correlation length, and deviation of the mean.
+_SPREAD, _LENGTH, _SHIFT = 0.7, 0.2, 0.3
+# What mesh and linearisation get wrong, as a share of a press's displacement.
+_FLOOR = 0.02
+
+
+def linear_image(
+    evaluation: Evaluation, mesh: TetMesh, deviations: list[float], count: int
+) -> tuple[Float[np.ndarray, "v v v"], Float[np.ndarray, "v v v"]]:
+    """Return log E over the uniform modulus, and how much of its variance the presses explain.
+
+    Args:
+        evaluation: Of a uniform map.
+        mesh: The body.
+        deviations: Standard deviation of each press's data, mm.
+        count: Cells in each direction.
+
+    Raises:
+        ConvergenceError: An equilibrium is unstable and has no derivatives.
+    """
+    trust = _trust(evaluation, deviations)
+    # Of log E, by cells.
+    jacobian = (evaluation.jacobian() * (trust[:, None] * evaluation.youngs)) @ _cells(mesh, count)
+    precision = _prior_precision(count) + jacobian.T @ jacobian
+    factor = cho_factor(precision, lower=True, check_finite=False)
+    image = -cho_solve(factor, jacobian.T @ (trust * evaluation.residuals))
+    variance = cho_solve(factor, np.eye(count**3)).diagonal()
+    explained = 1.0 - variance / (_SPREAD**2 + _SHIFT**2)
+    return image.reshape((count,) * 3), explained.reshape((count,) * 3)
+
+
+def _trust(evaluation: Evaluation, deviations: list[float]) -> Float[np.ndarray, " data"]:
+    """Weight of each datum once the floor is counted in, against what the residuals have."""
+    parts = []
+    for i, deviation in enumerate(deviations):
+        seen = evaluation.observed(i)
+        floor = _FLOOR * float(np.sqrt(np.mean(seen**2)))
+        parts.append(np.full(len(seen), deviation / np.hypot(deviation, floor)))
+    return np.concatenate(parts)
+
+
+def _cells(mesh: TetMesh, count: int) -> sp.csr_matrix:
+    """Interpolate fields on the cells to the elements' centroids, linearly, (m, count^3)."""
+    low, high = mesh.bounds
+    places = (mesh.centroids - low) / (high - low) * count - 0.5
+    corner = np.clip(np.floor(places).astype(int), 0, max(0, count - 2))
+    share = np.clip(places - corner, 0.0, 1.0)
+    rows, columns, values = [], [], []
+    for step in product((0, 1), repeat=3):
+        at = np.minimum(corner + step, count - 1)
+        rows.append(np.arange(mesh.n_tets))
+        columns.append((at[:, 0] * count + at[:, 1]) * count + at[:, 2])
+        values.append(np.prod(np.where(np.array(step) == 1, share, 1.0 - share), axis=1))
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return sp.csr_matrix(entries, shape=(mesh.n_tets, count**3))
+
+
+@lru_cache(maxsize=4)
+def _prior_precision(count: int) -> Float[np.ndarray, "cells cells"]:
+    axis = (np.arange(count) + 0.5) / count
+    cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    distance = np.linalg.norm(cells[:, None] - cells[None], axis=-1)
+    covariance = _SPREAD**2 * np.exp(-distance / _LENGTH) + _SHIFT**2
+    return np.linalg.inv(covariance)

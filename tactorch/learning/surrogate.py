@@ -1,0 +1,132 @@
+"""The surrogate: from presses on a grid to log Young's modulus and how sure it is (Section VII)."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import lightning
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from tactorch.errors import ConfigError
+from tactorch.learning.order import rise_and_fall
+from tactorch.learning.touch import PRESS_CHANNELS, SHARED_CHANNELS
+from tactorch.learning.unet import PressUNet
+
+_LEAST, _MOST = -5.0, 1.0  # of the logarithm of the deviation
+_IMAGE = SHARED_CHANNELS.index("image")
+
+
+class Surrogate(lightning.LightningModule):
+    """Learns a normal distribution of each voxel's log-modulus over the best uniform one.
+
+    The loss is the negative log-likelihood, each voxel weighed by its (detached) deviation, which
+    keeps the mean from being neglected where the deviation is large (Seitzer et al., 2022).
+
+    Args:
+        press_scale: Typical size of each of a press's channels; a buffer among the weights.
+        shared_scale: The same of the object's channels.
+        width: See `PressUNet`.
+        encoded: See `PressUNet`.
+        learning_rate: Of Adam, at its highest.
+        weight_decay: Of Adam.
+    """
+
+    press_scale: Tensor
+    shared_scale: Tensor
+
+    def __init__(
+        self,
+        press_scale: Sequence[float] = (1.0,) * len(PRESS_CHANNELS),
+        shared_scale: Sequence[float] = (1.0,) * len(SHARED_CHANNELS),
+        width: int = 48,
+        encoded: int = 24,
+        learning_rate: float = 2e-3,
+        weight_decay: float = 1e-3,
+    ) -> None:
+        super().__init__()
+        if not (learning_rate > 0 and weight_decay >= 0):
+            raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
+        self.save_hyperparameters()
+        self.register_buffer("press_scale", torch.tensor(list(press_scale)))
+        self.register_buffer("shared_scale", torch.tensor(list(shared_scale)))
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
+        self.network = PressUNet(len(PRESS_CHANNELS), len(SHARED_CHANNELS), 2, width, encoded)
+
+    def forward(
+        self,
+        presses: Float[Tensor, "b k c v v v"],
+        there: Bool[Tensor, "b k"],
+        shared: Float[Tensor, "b s v v v"],
+    ) -> tuple[Float[Tensor, "b w w w"], Float[Tensor, "b w w w"]]:
+        """Return mean and standard deviation of log E over the uniform modulus."""
+        seen = presses / self.press_scale[:, None, None, None]
+        mean, rough = self.network(
+            seen, there, shared / self.shared_scale[:, None, None, None]
+        ).unbind(dim=1)
+        image = functional.interpolate(shared, scale_factor=2, mode="trilinear")[:, _IMAGE]
+        middle, half = 0.5 * (_LEAST + _MOST), 0.5 * (_MOST - _LEAST)
+        return mean + image, torch.exp(middle + half * torch.tanh(rough))
+
+    def training_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
+        """Return the loss of a batch."""
+        loss = self._loss(batch)
+        self.log("train/loss", loss, on_step=False, on_epoch=True, sync_dist=True)
+        return loss
+
+    def validation_step(self, batch: Sequence[Tensor], index: int) -> None:
+        """Log the loss and the correlation with the truth."""
+        self._log("val", batch)
+
+    def test_step(self, batch: Sequence[Tensor], index: int) -> None:
+        """Log the loss and the correlation with the truth."""
+        self._log("test", batch)
+
+    def predict_step(self, batch: Sequence[Tensor], index: int) -> tuple[Tensor, Tensor]:
+        """Return mean and deviation."""
+        presses, there, shared, *_ = batch
+        mean, deviation = self(presses, there, shared)
+        return mean, deviation
+
+    def configure_optimizers(self) -> Any:
+        """AdamW, its rate rising shortly and then falling to nothing along half a cosine."""
+        optimizer = torch.optim.AdamW(
+            self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay
+        )
+        shape = rise_and_fall(int(self.trainer.estimated_stepping_batches))
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, shape)
+        return [optimizer], [{"scheduler": schedule, "interval": "step"}]
+
+    def _loss(self, batch: Sequence[Tensor]) -> Tensor:
+        presses, there, shared, target, inside = batch
+        mean, deviation = self(presses, there, shared)
+        off = (target - mean) / deviation
+        each = deviation.detach() * (0.5 * off * off + deviation.log())
+        return each[inside].mean()
+
+    def _log(self, part: str, batch: Sequence[Tensor]) -> None:
+        presses, there, shared, target, inside = batch
+        mean, deviation = self(presses, there, shared)
+        off = (target - mean)[inside]
+        wide = deviation[inside]
+        values = {
+            f"{part}/loss": self._loss(batch),
+            f"{part}/correlation": correlation(mean.exp(), target.exp(), inside).mean(),
+            f"{part}/rms_log": off.square().mean().sqrt(),
+            f"{part}/covered_90": (off.abs() < 1.6449 * wide).double().mean(),
+        }
+        self.log_dict(values, batch_size=len(target), sync_dist=True)
+
+
+def correlation(
+    found: Float[Tensor, "b w w w"],
+    truth: Float[Tensor, "b w w w"],
+    inside: Bool[Tensor, "b w w w"],
+) -> Float[Tensor, " b"]:
+    """Return Pearson's correlation of each object's voxels inside."""
+    rows = []
+    for a, b, where in zip(found, truth, inside, strict=True):
+        pair = torch.stack([a[where], b[where]]).double()
+        rows.append(torch.corrcoef(pair)[0, 1])
+    return torch.stack(rows).nan_to_num(0.0)

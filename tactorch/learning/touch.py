@@ -1,0 +1,139 @@
+"""What a network sees of a recording: fields on a cubic grid over the object, free of units.
+
+Displacements are shares of what the press moved, tractions are over the best uniform modulus, and
+lengths over the object's box. So an object twice as large or as stiff looks the same.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from tactorch.errors import ConfigError
+from tactorch.inverse import Bounds, Evaluation, InverseProblem
+from tactorch.inverse.uniform import uniform_fit
+from tactorch.learning.linear_image import linear_image
+from tactorch.mesh import TetMesh, VoxelGrid
+from tactorch.recording import Press, Recording
+
+#: Channels of each press; a vector field is named by its components.
+PRESS_CHANNELS = (
+    "excess_x", "excess_y", "excess_z",  # observed less foretold by the uniform map
+    "moved_x", "moved_y", "moved_z",
+    "traction_x", "traction_y", "traction_z",
+    "valid", "held", "stretch", "noise",
+)  # fmt: skip
+#: First components of the vector fields among them.
+PRESS_VECTORS = (0, 3, 6)
+#: Channels of the object.
+SHARED_CHANNELS = ("occupancy", "image", "explained")
+VERSION = 1
+_SAME_WAY = 0.99  # cosine between loads that count as one way of pressing
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """Presses on an object, on a grid over its bounding box.
+
+    Attributes:
+        youngs_mpa: The uniform modulus that fits best, MPa.
+        presses: `PRESS_CHANNELS` of each press.
+        shared: `SHARED_CHANNELS`.
+    """
+
+    youngs_mpa: float
+    presses: Float[np.ndarray, "k c v v v"]
+    shared: Float[np.ndarray, "s v v v"]
+
+
+def touch(recording: Recording, count: int = 8, frames: int = 1) -> Touch:
+    """Put a recording on a grid.
+
+    Args:
+        recording: Presses on an object; its truth is not read.
+        count: Cells in each direction, even.
+        frames: Load steps of each place to look at, the strongest first; those below tell little
+            that it does not.
+
+    Raises:
+        ConfigError: The count is odd or below 2, or there are no frames.
+        ConvergenceError: No uniform modulus carries the presses.
+    """
+    if count < 2 or count % 2 or frames < 1:
+        raise ConfigError(f"count={count} must be even and at least 2, frames={frames} at least 1.")
+    chosen = recording.select(strongest(recording, frames))
+    problem = InverseProblem(chosen)
+    fit = uniform_fit(problem, Bounds())
+    evaluation = problem.evaluate(np.full(problem.n_unknowns, fit.youngs_mpa))
+    deviations = problem.noise.deviations(chosen)
+    grid = VoxelGrid(chosen.mesh, count)
+    presses = [
+        _press(press, evaluation, i, deviations[i], grid) for i, press in enumerate(chosen.presses)
+    ]
+    image, explained = linear_image(evaluation, chosen.mesh, deviations, count)
+    shared = np.stack([occupancy(chosen.mesh, count), image, explained])
+    return Touch(fit.youngs_mpa, np.stack(presses), shared)
+
+
+def strongest(recording: Recording, frames: int) -> list[int]:
+    """Return the presses with the largest loads at each place, in their order."""
+    places: dict[tuple[bytes, int], list[int]] = {}
+    ways: list[np.ndarray] = []
+    for i, press in enumerate(recording.presses):
+        way = _way(press)
+        known = [n for n, other in enumerate(ways) if float(way @ other) > _SAME_WAY]
+        ways += [] if known else [way]
+        number = known[0] if known else len(ways) - 1
+        places.setdefault((press.data.tobytes(), number), []).append(i)
+    load = [float(np.abs(press.forces).sum()) for press in recording.presses]
+    kept = [sorted(group, key=lambda i: -load[i])[:frames] for group in places.values()]
+    return sorted(i for group in kept for i in group)
+
+
+def _way(press: Press) -> Float[np.ndarray, "3"]:
+    total = press.total_force
+    size = float(np.linalg.norm(total))
+    if size > 0.0:
+        return total / size
+    return np.zeros(3) if press.direction is None else press.direction
+
+
+def occupancy(mesh: TetMesh, count: int) -> Float[np.ndarray, "v v v"]:
+    """Return the share of each cell that is in the body, from eight points in each."""
+    inside = VoxelGrid(mesh, 2 * count).inside.reshape(count, 2, count, 2, count, 2)
+    return inside.mean(axis=(1, 3, 5))
+
+
+def _press(
+    press: Press, evaluation: Evaluation, i: int, deviation: float, grid: VoxelGrid
+) -> Float[np.ndarray, "c v v v"]:
+    valid = press.data.any(axis=1)
+    moved = np.where(press.data, press.displacement, 0.0)
+    excess = np.where(press.data, press.displacement - evaluation.reported[i], 0.0)
+    size = float(np.sqrt(np.mean(moved[press.data] ** 2)))
+    weight = grid.splat(valid.astype(float)[:, None])[0]
+    there = weight > 1e-6
+    share = np.where(there, 1.0 / np.maximum(weight, 1e-6), 0.0)
+    # A force over the modulus and the area of a cell's side.
+    area = float(np.prod(grid.size_mm)) ** (2.0 / 3.0) * float(evaluation.youngs[0])
+    traction = grid.splat(press.forces) / area
+    held = grid.splat(press.held.any(axis=1).astype(float)[:, None])[0] > 1e-6
+    extent = float(np.mean(grid.size_mm)) * grid.count
+    facts = (1.0, size / extent, np.log10(max(deviation / size, 1e-6)))
+    valid_, stretch, noise = (there * value for value in facts)
+    return np.concatenate(
+        [
+            grid.splat(excess / size) * share,
+            grid.splat(moved / size) * share,
+            traction,
+            np.stack([valid_, held.astype(float), stretch, noise]),
+        ]
+    )
+
+
+def targets(
+    mesh: TetMesh, truth: Float[np.ndarray, " m"], youngs_mpa: float, count: int
+) -> tuple[Shaped[np.ndarray, "v v v"], Shaped[np.ndarray, "v v v"]]:
+    """Return log E over a modulus on a grid, and which of its voxels are in the body."""
+    grid = VoxelGrid(mesh, count)
+    return np.log(grid.fill(truth) / youngs_mpa), grid.inside

@@ -1,0 +1,175 @@
+"""What the surrogate sees of a dataset, worked out once and kept beside its shards."""
+
+import json
+import logging
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Float16, Int, Shaped
+
+from tactorch.errors import ConvergenceError, FileError
+from tactorch.files import atomic_path
+from tactorch.generation import SampleSet
+from tactorch.generation.work import alone
+from tactorch.learning.touch import VERSION, targets, touch
+
+_log = logging.getLogger(__name__)
+FOLDER = "touch"
+
+
+@dataclass(frozen=True, eq=False)
+class Touches:
+    """Many objects as the surrogate sees them, in half precision.
+
+    Attributes:
+        index: Number of each sample.
+        object: Number of each object.
+        label: Label of each sample.
+        youngs_mpa: Best uniform modulus of each, MPa.
+        presses: Of all, one after the other.
+        begins: Where the presses of each begin, and where the last ones end.
+        shared: Of each.
+        target: Log of the true modulus over the uniform one.
+        inside: Which voxels are in the body.
+    """
+
+    index: Int[np.ndarray, " n"]
+    object: Int[np.ndarray, " n"]
+    label: Shaped[np.ndarray, " n"]
+    youngs_mpa: Float[np.ndarray, " n"]
+    presses: Float16[np.ndarray, "total c v v v"]
+    begins: Int[np.ndarray, " n_plus_1"]
+    shared: Float16[np.ndarray, "n s v v v"]
+    target: Float16[np.ndarray, "n w w w"]
+    inside: Bool[np.ndarray, "n w w w"]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @staticmethod
+    def joined(parts: Sequence["Touches"]) -> "Touches":
+        """Put parts in a row."""
+        names = ("index", "object", "label", "youngs_mpa", "presses", "shared", "target", "inside")
+        fields = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        counts = np.concatenate([np.diff(part.begins) for part in parts])
+        return Touches(begins=np.concatenate([[0], np.cumsum(counts)]), **fields)
+
+
+def load_touches(
+    folder: str | Path, count: int = 8, frames: int = 1, workers: int | None = None
+) -> Touches:
+    """Return a dataset as the surrogate sees it; what is not yet worked out is, and is kept.
+
+    Objects whose presses no uniform modulus carries are left out, with a warning.
+
+    Args:
+        folder: Dataset.
+        count: See `touch`; targets have twice as many voxels in each direction.
+        frames: See `touch`.
+        workers: Processes; as many as there are cores by default.
+
+    Raises:
+        FileError: The dataset is missing or damaged, or no sample of it can be used.
+    """
+    found = SampleSet.open(folder)
+    parts = []
+    for number, shard in enumerate(found.manifest["shards"]):
+        path = found.folder / FOLDER / f"{number:05d}-{_key(shard['sha256'], count, frames)}.npz"
+        part = _read(path)
+        if part is None:
+            _log.info("shard %d of %d: what the surrogate sees", number + 1, len(_shards(found)))
+            end = shard["first"] + shard["count"]
+            indices = [i for i in found.indices if shard["first"] <= i < end]
+            part = _work_out(found, indices, count, frames, workers)
+            _write(path, part)
+        parts.append(part)
+    touches = Touches.joined(parts)
+    if not len(touches):
+        raise FileError(f"dataset '{folder}' has no sample that a uniform modulus carries.")
+    lost = len(found) - len(touches)
+    if lost:
+        _log.warning("%d of %d samples left out: no uniform modulus carries them", lost, len(found))
+    return touches
+
+
+def _shards(found: SampleSet) -> list[Any]:
+    shards: list[Any] = found.manifest["shards"]
+    return shards
+
+
+def _key(checksum: str, count: int, frames: int) -> str:
+    return sha256(json.dumps([VERSION, checksum, count, frames]).encode()).hexdigest()[:16]
+
+
+def _work_out(
+    found: SampleSet, indices: Sequence[int], count: int, frames: int, workers: int | None
+) -> Touches:
+    from joblib import Parallel, delayed, parallel_config
+
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        rows = Parallel(n_jobs=workers or -1)(
+            delayed(_one)(found, index, count, frames) for index in indices
+        )
+    return _gathered([row for row in rows if row is not None], count)
+
+
+def _one(found: SampleSet, index: int, count: int, frames: int) -> dict[str, Any] | None:
+    sample = found[index]
+    with alone():
+        try:
+            seen = touch(sample.recording, count, frames)
+        except ConvergenceError:
+            return None
+    target, inside = targets(sample.recording.mesh, sample.truth, seen.youngs_mpa, 2 * count)
+    return {
+        "index": sample.index,
+        "object": sample.object,
+        "label": sample.label,
+        "youngs_mpa": seen.youngs_mpa,
+        "presses": seen.presses.astype(np.float16),
+        "shared": seen.shared.astype(np.float16),
+        "target": target.astype(np.float16),
+        "inside": inside,
+    }
+
+
+def _gathered(rows: Sequence[dict[str, Any]], count: int) -> Touches:
+    from tactorch.learning.touch import PRESS_CHANNELS, SHARED_CHANNELS
+
+    coarse, fine = (count,) * 3, (2 * count,) * 3
+    none = np.zeros((0, len(PRESS_CHANNELS), *coarse), np.float16)
+
+    def stacked(name: str, shape: tuple[int, ...], kind: Any) -> np.ndarray:
+        return np.array([row[name] for row in rows], kind).reshape(len(rows), *shape)
+
+    return Touches(
+        stacked("index", (), np.int64),
+        stacked("object", (), np.int64),
+        np.array([row["label"] for row in rows], dtype=np.str_),
+        stacked("youngs_mpa", (), np.float64),
+        np.concatenate([none, *(row["presses"] for row in rows)]),
+        np.cumsum([0, *(len(row["presses"]) for row in rows)]),
+        stacked("shared", (len(SHARED_CHANNELS), *coarse), np.float16),
+        stacked("target", fine, np.float16),
+        stacked("inside", fine, np.bool_),
+    )
+
+
+def _write(path: Path, part: Touches) -> None:
+    path.parent.mkdir(exist_ok=True)
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, **vars(part))
+
+
+def _read(path: Path) -> Touches | None:
+    """Read a part; None where there is none that is sound."""
+    try:
+        with np.load(path, allow_pickle=False) as found:
+            return Touches(**found)
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
