@@ -115,7 +115,7 @@ _NAMES_OF: dict[Kind, str] = {
         name misfit model_error element generator hold space hessian source weight_rule executor
         scheduler accelerator strategy precision part
     """,
-    _PATH: "path out recording run run_dir resume folder",
+    _PATH: "path out recording run run_dir resume folder weights",
     _POINT: "center size radii axis",
     _FLAG: "plots check_units retry_failed card reconstruct augment",
     _PATHS: "compare",
@@ -137,7 +137,7 @@ _OPTIONAL = """
     patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume
     unknowns.poisson force_scale rest_scale translation_mm rotation_rad
     edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
-    dataset.presses.load
+    dataset.presses.load weights
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 

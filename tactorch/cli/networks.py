@@ -57,7 +57,9 @@ NETWORKS = {
     "recognizer": Network(
         "recognition", _recognition, _recognizer, ("classes", "mean", "deviation"), ("classes",)
     ),
-    "surrogate": Network("warmstart", _warmstart, _surrogate, ("press_scale", "shared_scale")),
+    "surrogate": Network(
+        "warmstart", _warmstart, _surrogate, ("press_scale", "shared_scale", "cells", "frames")
+    ),
 }
 
 

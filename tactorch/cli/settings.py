@@ -88,7 +88,14 @@ def inversion_of(cfg: DictConfig) -> Settings:
 
 
 def start_of(cfg: DictConfig) -> Start:
-    """Make the start of an inversion: a modulus, or the best uniform one."""
+    """Make the start of an inversion: a modulus, the best uniform one, or a surrogate's map."""
+    kind = cfg.initialization.name
+    if kind == "surrogate":
+        from tactorch.learning.foretell import SurrogateStart
+
+        return SurrogateStart(cfg.initialization.weights)
+    if kind != "uniform":
+        raise ConfigError(f"initialization '{kind}' is unknown; choose uniform or surrogate.")
     return homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa)
 
 

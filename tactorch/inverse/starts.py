@@ -3,6 +3,7 @@
 A start is a function of the inverse problem, so a learned one plugs in the same way.
 """
 
+import logging
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -15,6 +16,7 @@ from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.uniform import FIRST_MPA, uniform_fit
 
+_log = logging.getLogger(__name__)
 Start: TypeAlias = float | np.ndarray | Callable[[InverseProblem, Bounds], np.ndarray]
 
 
@@ -79,6 +81,38 @@ def monte_carlo(
         return drawn[best]
 
     return start
+
+
+def no_worse_than_uniform(
+    guess: Float[np.ndarray, " m"], problem: InverseProblem, bounds: Bounds, name: str
+) -> Float[np.ndarray, " m"]:
+    """Return a guessed map (MPa), or the best uniform one where that fits the presses better.
+
+    Args:
+        guess: The map; moduli beyond the bounds are moved to them.
+        problem: What it has to fit.
+        bounds: Limits of the moduli.
+        name: What to call the guess in the message that it is refused.
+
+    Raises:
+        ConvergenceError: No uniform modulus carries the presses.
+    """
+    uniform = homogeneous(problem, bounds)
+    guess = np.clip(guess, bounds.lower, bounds.upper)
+    known = problem.evaluate(uniform).chi2
+    try:
+        chi2 = problem.evaluate(guess).chi2
+    except ConvergenceError as error:
+        _log.warning("The %s start is refused: the presses collapse it (%s).", name, error)
+        return uniform
+    if not chi2 < known:
+        _log.warning(
+            "The %s start is refused: its misfit (chi2 %.4g) is no less than that of the best "
+            "uniform map (%.4g), which is taken.", name, chi2, known,
+        )  # fmt: skip
+        return uniform
+    _log.info("The %s start is taken: chi2 %.4g, best uniform map %.4g", name, chi2, known)
+    return guess
 
 
 def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:

@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from tactorch.errors import ConfigError
 from tactorch.learning.order import rise_and_fall
-from tactorch.learning.touch import PRESS_CHANNELS, SHARED_CHANNELS
+from tactorch.learning.touch import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
 from tactorch.learning.unet import PressUNet
 
 _LEAST, _MOST = -5.0, 1.0  # of the logarithm of the deviation
@@ -31,6 +31,9 @@ class Surrogate(lightning.LightningModule):
         encoded: See `PressUNet`.
         learning_rate: Of Adam, at its highest.
         weight_decay: Of Adam.
+        cells: Of what it sees, in each direction; noted for those who use the weights.
+        frames: Load steps of each place that it sees; likewise.
+        version: Of what it sees, likewise.
     """
 
     press_scale: Tensor
@@ -44,11 +47,20 @@ class Surrogate(lightning.LightningModule):
         encoded: int = 24,
         learning_rate: float = 2e-3,
         weight_decay: float = 1e-3,
+        cells: int = 8,
+        frames: int = 1,
+        version: int = VERSION,
     ) -> None:
         super().__init__()
         if not (learning_rate > 0 and weight_decay >= 0):
             raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
+        if version != VERSION:
+            raise ConfigError(
+                f"these weights are for version {version} of what a surrogate sees, and this"
+                f" tactorch shows it version {VERSION}; train it again."
+            )
         self.save_hyperparameters()
+        self.cells, self.frames = cells, frames
         self.register_buffer("press_scale", torch.tensor(list(press_scale)))
         self.register_buffer("shared_scale", torch.tensor(list(shared_scale)))
         self.learning_rate, self.weight_decay = learning_rate, weight_decay

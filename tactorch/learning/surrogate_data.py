@@ -106,7 +106,8 @@ class SurrogateData(lightning.LightningDataModule):
         super().__init__()
         if batch < 1 or split < 0 or seed < 0:
             raise ConfigError("batch must be at least 1, split and seed at least 0.")
-        self.cells, self.batch, self.augment, self.seed = cells, batch, augment, seed
+        self.cells, self.frames, self.batch = cells, frames, batch
+        self.augment, self.seed = augment, seed
         self.touches = load_touches(folder, cells, frames)
         objects, labels = self.touches.object.tolist(), self.touches.label.tolist()
         sizes = dict(zip(PARTS, shares, strict=True))

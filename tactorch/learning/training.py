@@ -173,17 +173,8 @@ def check_checkpoint(path: Path, module: lightning.LightningModule) -> Mapping[s
     Raises:
         FileError: It is missing, damaged or of another model; says what differs.
     """
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        weights = content["state_dict"]
-    except FileNotFoundError as error:
-        raise FileError(f"checkpoint not found: '{path}'.") from error
-    except Exception as error:  # whatever a damaged archive leads to
-        raise FileError(
-            f"checkpoint '{path}' is damaged or no checkpoint ({type(error).__name__}); train anew,"
-            " or give another."
-        ) from error
-    wanted = module.state_dict()
+    content = read_checkpoint(path)
+    weights, wanted = content["state_dict"], module.state_dict()
     for name in sorted({*weights, *wanted}):
         have = tuple(weights[name].shape) if name in weights else None
         want = tuple(wanted[name].shape) if name in wanted else None
@@ -193,6 +184,25 @@ def check_checkpoint(path: Path, module: lightning.LightningModule) -> Mapping[s
                 f"checkpoint '{path}' is of another model: {name} is {there} there and {here} here;"
                 " give the settings that it was trained with."
             )
+    return content
+
+
+def read_checkpoint(path: Path) -> Mapping[str, Any]:
+    """Read a checkpoint; nothing in it is run.
+
+    Raises:
+        FileError: It is missing or damaged.
+    """
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        content["state_dict"].items()
+    except FileNotFoundError as error:
+        raise FileError(f"checkpoint not found: '{path}'.") from error
+    except Exception as error:  # whatever a damaged archive leads to
+        raise FileError(
+            f"checkpoint '{path}' is damaged or no checkpoint ({type(error).__name__}); train anew,"
+            " or give another."
+        ) from error
     assert isinstance(content, Mapping)
     return content
 

@@ -1,0 +1,47 @@
+"""Trained weights: those that come with tactorch, and those of one's own runs."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from tactorch.errors import ConfigError, FileError
+from tactorch.files import atomic_path
+from tactorch.learning.surrogate import Surrogate
+from tactorch.learning.training import read_checkpoint
+
+#: The surrogate that comes with tactorch; the file beside it tells how it was made.
+SHIPPED = Path(__file__).with_name("surrogate.pt")
+_KEPT = ("state_dict", "hyper_parameters")
+
+
+def load_surrogate(path: Path) -> Surrogate:
+    """Make a surrogate from a checkpoint, or from weights that `export` wrote; ready to answer.
+
+    Raises:
+        FileError: The file is missing, damaged or of another model.
+    """
+    content = read_checkpoint(path)
+    try:
+        network = Surrogate(**content["hyper_parameters"])
+        network.load_state_dict({k: v.float() for k, v in content["state_dict"].items()})
+    except ConfigError as error:
+        raise FileError(f"weights '{path}': {error}") from error
+    except (KeyError, TypeError, RuntimeError, AttributeError) as error:
+        raise FileError(
+            f"weights '{path}' are not a surrogate's ({' '.join(str(error).split())[:120]}); give"
+            " the best.ckpt of a run of `tactorch train model=surrogate data=warmstart`."
+        ) from error
+    return network.eval()
+
+
+def export(checkpoint: Path, path: Path) -> None:
+    """Write a checkpoint's weights alone, in half precision: a fifth or so of its size.
+
+    Raises:
+        FileError: The checkpoint is missing or damaged.
+    """
+    content: dict[str, Any] = {k: v for k, v in read_checkpoint(checkpoint).items() if k in _KEPT}
+    content["state_dict"] = {k: v.half() for k, v in content["state_dict"].items()}
+    with atomic_path(path) as temporary:
+        torch.save(content, temporary)

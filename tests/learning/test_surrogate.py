@@ -1,0 +1,182 @@
+"""The surrogate learns, keeps what it worked out, and never makes a start worse."""
+
+import logging
+from pathlib import Path
+
+import lightning
+import numpy as np
+import pytest
+import torch
+
+from tactorch.errors import ConfigError, FileError
+from tactorch.generation import MeshSizes, PressDraw, Recipe, generate
+from tactorch.inverse import Bounds, InverseProblem, Settings, invert
+from tactorch.inverse.starts import homogeneous, no_worse_than_uniform
+from tactorch.learning import touch_cache
+from tactorch.learning.foretell import SurrogateStart
+from tactorch.learning.recognizer import Recognizer
+from tactorch.learning.surrogate import Surrogate
+from tactorch.learning.surrogate_data import SurrogateData
+from tactorch.learning.touch_cache import load_touches
+from tactorch.learning.training import BEST, TrainerOptions, fit
+from tactorch.learning.unet import PressUNet
+from tactorch.learning.weights import export, load_surrogate
+from tactorch.recording import Recording
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    recipe = Recipe(
+        name="balls",
+        count=12,
+        options={"count": (1, 1), "shapes": ["ball"], "contrast": (4.0, 8.0), "size": (0.3, 0.35)},
+        presses=PressDraw(faces=(("z+",), ("z+", "x+", "y+")), load=(0.04, 0.05), steps=(1, 2)),
+        mesh=MeshSizes(0.15, None),
+        samples=1,
+        shard=8,
+    )
+    return generate(recipe, tmp_path_factory.mktemp("balls") / "balls", workers=1).folder
+
+
+@pytest.fixture(scope="module")
+def data(dataset: Path) -> SurrogateData:
+    return SurrogateData(dataset, cells=4, batch=4, shares=(0.5, 0.25, 0.25))
+
+
+@pytest.fixture(scope="module")
+def run(data: SurrogateData, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short training."""
+    folder = tmp_path_factory.mktemp("run")
+    lightning.seed_everything(0, verbose=False)
+    model = Surrogate(data.press_scale, data.shared_scale, 8, 4, 1e-2, cells=4)
+    scores = fit(model, data, folder, TrainerOptions(max_epochs=30))
+    assert scores["test/loss"] < fresh_loss(data)
+    return folder
+
+
+def fresh_loss(data: SurrogateData) -> float:
+    lightning.seed_everything(0, verbose=False)
+    model = Surrogate(data.press_scale, data.shared_scale, 8, 4, cells=4).eval()
+    with torch.no_grad():
+        return float(model._loss(next(iter(data.test_dataloader()))))
+
+
+def test_number_and_order_of_presses_do_not_matter() -> None:
+    torch.manual_seed(0)
+    network = PressUNet(5, 3, 2, 8, 4).eval()
+    presses, shared = torch.randn(2, 4, 5, 4, 4, 4), torch.randn(2, 3, 4, 4, 4)
+    there = torch.tensor([[True, True, False, False], [True, True, True, True]])
+    expected = network(presses, there, shared)
+    assert expected.shape == (2, 2, 8, 8, 8)
+    order = torch.tensor([2, 0, 3, 1])
+    torch.testing.assert_close(network(presses[:, order], there[:, order], shared), expected)
+    alone = network(presses[:1, :2], there[:1, :2], shared[:1])
+    torch.testing.assert_close(alone, expected[:1])
+    assert (network(presses[:1, :1], there[:1, :1], shared[:1]) - alone).abs().max() > 1e-4
+
+
+def test_each_object_has_its_own_presses(data: SurrogateData) -> None:
+    touches = data.touches
+    assert len(touches) == 12
+    assert set(np.diff(touches.begins)) == {1, 3}
+    presses, there, shared, target, inside = next(iter(data.test_dataloader()))
+    place = data.parts["test"][0]
+    begin, end = touches.begins[place : place + 2]
+    np.testing.assert_array_equal(there[0].sum(), end - begin)
+    np.testing.assert_array_equal(presses[0, : end - begin], touches.presses[begin:end])
+    np.testing.assert_array_equal(target[0], touches.target[place])
+    assert inside.all()
+    assert shared.shape[1:] == (3, 4, 4, 4)
+
+
+def test_what_was_worked_out_is_kept(dataset: Path, data: SurrogateData, monkeypatch) -> None:
+    def never(*args: object) -> None:
+        raise AssertionError("worked out again")
+
+    monkeypatch.setattr(touch_cache, "_work_out", never)
+    again = load_touches(dataset, 4)
+    np.testing.assert_array_equal(again.presses, data.touches.presses)
+    with pytest.raises(AssertionError):
+        load_touches(dataset, 4, frames=2)
+
+
+def test_a_torn_file_is_worked_out_anew(dataset: Path, data: SurrogateData) -> None:
+    path = sorted((dataset / touch_cache.FOLDER).glob("*.npz"))[1]
+    path.write_bytes(path.read_bytes()[:1000])
+    again = load_touches(dataset, 4, workers=1)
+    np.testing.assert_array_equal(again.presses, data.touches.presses)
+    np.testing.assert_array_equal(again.target, data.touches.target)
+
+
+def test_weights_travel(run: Path, tmp_path: Path, recording: Recording) -> None:
+    """Half precision changes little, and the file is small."""
+    export(run / BEST, tmp_path / "small.pt")
+    assert (tmp_path / "small.pt").stat().st_size < 0.3 * (run / BEST).stat().st_size
+    whole, small = SurrogateStart(run / BEST), SurrogateStart(tmp_path / "small.pt")
+    assert whole.network.cells == small.network.cells == 4
+    a, b = whole.foretell(recording), small.foretell(recording)
+    np.testing.assert_allclose(np.log(b.youngs), np.log(a.youngs), atol=0.02)
+    assert (a.deviation > 0).all()
+    assert a.youngs.shape == recording.truth.shape
+
+
+def test_an_inversion_starts_from_it(run: Path, recording: Recording) -> None:
+    start = SurrogateStart(run / BEST)
+    settings = Settings(max_seconds=None)
+    seen: list[np.ndarray] = []
+    found = invert(
+        recording, settings, start_mpa=start, on_iteration=lambda record, map_: seen.append(map_)
+    )
+    assert found.config["start_mpa"] == "surrogate"
+    expected = start(InverseProblem(recording), Bounds())
+    np.testing.assert_allclose(seen[0], expected, rtol=1e-10)
+    assert np.ptp(seen[0]) > 0
+
+
+def test_a_poor_start_is_refused(recording: Recording, caplog: pytest.LogCaptureFixture) -> None:
+    problem, bounds = InverseProblem(recording), Bounds()
+    uniform = homogeneous(problem, bounds)
+    upside_down = uniform**2 / recording.truth
+    with caplog.at_level(logging.WARNING):
+        taken = no_worse_than_uniform(upside_down, problem, bounds, "surrogate")
+    np.testing.assert_array_equal(taken, uniform)
+    assert "surrogate start is refused: its misfit" in caplog.text
+    taken = no_worse_than_uniform(recording.truth, problem, bounds, "surrogate")
+    np.testing.assert_array_equal(taken, recording.truth)
+
+
+def test_a_start_that_collapses_is_refused(
+    recording: Recording, caplog: pytest.LogCaptureFixture
+) -> None:
+    problem, bounds = InverseProblem(recording), Bounds()
+    with caplog.at_level(logging.WARNING):
+        taken = no_worse_than_uniform(0.001 * recording.truth, problem, bounds, "surrogate")
+    np.testing.assert_array_equal(taken, homogeneous(problem, bounds))
+    assert "the presses collapse it" in caplog.text
+
+
+def test_wrong_weights_are_named(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"not found: .*none\.ckpt"):
+        load_surrogate(tmp_path / "none.ckpt")
+    (tmp_path / "torn.ckpt").write_bytes((run / BEST).read_bytes()[:500])
+    with pytest.raises(FileError, match="damaged"):
+        load_surrogate(tmp_path / "torn.ckpt")
+    other = Recognizer(["a", "b"], hidden=4, layers=2)
+    content = {"state_dict": other.state_dict(), "hyper_parameters": dict(other.hparams)}
+    torch.save(content, tmp_path / "other.ckpt")
+    with pytest.raises(FileError, match="are not a surrogate's"):
+        load_surrogate(tmp_path / "other.ckpt")
+    content = torch.load(run / BEST, weights_only=True)
+    content["hyper_parameters"]["version"] = 0
+    torch.save(content, tmp_path / "old.ckpt")
+    with pytest.raises(FileError, match="version 0"):
+        load_surrogate(tmp_path / "old.ckpt")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [({"batch": 0}, "batch"), ({"cells": 5}, "even"), ({"split": -1}, "split")],
+)
+def test_settings_that_cannot_be(dataset: Path, settings: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        SurrogateData(dataset, **{"cells": 4, **settings})
