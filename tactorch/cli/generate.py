@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from tactorch.cli.settings import inversion_of, log, made, material_of, plain
 from tactorch.errors import ConfigError
 from tactorch.generation import MeshSizes, PressDraw, Recipe, SampleSet, generate
+from tactorch.generation.recipe import LINEAR
 
 _LINES = 20  # lines of progress in a log
 
@@ -59,7 +60,11 @@ def recipe_of(cfg: DictConfig) -> Recipe:
         "mesh": made("dataset.sizes", MeshSizes, settings.pop("sizes")),
         "material": material_of(cfg),
         "element": cfg.element,
-        "inversion": inversion_of(cfg) if reconstruct else None,
+        "inversion": LINEAR
+        if reconstruct == LINEAR
+        else inversion_of(cfg)
+        if reconstruct
+        else None,
     }
     return made("dataset", Recipe, {**settings, **parts})
 

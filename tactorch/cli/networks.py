@@ -1,6 +1,6 @@
 """The networks that can be trained, each with the data that it learns from."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,14 +88,18 @@ def data_of(cfg: DictConfig, number: int) -> Any:
     return made("data", network_of(cfg).make_data, {**settings, "seed": cfg.seed})
 
 
-def model_of(cfg: DictConfig, data: Any) -> Any:
-    """Make the network for the data, with weights that depend on the seed alone."""
+def model_of(cfg: DictConfig, data: Any, known: Mapping[str, Any] | None = None) -> Any:
+    """Make the network for the data, with weights that depend on the seed alone.
+
+    What a run has `known` of its data counts before the data at hand.
+    """
     import lightning
 
     network, settings = network_of(cfg), plain(cfg.model)
     del settings["name"]
     lightning.seed_everything(cfg.seed, verbose=False)
-    given = {name: getattr(data, name) for name in network.given}
+    noted = known or {}
+    given = {name: noted.get(name, getattr(data, name, None)) for name in network.given}
     return made("model", network.make, {**given, **settings})
 
 

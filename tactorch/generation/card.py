@@ -51,7 +51,7 @@ def _text(samples: SampleSet, chosen: Sequence[Sample]) -> str:
         "",
         "A recording (presses on a mesh, forces in N, displacements in mm) with the true Young's"
         " modulus of each element in MPa"
-        + (", and a reconstruction from the presses alone." if recipe["inversion"] else "."),
+        + _second_map(recipe),
         "",
         *_statistics(chosen),
         "## How it was made",
@@ -110,3 +110,10 @@ def _failures(failed: dict[str, str]) -> list[str]:
     if not failed:
         return []
     return ["## Failed", "", *(f"- {index}: {reason}" for index, reason in failed.items()), ""]
+
+
+def _second_map(recipe: dict[str, Any]) -> str:
+    """What is beside the truth, to end the sentence."""
+    if recipe["inversion"] == "linear":
+        return ", and its linear image from the presses, a stand-in for a reconstruction."
+    return ", and a reconstruction from the presses alone." if recipe["inversion"] else "."

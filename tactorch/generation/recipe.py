@@ -16,6 +16,8 @@ from tactorch.phantoms import Drawn, Phantom, draw_phantom
 from tactorch.plain import plain
 from tactorch.recording import MaterialSpec
 
+LINEAR = "linear"
+
 
 @dataclass(frozen=True)
 class MeshSizes:
@@ -65,7 +67,8 @@ class Recipe:
         samples: How elements get their modulus, see `Phantom.on_mesh`.
         element: "tet4" or "tet10", of the simulation.
         snr_db: Range of the signal-to-noise ratio; None for no noise.
-        inversion: How each recording is inverted; None stores no reconstruction.
+        inversion: How each recording is inverted; "linear" stores the linear image in place of a
+            reconstruction (see `tactorch.inverse.linear_image`), None nothing.
         shard: Samples in a file.
 
     Raises:
@@ -84,7 +87,7 @@ class Recipe:
     samples: int = 4
     element: str = "tet4"
     snr_db: Sequence[Real] | None = (40.0, 40.0)
-    inversion: Settings | None = None
+    inversion: Settings | str | None = None
     shard: int = 50
 
     def __post_init__(self) -> None:
@@ -97,7 +100,9 @@ class Recipe:
             len(self.snr_db) != 2 or not self.snr_db[0] <= self.snr_db[1]
         ):
             raise ConfigError(f"snr_db={self.snr_db}: give the lower and the upper end, in dB.")
-        if self.inversion is not None and self.inversion.max_seconds is not None:
+        if isinstance(self.inversion, str) and self.inversion != LINEAR:
+            raise ConfigError(f"inversion={self.inversion!r}: give settings, {LINEAR!r} or None.")
+        if isinstance(self.inversion, Settings) and self.inversion.max_seconds is not None:
             raise ConfigError(
                 "max_seconds would make samples depend on the machine; limit max_iterations."
             )
@@ -125,7 +130,7 @@ class Recipe:
         """Return all that decides the samples as plain values, to compare recipes by."""
         config = plain(self)
         assert isinstance(config, dict)
-        if self.inversion is not None:
+        if isinstance(self.inversion, Settings):
             optimizer = self.inversion.optimizer
             name = optimizer if isinstance(optimizer, str) else optimizer.name
             config["inversion"] = {**plain(self.inversion), "optimizer": name}

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from tactorch.generation.recipe import Recipe
 from tactorch.inverse import invert
+from tactorch.inverse.linear_image import linear_map
 from tactorch.metrics import scores
 from tactorch.recording import Recording
 from tactorch.simulation import simulate
@@ -83,6 +84,11 @@ def _reconstructed(
 ) -> tuple[Float[np.ndarray, " m"] | None, dict[str, float] | None]:
     if recipe.inversion is None:
         return None, None
+    if isinstance(recipe.inversion, str):
+        assert recording.truth is not None
+        youngs = linear_map(recording)
+        made = scores(recording.mesh, youngs, recording.truth)
+        return youngs, {k: float(v) for k, v in made.items()}
     found = invert(recording, recipe.inversion, show_progress=False)
     assert recording.truth is not None
     last = found.history[-1]

@@ -11,8 +11,8 @@ from jaxtyping import Float, Shaped
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Bounds, Evaluation, InverseProblem
+from tactorch.inverse.linear_image import linear_image
 from tactorch.inverse.uniform import uniform_fit
-from tactorch.learning.linear_image import linear_image
 from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.recording import Press, Recording
 

@@ -75,6 +75,7 @@ def test_wrong_draws_are_refused(changes: dict, message: str) -> None:
         ({"mesh": MeshSizes(1e-4)}, "cells"),
         ({"material": MaterialSpec("steel", 0.3)}, "steel"),
         ({"inversion": Settings(max_seconds=1.0)}, "max_seconds"),
+        ({"inversion": "quick"}, "give settings, 'linear' or None"),
     ],
 )
 def test_wrong_recipes_are_refused(make_recipe: Make, changes: dict, message: str) -> None:
@@ -101,6 +102,7 @@ def test_configuration_says_all_and_fits_json(make_recipe: Make) -> None:
         {"mesh": MeshSizes(0.3, None)},
         {"presses": PressDraw(hold="fixed")},
         {"inversion": Settings()},
+        {"inversion": "linear"},
         {"inversion": Settings(regularization="smoothness")},
         {"inversion": Settings(optimizer="newton_cg")},
         {"options": {}},

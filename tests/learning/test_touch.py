@@ -9,8 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import InverseProblem
-from tactorch.learning.linear_image import _cells, _prior_precision, linear_image
 from tactorch.learning.symmetry import apply
 from tactorch.learning.touch import PRESS_CHANNELS, PRESS_VECTORS, strongest, targets, touch
 from tactorch.mesh import TetMesh, VoxelGrid, box_mesh
@@ -107,32 +105,6 @@ def test_the_strongest_press_of_each_place_is_looked_at(recording: Recording) ->
 def test_grids_that_cannot_be(recording: Recording, count: int, frames: int) -> None:
     with pytest.raises(ConfigError, match="must be even"):
         touch(recording, count, frames)
-
-
-def test_the_image_is_that_of_linear_theory(recording: Recording) -> None:
-    """Against the same posterior by the other formula, C J^T (J C J^T + R)^-1 d."""
-    problem = InverseProblem(recording)
-    found = problem.evaluate(np.full(problem.n_unknowns, 0.3))
-    deviations = problem.noise.deviations(recording)
-    image, explained = linear_image(found, recording.mesh, deviations, COUNT)
-    covariance = np.linalg.inv(_prior_precision(COUNT))
-    scale = np.concatenate([seen.scale for seen in problem.observations])
-    jacobian = 0.3 * (found.jacobian() / scale[:, None]) @ _cells(recording.mesh, COUNT).toarray()
-    noise = np.concatenate(
-        [
-            np.full(len(d), s**2 + np.mean((0.02 * d) ** 2))
-            for d, s in ((found.observed(i), s) for i, s in enumerate(deviations))
-        ]
-    )
-    gain = (
-        covariance @ jacobian.T @ np.linalg.inv(jacobian @ covariance @ jacobian.T + np.diag(noise))
-    )
-    expected = gain @ (-found.residuals / scale)
-    left = covariance - gain @ jacobian @ covariance
-    np.testing.assert_allclose(image.ravel(), expected, atol=1e-6)
-    np.testing.assert_allclose(
-        explained.ravel(), 1.0 - left.diagonal() / covariance.diagonal(), atol=1e-6
-    )
 
 
 def test_targets_are_over_the_uniform_modulus(recording: Recording) -> None:
