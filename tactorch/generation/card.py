@@ -50,8 +50,7 @@ def _text(samples: SampleSet, chosen: Sequence[Sample]) -> str:
         "## What is in a sample",
         "",
         "A recording (presses on a mesh, forces in N, displacements in mm) with the true Young's"
-        " modulus of each element in MPa"
-        + _second_map(recipe),
+        " modulus of each element in MPa" + _second_map(recipe),
         "",
         *_statistics(chosen),
         "## How it was made",

@@ -1,0 +1,33 @@
+"""Make the project's datasets; each is what `tactorch generate dataset=NAME` makes.
+
+    python datasets/make.py                     all of them, in data/
+    python datasets/make.py warmstart           one
+    python datasets/make.py recognition workers=8 out=/big/disk/recognition
+
+Stopped or killed, the same command goes on where it was. What is in each, and how long it takes,
+is told in README.md beside this file; each dataset gets a card of its own, with pictures.
+"""
+
+import sys
+
+from tactorch.cli import main
+
+NAMES = (
+    "recognition",
+    "recognition_noisy",
+    "recognition_offcentre",
+    "recognition_large",
+    "warmstart",
+)
+
+
+def make(arguments: list[str]) -> None:
+    """Make the datasets that are named, or all."""
+    names = [word for word in arguments if "=" not in word]
+    settings = [word for word in arguments if "=" in word]
+    for name in names or NAMES:
+        main(["generate", f"dataset={name}", *settings])
+
+
+if __name__ == "__main__":
+    make(sys.argv[1:])

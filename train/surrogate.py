@@ -1,0 +1,53 @@
+"""Make the surrogate that ships with tactorch, from nothing: data, training, judgement, weights.
+
+    python train/surrogate.py [FOLDER]          data and run go there; data/ and outputs/ otherwise
+
+Stopped or killed, the same command goes on where it was. The weights and the note of how they were
+made are written to FOLDER as surrogate.pt and surrogate.json; to ship them, copy both to
+tactorch/learning/.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from tactorch.cli import main
+from tactorch.files import atomic_path
+from tactorch.generation import SampleSet
+from tactorch.learning.training import BEST, LAST
+from tactorch.learning.weights import export
+
+
+def make(folder: Path) -> None:
+    """Make what is missing of data, training, judgement and weights."""
+    data, run, judged = folder / "warmstart", folder / "run", folder / "judged"
+    main(["generate", "dataset=warmstart", f"out={data}", f"run_dir={folder / 'generate'}"])
+    if (run / LAST).is_file():
+        main(["train", f"resume={run}"])
+    else:
+        main(["train", "experiment=surrogate", f"data.folder={data}", f"run_dir={run}"])
+    main(["evaluate-model", f"run={run}", f"run_dir={judged}"])
+    export(run / BEST, folder / "surrogate.pt")
+    with atomic_path(folder / "surrogate.json") as temporary:
+        temporary.write_text(json.dumps(note(data, run, judged), indent=1) + "\n", encoding="utf-8")
+
+
+def note(data: Path, run: Path, judged: Path) -> dict[str, Any]:
+    """Return what the weights were made of."""
+    manifest = SampleSet.open(data).manifest
+    scores = json.loads((judged / "scores.json").read_text(encoding="utf-8"))
+    config = (run / ".hydra" / "config.yaml").read_text(encoding="utf-8").splitlines()
+    return {
+        "dataset": {
+            "recipe": manifest["recipe"],
+            "versions": manifest["versions"],
+            "shards": [shard["sha256"] for shard in manifest["shards"]],
+        },
+        "training": [line for line in config if "folder:" not in line and "run_dir:" not in line],
+        "test part": scores,
+    }
+
+
+if __name__ == "__main__":
+    make(Path(sys.argv[1] if len(sys.argv) > 1 else "outputs/surrogate"))
