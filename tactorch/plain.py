@@ -1,17 +1,23 @@
 """Settings as plain values, to be stored and compared."""
 
 from dataclasses import fields, is_dataclass
+from hashlib import sha256
 from typing import Any
+
+import numpy as np
 
 
 def plain(value: Any) -> Any:
-    """Return settings as plain JSON values; what is none is described by its text."""
+    """Return settings as plain JSON values; what is none is described."""
     if is_dataclass(value):
         return plain_fields(value)
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        digest = sha256(np.ascontiguousarray(value).tobytes()).hexdigest()[:16]
+        return f"{value.dtype} array {list(value.shape)}, sha256 {digest}..."
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 

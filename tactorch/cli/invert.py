@@ -25,12 +25,13 @@ def invert_recording(cfg: DictConfig, recording: Recording, source: Path) -> Rec
     """
     out, settings = folder(), inversion_of(cfg)
     others = histories_of([Path(str(run)) for run in plain(cfg.compare)], cfg.optimizer.name)
+    start, settings = start_of(cfg, settings, recording)
     resume = None if cfg.resume is None else checkpoint_of(str(cfg.resume))
     _clear(out, resume)
     reconstruction = invert(
         recording,
         settings,
-        start_mpa=start_of(cfg),
+        start_mpa=start,
         checkpoint=out / CHECKPOINT,
         resume=resume,
     )

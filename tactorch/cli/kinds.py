@@ -118,7 +118,7 @@ _NAMES_OF: dict[Kind, str] = {
     """,
     _PATH: "path out recording run run_dir resume folder weights",
     _POINT: "center size radii axis",
-    _FLAG: "plots check_units retry_failed card augment",
+    _FLAG: "plots check_units retry_failed card augment prior_mean",
     _RECONSTRUCT: "reconstruct",
     _PATHS: "compare",
     _NAMES: "faces",

@@ -22,7 +22,7 @@ from tactorch.inverse import (
     make_optimizer,
 )
 from tactorch.phantoms import Phantom, make_phantom
-from tactorch.recording import MaterialSpec
+from tactorch.recording import MaterialSpec, Recording
 from tactorch.simulation import PressPlan
 
 log = logging.getLogger("tactorch")
@@ -87,16 +87,22 @@ def inversion_of(cfg: DictConfig) -> Settings:
     )
 
 
-def start_of(cfg: DictConfig) -> Start:
-    """Make the start of an inversion: a modulus, the best uniform one, or a surrogate's map."""
+def start_of(cfg: DictConfig, settings: Settings, recording: Recording) -> tuple[Start, Settings]:
+    """Make the start of an inversion: a modulus, the best uniform one, or a surrogate's map.
+
+    Returned are the settings too, whose prior a surrogate's map may be the mean of.
+    """
     kind = cfg.initialization.name
     if kind == "surrogate":
         from tactorch.learning.foretell import SurrogateStart
 
-        return SurrogateStart(cfg.initialization.weights)
+        start = SurrogateStart(cfg.initialization.weights)
+        if cfg.initialization.prior_mean:
+            settings = start.as_prior_mean(settings, recording)
+        return start, settings
     if kind != "uniform":
         raise ConfigError(f"initialization '{kind}' is unknown; choose uniform or surrogate.")
-    return homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa)
+    return homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa), settings
 
 
 def made(what: str, make: Callable[..., _T], settings: dict[str, Any]) -> _T:

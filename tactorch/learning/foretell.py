@@ -1,13 +1,13 @@
 """A trained surrogate at work: it foretells the map of a recording, to start an inversion from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from tactorch.inverse import Bounds, InverseProblem
+from tactorch.inverse import Bounds, InverseProblem, Settings
 from tactorch.inverse.starts import no_worse_than_uniform
 from tactorch.learning.surrogate import Surrogate
 from tactorch.learning.touch import Touch, touch
@@ -69,6 +69,19 @@ class SurrogateStart:
         """
         found = self.foretell(problem.recording)
         return no_worse_than_uniform(found.youngs, problem, bounds, "surrogate")
+
+    def as_prior_mean(self, settings: Settings, recording: Recording) -> Settings:
+        """Return settings of an inversion whose prior is about the foretold map.
+
+        What the presses leave open then stays as foretold, with what the network has learnt to
+        expect; on objects unlike those that it was trained on, that may mislead.
+
+        Raises:
+            ConvergenceError: No uniform modulus carries the presses.
+        """
+        bounds = settings.bounds
+        mean = np.clip(self.foretell(recording).youngs, bounds.lower, bounds.upper)
+        return replace(settings, prior=replace(settings.prior, mean_mpa=mean))
 
 
 def answer(

@@ -29,7 +29,6 @@ _POOR = 0.1
 # small: the data misfit may rise a little on the way, else the steps along it become tiny.
 _LEEWAY = 2.0
 _LEAST, _LEAST_RAISED = 1e-12, 1e-4
-_LOWERING, _LOWERINGS = 5.0, 12  # of the first weight, at a start with structure
 _SPACES = ("auto", "data", "parameter")
 
 
@@ -81,7 +80,6 @@ class GaussNewton:
         cooling = Cooling.start(point, self.weight, monitor.state, self.weight_rule)
         damping = monitor.state.get("damping", self.damping)
         if not monitor.history:
-            self._keep_what_it_knows(point, cooling, damping)
             self._report(monitor, point, cooling, cooling.weight, damping, 0.0)
         while monitor.iteration < self.max_iterations:
             weight = cooling.weight
@@ -100,28 +98,6 @@ class GaussNewton:
             if done:
                 return cooling.ended or "the objective no longer falls"
         return "iteration limit reached"
-
-    def _keep_what_it_knows(self, point: Point, cooling: Cooling, damping: float) -> None:
-        """Lower the first weight until the prior does not undo what a start with structure fits."""
-        evaluation = point.evaluation
-        if cooling.fixed or not point.penalty > 0:
-            return
-        enough = max(
-            float(evaluation.residuals @ evaluation.residuals), float(len(evaluation.residuals))
-        )
-        data = np.einsum("ij,ij->j", point.jacobian, point.jacobian)
-        free = np.ones(len(point.x), dtype=bool)
-        slope = point.jacobian.T @ evaluation.residuals
-        for _ in range(_LOWERINGS):
-            weight = cooling.weight
-            gradient = slope + point.prior_gradient(weight)
-            shift = damping * (data + point.prior_curvature(weight).diagonal())
-            step = self._solve(point, gradient, free, weight, shift)
-            if step is not None:
-                left = evaluation.residuals + point.jacobian @ step
-                if float(left @ left) <= enough:
-                    return
-            cooling.weight /= _LOWERING
 
     @staticmethod
     def _report(

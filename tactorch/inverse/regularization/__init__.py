@@ -1,6 +1,7 @@
 """Priors on the map of Young's modulus, one a file."""
 
 from tactorch.errors import ConfigError
+from tactorch.inverse.regularization.about import About
 from tactorch.inverse.regularization.base import NoPrior, Regularizer
 from tactorch.inverse.regularization.binary_well import BinaryWell
 from tactorch.inverse.regularization.composite import Composite
@@ -42,6 +43,15 @@ def make_regularizer(
         ConfigError: the name is unknown, or a setting cannot be used.
     """
     options = options or PriorOptions()
+    inner = _about_nothing(name, mesh, edge, options)
+    if options.mean_mpa is None or name == "none":
+        return inner
+    return About(inner, options.mean_mpa, options.mean_deviation, mesh.n_tets)
+
+
+def _about_nothing(
+    name: str, mesh: TetMesh, edge: float | None, options: PriorOptions
+) -> Regularizer:
     turn = {} if edge is None else {"edge": edge}
     match name:
         case "none":
@@ -63,10 +73,7 @@ def make_regularizer(
         case "composite":
             shares = options.parts.items()
             return Composite(
-                [
-                    (share, make_regularizer(n, mesh, edge=edge, options=options))
-                    for n, share in shares
-                ]
+                [(share, _about_nothing(n, mesh, edge, options)) for n, share in shares]
             )
     raise ConfigError(
         f"regularization '{name}' is unknown; choose one of {', '.join(REGULARIZERS)}."
@@ -75,6 +82,7 @@ def make_regularizer(
 
 __all__ = [
     "REGULARIZERS",
+    "About",
     "BinaryWell",
     "Composite",
     "LogJumps",

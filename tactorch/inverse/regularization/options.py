@@ -3,6 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from jaxtyping import Float
+
 from tactorch.errors import ConfigError
 
 _PARTS = {"total_variation": 1.0, "sparsity": 1.0}
@@ -19,6 +22,9 @@ class PriorOptions:
         length_mm: Correlation length of Matern, mm.
         deviation: Standard deviation of the log-modulus of Matern.
         parts: Shares of the priors that a composite is made of, by name.
+        mean_mpa: A map (m,) that the prior, whichever, is about; None for none. Levels are then of
+            the distance from it: see `About`.
+        mean_deviation: Standard deviation (m,) of log-moduli about that map; None for 1.
     """
 
     level_mpa: float | None = None
@@ -26,6 +32,8 @@ class PriorOptions:
     length_mm: float = 3.0
     deviation: float = 0.5
     parts: Mapping[str, float] = field(default_factory=lambda: dict(_PARTS))
+    mean_mpa: Float[np.ndarray, " _"] | None = None
+    mean_deviation: Float[np.ndarray, " _"] | None = None
 
     def __post_init__(self) -> None:
         """Refuse a composite within a composite."""

@@ -1,0 +1,175 @@
+"""Gauss-Newton from a surrogate's map against from a uniform one (Section VII).
+
+    python benchmarks/warmstart.py [--count 50] [--weights FILE] [--published FOLDER ...]
+        [--out FOLDER]
+
+Held-out objects: those of `tactorch generate dataset=warmstart` with another seed (1001), so none
+was seen in training, nor its presses or noise; each is inverted from the best uniform modulus and
+from the surrogate's map, with the same settings, in the same process. Nothing reads the truth but
+the scores. The misfit to reach is, for each object, the larger of its noise (chi2 = 1) and what
+both runs end with; counted is the first iteration there (0: the start itself fits), and the seconds
+up to it, the making of the start included. The last line printed is one JSON object.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hydra import compose, initialize_config_module
+from machine import OtherWork, describe_machine
+
+from tactorch.cli.generate import recipe_of
+from tactorch.generation import Sample, make_sample
+from tactorch.importers import import_published
+from tactorch.inverse import Reconstruction, Settings, homogeneous, invert
+from tactorch.learning.foretell import SurrogateStart
+from tactorch.metrics import scores
+from tactorch.recording import Recording
+
+PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl", "lightning")
+SEED = 1001
+_SAME = 1.02  # of the misfit to reach
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run all objects and print the tables and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--weights", type=Path, help="a checkpoint; those that ship otherwise")
+    parser.add_argument("--published", type=Path, nargs="*", default=[])
+    parser.add_argument("--out", type=Path, help="folder for warmstart.json and .md")
+    options = parser.parse_args(arguments)
+    meter, start, lines = OtherWork(), SurrogateStart(options.weights), [HEADER]
+    print(HEADER, flush=True)
+    rows = []
+    for index in range(options.count):
+        sample = held_out(options.seed, index)
+        rows.append(compare(str(index), sample.recording, start))
+        lines.append(row(rows[-1]))
+        print(lines[-1], flush=True)
+    published = [compare(f.name, import_published(f), start) for f in options.published]
+    lines += [row(one) for one in published]
+    print("\n".join(row(one) for one in published))
+    result = {"objects": summary(rows), "published": {one["name"]: one for one in published}}
+    lines += ["", *told(result["objects"])]
+    print("\n".join(["", *told(result["objects"])]))
+    print(f"Other processes took {meter.share() or 0:.0%} of the cores meanwhile.\n")
+    if options.out is not None:
+        write(options.out, lines, {**result, "each": rows})
+    print(json.dumps(result))
+
+
+def held_out(seed: int, index: int) -> Sample:
+    """Make an object and its presses, of the warm-start family."""
+    with initialize_config_module("tactorch.conf", version_base="1.3"):
+        cfg = compose("generate", overrides=["dataset=warmstart", f"dataset.seed={seed}"])
+    return make_sample(recipe_of(cfg), index)
+
+
+def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str, Any]:
+    """Invert from both starts; figures of both, and of the surrogate's map itself."""
+    truth = recording.truth
+    assert truth is not None
+    foretold = scores(recording.mesh, start.foretell(recording).youngs, truth)
+    found = {
+        kind: invert(recording, Settings(), start_mpa=first, show_progress=False)
+        for kind, first in (("uniform", homogeneous), ("surrogate", start))
+    }
+    target = _SAME * max(1.0, *(one.history[-1]["chi2"] for one in found.values()))
+    return {
+        "name": name,
+        "presses": len(recording.presses),
+        "foretold": {"pearson": foretold["pearson"], "ssim": foretold["ssim"]},
+        "target_chi2": target,
+        **{kind: figures(one, recording, target) for kind, one in found.items()},
+    }
+
+
+def figures(found: Reconstruction, recording: Recording, target: float) -> dict[str, float]:
+    """Of one inversion."""
+    assert recording.truth is not None
+    got = scores(recording.mesh, found.youngs, recording.truth)
+    there = next(one for one in found.history if one["chi2"] <= target)
+    return {
+        "first_chi2": found.history[0]["chi2"],
+        "iterations_to_misfit": there["iteration"],
+        "seconds_to_misfit": there["seconds"],
+        "iterations": found.iterations,
+        "seconds": found.seconds,
+        "pearson": got["pearson"],
+        "ssim": got["ssim"],
+    }
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Means over the objects, and how often the surrogate did better."""
+
+    def mean(kind: str, key: str) -> float:
+        return float(np.mean([one[kind][key] for one in rows]))
+
+    gain = np.array([one["surrogate"]["ssim"] - one["uniform"]["ssim"] for one in rows])
+    keys = ("iterations_to_misfit", "seconds_to_misfit", "iterations", "seconds", "ssim", "pearson")
+    return {
+        "objects": len(rows),
+        "foretold_pearson": mean("foretold", "pearson"),
+        "foretold_ssim": mean("foretold", "ssim"),
+        **{kind: {key: mean(kind, key) for key in keys} for kind in ("uniform", "surrogate")},
+        "ssim_gain": float(gain.mean()),
+        "worst_ssim_loss": float(max(0.0, -gain.min())),
+        "worse_by_more_than_0.01": int((gain < -0.01).sum()),
+    }
+
+
+def told(found: dict[str, Any]) -> list[str]:
+    """The summary in words."""
+    u, s = found["uniform"], found["surrogate"]
+    return [
+        f"The surrogate alone: r {found['foretold_pearson']:.3f}, SSIM {found['foretold_ssim']:.3f}"
+        f" over {found['objects']} objects.",
+        f"To the same misfit: {u['iterations_to_misfit']:.2f} iterations and"
+        f" {u['seconds_to_misfit']:.2f} s from uniform, {s['iterations_to_misfit']:.2f} and"
+        f" {s['seconds_to_misfit']:.2f} s from the surrogate; to the end {u['iterations']:.1f}"
+        f" and {s['iterations']:.1f} iterations, {u['seconds']:.2f} and {s['seconds']:.2f} s.",
+        f"Final SSIM {u['ssim']:.3f} and {s['ssim']:.3f}, r {u['pearson']:.3f} and"
+        f" {s['pearson']:.3f}; worse by more than 0.01 on {found['worse_by_more_than_0.01']},"
+        f" at most by {found['worst_ssim_loss']:.3f}.",
+    ]
+
+
+HEADER = (
+    "| object | presses | foretold r | SSIM | chi2 at first: uniform | surrogate | iterations to"
+    " misfit: uniform | surrogate | s | s | iterations: uniform | surrogate | SSIM: uniform |"
+    " surrogate | r: uniform | surrogate |\n|" + "---|" * 16
+)
+
+
+def row(one: dict[str, Any]) -> str:
+    """A line of the table."""
+    u, s = one["uniform"], one["surrogate"]
+    cells = [
+        one["name"], one["presses"], f"{one['foretold']['pearson']:.3f}",
+        f"{one['foretold']['ssim']:.3f}", f"{u['first_chi2']:.3g}", f"{s['first_chi2']:.3g}",
+        u["iterations_to_misfit"], s["iterations_to_misfit"],
+        f"{u['seconds_to_misfit']:.2f}", f"{s['seconds_to_misfit']:.2f}",
+        u["iterations"], s["iterations"], f"{u['ssim']:.3f}", f"{s['ssim']:.3f}",
+        f"{u['pearson']:.3f}", f"{s['pearson']:.3f}",
+    ]  # fmt: skip
+    return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def write(folder: Path, lines: list[str], result: dict[str, Any]) -> None:
+    """Write warmstart.md and warmstart.json."""
+    folder.mkdir(parents=True, exist_ok=True)
+    machine = describe_machine(PACKAGES)
+    text = "\n".join([*lines, "", f"Machine: {machine}", ""])
+    (folder / "warmstart.md").write_text(text, encoding="utf-8")
+    content = json.dumps({**result, "machine": machine}, indent=1) + "\n"
+    (folder / "warmstart.json").write_text(content, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
