@@ -84,6 +84,8 @@ def data_of(cfg: DictConfig, number: int) -> Any:
     """Make the data module of a split."""
     settings = plain(cfg.data)
     del settings["name"]
+    if settings["folder"] is None:
+        raise ConfigError("data.folder=None: give the folder of a dataset.")
     settings["split"] += number
     return made("data", network_of(cfg).make_data, {**settings, "seed": cfg.seed})
 

@@ -21,8 +21,9 @@ _IMAGE = SHARED_CHANNELS.index("image")
 class Surrogate(lightning.LightningModule):
     """Learns a normal distribution of each voxel's log-modulus over the best uniform one.
 
-    The loss is the negative log-likelihood, each voxel weighed by its (detached) deviation, which
-    keeps the mean from being neglected where the deviation is large (Seitzer et al., 2022).
+    Trained is on the negative log-likelihood, each voxel weighed by its (detached) deviation, which
+    keeps the mean from being neglected where the deviation is large (Seitzer et al., 2022). Epochs
+    are chosen by the negative log-likelihood as it is.
 
     Args:
         press_scale: Typical size of each of a press's channels; a buffer among the weights.
@@ -82,10 +83,11 @@ class Surrogate(lightning.LightningModule):
         return mean + image, torch.exp(middle + half * torch.tanh(rough))
 
     def training_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
-        """Return the loss of a batch."""
-        loss = self._loss(batch)
-        self.log("train/loss", loss, on_step=False, on_epoch=True, sync_dist=True)
-        return loss
+        """Return the weighed loss of a batch."""
+        each, deviation = self._log_likelihood(batch)
+        values = {"train/loss": each.detach().mean()}
+        self.log_dict(values, on_step=False, on_epoch=True, sync_dist=True)
+        return (deviation.detach() * each).mean()
 
     def validation_step(self, batch: Sequence[Tensor], index: int) -> None:
         """Log the loss and the correlation with the truth."""
@@ -110,12 +112,12 @@ class Surrogate(lightning.LightningModule):
         schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, shape)
         return [optimizer], [{"scheduler": schedule, "interval": "step"}]
 
-    def _loss(self, batch: Sequence[Tensor]) -> Tensor:
+    def _log_likelihood(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Of each voxel inside, negative and but for a constant; and the deviations there."""
         presses, there, shared, target, inside = batch
         mean, deviation = self(presses, there, shared)
         off = (target - mean) / deviation
-        each = deviation.detach() * (0.5 * off * off + deviation.log())
-        return each[inside].mean()
+        return (0.5 * off * off + deviation.log())[inside], deviation[inside]
 
     def _log(self, part: str, batch: Sequence[Tensor]) -> None:
         presses, there, shared, target, inside = batch
@@ -123,7 +125,7 @@ class Surrogate(lightning.LightningModule):
         off = (target - mean)[inside]
         wide = deviation[inside]
         values = {
-            f"{part}/loss": self._loss(batch),
+            f"{part}/loss": (0.5 * (off / wide).square() + wide.log()).mean(),
             f"{part}/correlation": correlation(mean.exp(), target.exp(), inside).mean(),
             f"{part}/rms_log": off.square().mean().sqrt(),
             f"{part}/covered_90": (off.abs() < 1.6449 * wide).double().mean(),

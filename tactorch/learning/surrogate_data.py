@@ -106,6 +106,8 @@ class SurrogateData(lightning.LightningDataModule):
         super().__init__()
         if batch < 1 or split < 0 or seed < 0:
             raise ConfigError("batch must be at least 1, split and seed at least 0.")
+        if cells < 4 or cells % 2:
+            raise ConfigError(f"cells={cells} must be even, and at least 4.")
         self.cells, self.frames, self.batch = cells, frames, batch
         self.augment, self.seed = augment, seed
         self.touches = load_touches(folder, cells, frames)
@@ -121,7 +123,7 @@ class SurrogateData(lightning.LightningDataModule):
         """Root mean square of each press channel where it is not zero, over the training part."""
         part = self.parts["train"]
         ranges = [range(*self.touches.begins[i : i + 2]) for i in part]
-        rows = np.array([place for one in ranges for place in one])
+        rows = np.array([place for one in ranges for place in one], dtype=np.int64)
         return _sizes(self.touches.presses[rows])
 
     @property
