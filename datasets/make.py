@@ -25,6 +25,8 @@ def make(arguments: list[str]) -> None:
     """Make the datasets that are named, or all."""
     names = [word for word in arguments if "=" not in word]
     settings = [word for word in arguments if "=" in word]
+    if len(names) != 1 and any(word.startswith("out=") for word in settings):
+        sys.exit("out= is the folder of one dataset; name which.")
     for name in names or NAMES:
         main(["generate", f"dataset={name}", *settings])
 

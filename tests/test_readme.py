@@ -33,7 +33,7 @@ def test_a_newcomers_path(tmp_path: Path) -> None:
         command = [sys.executable, "-m", *words]
         run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         assert run.returncode == 0, f"{' '.join(words)}\n{run.stdout}\n{run.stderr}"
-    assert "surrogate start is" in run.stdout + run.stderr
+    assert "surrogate's map is taken" in run.stdout + run.stderr
     (found,) = (tmp_path / "outputs" / "invert").glob("*/summary.json")
     assert '"start_mpa": "surrogate"' in found.read_text()
 

@@ -1,6 +1,6 @@
 """Make the surrogate that ships with tactorch, from nothing: data, training, judgement, weights.
 
-    python train/surrogate.py [FOLDER]          data and run go there; data/ and outputs/ otherwise
+    python train/surrogate.py [FOLDER]          data and run go there; outputs/surrogate otherwise
 
 Stopped or killed, the same command goes on where it was. The weights and the note of how they were
 made are written to FOLDER as surrogate.pt and surrogate.json; to ship them, copy both to
@@ -17,6 +17,8 @@ from tactorch.files import atomic_path
 from tactorch.generation import SampleSet
 from tactorch.learning.training import BEST, LAST
 from tactorch.learning.weights import export
+
+_PLACES = ("folder:", "run_dir:", "resume:")
 
 
 def make(folder: Path) -> None:
@@ -44,7 +46,7 @@ def note(data: Path, run: Path, judged: Path) -> dict[str, Any]:
             "versions": manifest["versions"],
             "shards": [shard["sha256"] for shard in manifest["shards"]],
         },
-        "training": [line for line in config if "folder:" not in line and "run_dir:" not in line],
+        "training": [line for line in config if not line.strip().startswith(_PLACES)],
         "test part": scores,
     }
 

@@ -46,8 +46,6 @@ def _trained(
 
     The data are the run's own, or all of another dataset.
     """
-    from tactorch.learning.training import BEST, load_weights
-
     settings = trained.copy()
     if other is not None:
         settings.data = {**settings.data, "folder": str(other), "shares": [0.0, 0.0, 1.0]}
@@ -59,6 +57,17 @@ def _trained(
         check_data(own, data)
     if not data.parts[part]:
         raise ConfigError(f"part={part} of the run's dataset is empty; choose another.")
+    return _network(settings, data, known, own), data, part, known
+
+
+def _network(settings: DictConfig, data: Any, known: dict[str, Any], own: Path) -> Any:
+    """Return the best network of a run."""
+    from tactorch.learning.training import BEST, load_weights
+
+    if settings.model.name == "surrogate":  # refuses weights for what is no longer shown
+        from tactorch.learning.weights import load_surrogate
+
+        return load_surrogate(own / BEST)
     model = model_of(settings, data, known)
     load_weights(model, own / BEST)
-    return model.eval(), data, part, known
+    return model.eval()

@@ -12,6 +12,7 @@ from tactorch.cli.settings import inversion_of, log, made, material_of, plain
 from tactorch.errors import ConfigError
 from tactorch.generation import MeshSizes, PressDraw, Recipe, SampleSet, generate
 from tactorch.generation.recipe import LINEAR
+from tactorch.inverse import Settings
 
 _LINES = 20  # lines of progress in a log
 
@@ -60,13 +61,15 @@ def recipe_of(cfg: DictConfig) -> Recipe:
         "mesh": made("dataset.sizes", MeshSizes, settings.pop("sizes")),
         "material": material_of(cfg),
         "element": cfg.element,
-        "inversion": LINEAR
-        if reconstruct == LINEAR
-        else inversion_of(cfg)
-        if reconstruct
-        else None,
+        "inversion": _inversion(cfg, reconstruct),
     }
     return made("dataset", Recipe, {**settings, **parts})
+
+
+def _inversion(cfg: DictConfig, reconstruct: bool | str) -> Settings | str | None:
+    if reconstruct == LINEAR:
+        return LINEAR
+    return inversion_of(cfg) if reconstruct else None
 
 
 @contextmanager

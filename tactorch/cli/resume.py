@@ -65,11 +65,11 @@ def _load(run: Path, name: str) -> Any:
 
 
 def _moved(setting: str, started_in: Path) -> str:
-    """Keep a relative recording pointing where it did when the run was started."""
+    """Keep a relative path of what is read pointing where it did when the run was started."""
     key, value = setting.split("=", 1) if "=" in setting else (setting, "")
     path = value.strip("'\"")
     if (
-        key not in ("recording", "path", "data.folder")
+        key not in ("recording", "path", "data.folder", "initialization.weights")
         or os.path.isabs(path)
         or Path.cwd() == started_in
     ):

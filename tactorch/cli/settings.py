@@ -97,6 +97,8 @@ def start_of(cfg: DictConfig, settings: Settings, recording: Recording) -> tuple
         from tactorch.learning.foretell import SurrogateStart
 
         start = SurrogateStart(cfg.initialization.weights)
+        if cfg.resume is None:
+            start.network  # noqa: B018  (wrong weights are told before anything is made)
         if cfg.initialization.prior_mean:
             settings = start.as_prior_mean(settings, recording)
         return start, settings

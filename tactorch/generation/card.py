@@ -91,7 +91,7 @@ def _statistics(chosen: Sequence[Sample]) -> list[str]:
     }
     figures = [s.figures for s in chosen if s.figures]
     for name in ("iterations", "chi2", "ssim", "pearson", "rmse_mpa"):
-        if figures:
+        if figures and name in figures[0]:
             rows[f"reconstruction: {name}"] = [f[name] for f in figures]
     lines = [
         "Labels: " + ", ".join(f"{name} {count}" for name, count in sorted(labels.items())) + ".",

@@ -24,6 +24,7 @@ from tactorch.recording import Recording
 _SPREAD, _LENGTH, _SHIFT = 0.7, 0.2, 0.3
 # What mesh and linearisation get wrong, as a share of a press's displacement.
 _FLOOR = 0.02
+_MOST_ENTRIES = 5e7  # of a dense sensitivity matrix: 400 MB
 
 
 def linear_map(recording: Recording, count: int = 8) -> Float[np.ndarray, " m"]:
@@ -62,14 +63,27 @@ def linear_image(
         ConvergenceError: An equilibrium is unstable and has no derivatives.
     """
     trust = _trust(evaluation, deviations)
-    # Of log E, by cells.
-    jacobian = (evaluation.jacobian() * (trust[:, None] * evaluation.youngs)) @ _cells(mesh, count)
+    jacobian = trust[:, None] * _by_cells(evaluation, _cells(mesh, count))
     precision = _prior_precision(count) + jacobian.T @ jacobian
     factor = cho_factor(precision, lower=True, check_finite=False)
     image = -cho_solve(factor, jacobian.T @ (trust * evaluation.residuals))
     variance = cho_solve(factor, np.eye(count**3)).diagonal()
     explained = 1.0 - variance / (_SPREAD**2 + _SHIFT**2)
     return image.reshape((count,) * 3), explained.reshape((count,) * 3)
+
+
+def _by_cells(evaluation: Evaluation, cells: sp.csr_matrix) -> Float[np.ndarray, "data cells"]:
+    """Return d residuals / d log E of the cells.
+
+    By one solve a datum where the matrix over all elements is small, else by one a cell.
+    """
+    chain = sp.diags(evaluation.youngs) @ cells
+    if len(evaluation.residuals) * len(evaluation.youngs) <= _MOST_ENTRIES:
+        return evaluation.jacobian() @ chain
+    columns = [
+        evaluation.jacobian_times(chain[:, [c]].toarray()[:, 0]) for c in range(cells.shape[1])
+    ]
+    return np.column_stack(columns)
 
 
 def _trust(evaluation: Evaluation, deviations: list[float]) -> Float[np.ndarray, " data"]:

@@ -83,36 +83,37 @@ def monte_carlo(
     return start
 
 
-def no_worse_than_uniform(
+def fits_better_than_uniform(
     guess: Float[np.ndarray, " m"], problem: InverseProblem, bounds: Bounds, name: str
-) -> Float[np.ndarray, " m"]:
-    """Return a guessed map (MPa), or the best uniform one where that fits the presses better.
+) -> bool:
+    """Say whether a guessed map (MPa) fits the presses better than the best uniform one.
+
+    Both are judged at the nuisance values that the recording states, from which inversions start.
 
     Args:
-        guess: The map; moduli beyond the bounds are moved to them.
+        guess: The map, within the bounds.
         problem: What it has to fit.
         bounds: Limits of the moduli.
-        name: What to call the guess in the message that it is refused.
+        name: What to call the guess in the message that it is refused, or taken.
 
     Raises:
         ConvergenceError: No uniform modulus carries the presses.
     """
-    uniform = homogeneous(problem, bounds)
-    guess = np.clip(guess, bounds.lower, bounds.upper)
-    known = problem.evaluate(uniform).chi2
+    fit = uniform_fit(problem, bounds)
+    known = problem.evaluate(np.full(problem.n_unknowns, fit.youngs_mpa)).chi2
     try:
         chi2 = problem.evaluate(guess).chi2
     except ConvergenceError as error:
-        _log.warning("The %s start is refused: the presses collapse it (%s).", name, error)
-        return uniform
+        _log.warning("The %s map is refused: the presses collapse it (%s).", name, error)
+        return False
     if not chi2 < known:
         _log.warning(
-            "The %s start is refused: its misfit (chi2 %.4g) is no less than that of the best "
-            "uniform map (%.4g), which is taken.", name, chi2, known,
+            "The %s map is refused: its misfit (chi2 %.4g) is no less than that of the best "
+            "uniform map (%.4g).", name, chi2, known,
         )  # fmt: skip
-        return uniform
-    _log.info("The %s start is taken: chi2 %.4g, best uniform map %.4g", name, chi2, known)
-    return guess
+        return False
+    _log.info("The %s map is taken: chi2 %.4g, best uniform map %.4g", name, chi2, known)
+    return True
 
 
 def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:

@@ -1,14 +1,16 @@
 """A trained surrogate at work: it foretells the map of a recording, to start an inversion from."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from tactorch.inverse import Bounds, InverseProblem, Settings
-from tactorch.inverse.starts import no_worse_than_uniform
+from tactorch.errors import ConfigError
+from tactorch.inverse import Bounds, InverseProblem, NoiseModel, Settings, homogeneous
+from tactorch.inverse.starts import fits_better_than_uniform
 from tactorch.learning.surrogate import Surrogate
 from tactorch.learning.touch import Touch, touch
 from tactorch.learning.weights import SHIPPED, load_surrogate
@@ -37,51 +39,93 @@ class SurrogateStart:
 
     Args:
         weights: A checkpoint of `tactorch train model=surrogate data=warmstart`; None for the
-            weights that come with tactorch.
-
-    Raises:
-        FileError: The weights are missing, damaged or of another model.
+            weights that come with tactorch. Read when first needed.
     """
 
     def __init__(self, weights: str | Path | None = None) -> None:
-        self.network = load_surrogate(SHIPPED if weights is None else Path(weights))
+        self.weights = SHIPPED if weights is None else Path(weights)
         self.__name__ = "surrogate"
+        self._last: tuple[Recording, NoiseModel | None, Bounds | None, Foretold] | None = None
 
-    def foretell(self, recording: Recording) -> Foretold:
-        """Foretell the map from presses alone; neither truth nor misfit is looked at.
+    @cached_property
+    def network(self) -> Surrogate:
+        """The network.
+
+        Raises:
+            FileError: The weights are missing, damaged or of another model.
+        """
+        return load_surrogate(self.weights)
+
+    def foretell(
+        self,
+        recording: Recording,
+        *,
+        noise: NoiseModel | None = None,
+        bounds: Bounds | None = None,
+    ) -> Foretold:
+        """Foretell the map; the truth is not read, and the map's own misfit not looked at.
+
+        Args:
+            recording: Presses on an object.
+            noise: Standard deviations for presses that do not state theirs.
+            bounds: Limits of the moduli.
 
         Raises:
             ConvergenceError: No uniform modulus carries the presses.
+            FileError: The weights are missing, damaged or of another model.
         """
-        seen = touch(recording, self.network.cells, self.network.frames)
+        asked = (recording, noise, bounds)
+        if self._last is not None and self._last[0] is recording and self._last[1:3] == asked[1:]:
+            return self._last[3]
+        cells = self.network.cells
+        seen = touch(recording, cells, self.network.frames, noise=noise, bounds=bounds)
         mean, deviation = answer(self.network, seen)
-        grid = VoxelGrid(recording.mesh, 2 * self.network.cells)
-        return Foretold(
-            seen.youngs_mpa * np.exp(grid.at_elements(mean)),
+        grid, limits = VoxelGrid(recording.mesh, 2 * cells), bounds or Bounds()
+        youngs = seen.youngs_mpa * np.exp(grid.at_elements(mean))
+        found = Foretold(
+            np.clip(youngs, limits.lower, limits.upper),
             np.exp(grid.at_elements(np.log(deviation))),
         )
+        self._last = (*asked, found)
+        return found
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
         """Return the foretold map, or the best uniform one if that fits better.
 
         Raises:
             ConvergenceError: No uniform modulus carries the presses.
+            FileError: The weights are missing, damaged or of another model.
         """
-        found = self.foretell(problem.recording)
-        return no_worse_than_uniform(found.youngs, problem, bounds, "surrogate")
+        found = self.foretell(problem.recording, noise=problem.noise, bounds=bounds).youngs
+        taken = fits_better_than_uniform(found, problem, bounds, "surrogate's")
+        return found if taken else homogeneous(problem, bounds)
 
     def as_prior_mean(self, settings: Settings, recording: Recording) -> Settings:
         """Return settings of an inversion whose prior is about the foretold map.
 
         What the presses leave open then stays as foretold, with what the network has learnt to
-        expect; on objects unlike those that it was trained on, that may mislead.
+        expect; on objects unlike those that it was trained on, that may mislead. Where the map
+        is refused as a start, the settings stay as they are.
 
         Raises:
+            ConfigError: The prior has no use for a mean, or refers to levels.
             ConvergenceError: No uniform modulus carries the presses.
+            FileError: The weights are missing, damaged or of another model.
         """
-        bounds = settings.bounds
-        mean = np.clip(self.foretell(recording).youngs, bounds.lower, bounds.upper)
-        return replace(settings, prior=replace(settings.prior, mean_mpa=mean))
+        name, prior, bounds = settings.regularization, settings.prior, settings.bounds
+        if name in ("none", "binary_well") or (prior.level_mpa, prior.levels_mpa) != (None, None):
+            raise ConfigError(
+                f"a surrogate's map is no mean for regularization={name} with level_mpa="
+                f"{prior.level_mpa}, levels_mpa={prior.levels_mpa}: take total_variation, say, and"
+                " leave the levels out, for the prior would be about the map, not about a level."
+            )
+        problem = InverseProblem(
+            recording, element=settings.element, noise=settings.noise, newton=settings.newton
+        )
+        found = self.foretell(recording, noise=settings.noise, bounds=bounds).youngs
+        if not fits_better_than_uniform(found, problem, bounds, "surrogate's"):
+            return settings
+        return replace(settings, prior=replace(prior, mean_mpa=found))
 
 
 def answer(

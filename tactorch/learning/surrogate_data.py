@@ -12,10 +12,11 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from tactorch.errors import ConfigError
+from tactorch.generation import SampleSet
 from tactorch.learning.order import EpochSampler
 from tactorch.learning.splits import PARTS, split_objects
 from tactorch.learning.symmetry import IDENTITY, Symmetry, apply, symmetries
-from tactorch.learning.touch import PRESS_VECTORS
+from tactorch.learning.touch import PRESS_VECTORS, VERSION
 from tactorch.learning.touch_cache import Touches, load_touches
 
 Row = tuple[Tensor, Tensor, Tensor, Tensor]
@@ -115,7 +116,8 @@ class SurrogateData(lightning.LightningDataModule):
         sizes = dict(zip(PARTS, shares, strict=True))
         self.parts = split_objects(objects, labels, sizes, split)
         self.numbers = self.touches.index.tolist()
-        content = [_digest(self.touches), cells, frames, self.parts]
+        shards = [shard["sha256"] for shard in SampleSet.open(folder).manifest["shards"]]
+        content = [shards, VERSION, cells, frames, self.numbers, self.parts]
         self.fingerprint = sha256(json.dumps(content).encode()).hexdigest()
 
     @property
@@ -156,13 +158,6 @@ class SurrogateData(lightning.LightningDataModule):
         rows = Turned(self.touches, self.parts[part], [IDENTITY], self.seed)
         order = [(0, place) for place in range(len(rows))]
         return DataLoader(rows, self.batch, sampler=order, collate_fn=batched)
-
-
-def _digest(touches: Touches) -> str:
-    found = sha256()
-    for name, values in sorted(vars(touches).items()):
-        found.update(name.encode() + np.ascontiguousarray(values).tobytes())
-    return found.hexdigest()
 
 
 def _sizes(fields: np.ndarray) -> list[float]:

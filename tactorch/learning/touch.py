@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Bounds, Evaluation, InverseProblem
+from tactorch.inverse import Bounds, Evaluation, InverseProblem, NoiseModel
 from tactorch.inverse.linear_image import linear_image
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.mesh import TetMesh, VoxelGrid
@@ -28,7 +28,7 @@ PRESS_VECTORS = (0, 3, 6)
 #: Channels of the object.
 SHARED_CHANNELS = ("occupancy", "image", "explained")
 VERSION = 1
-_SAME_WAY = 0.99  # cosine between loads that count as one way of pressing
+_ALIKE = 0.9  # cosine between loads that count as one way to press
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,14 @@ class Touch:
     shared: Float[np.ndarray, "s v v v"]
 
 
-def touch(recording: Recording, count: int = 8, frames: int = 1) -> Touch:
+def touch(
+    recording: Recording,
+    count: int = 8,
+    frames: int = 1,
+    *,
+    noise: NoiseModel | None = None,
+    bounds: Bounds | None = None,
+) -> Touch:
     """Put a recording on a grid.
 
     Args:
@@ -54,6 +61,8 @@ def touch(recording: Recording, count: int = 8, frames: int = 1) -> Touch:
         count: Cells in each direction, even.
         frames: Load steps of each place to look at, the strongest first; those below tell little
             that it does not.
+        noise: Standard deviations for presses that do not state theirs.
+        bounds: Limits of the uniform modulus.
 
     Raises:
         ConfigError: The count is odd or below 2, or there are no frames.
@@ -62,8 +71,8 @@ def touch(recording: Recording, count: int = 8, frames: int = 1) -> Touch:
     if count < 2 or count % 2 or frames < 1:
         raise ConfigError(f"count={count} must be even and at least 2, frames={frames} at least 1.")
     chosen = recording.select(strongest(recording, frames))
-    problem = InverseProblem(chosen)
-    fit = uniform_fit(problem, Bounds())
+    problem = InverseProblem(chosen, noise=noise)
+    fit = uniform_fit(problem, bounds)
     evaluation = problem.evaluate(np.full(problem.n_unknowns, fit.youngs_mpa))
     deviations = problem.noise.deviations(chosen)
     grid = VoxelGrid(chosen.mesh, count)
@@ -76,26 +85,33 @@ def touch(recording: Recording, count: int = 8, frames: int = 1) -> Touch:
 
 
 def strongest(recording: Recording, frames: int) -> list[int]:
-    """Return the presses with the largest loads at each place, in their order."""
-    places: dict[tuple[bytes, int], list[int]] = {}
-    ways: list[np.ndarray] = []
+    """Return the presses with the largest loads of each way to press, in their order.
+
+    Presses are of one way where their loads are alike over the whole object but for the size, and
+    the same is held.
+    """
+    loads = [_load(press) for press in recording.presses]
+    sizes = [float(np.linalg.norm(load)) for load in loads]
+    groups: list[list[int]] = []
     for i, press in enumerate(recording.presses):
-        way = _way(press)
-        known = [n for n, other in enumerate(ways) if float(way @ other) > _SAME_WAY]
-        ways += [] if known else [way]
-        number = known[0] if known else len(ways) - 1
-        places.setdefault((press.data.tobytes(), number), []).append(i)
-    load = [float(np.abs(press.forces).sum()) for press in recording.presses]
-    kept = [sorted(group, key=lambda i: -load[i])[:frames] for group in places.values()]
+        for group in groups:
+            first = recording.presses[group[0]]
+            alike = float(loads[i] @ loads[group[0]]) >= _ALIKE * sizes[i] * sizes[group[0]]
+            if alike and np.array_equal(press.held, first.held):
+                group.append(i)
+                break
+        else:
+            groups.append([i])
+    kept = [sorted(group, key=lambda i: -sizes[i])[:frames] for group in groups]
     return sorted(i for group in kept for i in group)
 
 
-def _way(press: Press) -> Float[np.ndarray, "3"]:
-    total = press.total_force
-    size = float(np.linalg.norm(total))
-    if size > 0.0:
-        return total / size
-    return np.zeros(3) if press.direction is None else press.direction
+def _load(press: Press) -> Float[np.ndarray, " dofs"]:
+    """What a press does to the object: forces, or what it prescribes, or how the object moved."""
+    for field in (press.forces, press.prescribed):
+        if field.any():
+            return field.ravel()
+    return np.where(press.data, press.displacement, 0.0).ravel()
 
 
 def occupancy(mesh: TetMesh, count: int) -> Float[np.ndarray, "v v v"]:
@@ -107,25 +123,27 @@ def occupancy(mesh: TetMesh, count: int) -> Float[np.ndarray, "v v v"]:
 def _press(
     press: Press, evaluation: Evaluation, i: int, deviation: float, grid: VoxelGrid
 ) -> Float[np.ndarray, "c v v v"]:
-    valid = press.data.any(axis=1)
-    moved = np.where(press.data, press.displacement, 0.0)
-    excess = np.where(press.data, press.displacement - evaluation.reported[i], 0.0)
-    size = float(np.sqrt(np.mean(moved[press.data] ** 2)))
+    data = press.data if press.weights is None else press.data & (press.weights > 0)
+    foretold = evaluation.reported[i]
+    # Components that were not observed moved as the uniform map has it, for all that is known.
+    seen = np.where(data, press.displacement, foretold)
+    valid = np.asarray(data.any(axis=1))
+    size = max(float(np.sqrt(np.mean(seen[data] ** 2))), deviation)
     weight = grid.splat(valid.astype(float)[:, None])[0]
     there = weight > 1e-6
     share = np.where(there, 1.0 / np.maximum(weight, 1e-6), 0.0)
     # A force over the modulus and the area of a cell's side.
     area = float(np.prod(grid.size_mm)) ** (2.0 / 3.0) * float(evaluation.youngs[0])
-    traction = grid.splat(press.forces) / area
     held = grid.splat(press.held.any(axis=1).astype(float)[:, None])[0] > 1e-6
     extent = float(np.mean(grid.size_mm)) * grid.count
     facts = (1.0, size / extent, np.log10(max(deviation / size, 1e-6)))
     valid_, stretch, noise = (there * value for value in facts)
+    at = valid[:, None] / size
     return np.concatenate(
         [
-            grid.splat(excess / size) * share,
-            grid.splat(moved / size) * share,
-            traction,
+            grid.splat((seen - foretold) * at) * share,
+            grid.splat(seen * at) * share,
+            grid.splat(press.forces) / area,
             np.stack([valid_, held.astype(float), stretch, noise]),
         ]
     )

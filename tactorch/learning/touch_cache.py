@@ -2,7 +2,6 @@
 
 import json
 import logging
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -16,7 +15,7 @@ from tactorch.errors import ConvergenceError, FileError
 from tactorch.files import atomic_path
 from tactorch.generation import SampleSet
 from tactorch.generation.work import alone
-from tactorch.learning.touch import VERSION, targets, touch
+from tactorch.learning.touch import PRESS_CHANNELS, SHARED_CHANNELS, VERSION, targets, touch
 
 _log = logging.getLogger(__name__)
 FOLDER = "touch"
@@ -51,6 +50,14 @@ class Touches:
     def __len__(self) -> int:
         return len(self.index)
 
+    @property
+    def sound(self) -> bool:
+        """Whether the parts fit each other."""
+        n = len(self.index)
+        each = (self.object, self.label, self.youngs_mpa, self.shared, self.target, self.inside)
+        fit = all(len(part) == n for part in each) and len(self.begins) == n + 1
+        return fit and int(self.begins[-1]) == len(self.presses)
+
     @staticmethod
     def joined(parts: Sequence["Touches"]) -> "Touches":
         """Put parts in a row."""
@@ -78,11 +85,12 @@ def load_touches(
     """
     found = SampleSet.open(folder)
     parts = []
-    for number, shard in enumerate(found.manifest["shards"]):
+    shards = found.manifest["shards"]
+    for number, shard in enumerate(shards):
         path = found.folder / FOLDER / f"{number:05d}-{_key(shard['sha256'], count, frames)}.npz"
         part = _read(path)
         if part is None:
-            _log.info("shard %d of %d: what the surrogate sees", number + 1, len(_shards(found)))
+            _log.info("shard %d of %d: what the surrogate sees", number + 1, len(shards))
             end = shard["first"] + shard["count"]
             indices = [i for i in found.indices if shard["first"] <= i < end]
             part = _work_out(found, indices, count, frames, workers)
@@ -95,11 +103,6 @@ def load_touches(
     if lost:
         _log.warning("%d of %d samples left out: no uniform modulus carries them", lost, len(found))
     return touches
-
-
-def _shards(found: SampleSet) -> list[Any]:
-    shards: list[Any] = found.manifest["shards"]
-    return shards
 
 
 def _key(checksum: str, count: int, frames: int) -> str:
@@ -139,8 +142,6 @@ def _one(found: SampleSet, index: int, count: int, frames: int) -> dict[str, Any
 
 
 def _gathered(rows: Sequence[dict[str, Any]], count: int) -> Touches:
-    from tactorch.learning.touch import PRESS_CHANNELS, SHARED_CHANNELS
-
     coarse, fine = (count,) * 3, (2 * count,) * 3
     none = np.zeros((0, len(PRESS_CHANNELS), *coarse), np.float16)
 
@@ -161,15 +162,18 @@ def _gathered(rows: Sequence[dict[str, Any]], count: int) -> Touches:
 
 
 def _write(path: Path, part: Touches) -> None:
-    path.parent.mkdir(exist_ok=True)
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, **vars(part))
+    try:
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(file, **vars(part))
+    except FileError as error:  # a dataset may lie where one may only read
+        _log.warning("What the surrogate sees is not kept: %s", error)
 
 
 def _read(path: Path) -> Touches | None:
     """Read a part; None where there is none that is sound."""
     try:
         with np.load(path, allow_pickle=False) as found:
-            return Touches(**found)
-    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
+            part = Touches(**found)
+    except Exception:  # what a damaged archive leads to has no common base
         return None
+    return part if part.sound else None

@@ -21,6 +21,11 @@ def load_surrogate(path: Path) -> Surrogate:
     Raises:
         FileError: The file is missing, damaged or of another model.
     """
+    if path == SHIPPED and not path.is_file():
+        raise FileError(
+            f"the surrogate's weights are missing from this installation ('{path}'); reinstall"
+            " tactorch, or make them with train/surrogate.py and give initialization.weights=FILE."
+        )
     content = read_checkpoint(path)
     try:
         network = Surrogate(**content["hyper_parameters"])

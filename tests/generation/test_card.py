@@ -24,3 +24,16 @@ def test_card_owns_up_to_an_inverse_crime(
     recipe = make_recipe(count=1, mesh=MeshSizes(0.3, None))
     text = write_card(generate(recipe, tmp_path / "crime", workers=1)).read_text()
     assert "inverse crime. Results on these data flatter" in text.replace("\n", " ")
+
+
+def test_card_tells_linear_images_from_reconstructions(
+    make_recipe: Callable[..., Recipe], tmp_path: Path
+) -> None:
+    found = generate(make_recipe(count=2, inversion="linear"), tmp_path / "linear", workers=1)
+    text = write_card(found).read_text()
+    assert "its linear image from the presses" in text
+    assert "| reconstruction: pearson |" in text
+    assert "iterations" not in text
+    sample = found[0]
+    assert sample.reconstruction is not None
+    assert plot_samples(looked_at(found), found.folder / "card.png").is_file()

@@ -10,18 +10,28 @@ import torch
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.generation import MeshSizes, PressDraw, Recipe, generate
-from tactorch.inverse import Bounds, InverseProblem, Settings, invert
-from tactorch.inverse.starts import homogeneous, no_worse_than_uniform
+from tactorch.inverse import (
+    Bounds,
+    InverseProblem,
+    PriorOptions,
+    Settings,
+    Unknowns,
+    invert,
+)
+from tactorch.inverse.starts import fits_better_than_uniform, homogeneous
+from tactorch.inverse.uniform import uniform_fit
 from tactorch.learning import touch_cache
-from tactorch.learning.foretell import SurrogateStart
+from tactorch.learning.foretell import Foretold, SurrogateStart
 from tactorch.learning.recognizer import Recognizer
 from tactorch.learning.surrogate import Surrogate
-from tactorch.learning.surrogate_data import SurrogateData
+from tactorch.learning.surrogate_data import SurrogateData, Turned
+from tactorch.learning.symmetry import symmetries
 from tactorch.learning.touch_cache import load_touches
 from tactorch.learning.training import BEST, TrainerOptions, fit
 from tactorch.learning.unet import PressUNet
 from tactorch.learning.weights import export, load_surrogate
 from tactorch.recording import Recording
+from tactorch.simulation import misjudged
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +117,38 @@ def test_a_torn_file_is_worked_out_anew(dataset: Path, data: SurrogateData) -> N
     again = load_touches(dataset, 4, workers=1)
     np.testing.assert_array_equal(again.presses, data.touches.presses)
     np.testing.assert_array_equal(again.target, data.touches.target)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        torn = bytearray(whole)
+        for place in rng.integers(len(torn), size=3):
+            torn[place] ^= 0xFF
+        path.write_bytes(torn)
+        part = touch_cache._read(path)
+        assert part is None or part.sound
+    path.write_bytes(whole)
+
+
+def test_a_turned_object_keeps_its_truth(data: SurrogateData) -> None:
+    """Presses, truth and outline turn together: the image stays as like the truth as it was."""
+    rows = Turned(data.touches, range(6), symmetries(np.zeros((0, 3))), seed=0)
+    for place in range(6):
+        touches = data.touches
+        for epoch in range(3):
+            presses, shared, target, _ = rows[epoch, place]
+            fine = torch.nn.functional.interpolate(shared[None], scale_factor=2)[0, 1]
+            turned = torch.corrcoef(torch.stack([fine.ravel(), target.ravel()]))[0, 1]
+            own = torch.from_numpy(touches.shared[place]).float()
+            fine = torch.nn.functional.interpolate(own[None], scale_factor=2)[0, 1]
+            truth = torch.from_numpy(touches.target[place]).float()
+            plain = torch.corrcoef(torch.stack([fine.ravel(), truth.ravel()]))[0, 1]
+            torch.testing.assert_close(turned, plain, atol=1e-4, rtol=0.0)
+            # Tractions push into the object, on whatever side.
+            push = presses[:, 6:9] * presses[:, 9:10]
+            middle = (torch.arange(4) - 1.5)[:, None, None]
+            into = push[:, 0] * middle + push[:, 1] * middle.reshape(1, 4, 1)
+            into = into + push[:, 2] * middle.reshape(1, 1, 4)
+            assert into.sum() < 0
 
 
 def test_weights_travel(run: Path, tmp_path: Path, recording: Recording) -> None:
@@ -134,26 +176,61 @@ def test_an_inversion_starts_from_it(run: Path, recording: Recording) -> None:
     assert np.ptp(seen[0]) > 0
 
 
-def test_a_poor_start_is_refused(recording: Recording, caplog: pytest.LogCaptureFixture) -> None:
+class Says(SurrogateStart):
+    """A surrogate that foretells a given map."""
+
+    def __init__(self, youngs: np.ndarray) -> None:
+        super().__init__("none.ckpt")
+        self.youngs = youngs
+
+    def foretell(self, recording: Recording, **others: object) -> Foretold:
+        return Foretold(self.youngs, np.ones_like(self.youngs))
+
+
+@pytest.mark.parametrize("kind", ["upside down", "collapsing"])
+def test_a_poor_map_is_refused(
+    recording: Recording, caplog: pytest.LogCaptureFixture, kind: str
+) -> None:
+    """As a start and as a mean of the prior; and a good one is taken."""
     problem, bounds = InverseProblem(recording), Bounds()
     uniform = homogeneous(problem, bounds)
-    upside_down = uniform**2 / recording.truth
+    truth = recording.truth
+    assert truth is not None
+    poor = Says(uniform**2 / truth if kind == "upside down" else 0.001 * truth)
     with caplog.at_level(logging.WARNING):
-        taken = no_worse_than_uniform(upside_down, problem, bounds, "surrogate")
+        taken = poor(problem, bounds)
+        settings = poor.as_prior_mean(Settings(), recording)
     np.testing.assert_array_equal(taken, uniform)
-    assert "surrogate start is refused: its misfit" in caplog.text
-    taken = no_worse_than_uniform(recording.truth, problem, bounds, "surrogate")
-    np.testing.assert_array_equal(taken, recording.truth)
+    assert settings == Settings()
+    reason = "its misfit" if kind == "upside down" else "the presses collapse it"
+    assert caplog.text.count(f"surrogate's map is refused: {reason}") == 2
+    good = Says(truth)
+    np.testing.assert_array_equal(good(problem, bounds), truth)
+    assert good.as_prior_mean(Settings(), recording) == Settings(prior=PriorOptions(mean_mpa=truth))
 
 
-def test_a_start_that_collapses_is_refused(
-    recording: Recording, caplog: pytest.LogCaptureFixture
-) -> None:
-    problem, bounds = InverseProblem(recording), Bounds()
-    with caplog.at_level(logging.WARNING):
-        taken = no_worse_than_uniform(0.001 * recording.truth, problem, bounds, "surrogate")
-    np.testing.assert_array_equal(taken, homogeneous(problem, bounds))
-    assert "the presses collapse it" in caplog.text
+def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -> None:
+    """Both maps are judged at the nuisance values from which inversions start."""
+    problem, bounds = InverseProblem(misjudged(recording, size=1.05)), Bounds()
+    problem.unknowns = Unknowns(rest_scale=0.1)
+    plain = uniform_fit(problem, bounds).youngs_mpa
+    known = problem.evaluate(np.full(problem.n_unknowns, plain)).chi2
+    worse = np.full(problem.n_unknowns, 1.05 * plain)
+    assert known < problem.evaluate(worse).chi2
+    assert not fits_better_than_uniform(worse, problem, bounds, "guessed")
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Settings(regularization="none"),
+        Settings(regularization="binary_well"),
+        Settings(regularization="tikhonov", prior=PriorOptions(level_mpa=0.2)),
+    ],
+)
+def test_priors_without_use_for_a_mean(recording: Recording, settings: Settings) -> None:
+    with pytest.raises(ConfigError, match="is no mean for"):
+        Says(np.ones(recording.mesh.n_tets)).as_prior_mean(settings, recording)
 
 
 def test_wrong_weights_are_named(run: Path, tmp_path: Path) -> None:

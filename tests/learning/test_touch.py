@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
+from tactorch.inverse import Bounds, NoiseModel, linear_image
 from tactorch.learning.symmetry import apply
 from tactorch.learning.touch import PRESS_CHANNELS, PRESS_VECTORS, strongest, targets, touch
 from tactorch.mesh import TetMesh, VoxelGrid, box_mesh
@@ -99,6 +100,75 @@ def test_the_strongest_press_of_each_place_is_looked_at(recording: Recording) ->
     mirrored = replace(recording.presses[0], forces=-recording.presses[0].forces)
     pulled = replace(recording, presses=(*recording.presses, mirrored))
     assert strongest(pulled, 1) == [1, 3, 4]
+
+
+def test_ways_to_press_are_told_by_their_loads(recording: Recording) -> None:
+    """Not by what is seen, which changes from frame to frame; nor by the total force alone."""
+    light, heavy = recording.presses[:2]
+    holed = light.observed.copy()
+    holed[np.flatnonzero(light.observed.any(axis=1))[:3]] = False
+    seen = replace(light, observed=holed)
+    assert strongest(replace(recording, presses=(seen, heavy)), 1) == [1]
+    pressed = np.flatnonzero(heavy.forces.any(axis=1))
+    half = np.isin(np.arange(heavy.n_points), pressed[: len(pressed) // 2])[:, None]
+    parts = [replace(heavy, forces=np.where(part, heavy.forces, 0.0)) for part in (half, ~half)]
+    assert strongest(replace(recording, presses=tuple(parts)), 1) == [0, 1]
+    gone = replace(light, springs=0 * light.springs, fixed=light.springs > 0)
+    bottom = np.zeros_like(light.prescribed)
+    bottom[gone.fixed.any(axis=1), 2] = 0.1
+    pushed = [
+        replace(gone, forces=0 * light.forces, prescribed=f * bottom, direction=None)
+        for f in (1.0, 3.0, 2.0)
+    ]
+    assert strongest(replace(recording, presses=tuple(pushed)), 1) == [1]
+
+
+def test_what_has_no_weight_is_not_seen(recording: Recording) -> None:
+    press = recording.presses[1]
+    node = int(np.flatnonzero(press.observed.any(axis=1))[5])
+    weights = np.ones_like(press.forces)
+    weights[node] = 0.0
+    astray = press.displacement.copy()
+    astray[node] += 3.0
+    plain = replace(recording, presses=(replace(press, weights=weights),))
+    bad = replace(recording, presses=(replace(press, weights=weights, displacement=astray),))
+    np.testing.assert_array_equal(touch(bad, COUNT).presses, touch(plain, COUNT).presses)
+
+
+def test_components_that_are_not_observed_moved_as_foretold(recording: Recording) -> None:
+    press = recording.presses[1]
+    only = press.observed & np.array([False, False, True])
+    seen = touch(replace(recording, presses=(replace(press, observed=only),)), COUNT)
+    top = dict(zip(PRESS_CHANNELS, seen.presses[0], strict=True))
+    assert (top["excess_x"] == 0).all()
+    assert (top["excess_z"] != 0).any()
+    assert np.abs(top["moved_x"]).max() > 0.01
+
+
+def test_a_press_that_moved_nothing(recording: Recording) -> None:
+    still = replace(recording.presses[3], displacement=0 * recording.presses[3].displacement)
+    seen = touch(replace(recording, presses=(recording.presses[1], still)), COUNT)
+    assert np.isfinite(seen.presses).all()
+    assert np.isfinite(seen.shared).all()
+
+
+def test_bounds_and_noise_are_those_asked_for(recording: Recording) -> None:
+    unsaid = tuple(replace(press, noise_mm=None) for press in recording.presses)
+    unsure = replace(recording, presses=unsaid)
+    noise = PRESS_CHANNELS.index("noise")
+    low, high = (touch(unsure, COUNT, noise=NoiseModel(mm=mm)).presses for mm in (0.001, 0.01))
+    there = low[:, noise] != 0
+    np.testing.assert_allclose((high - low)[:, noise][there], 1.0, atol=1e-3)
+    bounded = touch(recording, COUNT, bounds=Bounds(0.001, 0.21))
+    assert bounded.youngs_mpa == pytest.approx(0.21)
+
+
+def test_large_meshes_take_the_thrifty_way(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = touch(recording, COUNT).shared
+    monkeypatch.setattr(linear_image, "_MOST_ENTRIES", 1.0)
+    np.testing.assert_allclose(touch(recording, COUNT).shared, plain, atol=1e-8)
 
 
 @pytest.mark.parametrize(("count", "frames"), [(3, 1), (0, 1), (4, 0)])

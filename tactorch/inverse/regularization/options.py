@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
+from tactorch.plain import plain
 
 _PARTS = {"total_variation": 1.0, "sparsity": 1.0}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PriorOptions:
     """What only some priors need; the others pass it over.
 
@@ -37,5 +38,15 @@ class PriorOptions:
 
     def __post_init__(self) -> None:
         """Refuse a composite within a composite."""
+        for name in ("mean_mpa", "mean_deviation"):
+            if getattr(self, name) is not None:
+                values = np.array(getattr(self, name), dtype=np.float64)
+                object.__setattr__(self, name, values)
         if "composite" in self.parts:
             raise ConfigError("regularization.parts: a composite cannot hold a composite.")
+
+    def __eq__(self, other: object) -> bool:
+        """Compare all fields, maps by their bytes."""
+        return isinstance(other, PriorOptions) and plain(self) == plain(other)
+
+    __hash__ = None  # type: ignore[assignment]
