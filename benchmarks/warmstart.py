@@ -25,7 +25,7 @@ from tactorch.cli.generate import recipe_of
 from tactorch.generation import Sample, make_sample
 from tactorch.importers import import_published
 from tactorch.inverse import Reconstruction, Settings, homogeneous, invert
-from tactorch.learning.foretell import SurrogateStart
+from tactorch.learning.surrogate import SurrogateStart
 from tactorch.metrics import scores
 from tactorch.recording import Recording
 

@@ -4,7 +4,7 @@
 
 Stopped or killed, the same command goes on where it was. The weights and the note of how they were
 made are written to FOLDER as surrogate.pt and surrogate.json; to ship them, copy both to
-tactorch/learning/.
+tactorch/learning/surrogate/.
 """
 
 import json
@@ -15,8 +15,8 @@ from typing import Any
 from tactorch.cli import main
 from tactorch.files import atomic_path
 from tactorch.generation import SampleSet
+from tactorch.learning.surrogate.weights import export
 from tactorch.learning.training import BEST, LAST
-from tactorch.learning.weights import export
 
 _PLACES = ("folder:", "run_dir:", "resume:")
 

@@ -65,7 +65,7 @@ def _network(settings: DictConfig, data: Any, known: dict[str, Any], own: Path) 
     from tactorch.learning.training import BEST, load_weights
 
     if settings.model.name == "surrogate":  # refuses weights for what is no longer shown
-        from tactorch.learning.weights import load_surrogate
+        from tactorch.learning.surrogate.weights import load_surrogate
 
         return load_surrogate(own / BEST)
     model = model_of(settings, data, known)

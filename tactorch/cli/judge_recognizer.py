@@ -9,7 +9,7 @@ import torch
 
 from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
-from tactorch.learning.scores import class_scores
+from tactorch.learning.recognizer.scores import class_scores
 from tactorch.viz.recognition import plot_confusion, plot_examples, plot_reliability
 
 _BATCH = 32

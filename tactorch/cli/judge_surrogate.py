@@ -10,8 +10,8 @@ from scipy.special import ndtri
 from torch.nn import functional
 
 from tactorch.cli.settings import log
-from tactorch.learning.surrogate import correlation
-from tactorch.learning.touch import SHARED_CHANNELS
+from tactorch.learning.surrogate.network import correlation
+from tactorch.learning.surrogate.touch import SHARED_CHANNELS
 from tactorch.viz.surrogate import plot_coverage, plot_foretold
 
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)

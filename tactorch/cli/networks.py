@@ -30,25 +30,25 @@ class Network:
 
 
 def _recognition(**settings: Any) -> Any:
-    from tactorch.learning.recognition_data import RecognitionData
+    from tactorch.learning.recognizer.data import RecognitionData
 
     return RecognitionData(**settings)
 
 
 def _recognizer(**settings: Any) -> Any:
-    from tactorch.learning.recognizer import Recognizer
+    from tactorch.learning.recognizer.network import Recognizer
 
     return Recognizer(**settings)
 
 
 def _warmstart(**settings: Any) -> Any:
-    from tactorch.learning.surrogate_data import SurrogateData
+    from tactorch.learning.surrogate.data import SurrogateData
 
     return SurrogateData(**settings)
 
 
 def _surrogate(**settings: Any) -> Any:
-    from tactorch.learning.surrogate import Surrogate
+    from tactorch.learning.surrogate.network import Surrogate
 
     return Surrogate(**settings)
 

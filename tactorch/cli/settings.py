@@ -94,7 +94,7 @@ def start_of(cfg: DictConfig, settings: Settings, recording: Recording) -> tuple
     """
     kind = cfg.initialization.name
     if kind == "surrogate":
-        from tactorch.learning.foretell import SurrogateStart
+        from tactorch.learning.surrogate import SurrogateStart
 
         start = SurrogateStart(cfg.initialization.weights)
         if cfg.resume is None:

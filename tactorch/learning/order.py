@@ -57,6 +57,16 @@ def seed_of(*words: int) -> int:
     return int(np.random.SeedSequence(list(words)).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
+def scheduled_adam(
+    module: lightning.LightningModule, learning_rate: float, weight_decay: float
+) -> Any:
+    """Return AdamW with `rise_and_fall`, as `configure_optimizers` has to."""
+    optimizer = torch.optim.AdamW(module.parameters(), lr=learning_rate, weight_decay=weight_decay)
+    shape = rise_and_fall(int(module.trainer.estimated_stepping_batches))
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, shape)
+    return [optimizer], [{"scheduler": schedule, "interval": "step"}]
+
+
 def rise_and_fall(steps: int, rise: float = 0.1) -> Callable[[int], float]:
     """Return a learning rate's share by step: rising for a share of the steps, then a cosine."""
     total = max(1, steps)

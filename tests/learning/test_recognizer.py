@@ -6,8 +6,8 @@ import torch
 
 from tactorch.errors import ConfigError
 from tactorch.generation import MeshSizes, PressDraw, Recipe, generate
-from tactorch.learning.recognition_data import RecognitionData
-from tactorch.learning.recognizer import FCN, Recognizer
+from tactorch.learning.recognizer.data import RecognitionData
+from tactorch.learning.recognizer.network import FCN, Recognizer
 
 
 @pytest.mark.parametrize("size", [(4, 4, 4), (9, 16, 7), (24, 24, 24)])

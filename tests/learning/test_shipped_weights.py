@@ -7,8 +7,8 @@ import pytest
 
 from tactorch.inverse import Bounds, InverseProblem
 from tactorch.inverse.starts import homogeneous
-from tactorch.learning.foretell import SurrogateStart
-from tactorch.learning.weights import SHIPPED
+from tactorch.learning.surrogate import SurrogateStart
+from tactorch.learning.surrogate.weights import SHIPPED
 from tactorch.mesh import Box, Sphere
 from tactorch.phantoms import Phantom
 from tactorch.recording import Recording

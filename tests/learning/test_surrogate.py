@@ -20,16 +20,16 @@ from tactorch.inverse import (
 )
 from tactorch.inverse.starts import fits_better_than_uniform, homogeneous
 from tactorch.inverse.uniform import uniform_fit
-from tactorch.learning import touch_cache
-from tactorch.learning.foretell import Foretold, SurrogateStart
-from tactorch.learning.recognizer import Recognizer
-from tactorch.learning.surrogate import Surrogate
-from tactorch.learning.surrogate_data import SurrogateData, Turned
+from tactorch.learning.recognizer.network import Recognizer
+from tactorch.learning.surrogate import Foretold, SurrogateStart
+from tactorch.learning.surrogate import cache as touch_cache
+from tactorch.learning.surrogate.cache import load_touches
+from tactorch.learning.surrogate.data import SurrogateData, Turned
+from tactorch.learning.surrogate.network import Surrogate
+from tactorch.learning.surrogate.unet import PressUNet
+from tactorch.learning.surrogate.weights import export, load_surrogate
 from tactorch.learning.symmetry import symmetries
-from tactorch.learning.touch_cache import load_touches
 from tactorch.learning.training import BEST, TrainerOptions, fit
-from tactorch.learning.unet import PressUNet
-from tactorch.learning.weights import export, load_surrogate
 from tactorch.recording import Recording
 from tactorch.simulation import misjudged
 

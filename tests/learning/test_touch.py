@@ -10,8 +10,14 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Bounds, NoiseModel, linear_image
+from tactorch.learning.surrogate.touch import (
+    PRESS_CHANNELS,
+    PRESS_VECTORS,
+    strongest,
+    targets,
+    touch,
+)
 from tactorch.learning.symmetry import apply
-from tactorch.learning.touch import PRESS_CHANNELS, PRESS_VECTORS, strongest, targets, touch
 from tactorch.mesh import TetMesh, VoxelGrid, box_mesh
 from tactorch.recording import Press, Recording
 

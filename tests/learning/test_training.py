@@ -13,8 +13,8 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.learning.order import EpochSampler, rise_and_fall, seed_of
-from tactorch.learning.recognition_data import Turned
-from tactorch.learning.recognizer import Recognizer
+from tactorch.learning.recognizer.data import Turned
+from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.symmetry import symmetries
 from tactorch.learning.training import BEST, CURVE, LAST, TrainerOptions, check_checkpoint, fit
 

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from tactorch.errors import ConfigError
 from tactorch.inverse import Bounds, InverseProblem, NoiseModel, Settings, homogeneous
 from tactorch.inverse.starts import fits_better_than_uniform
-from tactorch.learning.surrogate import Surrogate
-from tactorch.learning.touch import Touch, touch
-from tactorch.learning.weights import SHIPPED, load_surrogate
+from tactorch.learning.surrogate.network import Surrogate
+from tactorch.learning.surrogate.touch import Touch, touch
+from tactorch.learning.surrogate.weights import SHIPPED, load_surrogate
 from tactorch.mesh import VoxelGrid
 from tactorch.recording import Recording
 

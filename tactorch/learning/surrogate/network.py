@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from tactorch.errors import ConfigError
-from tactorch.learning.order import rise_and_fall
-from tactorch.learning.touch import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
-from tactorch.learning.unet import PressUNet
+from tactorch.learning.order import scheduled_adam
+from tactorch.learning.surrogate.touch import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
+from tactorch.learning.surrogate.unet import PressUNet
 
 _LEAST, _MOST = -5.0, 1.0  # of the logarithm of the deviation
 _IMAGE = SHARED_CHANNELS.index("image")
@@ -105,12 +105,7 @@ class Surrogate(lightning.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """AdamW, its rate rising shortly and then falling to nothing along half a cosine."""
-        optimizer = torch.optim.AdamW(
-            self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay
-        )
-        shape = rise_and_fall(int(self.trainer.estimated_stepping_batches))
-        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, shape)
-        return [optimizer], [{"scheduler": schedule, "interval": "step"}]
+        return scheduled_adam(self, self.learning_rate, self.weight_decay)
 
     def _log_likelihood(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Of each voxel inside, negative and but for a constant; and the deviations there."""

@@ -7,7 +7,7 @@ import torch
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import atomic_path
-from tactorch.learning.surrogate import Surrogate
+from tactorch.learning.surrogate.network import Surrogate
 from tactorch.learning.training import read_checkpoint
 
 #: The surrogate that comes with tactorch; the file beside it tells how it was made.

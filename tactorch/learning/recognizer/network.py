@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from tactorch.errors import ConfigError
-from tactorch.learning.order import rise_and_fall
+from tactorch.learning.order import scheduled_adam
 
 
 class FCN(nn.Module):
@@ -114,12 +114,7 @@ class Recognizer(lightning.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """AdamW, its rate rising shortly and then falling to nothing along half a cosine."""
-        optimizer = torch.optim.AdamW(
-            self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay
-        )
-        shape = rise_and_fall(int(self.trainer.estimated_stepping_batches))
-        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, shape)
-        return [optimizer], [{"scheduler": schedule, "interval": "step"}]
+        return scheduled_adam(self, self.learning_rate, self.weight_decay)
 
     def _judge(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         maps, labels = batch

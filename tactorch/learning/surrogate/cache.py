@@ -15,7 +15,13 @@ from tactorch.errors import ConvergenceError, FileError
 from tactorch.files import atomic_path
 from tactorch.generation import SampleSet
 from tactorch.generation.work import alone
-from tactorch.learning.touch import PRESS_CHANNELS, SHARED_CHANNELS, VERSION, targets, touch
+from tactorch.learning.surrogate.touch import (
+    PRESS_CHANNELS,
+    SHARED_CHANNELS,
+    VERSION,
+    targets,
+    touch,
+)
 
 _log = logging.getLogger(__name__)
 FOLDER = "touch"

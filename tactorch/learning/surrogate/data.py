@@ -15,9 +15,9 @@ from tactorch.errors import ConfigError
 from tactorch.generation import SampleSet
 from tactorch.learning.order import EpochSampler
 from tactorch.learning.splits import PARTS, split_objects
+from tactorch.learning.surrogate.cache import Touches, load_touches
+from tactorch.learning.surrogate.touch import PRESS_VECTORS, VERSION
 from tactorch.learning.symmetry import IDENTITY, Symmetry, apply, symmetries
-from tactorch.learning.touch import PRESS_VECTORS, VERSION
-from tactorch.learning.touch_cache import Touches, load_touches
 
 Row = tuple[Tensor, Tensor, Tensor, Tensor]
 

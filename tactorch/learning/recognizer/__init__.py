@@ -1,0 +1,1 @@
+"""The recognizer: which inclusion a map of Young's modulus shows (Section V-B)."""

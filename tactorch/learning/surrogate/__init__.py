@@ -1,0 +1,5 @@
+"""The surrogate: what the presses on an object foretell of its map, to start inversions from."""
+
+from tactorch.learning.surrogate.foretell import Foretold, SurrogateStart
+
+__all__ = ["Foretold", "SurrogateStart"]
