@@ -99,7 +99,7 @@ def fits_better_than_uniform(
     Raises:
         ConvergenceError: No uniform modulus carries the presses.
     """
-    fit = uniform_fit(problem, bounds)
+    fit = uniform_fit(problem, bounds, first_mpa=float(np.median(guess)))
     known = problem.evaluate(np.full(problem.n_unknowns, fit.youngs_mpa)).chi2
     try:
         chi2 = problem.evaluate(guess).chi2

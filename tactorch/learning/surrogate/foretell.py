@@ -47,6 +47,12 @@ class SurrogateStart:
         self.__name__ = "surrogate"
         self._last: tuple[Recording, NoiseModel | None, Bounds | None, Foretold] | None = None
 
+    def fresh(self) -> "SurrogateStart":
+        """Return one of the same network that has foretold nothing yet, to be timed, say."""
+        other = SurrogateStart(self.weights)
+        other.network = self.network
+        return other
+
     @cached_property
     def network(self) -> Surrogate:
         """The network.
