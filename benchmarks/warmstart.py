@@ -148,8 +148,8 @@ def told(found: dict[str, Any]) -> list[str]:
         f"The surrogate alone: r {found['foretold_pearson']:.3f}, SSIM {found['foretold_ssim']:.3f}"
         f" over {found['objects']} objects.",
         "",
-        "| means over the objects | iterations to misfit | s | iterations to the end | s | SSIM | r |"
-        " worse than from uniform by > 0.01 | at most by |",
+        "| means over the objects | iterations to misfit | s | iterations to the end | s | SSIM |"
+        " r | worse than from uniform by > 0.01 | at most by |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for kind in KINDS:
@@ -165,8 +165,8 @@ def told(found: dict[str, Any]) -> list[str]:
 
 HEADER = (
     "Three figures in a cell: from uniform, from the surrogate, from it and about it.\n\n"
-    "| object | presses | foretold r | SSIM | chi2 at first | iterations to misfit | s | iterations |"
-    " SSIM | r |\n|" + "---|" * 10
+    "| object | presses | foretold r | SSIM | chi2 at first | iterations to misfit | s |"
+    " iterations | SSIM | r |\n|" + "---|" * 10
 )
 
 
