@@ -7,9 +7,10 @@ Held-out objects: those of `tactorch generate dataset=warmstart` with another se
 was seen in training, nor its presses or noise. Each is inverted three times in the same process:
 
 - `uniform`: from the best uniform modulus, with total variation;
-- `surrogate`: from the surrogate's map, with the same settings;
-- `about`: from the surrogate's map, with total variation of the distance from it
-  (`initialization.prior_mean=true`).
+- `surrogate`: from the surrogate's map, with the same settings
+  (`initialization=surrogate initialization.prior_mean=false`);
+- `about`: from the surrogate's map, with total variation of the distance from it, where that map
+  explains the presses (`initialization=surrogate`, as it comes).
 
 Nothing reads the truth but the scores. The misfit to reach is, for each object, the larger of its
 noise (chi2 = 1) and what the runs end with; counted is the first iteration there (0: the start

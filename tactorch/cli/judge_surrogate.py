@@ -31,7 +31,7 @@ def judge(judged: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> 
         joined[key].double().numpy() for key in ("truth", "image", "mean", "deviation")
     )
     shown = out / "examples.png"
-    plot_foretold(truth_, image, mean_, deviation, found.tolist(), shown)
+    plot_foretold(truth_, image, mean_, deviation, inside.numpy(), found.tolist(), shown)
     result = {
         "samples": len(truth),
         "correlation": float(found.mean()),

@@ -48,6 +48,7 @@ HOMOGENEOUS = "homogeneous"
 _MODULUS = Kind(f"a number or {HOMOGENEOUS}", lambda v: v == HOMOGENEOUS or _is_number(v))
 _WHOLE = Kind("a whole number", _is_whole)
 _FLAG = Kind("true or false", lambda value: isinstance(value, bool))
+_PRIOR_MEAN = Kind("true, false or auto", lambda v: isinstance(v, bool) or v == "auto")
 _RECONSTRUCT = Kind("true, false or linear", lambda v: isinstance(v, bool) or v == "linear")
 _TEXT = Kind("text", lambda value: isinstance(value, str))
 # A file may be called 7.
@@ -118,8 +119,9 @@ _NAMES_OF: dict[Kind, str] = {
     """,
     _PATH: "path out recording run run_dir resume folder weights",
     _POINT: "center size radii axis",
-    _FLAG: "plots check_units retry_failed card augment prior_mean",
+    _FLAG: "plots check_units retry_failed card augment",
     _RECONSTRUCT: "reconstruct",
+    _PRIOR_MEAN: "prior_mean",
     _PATHS: "compare",
     _NAMES: "faces",
     _POINTS: "patch_centers_mm",

@@ -94,13 +94,14 @@ def start_of(cfg: DictConfig, settings: Settings, recording: Recording) -> tuple
     """
     kind = cfg.initialization.name
     if kind == "surrogate":
-        from tactorch.learning.surrogate import SurrogateStart
+        from tactorch.learning.surrogate import TRUSTED, SurrogateStart
 
         start = SurrogateStart(cfg.initialization.weights)
         if cfg.resume is None:
             start.network  # noqa: B018  (wrong weights are told before anything is made)
-        if cfg.initialization.prior_mean:
-            settings = start.as_prior_mean(settings, recording)
+        trusted = {"auto": TRUSTED, True: float("inf")}.get(cfg.initialization.prior_mean)
+        if trusted is not None:
+            settings = start.as_prior_mean(settings, recording, most_chi2=trusted)
         return start, settings
     if kind != "uniform":
         raise ConfigError(f"initialization '{kind}' is unknown; choose uniform or surrogate.")

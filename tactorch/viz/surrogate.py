@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
-from matplotlib.axes import Axes
+from jaxtyping import Bool, Float
 
 from tactorch.viz._figure import new_figure, save_figure
 
@@ -26,6 +25,7 @@ def plot_foretold(
     image: Float[np.ndarray, "n v v v"],
     mean: Float[np.ndarray, "n v v v"],
     deviation: Float[np.ndarray, "n v v v"],
+    inside: Bool[np.ndarray, "n v v v"],
     correlations: Sequence[float],
     path: str | Path,
     *,
@@ -33,27 +33,34 @@ def plot_foretold(
 ) -> Path:
     """Draw slices of log E over the uniform modulus: truth, linear image, foretold, deviation.
 
-    Objects are evenly picked from the best to the worst; the slice is the one where the truth
-    varies most.
+    Objects are evenly picked from the best to the worst; each slice, across y, is the one where
+    the truth varies most.
     """
     order = np.argsort(correlations)[::-1]
     picked = order[np.linspace(0, len(order) - 1, min(shown, len(order))).round().astype(int)]
-    figure = new_figure(1.7 * len(picked) + 0.6, 7.0)
+    truth, image, mean, deviation = (
+        np.where(inside, field, np.nan)[picked] for field in (truth, image, mean, deviation)
+    )
+    levels = [int(np.argmax(np.nan_to_num(t).var(axis=(0, 2)))) for t in truth]
+    top = max(float(np.nanquantile(np.abs(truth), 0.995)), 1e-3)
+    rows = {
+        "truth": (truth, -top, top, "coolwarm"),
+        "linear image": (image, -top, top, "coolwarm"),
+        "foretold": (mean, -top, top, "coolwarm"),
+        "deviation": (deviation, 0.0, 0.5 * top, "viridis"),
+    }
+    figure = new_figure(1.7 * len(picked) + 1.6, 7.0)
     grid = figure.subplots(4, len(picked), squeeze=False)
-    for column, i in zip(grid.T, picked, strict=True):
-        level = int(np.argmax(truth[i].var(axis=(0, 2))))
-        top = max(float(np.abs(truth[i]).max()), 1e-3)
-        for axes, field in zip(column, (truth[i], image[i], mean[i]), strict=False):
-            _draw(axes, field[:, level], -top, top, "coolwarm")
-        _draw(column[3], deviation[i][:, level], 0.0, top, "viridis")
-        column[0].set_title(f"r = {correlations[i]:.2f}", fontsize=8)
-    for axes, name in zip(
-        grid[:, 0], ("truth", "linear image", "foretold", "deviation"), strict=True
-    ):
-        axes.set_ylabel(name)
+    for line, (name, (fields, low, high, colours)) in zip(grid, rows.items(), strict=True):
+        for axes, field, level in zip(line, fields, levels, strict=True):
+            drawn = axes.imshow(
+                field[:, level].T, origin="lower", cmap=colours, vmin=low, vmax=high
+            )
+            axes.set(xticks=[], yticks=[])
+        line[0].set_ylabel(f"{name}\nz")
+        figure.colorbar(drawn, ax=list(line), label="log E / E uniform", shrink=0.9)
+    for axes, i in zip(grid[0], picked, strict=True):
+        axes.set_title(f"r = {correlations[i]:.2f}", fontsize=8)
+    for axes in grid[-1]:
+        axes.set_xlabel("x")
     return save_figure(figure, path)
-
-
-def _draw(axes: Axes, values: Float[np.ndarray, "v w"], low: float, high: float, map_: str) -> None:
-    axes.imshow(values.T, origin="lower", cmap=map_, vmin=low, vmax=high)
-    axes.set(xticks=[], yticks=[])

@@ -113,7 +113,7 @@ def test_wrong_settings(
     [
         (("initialization=oracle",), ("oracle", "surrogate")),
         (("initialization=surrogate", "initialization.weights=none.pt"), ("'none.pt'",)),
-        (("initialization=surrogate", "initialization.prior_mean=3"), ("true or false",)),
+        (("initialization=surrogate", "initialization.prior_mean=3"), ("true, false or auto",)),
     ],
 )
 def test_wrong_starts(

@@ -206,7 +206,22 @@ def test_a_poor_map_is_refused(
     assert caplog.text.count(f"surrogate's map is refused: {reason}") == 2
     good = Says(truth)
     np.testing.assert_array_equal(good(problem, bounds), truth)
-    assert good.as_prior_mean(Settings(), recording) == Settings(prior=PriorOptions(mean_mpa=truth))
+    about = good.as_prior_mean(Settings(), recording)
+    assert about == Settings(prior=PriorOptions(mean_mpa=truth))
+
+
+def test_only_a_map_that_explains_the_presses_is_trusted(
+    recording: Recording, caplog: pytest.LogCaptureFixture
+) -> None:
+    truth = recording.truth
+    assert truth is not None
+    uniform = homogeneous(InverseProblem(recording), Bounds())
+    half = Says(np.sqrt(uniform * truth))  # better than uniform, but not as good as the noise
+    with caplog.at_level(logging.INFO):
+        assert half.as_prior_mean(Settings(), recording) == Settings()
+    assert "The prior is not about the surrogate's map, which leaves chi2" in caplog.text
+    forced = half.as_prior_mean(Settings(), recording, most_chi2=np.inf)
+    assert forced.prior.mean_mpa is not None
 
 
 def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -> None:

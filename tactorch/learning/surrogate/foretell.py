@@ -1,5 +1,6 @@
 """A trained surrogate at work: it foretells the map of a recording, to start an inversion from."""
 
+import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,12 +11,16 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Bounds, InverseProblem, NoiseModel, Settings, homogeneous
+from tactorch.inverse.invert import make_objective
 from tactorch.inverse.starts import fits_better_than_uniform
 from tactorch.learning.surrogate.network import Surrogate
 from tactorch.learning.surrogate.touch import Touch, touch
 from tactorch.learning.surrogate.weights import SHIPPED, load_surrogate
 from tactorch.mesh import VoxelGrid
 from tactorch.recording import Recording
+
+_log = logging.getLogger(__name__)
+TRUSTED = 3.0  # mean squared residual of a map that explains the presses but for some noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +111,21 @@ class SurrogateStart:
         taken = fits_better_than_uniform(found, problem, bounds, "surrogate's")
         return found if taken else homogeneous(problem, bounds)
 
-    def as_prior_mean(self, settings: Settings, recording: Recording) -> Settings:
+    def as_prior_mean(
+        self, settings: Settings, recording: Recording, *, most_chi2: float = TRUSTED
+    ) -> Settings:
         """Return settings of an inversion whose prior is about the foretold map.
 
         What the presses leave open then stays as foretold, with what the network has learnt to
-        expect; on objects unlike those that it was trained on, that may mislead. Where the map
-        is refused as a start, the settings stay as they are.
+        expect. On objects unlike those that it was trained on that would mislead; such maps do not
+        fit the presses, and then, as where the map is refused as a start, the settings stay as
+        they are.
+
+        Args:
+            settings: Of the inversion.
+            recording: Presses on an object.
+            most_chi2: Mean squared residual of the map, in standard deviations, up to which it is
+                trusted; infinity trusts any that is not refused.
 
         Raises:
             ConfigError: The prior has no use for a mean, or refers to levels.
@@ -125,12 +139,18 @@ class SurrogateStart:
                 f"{prior.level_mpa}, levels_mpa={prior.levels_mpa}: take total_variation, say, and"
                 " leave the levels out, for the prior would be about the map, not about a level."
             )
-        problem = InverseProblem(
-            recording, element=settings.element, noise=settings.noise, newton=settings.newton
-        )
+        problem = make_objective(recording, settings).problem
         found = self.foretell(recording, noise=settings.noise, bounds=bounds).youngs
         if not fits_better_than_uniform(found, problem, bounds, "surrogate's"):
             return settings
+        chi2 = problem.evaluate(found).chi2
+        if chi2 > most_chi2:
+            _log.info(
+                "The prior is not about the surrogate's map, which leaves chi2 %.4g (trusted up to"
+                " %g).", chi2, most_chi2,
+            )  # fmt: skip
+            return settings
+        _log.info("The prior is about the surrogate's map")
         return replace(settings, prior=replace(prior, mean_mpa=found))
 
 
