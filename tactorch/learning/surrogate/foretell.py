@@ -20,7 +20,7 @@ from tactorch.mesh import VoxelGrid
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
-TRUSTED = 3.0  # mean squared residual of a map that explains the presses but for some noise
+TRUSTED = 10.0  # mean squared residual of a map that explains the presses but for some noise
 
 
 @dataclass(frozen=True, eq=False)
