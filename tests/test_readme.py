@@ -25,6 +25,7 @@ def newcomers_path() -> list[list[str]]:
     return [line.split() for line in found[0].splitlines()]
 
 
+@pytest.mark.slow
 def test_a_newcomers_path(tmp_path: Path) -> None:
     """Twenty samples, two epochs, an inversion with the warm start; then what they leave."""
     path = newcomers_path()

@@ -99,13 +99,13 @@ def fits_better_than_uniform(
     Raises:
         ConvergenceError: No uniform modulus carries the presses.
     """
-    fit = uniform_fit(problem, bounds, first_mpa=float(np.median(guess)))
-    known = problem.evaluate(np.full(problem.n_unknowns, fit.youngs_mpa)).chi2
     try:
         chi2 = problem.evaluate(guess).chi2
     except ConvergenceError as error:
         _log.warning("The %s map is refused: the presses collapse it (%s).", name, error)
         return False
+    fit = uniform_fit(problem, bounds, first_mpa=float(np.median(guess)))
+    known = problem.evaluate(np.full(problem.n_unknowns, fit.youngs_mpa)).chi2
     if not chi2 < known:
         _log.warning(
             "The %s map is refused: its misfit (chi2 %.4g) is no less than that of the best "
