@@ -87,6 +87,11 @@ def test_type_marker_is_in_the_wheel(names: set[str]) -> None:
     assert "tactorch/py.typed" in names
 
 
+def test_trained_weights_are_in_the_wheel(names: set[str]) -> None:
+    for kind in ("pt", "json"):
+        assert f"tactorch/learning/surrogate/surrogate.{kind}" in names
+
+
 def test_configs_are_inside_the_package(names: set[str], source: Path) -> None:
     found = (source / "conf").rglob("*.yaml")
     configs = {f"tactorch/{p.relative_to(source).as_posix()}" for p in found}
