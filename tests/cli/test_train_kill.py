@@ -15,7 +15,7 @@ DATA = (
     "dataset.sizes.relative_edge_length=0.25", "dataset.sizes.fine_relative=null",
     "dataset.presses.steps=[1]",
 )  # fmt: skip
-EPOCHS = 25
+EPOCHS = 60
 KINDS = {
     "recognizer": (
         ("dataset=recognition",),
@@ -47,7 +47,7 @@ def test_killed_training_goes_on_to_the_same_curve(kind: str, tmp_path: Path) ->
     for _ in range(60):
         process = subprocess.Popen(words, cwd=tmp_path, start_new_session=True)
         try:
-            status = process.wait(timeout=8.0 + rng.uniform(0.0, 4.0))
+            status = process.wait(timeout=5.0 + rng.uniform(0.0, 4.0))
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
