@@ -87,7 +87,7 @@ _WHOLE_NAMES: dict[Kind, str] = {
     _DEVICES: "trainer.devices",
     _RANGE: """
         dataset.snr_db dataset.presses.p_max_mpa dataset.presses.load
-        dataset.presses.patch_radius_mm
+        dataset.presses.patch_radius_mm dataset.poisson
     """,
     _WHOLES: "dataset.presses.steps dataset.presses.patches",
     _SIDES: "dataset.presses.faces",
@@ -105,7 +105,7 @@ _NAMES_OF: dict[Kind, str] = {
         model_error_left tikhonov smoothness total_variation log_jumps sparsity binary_well matern
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
         tube low_mpa high_mpa hole_mpa waist_mm rim_mm radius_mm ball distance median_mpa spread
-        dropout learning_rate weight_decay gradient_clip max_minutes brightness
+        patch_share dropout learning_rate weight_decay gradient_clip max_minutes brightness
     """,
     _MODULUS: "start_mpa",
     _WHOLE: """
@@ -141,7 +141,7 @@ _OPTIONAL = """
     patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume
     unknowns.poisson force_scale rest_scale translation_mm rotation_rad
     edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
-    dataset.presses.load weights
+    dataset.presses.load dataset.poisson weights
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 

@@ -19,11 +19,14 @@ class PressDraw:
     Attributes:
         faces: Sets of pressed sides, one of which is drawn.
         p_max_mpa: Range of the highest pressure, MPa.
-        load: Range of the highest pressure over the object's median modulus, as one presses soft
-            objects more gently; it takes the place of `p_max_mpa`. None does not.
+        load: Range of the highest pressure over the object's median modulus, evenly drawn in its
+            logarithm, as one presses soft objects more gently; it takes the place of `p_max_mpa`.
+            None does not.
         steps: Numbers of equal steps up to it, one of which is drawn.
         patch_radius_mm: Range of the radius of the pressed patches; None presses whole sides.
         patches: Fewest and most patches on each side, at random places.
+        patch_share: Share of the plans that press patches, where they have a radius; the others
+            press whole sides.
         hold: What holds the opposite side, see `PressPlan`.
         spring_n_per_mm: Stiffness of each spring.
 
@@ -37,6 +40,7 @@ class PressDraw:
     steps: Sequence[int] = (4,)
     patch_radius_mm: Sequence[Real] | None = None
     patches: Sequence[int] = (1, 1)
+    patch_share: Real = 1.0
     hold: str = "springs"
     spring_n_per_mm: Real = 1.0
 
@@ -52,6 +56,8 @@ class PressDraw:
             raise ConfigError(
                 f"patches={list(self.patches)}: give the fewest and the most, from 1."
             )
+        if not 0.0 <= self.patch_share <= 1.0:
+            raise ConfigError(f"patch_share={self.patch_share}: give a share, from 0 to 1.")
         support = {"hold": self.hold, "spring_n_per_mm": self.spring_n_per_mm}
         for sides, steps in product(self.faces, self.steps):  # refuse what no draw could use
             PressPlan.ramp(self.p_max_mpa[0], steps, faces=tuple(sides), **support)
@@ -64,7 +70,7 @@ class PressDraw:
         highest = self._highest(rng, youngs_mpa)
         steps = int(self.steps[int(rng.integers(len(self.steps)))])
         radius, centers = None, None
-        if self.patch_radius_mm is not None:
+        if self.patch_radius_mm is not None and rng.random() < self.patch_share:
             radius = float(rng.uniform(*_range("patch_radius_mm", self.patch_radius_mm)))
             count = int(rng.integers(self.patches[0], self.patches[1] + 1))
             margin = np.minimum(radius, (bounds[1] - bounds[0]) / 2)
@@ -81,7 +87,7 @@ class PressDraw:
 
     def _highest(self, rng: np.random.Generator, youngs_mpa: float) -> float:
         if self.load is not None:
-            return youngs_mpa * float(rng.uniform(*_range("load", self.load)))
+            return youngs_mpa * float(np.exp(rng.uniform(*np.log(_range("load", self.load)))))
         return float(rng.uniform(*_range("p_max_mpa", self.p_max_mpa)))
 
 

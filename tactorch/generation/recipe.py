@@ -1,7 +1,7 @@
 """What a dataset is made of: all that decides its samples."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,7 @@ class Recipe:
         presses: What plans of presses are drawn from.
         mesh: How fine objects are meshed.
         material: The constitutive law but for Young's modulus.
+        poisson: Range of Poisson's ratio, drawn for each object; None takes the material's.
         samples: How elements get their modulus, see `Phantom.on_mesh`.
         element: "tet4" or "tet10", of the simulation.
         snr_db: Range of the signal-to-noise ratio; None for no noise.
@@ -84,6 +85,7 @@ class Recipe:
     presses: PressDraw = field(default_factory=PressDraw)
     mesh: MeshSizes = field(default_factory=MeshSizes)
     material: MaterialSpec = field(default_factory=lambda: MaterialSpec("neo_hookean", 0.45))
+    poisson: Sequence[Real] | None = None
     samples: int = 4
     element: str = "tet4"
     snr_db: Sequence[Real] | None = (40.0, 40.0)
@@ -109,6 +111,12 @@ class Recipe:
         # Refuse what no sample could be made of.
         if self.element not in ELEMENTS:
             raise ConfigError(f"element={self.element!r}: choose one of {', '.join(ELEMENTS)}.")
+        if self.poisson is not None and (
+            len(self.poisson) != 2 or not 0.0 <= self.poisson[0] <= self.poisson[1] < 0.5
+        ):
+            raise ConfigError(
+                f"poisson={self.poisson}: give the lower and the upper end, from 0 to below 0.5."
+            )
         make_material(self.material.name, self.material.poisson, **self.material.parameters)
         self.mesh.meshes(self.drawn(0).phantom)
 
@@ -116,6 +124,14 @@ class Recipe:
         """Draw the object of a sample."""
         rng = np.random.default_rng([self.seed, 0, index // self.views])
         return draw_phantom(self.family, rng, **self.options)
+
+    def material_of(self, index: int) -> MaterialSpec:
+        """Return the material of a sample's object."""
+        if self.poisson is None:
+            return self.material
+        rng = np.random.default_rng([self.seed, 2, index // self.views])
+        low, high = map(float, self.poisson)
+        return replace(self.material, poisson=float(rng.uniform(low, high)))
 
     @property
     def shards(self) -> int:

@@ -66,7 +66,7 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
     recording = simulate(
         drawn.phantom,
         plan,
-        material=recipe.material,
+        material=recipe.material_of(index),
         mesh=mesh,
         fine_mesh=fine,
         samples=recipe.samples,

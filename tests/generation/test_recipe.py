@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
-from tactorch.generation import MeshSizes, PressDraw, Recipe
+from tactorch.generation import MeshSizes, PressDraw, Recipe, make_sample
 from tactorch.inverse import Settings
 from tactorch.recording import MaterialSpec
 
@@ -43,6 +43,29 @@ def test_loads_go_with_the_object() -> None:
         assert 0.03 * youngs <= max(plan.pressures_mpa) <= 0.09 * youngs
 
 
+def test_loads_are_drawn_evenly_in_their_logarithm() -> None:
+    draw, rng = PressDraw(load=(0.01, 1.0), steps=(1,)), np.random.default_rng(0)
+    loads = [draw.draw(rng, BOX, 1.0).pressures_mpa[0] for _ in range(400)]
+    assert 0.4 < np.mean(np.array(loads) < 0.1) < 0.6
+
+
+@pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.3, 90, 150), (1.0, 400, 400)])
+def test_a_share_of_the_plans_presses_patches(share: float, least: int, most: int) -> None:
+    draw, rng = PressDraw(patch_radius_mm=(1.0, 2.0), patch_share=share), np.random.default_rng(0)
+    plans = [draw.draw(rng, BOX, 1.0) for _ in range(400)]
+    assert least <= sum(plan.patch_radius_mm is not None for plan in plans) <= most
+
+
+def test_poissons_ratio_is_the_objects(make_recipe: Make) -> None:
+    recipe = make_recipe(poisson=(0.3, 0.49), views=2)
+    found = [recipe.material_of(index).poisson for index in range(4)]
+    assert found[0] == found[1] != found[2] == found[3]
+    assert all(0.3 <= poisson <= 0.49 for poisson in found)
+    sample = make_sample(recipe, 2)
+    assert sample.recording.material == recipe.material_of(2)
+    assert make_recipe().material_of(2) == make_recipe().material
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -52,6 +75,7 @@ def test_loads_go_with_the_object() -> None:
         ({"p_max_mpa": (0.02,)}, "lower and the upper"),
         ({"load": (0.1, 0.05)}, "load=.*upper end lies below"),
         ({"patches": (0, 2)}, "patches"),
+        ({"patch_share": 1.5}, "patch_share=1.5"),
         ({"steps": (4, 0)}, "steps=0"),
         ({"spring_n_per_mm": -1.0}, "spring_n_per_mm"),
     ],
@@ -67,6 +91,8 @@ def test_wrong_draws_are_refused(changes: dict, message: str) -> None:
         ({"count": 0}, "count=0"),
         ({"seed": -1}, "seed=-1"),
         ({"snr_db": (40.0, 30.0)}, "snr_db"),
+        ({"poisson": (0.4, 0.5)}, "poisson=.*below 0.5"),
+        ({"poisson": (0.4,)}, "lower and the upper"),
         ({"family": "cats"}, "'cats' is unknown"),
         ({"options": {"sise": 1}}, "sise"),
         ({"options": {"count": [3]}}, "fewest and the most"),
@@ -106,6 +132,7 @@ def test_configuration_says_all_and_fits_json(make_recipe: Make) -> None:
         {"inversion": Settings(regularization="smoothness")},
         {"inversion": Settings(optimizer="newton_cg")},
         {"options": {}},
+        {"poisson": (0.4, 0.45)},
     ]
     texts = [json.dumps(make_recipe(**changes).to_config()) for changes in changed]
     assert len({base, *texts}) == len(changed) + 1
