@@ -26,6 +26,7 @@ from tactorch.learning.surrogate import cache as touch_cache
 from tactorch.learning.surrogate.cache import load_touches
 from tactorch.learning.surrogate.data import SurrogateData, Turned
 from tactorch.learning.surrogate.network import Surrogate
+from tactorch.learning.surrogate.touch import SHARED_CHANNELS
 from tactorch.learning.surrogate.unet import PressUNet
 from tactorch.learning.surrogate.weights import export, load_surrogate
 from tactorch.learning.symmetry import symmetries
@@ -97,7 +98,7 @@ def test_each_object_has_its_own_presses(data: SurrogateData) -> None:
     np.testing.assert_array_equal(presses[0, : end - begin], touches.presses[begin:end])
     np.testing.assert_array_equal(target[0], touches.target[place])
     assert inside.all()
-    assert shared.shape[1:] == (3, 4, 4, 4)
+    assert shared.shape[1:] == (len(SHARED_CHANNELS), 4, 4, 4)
 
 
 def test_what_was_worked_out_is_kept(dataset: Path, data: SurrogateData, monkeypatch) -> None:

@@ -208,3 +208,12 @@ def test_a_node_between_two_voxels_goes_to_both() -> None:
     field = grid.splat(nodal)[0]
     np.testing.assert_allclose(field[1:3, 1:3, 1:3], 1.0)
     assert field.sum() == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize(
+    ("poisson", "seen"), [(0.45, -1.0), (0.49, np.log10(0.02)), (0.4999, -3.0)]
+)
+def test_poissons_ratio_is_seen(recording: Recording, poisson: float, seen: float) -> None:
+    material = replace(recording.material, poisson=poisson)
+    other = Recording(recording.mesh, recording.presses, material)
+    np.testing.assert_allclose(touch(other, COUNT).shared[3], seen, atol=1e-5)

@@ -26,8 +26,9 @@ PRESS_CHANNELS = (
 #: First components of the vector fields among them.
 PRESS_VECTORS = (0, 3, 6)
 #: Channels of the object.
-SHARED_CHANNELS = ("occupancy", "image", "explained")
-VERSION = 1
+SHARED_CHANNELS = ("occupancy", "image", "explained", "compressible")
+VERSION = 2
+_LEAST = 1e-3  # of 1 - 2 nu; below it a material keeps its volume, for all that one sees
 _ALIKE = 0.9  # cosine between loads that count as one way to press
 
 
@@ -80,7 +81,8 @@ def touch(
         _press(press, evaluation, i, deviations[i], grid) for i, press in enumerate(chosen.presses)
     ]
     image, explained = linear_image(evaluation, chosen.mesh, deviations, count)
-    shared = np.stack([occupancy(chosen.mesh, count), image, explained])
+    compressible = np.full_like(image, np.log10(_compressible(chosen)))
+    shared = np.stack([occupancy(chosen.mesh, count), image, explained, compressible])
     return Touch(fit.youngs_mpa, np.stack(presses), shared)
 
 
@@ -104,6 +106,11 @@ def strongest(recording: Recording, frames: int) -> list[int]:
             groups.append([i])
     kept = [sorted(group, key=lambda i: -sizes[i])[:frames] for group in groups]
     return sorted(i for group in kept for i in group)
+
+
+def _compressible(recording: Recording) -> float:
+    """1 - 2 nu: 0 of a material that keeps its volume."""
+    return max(_LEAST, 1.0 - 2.0 * recording.material.poisson)
 
 
 def _load(press: Press) -> Float[np.ndarray, " dofs"]:
