@@ -96,7 +96,14 @@ def test_configs_are_inside_the_package(names: set[str], source: Path) -> None:
     found = (source / "conf").rglob("*.yaml")
     configs = {f"tactorch/{p.relative_to(source).as_posix()}" for p in found}
     assert f"tactorch/{PROBE}" in configs
-    assert {name for name in names if name.endswith(".yaml")} == configs
+    inside = {name for name in names if name.startswith("tactorch/conf/")}
+    assert {name for name in inside if name.endswith(".yaml")} == configs
+
+
+def test_descriptions_of_sensors_are_in_the_wheel(names: set[str], source: Path) -> None:
+    found = list((source / "tactorch/sensor/description").glob("*.yaml"))
+    assert found
+    assert {p.relative_to(source).as_posix() for p in found} <= names
 
 
 def test_metadata_names_command_and_licence(wheel: Path, names: set[str]) -> None:

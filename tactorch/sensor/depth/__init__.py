@@ -1,0 +1,6 @@
+"""From slopes of the gel's face to its depth."""
+
+from tactorch.sensor.depth.fill import filled
+from tactorch.sensor.depth.integrate import integrate
+
+__all__ = ["filled", "integrate"]
