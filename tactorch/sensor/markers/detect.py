@@ -87,10 +87,13 @@ def detect_markers(image: Image, look: MarkerLook) -> Float[np.ndarray, "n 2"]:
     Spots that are several markers in one are divided where they are narrow; each centre is that
     of the darkness around it, so noise and the edges' pixels average out.
     """
-    depth = darkness(image, look)
+    return markers_in(darkness(image, look), look)
+
+
+def markers_in(depth: Float[np.ndarray, "h w"], look: MarkerLook) -> Float[np.ndarray, "n 2"]:
+    """Return the centres (column, row) of the markers, given the darkness of an image."""
     threshold = _threshold(depth, look)
-    labels = _spots(np.asarray(depth > threshold), look)
-    return _centers(depth, labels, threshold)
+    return _centers(depth, _spots(np.asarray(depth > threshold), look), threshold)
 
 
 def _spots(mask: Bool[np.ndarray, "h w"], look: MarkerLook) -> Int[np.ndarray, "h w"]:

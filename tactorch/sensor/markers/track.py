@@ -10,8 +10,10 @@ from scipy.spatial import cKDTree
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.image import Image
-from tactorch.sensor.markers.detect import MarkerLook, detect_markers
-from tactorch.sensor.markers.flow import followed
+from tactorch.sensor.markers.detect import MarkerLook, darkness, markers_in
+from tactorch.sensor.markers.flow import followed, sharpened
+
+_LOOSER = 2.5  # so many times as far may a whole motion stray as a step
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class TrackOptions:
     Attributes:
         gate: Distance of a spot from where a marker is expected, in distances between markers, up
             to which it may be that marker.
-        stray: Distance of a marker's displacement from what its neighbours' tell, in distances
+        stray: Distance of a marker's step from what its neighbours' tell, in distances
             between markers, from which on it is not believed.
         back_px: Distance from its beginning to where a marker comes out that is followed forward
             and back, from which on it is not believed.
@@ -79,7 +81,8 @@ class MarkerTracker:
     options: TrackOptions = field(default_factory=TrackOptions)
 
     def __post_init__(self) -> None:
-        self.begin = detect_markers(self.reference, self.look)
+        self._dark = darkness(self.reference, self.look)
+        self.begin = markers_in(self._dark, self.look)
         least = self.options.neighbours + 1
         if len(self.begin) < least:
             raise ConfigError(
@@ -104,18 +107,18 @@ class MarkerTracker:
                 f"the frame has shape {image.shape}, the reference {self.reference.shape}."
             )
         expected = self._expected(image)
-        spots = detect_markers(image, self.look)
-        places = _matched(expected, spots, self.options.gate * self.pitch)
-        places = self._believed(places)
-        guesses = self._by_neighbours(places)
-        # What was lost may be a spot that is left where its neighbours tell.
+        dark = darkness(image, self.look)
+        spots = markers_in(dark, self.look)
+        gate = self.options.gate * self.pitch
+        places = self._believed(_matched(expected, spots, gate))
+        # What was lost may be a spot that is left where its neighbours' whole motion tells.
         lost = np.isnan(places[:, 0])
         if lost.any():
-            again = _matched(
-                np.where(lost[:, None], guesses, places), spots, self.options.gate * self.pitch
-            )
+            told = np.where(lost[:, None], self._by_neighbours(places), places)
+            again = _matched(told, spots, gate)
             places = self._believed(np.where(lost[:, None], again, places))
-            guesses = self._by_neighbours(places)
+        guesses = self._step_on(places)
+        places = sharpened(self._dark, dark, self.begin, places, self.look.diameter_px)
         valid = ~np.isnan(places[:, 0])
         self._last = np.where(valid[:, None], places, guesses)
         self._before = image
@@ -131,19 +134,29 @@ class MarkerTracker:
         return self._last + step
 
     def _believed(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Take back what does not move as its neighbours do, the worst first."""
+        """Take back what does not move as its neighbours do, the worst first.
+
+        A step is compared strictly, the whole motion loosely, for it bends more from marker to
+        marker.
+        """
         places = places.copy()
         limit = self.options.stray * self.pitch
         for _ in range(len(places)):
-            off = np.linalg.norm(places - self._by_neighbours(places), axis=1)
-            off = np.nan_to_num(off, nan=0.0)
+            step = np.linalg.norm(places - self._step_on(places), axis=1)
+            whole = np.linalg.norm(places - self._by_neighbours(places), axis=1)
+            off = np.nan_to_num(np.maximum(step, whole / _LOOSER), nan=0.0)
             worst = int(np.argmax(off))
             if off[worst] <= limit:
                 break
             places[worst] = np.nan
         return places
 
+    def _step_on(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Where each is by its neighbours' motion since the last frame."""
+        return self._last + _smoothed(self.begin, places - self._last, self.near)
+
     def _by_neighbours(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Where each is by its neighbours' motion since the reference."""
         return self.begin + _smoothed(self.begin, places - self.begin, self.near)
 
 

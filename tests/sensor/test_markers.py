@@ -1,0 +1,142 @@
+"""Markers are found to a fraction of a pixel, followed, and rather lost than mistaken."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from tactorch.errors import ConfigError
+from tactorch.sensor.markers import (
+    MarkerLook,
+    MarkerTracker,
+    TrackOptions,
+    detect_markers,
+    marker_mask,
+    track,
+)
+
+from .dots import draw, grid, pressed
+
+LOOK = MarkerLook(10.0)
+
+
+def errors(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Distance of each true place from the nearest found one."""
+    return cKDTree(found).query(truth)[0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 4.0])
+def test_markers_are_found_to_a_fraction_of_a_pixel(noise: float) -> None:
+    places = grid()
+    found = detect_markers(draw(places, noise=noise), LOOK)
+    assert len(found) == len(places)
+    off = errors(found, places)
+    assert np.median(off) < 0.05
+    assert off.max() < 0.15
+
+
+def test_sizes_may_differ_and_light_may_be_strong() -> None:
+    places = grid()
+    radii = np.random.default_rng(2).uniform(3.0, 9.0, len(places))
+    found = detect_markers(draw(places, radii=radii, flash=(150, 110)), LOOK)
+    assert len(found) == len(places)
+    assert errors(found, places).max() < 0.3
+
+
+def test_merged_markers_are_divided_and_large_ones_are_not() -> None:
+    places = np.array([(60.0, 60.0), (71.5, 60.0), (160.0, 120.0)])
+    radii = np.array([5.0, 5.0, 9.0])
+    found = detect_markers(draw(places, radii=radii), LOOK)
+    assert len(found) == 3
+    assert errors(found, places).max() < 0.7
+
+
+def test_dirt_is_no_marker() -> None:
+    places = np.array([(60.0, 60.0), (160.0, 120.0)])
+    found = detect_markers(draw(places, radii=np.array([5.0, 1.5])), LOOK)
+    assert len(found) == 1
+
+
+def test_a_gel_without_markers_has_none() -> None:
+    assert len(detect_markers(draw(np.zeros((0, 2))), LOOK)) == 0
+
+
+def test_the_mask_covers_the_markers() -> None:
+    mask = marker_mask(draw(grid()), LOOK)
+    x, y = grid().round().astype(int).T
+    assert mask[y, x].all()
+    assert 0.03 < mask.mean() < 0.12
+
+
+def sequence(count: int, most: float, missing: float = 0.0) -> tuple[np.ndarray, np.ndarray, list]:
+    """A press in `count` steps: true places, which are drawn, and images."""
+    rng, begin = np.random.default_rng(4), grid()
+    truth = np.stack([pressed(begin, most * i / (count - 1)) for i in range(count)])
+    drawn = rng.random(truth.shape[:2]) >= missing
+    drawn[0] = True
+    images = [
+        draw(now[seen], noise=3.0, seed=i, flash=(150 + 2 * i, 110))
+        for i, (now, seen) in enumerate(zip(truth, drawn, strict=True))
+    ]
+    return truth, drawn, images
+
+
+@pytest.mark.parametrize(("most", "missing"), [(20.0, 0.0), (20.0, 0.1), (28.0, 0.1)])
+def test_known_motion_is_found(most: float, missing: float) -> None:
+    truth, drawn, images = sequence(10, most, missing)
+    reference = draw(truth[0], noise=0.0)
+    tracker = MarkerTracker(reference, LOOK)
+    order = cKDTree(truth[0]).query(tracker.begin)[1]
+    assert sorted(order) == list(range(len(truth[0])))
+    off, false, lost = [], 0, 0
+    for now, seen, image in zip(truth[:, order], drawn[:, order], images, strict=True):
+        found = tracker.follow(image)
+        assert np.array_equal(np.isnan(found.places).any(axis=1), ~found.valid)
+        moved, true = found.places - tracker.begin, now - truth[0][order]
+        off.append(np.linalg.norm(moved - true, axis=1)[found.valid & seen])
+        false += int((found.valid & ~seen).sum())
+        lost += int((~found.valid & seen).sum())
+    off = np.concatenate(off)
+    assert np.median(off) <= 0.1
+    assert np.percentile(off, 95) <= 0.5
+    assert off.max() < 3.0  # never another marker
+    assert false == 0
+    assert lost <= 0.02 * drawn.sum()
+
+
+def test_a_missing_frame_has_no_markers_and_the_next_goes_on() -> None:
+    *_, images = sequence(6, 12.0)
+    found = list(track([*images[:3], None, *images[4:]], images[0], LOOK))
+    assert not found[3].valid.any()
+    assert np.isnan(found[3].places).all()
+    assert found[5].valid.mean() > 0.95
+
+
+def test_a_marker_that_jumps_is_not_believed() -> None:
+    """Two neighbours change places with holes beside them: no arrow rather than a wrong one."""
+    places = grid()
+    moved = places.copy()
+    moved[31] += (9.0, 9.0)  # pitch 32: beyond what its neighbours do
+    tracker = MarkerTracker(draw(places), LOOK, TrackOptions(stray=0.2))
+    i = int(cKDTree(tracker.begin).query(places[31])[1])
+    found = tracker.follow(draw(moved, seed=1))
+    assert not found.valid[i]
+    assert np.delete(found.valid, i).all()
+    again = tracker.follow(draw(places, seed=2))
+    assert again.valid.all()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: MarkerLook(1.0), "diameter_px=1"),
+        (lambda: MarkerLook(9.0, smallest=2.0), "smallest=2"),
+        (lambda: MarkerLook(9.0, contrast=40.0), "contrast=40: give a share"),
+        (lambda: TrackOptions(gate=0.7), "gate=0.7"),
+        (lambda: TrackOptions(neighbours=2), "neighbours=2"),
+        (lambda: MarkerTracker(draw(grid()[:4]), LOOK), "4 markers were found.*9 are needed"),
+        (lambda: MarkerTracker(draw(grid()), LOOK).follow(draw(grid())[:-4]), "another|shape"),
+    ],
+)
+def test_wrong_settings_are_refused(make: object, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make()

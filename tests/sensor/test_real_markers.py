@@ -1,0 +1,81 @@
+"""Markers in real images, which others took: `-m external`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from tactorch.sensor.frames import read_image
+from tactorch.sensor.frames.source import frames_of
+from tactorch.sensor.markers import MarkerLook, MarkerTracker, detect_markers, track
+
+pytestmark = pytest.mark.external
+
+LOOK = MarkerLook(18.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "diameter", "count"),
+    [
+        ("feats-mini-gel/cuboid_10-2-284.png", 9.0, 63),  # 9 x 7, as its source says
+        ("fots-mini/marker/0.png", 11.0, 99),  # 11 x 9, likewise
+        ("bnz-ball-markers/track_markers/frame0.png", 18.0, 126),
+        ("bnz-ball-markers/cali_180110/frame0.jpg", 14.0, 86),
+    ],
+)
+def test_all_markers_are_found(shared_data: Path, name: str, diameter: float, count: int) -> None:
+    found = detect_markers(read_image(shared_data / name), MarkerLook(diameter))
+    assert abs(len(found) - count) <= 2  # those that the image's edge cuts
+
+
+@pytest.fixture(scope="module")
+def images(shared_data: Path) -> list[np.ndarray]:
+    video = shared_data / "bnz-ball-markers/track_markers/video.avi"
+    return [frame.image for frame in frames_of(video)]
+
+
+@pytest.fixture(scope="module")
+def reference(images: list[np.ndarray]) -> np.ndarray:
+    """The mean of the frames without contact."""
+    return np.mean(images[:11], axis=0).round().astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def tracked(images: list[np.ndarray], reference: np.ndarray) -> np.ndarray:
+    return np.stack([found.places for found in track(images, reference, LOOK)])
+
+
+def test_without_contact_nothing_moves(tracked: np.ndarray, reference: np.ndarray) -> None:
+    begin = MarkerTracker(reference, LOOK).begin
+    moved = np.linalg.norm(tracked[:11] - begin, axis=2)
+    assert np.median(moved) < 0.12
+    assert np.percentile(moved, 95) < 0.3
+    assert moved.max() < 0.6
+
+
+def test_markers_keep_their_identity(tracked: np.ndarray, images: list[np.ndarray]) -> None:
+    """Followed back from the last frame, each comes out where it began."""
+    always = np.isfinite(tracked).all(axis=(0, 2))
+    assert always.sum() >= 118
+    back = MarkerTracker(images[-1], LOOK)
+    for image in images[-2::-1]:
+        found = back.follow(image)
+    distance, place = cKDTree(back.begin).query(np.nan_to_num(tracked[-1], nan=-99.0))
+    same = always & (distance < 2.0)
+    assert same.sum() == always.sum()
+    off = np.linalg.norm(found.places[place[same]] - tracked[0][same], axis=1)
+    assert np.nanmedian(off) < 0.15
+    assert (off < 0.5).mean() > 0.97
+    assert np.nanmax(off) < 1.5
+
+
+def test_neighbours_move_alike_all_along(tracked: np.ndarray) -> None:
+    """Motion of up to 47 px varies smoothly: no marker is taken for another (66 px apart)."""
+    begin = tracked[0]
+    _, near = cKDTree(begin).query(begin, k=5)
+    for now in tracked[::4]:
+        moved = now - begin
+        off = np.linalg.norm(moved - np.nanmedian(moved[near[:, 1:]], axis=1), axis=1)
+        assert np.nanmax(off) < 20.0
+    assert np.nanmax(np.linalg.norm(tracked - begin, axis=2)) > 40.0
