@@ -116,13 +116,15 @@ class RecognitionData(lightning.LightningDataModule):
 
     @property
     def mean(self) -> float:
-        """Of the training maps."""
-        return float(self.maps[self.parts["train"]].mean())
+        """Of the training maps; 0 where there are none, for data that are only judged."""
+        maps = self.maps[self.parts["train"]]
+        return float(maps.mean()) if len(maps) else 0.0
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the training maps."""
-        return float(self.maps[self.parts["train"]].std())
+        """Standard deviation of the training maps; 1 where there are none."""
+        maps = self.maps[self.parts["train"]]
+        return float(maps.std()) if len(maps) else 1.0
 
     def train_dataloader(self) -> DataLoader:
         """Return shuffled batches, augmented."""

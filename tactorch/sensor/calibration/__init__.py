@@ -1,0 +1,27 @@
+"""Calibration of a sensor's colours with presses of a ball (Section VI-B)."""
+
+from tactorch.sensor.calibration.ball import Ball, Circle, read_labels
+from tactorch.sensor.calibration.change import change, hidden
+from tactorch.sensor.calibration.find import find_circle
+from tactorch.sensor.calibration.fit import FitOptions, Touch, fit_circle, fit_map, seen_slopes
+from tactorch.sensor.calibration.maps import MAPS, SlopeMap, make_map
+from tactorch.sensor.calibration.quality import Quality, judge
+
+__all__ = [
+    "MAPS",
+    "Ball",
+    "Circle",
+    "FitOptions",
+    "Quality",
+    "SlopeMap",
+    "Touch",
+    "change",
+    "find_circle",
+    "fit_circle",
+    "fit_map",
+    "hidden",
+    "judge",
+    "make_map",
+    "read_labels",
+    "seen_slopes",
+]

@@ -1,0 +1,167 @@
+"""Slopes from colours: circles are found, rough ones are mended, and what was not seen is seen."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError, FileError
+from tactorch.sensor.calibration import (
+    MAPS,
+    Ball,
+    Circle,
+    FitOptions,
+    Touch,
+    change,
+    find_circle,
+    fit_circle,
+    fit_map,
+    hidden,
+    judge,
+    make_map,
+    read_labels,
+    seen_slopes,
+)
+from tactorch.sensor.markers import MarkerLook
+
+from . import ball_images as drawn
+from .dots import draw, grid
+
+BALL = Ball(drawn.RADIUS_MM, (drawn.MM_PER_PX, drawn.MM_PER_PX))
+CENTERS = [
+    (float(x), float(y)) for y in (26.4, 47.1, 70.2) for x in (27.3, 55.8, 83.1)
+]  # fmt: skip
+
+
+def touches(centers: list, off_px: float = 0.0, seed: int = 0) -> list[Touch]:
+    """Presses whose circles are told wrongly by some pixels."""
+    rng, reference = np.random.default_rng(seed), drawn.still()
+    known = np.ones(drawn.SHAPE, dtype=bool)
+    found = []
+    for i, (x, y) in enumerate(centers):
+        contact = 16.0 + i % 4
+        wrong = rng.uniform(-off_px, off_px, 2)
+        circle = Circle((x + wrong[0], y + wrong[1]), contact + off_px / 2)
+        changed = change(drawn.ball((x, y), contact, seed=i), reference)
+        found.append(Touch(f"press {i}", changed, known, circle))
+    return found
+
+
+def test_the_balls_slopes_are_those_of_its_heights() -> None:
+    circle = Circle((50.3, 44.8), 18.0)
+    height, slope = BALL.heights(drawn.SHAPE, circle), BALL.slopes(drawn.SHAPE, circle)
+    along, across = np.gradient(height, drawn.MM_PER_PX)
+    inside = BALL.distance(drawn.SHAPE, circle) < 0.9
+    np.testing.assert_allclose(slope[inside][:, 0], across[inside], atol=5e-3)
+    np.testing.assert_allclose(slope[inside][:, 1], along[inside], atol=5e-3)
+    assert height[45, 50] < -0.25  # the ball pushes into the sensor: down
+    edge = np.abs(BALL.distance(drawn.SHAPE, circle) - 1.0) < 0.02
+    np.testing.assert_allclose(height[edge], 0.0, atol=0.02)
+
+
+@pytest.mark.parametrize("center", [(55.0, 48.0), (30.0, 66.0)])
+def test_a_ball_is_found(center: tuple[float, float]) -> None:
+    found = find_circle(change(drawn.ball(center), drawn.still()), BALL)
+    assert np.hypot(*np.subtract(found.center_px, center)) < 4.0
+    assert 10.0 < found.radius_px < 25.0
+
+
+def test_rough_circles_are_mended_and_held_out_slopes_are_seen() -> None:
+    """Labels are up to 3 px off; a calibration that believes them stays far behind."""
+    pressed = touches(CENTERS, off_px=3.0)
+    new = touches([(41.2, 58.7), (69.4, 36.3)], seed=5)
+    truth = [touch.circle for touch in new]
+    believed, _ = fit_map(pressed, BALL, FitOptions(rounds=0))
+    mended, circles = fit_map(pressed, BALL, FitOptions(rounds=3))
+    before, after = (judge(one, new, truth, BALL) for one in (believed, mended))
+    assert min(after.r2) > 0.97
+    assert max(after.mae) < 0.6 * min(before.mae)
+    assert after.depth_rms_mm < 0.02
+    found = np.array([circles[touch.name].center_px for touch in pressed])
+    assert np.linalg.norm(found - CENTERS, axis=1).max() < 1.0
+    one = fit_circle(new[0], mended, BALL, Circle((44.0, 56.0), 14.0))
+    assert np.hypot(*np.subtract(one.center_px, truth[0].center_px)) < 0.7
+    assert abs(one.radius_px - truth[0].radius_px) < 3.0
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_every_map_learns_and_is_kept(name: str) -> None:
+    pressed = touches(CENTERS)
+    found, _ = fit_map(pressed, BALL, FitOptions(name, rounds=0))
+    (new,) = touches([(60.0, 52.0)], seed=8)
+    assert min(judge(found, [new], [new.circle], BALL).r2) > 0.85
+    again = make_map(name)
+    again.restore(found.arrays())
+    np.testing.assert_allclose(
+        seen_slopes(again, new.changed), seen_slopes(found, new.changed), atol=1e-6
+    )
+    still = seen_slopes(found, change(drawn.still(3), drawn.still()))
+    assert np.abs(still).mean() < 0.05
+
+
+def test_the_same_seed_gives_the_same_map() -> None:
+    pressed = touches(CENTERS[:2])
+    one, other = (fit_map(pressed, BALL, FitOptions(rounds=0, seed=4))[0] for _ in range(2))
+    for name, values in one.arrays().items():
+        np.testing.assert_array_equal(values, other.arrays()[name])
+
+
+def test_markers_do_not_count() -> None:
+    """What they hide is filled in: the change is that of the gel beneath."""
+    places, look = grid()[:20], MarkerLook(10.0)
+    reference, plain = draw(places, noise=0.5), draw(np.zeros((0, 2)), noise=0.5)
+    lit = np.clip(reference.astype(int) + 30, 0, 255).astype(np.uint8)
+    covered = hidden(lit, reference, look)
+    assert 0.01 < covered.mean() < 0.1
+    x, y = places.round().astype(int).T
+    assert covered[y, x].all()
+    changed = change(lit, reference, look)
+    np.testing.assert_allclose(changed[covered], 0.6, atol=0.1)
+    assert not hidden(plain, plain, None).any()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("image,center_x_px,center_y_px\na.png,1,2\n", "lacks the column radius_px"),
+        ("image,center_x_px,center_y_px,radius_px\n", "has no line"),
+        ("image,center_x_px,center_y_px,radius_px\na.png,1,x,9\n", "line 2: could not convert"),
+        ("image,center_x_px,center_y_px,radius_px\na.png,1,2,9\nb.png,1,2,1\n", "line 3: circle"),
+    ],
+)
+def test_tables_that_cannot_be_read(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "labels.csv").write_text(text)
+    with pytest.raises(FileError, match=message) as caught:
+        read_labels(tmp_path / "labels.csv")
+    assert "labels.csv" in str(caught.value)
+
+
+def test_tables_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_text("image,center_x_px,center_y_px,contact_radius_px\na.png,10.5,20,8\n")
+    assert read_labels(path) == {"a.png": Circle((10.5, 20.0), 8.0)}
+
+
+def test_what_cannot_be_calibrated_with_is_refused() -> None:
+    with pytest.raises(ConfigError, match="no press of the ball"):
+        fit_map([], BALL)
+    (one,) = touches([(50.0, 50.0)])
+    wide = Touch("wide.png", one.changed, one.known, Circle((50.0, 50.0), 40.0))
+    with pytest.raises(ConfigError, match=r"wide.png: a contact of radius 2 mm is wider"):
+        fit_map([wide], BALL, FitOptions(rounds=0))
+    with pytest.raises(ConfigError, match=r"x.png: no ball found; nothing changed"):
+        find_circle(change(drawn.still(1), drawn.still()), BALL, "x.png")
+    with pytest.raises(ConfigError, match="has shape"):
+        change(drawn.still()[:-4], drawn.still())
+    with pytest.raises(ConfigError, match="map='forest': choose one of mlp"):
+        FitOptions("forest")
+    with pytest.raises(ConfigError, match="radius_mm=6000"):
+        Ball(6000.0, (0.05, 0.05))
+
+
+def test_an_edge_is_no_ball() -> None:
+    """A straight edge pressed across the gel."""
+    slope = np.zeros((*drawn.SHAPE, 2))
+    slope[44:52, :, 1] = np.linspace(-0.8, 0.8, 8)[:, None]
+    with pytest.raises(ConfigError, match=r"edge.png: no ball found; what changed is .* not round"):
+        find_circle(change(drawn.shaded(slope), drawn.still()), BALL, "edge.png")

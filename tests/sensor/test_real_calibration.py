@@ -1,0 +1,64 @@
+"""Calibration with real presses of balls, which others took: `-m external`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactorch.sensor.calibration import (
+    Ball,
+    FitOptions,
+    Touch,
+    change,
+    find_circle,
+    fit_circle,
+    fit_map,
+    judge,
+    read_labels,
+)
+from tactorch.sensor.frames import read_image
+
+pytestmark = pytest.mark.external
+
+
+@pytest.fixture(scope="module")
+def presses(shared_data: Path) -> tuple[list[Touch], Ball]:
+    """24 presses of a ball on a GelSight Mini; circles found, not those of the labels."""
+    folder = shared_data / "fots-mini"
+    ball = Ball(2.35, (1 / 19.58, 1 / 19.58))
+    reference = read_image(folder / "bg/gelsight_bg.png")
+    known = np.ones(reference.shape[:2], dtype=bool)
+    found = []
+    for name in read_labels(folder / "labels.csv"):
+        changed = change(read_image(folder / "gelsight" / name), reference)
+        found.append(Touch(name, changed, known, find_circle(changed, ball, name)))
+    return found, ball
+
+
+def test_balls_are_found_near_their_labels(
+    presses: tuple[list[Touch], Ball], shared_data: Path
+) -> None:
+    labels = read_labels(shared_data / "fots-mini/labels.csv")
+    off = [
+        np.hypot(*np.subtract(touch.circle.center_px, labels[touch.name].center_px))
+        for touch in presses[0]
+    ]
+    assert max(off) < 12.0  # labels are rough themselves
+
+
+def test_held_out_presses(presses: tuple[list[Touch], Ball]) -> None:
+    """18 presses fit, 6 are held out, to which their circles alone are fitted."""
+    touches, ball = presses
+    order = np.random.default_rng(0).permutation(len(touches))
+    held, used = ([touches[k] for k in part] for part in (order[:6], order[6:]))
+    found, _ = fit_map(used, ball, FitOptions())
+    circles = [touch.circle for touch in held]
+    for _ in range(2):
+        circles = [
+            fit_circle(touch, found, ball, circle)
+            for touch, circle in zip(held, circles, strict=True)
+        ]
+    quality = judge(found, held, circles, ball)
+    assert min(quality.r2) > 0.95
+    assert max(quality.mae) < 0.06
+    assert quality.depth_rms_mm < 0.05
