@@ -27,3 +27,8 @@ def gel_image() -> np.ndarray:
     y, x = np.mgrid[:48, :64]
     light = np.stack([120 + x, 120 + y, 160 - 0.5 * x], axis=2)
     return np.clip(light + rng.normal(0, 1.5, light.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(6)
