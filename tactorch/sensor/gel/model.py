@@ -119,9 +119,10 @@ class GelModel:
                 forces[may].ravel()
             )
             new = _least_rough(compliance[seen.ravel()], wanted, rough, float(noise_mm))
-            change = np.linalg.norm(new - forces[may].ravel()) / max(np.linalg.norm(new), 1e-12)
+            change = float(np.linalg.norm(new - forces[may].ravel()))
+            size = float(np.linalg.norm(new))
             forces[may] = new.reshape(-1, 3)
-            if change < _SETTLED:
+            if change <= _SETTLED * size:
                 break
         moved, _ = self._moved(forces, may)
         return Contact(self.points, moved, forces)
