@@ -1,5 +1,6 @@
 """Slopes from colours: circles are found, rough ones are mended, and what was not seen is seen."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from tactorch.errors import ConfigError, FileError
 from tactorch.sensor.calibration import (
     MAPS,
     Ball,
+    Calibration,
     Circle,
     FitOptions,
     Touch,
@@ -18,10 +20,13 @@ from tactorch.sensor.calibration import (
     fit_map,
     hidden,
     judge,
-    make_map,
+    load_calibration,
     read_labels,
+    save_calibration,
     seen_slopes,
 )
+from tactorch.sensor.calibration.maps import make_map
+from tactorch.sensor.depth import height_of
 from tactorch.sensor.markers import MarkerLook
 
 from . import ball_images as drawn
@@ -85,16 +90,19 @@ def test_rough_circles_are_mended_and_held_out_slopes_are_seen() -> None:
 
 
 @pytest.mark.parametrize("name", MAPS)
-def test_every_map_learns_and_is_kept(name: str) -> None:
+def test_every_map_learns_and_is_kept(name: str, tmp_path: Path) -> None:
     pressed = touches(CENTERS)
     found, _ = fit_map(pressed, BALL, FitOptions(name, rounds=0))
     (new,) = touches([(60.0, 52.0)], seed=8)
     assert min(judge(found, [new], [new.circle], BALL).r2) > 0.85
-    again = make_map(name)
-    again.restore(found.arrays())
+    kept = Calibration(found, drawn.still(), BALL.mm_per_px, MarkerLook(9.0), {"r2": [0.9, 0.8]})
+    save_calibration(kept, tmp_path / "calib.npz")
+    again = load_calibration(tmp_path / "calib.npz")
     np.testing.assert_allclose(
-        seen_slopes(again, new.changed), seen_slopes(found, new.changed), atol=1e-6
+        seen_slopes(again.map, new.changed), seen_slopes(found, new.changed), atol=1e-6
     )
+    np.testing.assert_array_equal(again.reference, kept.reference)
+    assert (again.mm_per_px, again.look, again.facts) == (kept.mm_per_px, kept.look, kept.facts)
     still = seen_slopes(found, change(drawn.still(3), drawn.still()))
     assert np.abs(still).mean() < 0.05
 
@@ -165,3 +173,36 @@ def test_an_edge_is_no_ball() -> None:
     slope[44:52, :, 1] = np.linspace(-0.8, 0.8, 8)[:, None]
     with pytest.raises(ConfigError, match=r"edge.png: no ball found; what changed is .* not round"):
         find_circle(change(drawn.shaded(slope), drawn.still()), BALL, "edge.png")
+
+
+def test_calibrations_that_cannot_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "calib.npz"
+    save_calibration(Calibration(make_map("lookup"), drawn.still(), BALL.mm_per_px), path)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(FileError, match=r"calib.npz' cannot be read .*Calibrate again"):
+        load_calibration(path)
+    np.savez(path, a=np.zeros(3))
+    with pytest.raises(FileError, match="damaged or another file"):
+        load_calibration(path)
+    about = json.dumps({"format": "tactorch-calibration", "version": 9})
+    np.savez(path, about=np.array(about))
+    with pytest.raises(FileError, match="is of version 9, this tactorch reads 1"):
+        load_calibration(path)
+
+
+def test_a_calibrated_sensor_sees_depth() -> None:
+    """From an image alone to heights: the ball's depth, flat around, and where it touches."""
+    found, _ = fit_map(touches(CENTERS), BALL, FitOptions(rounds=0))
+    sensor = Calibration(found, drawn.still(), BALL.mm_per_px)
+    circle = Circle((58.2, 44.7), 17.0)
+    seen = height_of(sensor.slopes(drawn.ball(circle.center_px, 17.0, seed=77)), BALL.mm_per_px)
+    truth = BALL.heights(drawn.SHAPE, circle)
+    inside = BALL.distance(drawn.SHAPE, circle) < 0.9
+    off = (seen.height_mm - truth)[inside]
+    assert off.std() < 0.02
+    assert np.abs(seen.height_mm[seen.flat]).mean() < 0.01
+    assert seen.contact[inside].mean() > 0.85
+    assert not seen.contact[BALL.distance(drawn.SHAPE, circle) > 1.6].any()
+    still = height_of(sensor.slopes(drawn.still(5)), BALL.mm_per_px)
+    assert not still.contact.any()

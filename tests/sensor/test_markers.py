@@ -1,15 +1,19 @@
 """Markers are found to a fraction of a pixel, followed, and rather lost than mistaken."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from tactorch.errors import ConfigError
+from tactorch.sensor.description import GelLayer, SensorDescription
 from tactorch.sensor.markers import (
     MarkerLook,
     MarkerTracker,
     TrackOptions,
     detect_markers,
+    displacement_mm,
     marker_mask,
     track,
 )
@@ -140,3 +144,22 @@ def test_a_marker_that_jumps_is_not_believed() -> None:
 def test_wrong_settings_are_refused(make: object, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make()
+
+
+def test_displacements_are_in_millimetres(make_sensor: Callable[..., SensorDescription]) -> None:
+    """In plane by the pixels' size; along z by the height where the marker is now."""
+    gel = GelLayer(4.0, 0.2, radius_mm=9.0, curvature_radius_mm=30.0)
+    sensor = make_sensor(mm_per_px=(0.3, 0.25), gel=gel)
+    begin = np.array([(31.5, 23.5), (41.5, 23.5), (10.0, 10.0)])
+    places = np.array([(33.5, 19.5), (41.5, 23.5), (np.nan, np.nan)])
+    rows, columns = np.mgrid[:48, :64]
+    height = -0.01 * columns - 0.02 * rows
+    points, moved = displacement_mm(sensor, begin, places, height)
+    np.testing.assert_allclose(points[0], (0.0, 0.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(points[1], (3.0, 0.0, np.sqrt(30**2 - 9) - 30), atol=1e-12)
+    (fall,) = gel.height_mm(np.array([(0.6, -1.0)]))
+    np.testing.assert_allclose(moved[0], (0.6, -1.0, -0.01 * 33.5 - 0.02 * 19.5 + fall))
+    np.testing.assert_allclose(moved[1], (0.0, 0.0, -0.01 * 41.5 - 0.02 * 23.5), atol=1e-12)
+    assert np.isnan(moved[2]).all()
+    with pytest.raises(ConfigError, match="heights are"):
+        displacement_mm(sensor, begin, places, height[:-1])

@@ -6,10 +6,12 @@ from tactorch.sensor.calibration.find import find_circle
 from tactorch.sensor.calibration.fit import FitOptions, Touch, fit_circle, fit_map, seen_slopes
 from tactorch.sensor.calibration.maps import MAPS, SlopeMap, make_map
 from tactorch.sensor.calibration.quality import Quality, judge
+from tactorch.sensor.calibration.storage import Calibration, load_calibration, save_calibration
 
 __all__ = [
     "MAPS",
     "Ball",
+    "Calibration",
     "Circle",
     "FitOptions",
     "Quality",
@@ -21,7 +23,9 @@ __all__ = [
     "fit_map",
     "hidden",
     "judge",
+    "load_calibration",
     "make_map",
     "read_labels",
+    "save_calibration",
     "seen_slopes",
 ]

@@ -1,0 +1,108 @@
+"""A calibration on disk: `calib.npz`, arrays and one text in JSON, nothing that runs when read."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import FileError
+from tactorch.files import atomic_path, require_file
+from tactorch.sensor.calibration.change import change
+from tactorch.sensor.calibration.fit import seen_slopes
+from tactorch.sensor.calibration.maps import SlopeMap, make_map
+from tactorch.sensor.image import Image
+from tactorch.sensor.markers import MarkerLook
+from tactorch.versions import versions
+
+FORMAT, VERSION = "tactorch-calibration", 1
+_PREFIX = "map/"
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A sensor that can tell slopes from colours.
+
+    Attributes:
+        map: From colours and places to slopes.
+        reference: The gel without contact, as calibrated.
+        mm_per_px: Size of a pixel along x and y, mm.
+        look: How markers look; None where there are none.
+        facts: What it was made of and how good it is, as plain values.
+    """
+
+    map: SlopeMap
+    reference: Image
+    mm_per_px: tuple[float, float]
+    look: MarkerLook | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def slopes(self, image: Image, reference: Image | None = None) -> Float[np.ndarray, "h w 2"]:
+        """Return dz/dx and dz/dy of the gel's face in an image.
+
+        Args:
+            image: Rectified.
+            reference: Of the gel without contact on that day; None for the calibration's own.
+
+        Raises:
+            ConfigError: The image has another size than the reference.
+        """
+        still = self.reference if reference is None else reference
+        return seen_slopes(self.map, change(image, still, self.look))
+
+
+def save_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration.
+
+    Raises:
+        FileError: The file cannot be written.
+    """
+    look = None if calibration.look is None else asdict(calibration.look)
+    text = {
+        "format": FORMAT,
+        "version": VERSION,
+        "map": calibration.map.name,
+        "mm_per_px": list(calibration.mm_per_px),
+        "look": look,
+        "facts": calibration.facts,
+        "versions": versions(),
+    }
+    arrays: dict[str, Any] = {"reference": calibration.reference}
+    arrays |= {_PREFIX + name: values for name, values in calibration.map.arrays().items()}
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, about=np.array(json.dumps(text)), **arrays)
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read a calibration.
+
+    Raises:
+        FileError: The file is missing, damaged, of another kind or of a later version.
+    """
+    file = require_file(path, "calibration")
+    try:
+        with np.load(file, allow_pickle=False) as found:
+            content = {name: found[name] for name in found.files}
+        about = json.loads(str(content.pop("about")))
+        if about["format"] != FORMAT:
+            raise ValueError(f"its format is {about['format']}")
+        if about["version"] != VERSION:
+            raise FileError(
+                f"calibration '{path}' is of version {about['version']}, this tactorch reads"
+                f" {VERSION}; calibrate again."
+            )
+        found_map = make_map(about["map"])
+        found_map.restore({k[len(_PREFIX) :]: v for k, v in content.items() if k != "reference"})
+        look = None if about["look"] is None else MarkerLook(**about["look"])
+        x, y = about["mm_per_px"]
+        return Calibration(found_map, content["reference"], (x, y), look, about["facts"])
+    except FileError:
+        raise
+    except Exception as error:  # what a damaged archive leads to has no common base
+        reason = " ".join(str(error).split())[:120]
+        raise FileError(
+            f"calibration '{path}' cannot be read ({reason}); it is damaged or another file."
+            " Calibrate again."
+        ) from error

@@ -1,0 +1,65 @@
+"""How far the gel's face moved along z, from the slopes that its colours show."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tactorch.sensor.depth.integrate import integrate
+
+_STEEP = 0.12  # slope from which the face is taken to be deformed
+_AROUND_MM = 0.4  # about that it is deformed a little
+_TOUCHED = 0.35  # share of the deepest point: contact is below it
+
+
+@dataclass(frozen=True, eq=False)
+class Height:
+    """How the face moved.
+
+    Attributes:
+        height_mm: Along z, toward the object: negative where it is pressed in.
+        flat: Where it was taken not to be deformed.
+        contact: Where it is likely to be touched.
+    """
+
+    height_mm: Float[np.ndarray, "h w"]
+    flat: Bool[np.ndarray, "h w"]
+    contact: Bool[np.ndarray, "h w"]
+
+
+def height_of(slopes: Float[np.ndarray, "h w 2"], mm_per_px: tuple[float, float]) -> Height:
+    """Integrate slopes, the face being where it was wherever it is not steep.
+
+    Args:
+        slopes: dz/dx and dz/dy.
+        mm_per_px: Size of a pixel along x and y, mm.
+
+    Raises:
+        ConfigError: A slope is not finite.
+        ConvergenceError: The heights were not found.
+    """
+    flat = _flat(slopes, mm_per_px)
+    height = integrate(slopes[..., 0], slopes[..., 1], mm_per_px, flat=flat)
+    deepest = float(height.min())
+    contact = (height < _TOUCHED * deepest) & ~flat if deepest < 0 else np.zeros_like(flat)
+    return Height(height, flat, np.asarray(contact))
+
+
+def _flat(
+    slopes: Float[np.ndarray, "h w 2"], mm_per_px: tuple[float, float]
+) -> Bool[np.ndarray, "h w"]:
+    import cv2
+
+    steep = cv2.GaussianBlur(np.linalg.norm(slopes, axis=-1), (0, 0), 2.0) > _STEEP
+    sizes = [2 * max(1, round(_AROUND_MM / size)) + 1 for size in mm_per_px]
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (sizes[0], sizes[1]))
+    # A specky slope is noise; and within a ring of steep slopes the middle of a ball is level.
+    clean = cv2.morphologyEx(steep.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    wide = cv2.dilate(clean, disc)
+    return np.asarray(~_with_holes(wide > 0))
+
+
+def _with_holes(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    from scipy.ndimage import binary_fill_holes
+
+    return np.asarray(binary_fill_holes(mask))
