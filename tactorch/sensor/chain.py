@@ -121,7 +121,9 @@ class SensorChain:
         touched = self._touched(height, moved)
         if not touched.any():
             return Seen(frame, found.places, height, None, none)
-        contact = self.model.smooth_forces(moved, float(self.options.noise_mm), touched)
+        # Slopes leave depth's constant open, and where nothing is touched the gel moves too.
+        noise = float(self.options.noise_mm)
+        contact = self.model.smooth_forces(moved, noise, touched, tilted=True)
         return Seen(frame, found.places, height, contact, touched)
 
     def _moved(self, places_px: np.ndarray, height: Height) -> Float[np.ndarray, "k 3"]:
@@ -130,7 +132,7 @@ class SensorChain:
         nodes = self.model.points
         found, _ = carry_displacements(points, told, nodes, _OUT)
         now = nodes[:, :2] + np.nan_to_num(found[:, :2])
-        risen = self._at(height.height_mm, now)
+        risen = self._at(height.free_mm, now)
         found[:, 2] = risen + self.sensor.gel.height_mm(now) - nodes[:, 2]
         found[np.isnan(found[:, 0])] = np.nan  # beyond the markers nothing is known along the face
         return found

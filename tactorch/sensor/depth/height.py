@@ -18,11 +18,13 @@ class Height:
 
     Attributes:
         height_mm: Along z, toward the object: negative where it is pressed in.
+        free_mm: The same from the slopes alone: its mean is 0, whatever the face did.
         flat: Where it was taken not to be deformed.
         contact: Where it is likely to be touched.
     """
 
     height_mm: Float[np.ndarray, "h w"]
+    free_mm: Float[np.ndarray, "h w"]
     flat: Bool[np.ndarray, "h w"]
     contact: Bool[np.ndarray, "h w"]
 
@@ -39,10 +41,11 @@ def height_of(slopes: Float[np.ndarray, "h w 2"], mm_per_px: tuple[float, float]
         ConvergenceError: The heights were not found.
     """
     flat = _flat(slopes, mm_per_px)
+    free = integrate(slopes[..., 0], slopes[..., 1], mm_per_px)
     height = integrate(slopes[..., 0], slopes[..., 1], mm_per_px, flat=flat)
     deepest = float(height.min())
     contact = (height < _TOUCHED * deepest) & ~flat if deepest < 0 else np.zeros_like(flat)
-    return Height(height, flat, np.asarray(contact))
+    return Height(height, free, flat, np.asarray(contact))
 
 
 def _flat(

@@ -97,6 +97,8 @@ class GelModel:
         displacement: Float[np.ndarray, "k 3"],
         noise_mm: Real,
         touched: Bool[np.ndarray, " k"] | None = None,
+        *,
+        tilted: bool = False,
     ) -> Contact:
         """Return the smoothest forces that explain the displacements to within their noise.
 
@@ -104,6 +106,8 @@ class GelModel:
             displacement: Of the face's nodes, mm; NaN where it was not seen.
             noise_mm: Standard deviation of the displacements, mm.
             touched: Nodes that may bear a force; None for all.
+            tilted: Whether displacements along z are known but for a constant and a tilt, as
+                depth from slopes is. What the gel does around the contact then tells them.
 
         Raises:
             ConfigError: The shape is wrong, or nothing is known.
@@ -112,13 +116,15 @@ class GelModel:
         seen = self._known(displacement)
         may = np.ones(len(self.points), dtype=bool) if touched is None else touched
         rough = self._roughness(may)
+        plane = self._plane() if tilted else np.zeros((3 * len(self.points), 0))
         forces = np.zeros((len(self.points), 3))
         for _ in range(_ROUNDS):
             moved, compliance = self._moved(forces, may)
             wanted = (np.nan_to_num(displacement) - moved)[seen] + compliance[seen.ravel()] @ (
                 forces[may].ravel()
             )
-            new = _least_rough(compliance[seen.ravel()], wanted, rough, float(noise_mm))
+            known = compliance[seen.ravel()], plane[seen.ravel()]
+            new = _least_rough(*known, wanted, rough, float(noise_mm))
             change = float(np.linalg.norm(new - forces[may].ravel()))
             size = float(np.linalg.norm(new))
             forces[may] = new.reshape(-1, 3)
@@ -147,6 +153,13 @@ class GelModel:
         solved = tangent.solve(np.stack(columns, axis=1))
         at_face = solved.reshape(self.body.n_nodes, 3, -1)[face].reshape(3 * len(face), -1)
         return found.displacement[face], at_face
+
+    def _plane(self) -> Float[np.ndarray, "k3 3"]:
+        """Displacements along z of a constant and of two tilts, over the face."""
+        found = np.zeros((len(self.points), 3, 3))
+        found[:, 2, 0] = 1.0
+        found[:, 2, 1:] = self.points[:, :2] / np.abs(self.points[:, :2]).max(axis=0)
+        return found.reshape(-1, 3)
 
     def _roughness(self, may: Bool[np.ndarray, " k"]) -> Float[np.ndarray, "f f"]:
         """Squared differences of forces between neighbours, and their squares beyond the edge."""
@@ -205,11 +218,19 @@ class GelModel:
 
 def _least_rough(
     compliance: Float[np.ndarray, "d f"],
+    plane: Float[np.ndarray, "d p"],
     wanted: Float[np.ndarray, " d"],
     rough: Float[np.ndarray, "f f"],
     noise_mm: float,
 ) -> Float[np.ndarray, " f"]:
-    """Minimise roughness, with a misfit as large as the noise (Morozov's discrepancy principle)."""
+    """Minimise roughness, with a misfit as large as the noise (Morozov's discrepancy principle).
+
+    What a plane explains of the displacements is taken off first, of both sides alike.
+    """
+    if plane.shape[1]:
+        basis, _ = np.linalg.qr(plane)
+        compliance = compliance - basis @ (basis.T @ compliance)
+        wanted = wanted - basis @ (basis.T @ wanted)
     normal, right = compliance.T @ compliance, compliance.T @ wanted
     scale = np.trace(normal) / np.trace(rough)
     target = len(wanted) * noise_mm**2
