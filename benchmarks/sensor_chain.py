@@ -144,6 +144,8 @@ def glued(
     for i in face:
         number[i] = twin.get(tuple(np.round(above[i], 5)), -1)
     own = number < 0
+    if own.all():
+        raise SystemExit("gel and cube share no node; give a --cell that divides 1 mm.")
     number[own] = cube.n_points + np.arange(int(own.sum()))
     points = np.concatenate([cube.points, above[own]])
     return TetMesh.create(points, np.concatenate([cube.tets, number[gel.tets]])), number

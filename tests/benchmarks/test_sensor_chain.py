@@ -10,7 +10,7 @@ NAME = "sensor_chain"
 
 
 def test_gel_and_cube_share_what_touches(benchmark: ModuleType) -> None:
-    scene = benchmark.simulated(benchmark.SIDES["z+"], 2.0)
+    scene = benchmark.simulated(benchmark.SIDES["z+"], 1.0)
     assert scene.force[2] < -1.0  # N: the cube pushes the gel into the sensor
     under = np.abs(scene.points[:, :2]).max(axis=1) < 4.1
     beside = np.abs(scene.points[:, :2]).max(axis=1) > 6.1
