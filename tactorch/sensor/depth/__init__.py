@@ -3,5 +3,6 @@
 from tactorch.sensor.depth.fill import filled
 from tactorch.sensor.depth.height import Height, height_of
 from tactorch.sensor.depth.integrate import integrate
+from tactorch.sensor.depth.photometric import Photometric
 
-__all__ = ["Height", "filled", "height_of", "integrate"]
+__all__ = ["Height", "Photometric", "filled", "height_of", "integrate"]
