@@ -15,6 +15,7 @@ from tactorch.sensor.calibration import (
     FitOptions,
     Touch,
     change,
+    choose_map,
     find_circle,
     fit_circle,
     fit_map,
@@ -77,7 +78,7 @@ def test_rough_circles_are_mended_and_held_out_slopes_are_seen() -> None:
     new = touches([(41.2, 58.7), (69.4, 36.3)], seed=5)
     truth = [touch.circle for touch in new]
     believed, _ = fit_map(pressed, BALL, FitOptions(rounds=0))
-    mended, circles = fit_map(pressed, BALL, FitOptions(rounds=3))
+    mended, circles = fit_map(pressed, BALL, FitOptions(rounds=2))
     before, after = (judge(one, new, truth, BALL) for one in (believed, mended))
     assert min(after.r2) > 0.97
     assert max(after.mae) < 0.6 * min(before.mae)
@@ -206,3 +207,15 @@ def test_a_calibrated_sensor_sees_depth() -> None:
     assert not seen.contact[BALL.distance(drawn.SHAPE, circle) > 1.6].any()
     still = height_of(sensor.slopes(drawn.still(5)), BALL.mm_per_px)
     assert not still.contact.any()
+
+
+@pytest.mark.slow
+def test_the_map_that_errs_least_on_presses_left_out_is_chosen() -> None:
+    """A few presses in one corner each: a network that knows the place learns it by heart."""
+    few = touches([CENTERS[0], CENTERS[4], CENTERS[8]])
+    name, found = choose_map(few, BALL, FitOptions(rounds=0))
+    assert set(found) == set(MAPS)
+    assert name == min(found, key=lambda one: sum(found[one].mae))
+    assert found["mlp_colour"].r2 > (0.8, 0.8)
+    with pytest.raises(ConfigError, match="folds=3: give 2 to 2"):
+        choose_map(few[:2], BALL)

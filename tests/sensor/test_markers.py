@@ -84,7 +84,14 @@ def sequence(count: int, most: float, missing: float = 0.0) -> tuple[np.ndarray,
     return truth, drawn, images
 
 
-@pytest.mark.parametrize(("most", "missing"), [(20.0, 0.0), (20.0, 0.1), (28.0, 0.1)])
+@pytest.mark.parametrize(
+    ("most", "missing"),
+    [
+        pytest.param(20.0, 0.0, marks=pytest.mark.slow),
+        pytest.param(20.0, 0.1, marks=pytest.mark.slow),
+        (28.0, 0.1),
+    ],
+)
 def test_known_motion_is_found(most: float, missing: float) -> None:
     truth, drawn, images = sequence(10, most, missing)
     reference = draw(truth[0], noise=0.0)

@@ -7,16 +7,20 @@ import pytest
 
 from tactorch.sensor.calibration import (
     Ball,
+    Circle,
     FitOptions,
     Touch,
     change,
     find_circle,
     fit_circle,
     fit_map,
+    held_out_quality,
+    hidden,
     judge,
     read_labels,
 )
 from tactorch.sensor.frames import read_image
+from tactorch.sensor.markers import MarkerLook
 
 pytestmark = pytest.mark.external
 
@@ -61,4 +65,22 @@ def test_held_out_presses(presses: tuple[list[Touch], Ball]) -> None:
     quality = judge(found, held, circles, ball)
     assert min(quality.r2) > 0.95
     assert max(quality.mae) < 0.06
+    assert quality.depth_rms_mm < 0.05
+
+
+def test_six_presses_through_markers(shared_data: Path) -> None:
+    """Each of the six left out once; the network that does not know the place."""
+    folder = shared_data / "bnz-ball-markers"
+    ball, look = Ball(1.98, (0.03026, 0.03026)), MarkerLook(14.0)
+    reference = read_image(folder / "cali_180110/frame0.jpg")
+    touches = []
+    for name, label in read_labels(folder / "derived_ball_labels.csv").items():
+        image = read_image(folder / "cali_180110" / name)
+        known = ~hidden(image, reference, look)
+        circle = Circle(label.center_px, 42.0)  # its own radius is that of a table, and loose
+        touches.append(Touch(name, change(image, reference, look), known, circle))
+    options = FitOptions("mlp_colour", rounds=3)
+    quality = held_out_quality(touches, ball, options, folds=len(touches))
+    assert min(quality.r2) > 0.94
+    assert max(quality.mae) < 0.05
     assert quality.depth_rms_mm < 0.05

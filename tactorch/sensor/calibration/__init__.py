@@ -2,6 +2,7 @@
 
 from tactorch.sensor.calibration.ball import Ball, Circle, read_labels
 from tactorch.sensor.calibration.change import change, hidden
+from tactorch.sensor.calibration.choose import choose_map, held_out_quality
 from tactorch.sensor.calibration.find import find_circle
 from tactorch.sensor.calibration.fit import FitOptions, Touch, fit_circle, fit_map, seen_slopes
 from tactorch.sensor.calibration.maps import MAPS, SlopeMap, make_map
@@ -18,9 +19,11 @@ __all__ = [
     "SlopeMap",
     "Touch",
     "change",
+    "choose_map",
     "find_circle",
     "fit_circle",
     "fit_map",
+    "held_out_quality",
     "hidden",
     "judge",
     "load_calibration",
