@@ -9,6 +9,7 @@ import pytest
 NAME = "sensor_chain"
 
 
+@pytest.mark.slow
 def test_gel_and_cube_share_what_touches(benchmark: ModuleType) -> None:
     scene = benchmark.simulated(benchmark.SIDES["z+"], 1.0)
     assert scene.force[2] < -1.0  # N: the cube pushes the gel into the sensor

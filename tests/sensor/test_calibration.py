@@ -72,6 +72,7 @@ def test_a_ball_is_found(center: tuple[float, float]) -> None:
     assert 10.0 < found.radius_px < 25.0
 
 
+@pytest.mark.slow
 def test_rough_circles_are_mended_and_held_out_slopes_are_seen() -> None:
     """Labels are up to 3 px off; a calibration that believes them stays far behind."""
     pressed = touches(CENTERS, off_px=3.0)

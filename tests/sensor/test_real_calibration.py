@@ -50,6 +50,7 @@ def test_balls_are_found_near_their_labels(
     assert max(off) < 12.0  # labels are rough themselves
 
 
+@pytest.mark.slow
 def test_held_out_presses(presses: tuple[list[Touch], Ball]) -> None:
     """18 presses fit, 6 are held out, to which their circles alone are fitted."""
     touches, ball = presses
@@ -68,6 +69,7 @@ def test_held_out_presses(presses: tuple[list[Touch], Ball]) -> None:
     assert quality.depth_rms_mm < 0.05
 
 
+@pytest.mark.slow
 def test_six_presses_through_markers(shared_data: Path) -> None:
     """Each of the six left out once; the network that does not know the place."""
     folder = shared_data / "bnz-ball-markers"

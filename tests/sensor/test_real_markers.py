@@ -46,6 +46,7 @@ def tracked(images: list[np.ndarray], reference: np.ndarray) -> np.ndarray:
     return np.stack([found.places for found in track(images, reference, LOOK)])
 
 
+@pytest.mark.slow
 def test_without_contact_nothing_moves(tracked: np.ndarray, reference: np.ndarray) -> None:
     begin = MarkerTracker(reference, LOOK).begin
     moved = np.linalg.norm(tracked[:11] - begin, axis=2)
@@ -54,6 +55,7 @@ def test_without_contact_nothing_moves(tracked: np.ndarray, reference: np.ndarra
     assert moved.max() < 0.6
 
 
+@pytest.mark.slow
 def test_markers_keep_their_identity(tracked: np.ndarray, images: list[np.ndarray]) -> None:
     """Followed back from the last frame, each comes out where it began."""
     always = np.isfinite(tracked).all(axis=(0, 2))
@@ -70,6 +72,7 @@ def test_markers_keep_their_identity(tracked: np.ndarray, images: list[np.ndarra
     assert np.nanmax(off) < 1.5
 
 
+@pytest.mark.slow
 def test_neighbours_move_alike_all_along(tracked: np.ndarray) -> None:
     """Motion of up to 47 px varies smoothly: no marker is taken for another (66 px apart)."""
     begin = tracked[0]
