@@ -5,7 +5,7 @@
 
 Held-out objects: those of `tactorch generate dataset=warmstart` with another seed (2002), so none
 was seen in training, nor its presses or noise; nor were they looked at when settings were chosen
-(those of seed 1001 were: there, maps that were trusted up to chi2 = 3 instead of 10 ended worse).
+(maps are trusted up to chi2 = 10, not 3, by objects of seed 1001 of an earlier, narrower recipe).
 Each is inverted three times in the same process:
 
 - `uniform`: from the best uniform modulus, with total variation;
