@@ -43,6 +43,26 @@ class ChainOptions:
 
 
 @dataclass(frozen=True, eq=False)
+class Deformed:
+    """How a frame shows the gel's face to have moved.
+
+    Attributes:
+        frame: The frame.
+        markers_px: Its markers in the reference's order; NaN where one is not seen.
+        height: How far the face moved along z; None where there is no image.
+        moved: Displacement of the nodes of the gel's face, NaN where unknown, mm; None without
+            contact.
+        touched: Nodes of the gel's face that are touched.
+    """
+
+    frame: Frame
+    markers_px: Float[np.ndarray, "n 2"]
+    height: Height | None
+    moved: Float[np.ndarray, "k 3"] | None
+    touched: Bool[np.ndarray, " k"]
+
+
+@dataclass(frozen=True, eq=False)
 class Seen:
     """What a frame shows.
 
@@ -109,22 +129,38 @@ class SensorChain:
             ConfigError: The frame has another size than the reference.
             ConvergenceError: The gel collapses under what it shows.
         """
+        look = self.deformed(frame)
+        return Seen(frame, look.markers_px, look.height, self.contact(look), look.touched)
+
+    def deformed(self, frame: Frame) -> Deformed:
+        """Follow the markers into the next frame and return how the face moved, without forces.
+
+        Raises:
+            ConfigError: The frame has another size than the reference.
+        """
         none = np.zeros(len(self.model.points), dtype=bool)
         if frame.image is None:
-            return Seen(frame, np.full(self.tracker.begin.shape, np.nan), None, None, none)
-        found = self.tracker.follow(frame.image)
+            return Deformed(frame, np.full(self.tracker.begin.shape, np.nan), None, None, none)
+        found = self.tracker.follow(frame.image).places
         slopes = self.calibration.slopes(frame.image, self.reference)
         height = height_of(slopes, self.mm_per_px)
         if -height.height_mm.min() < float(self.options.least_mm):
-            return Seen(frame, found.places, height, None, none)
-        moved = self._moved(found.places, height)
+            return Deformed(frame, found, height, None, none)
+        moved = self._moved(found, height)
         touched = self._touched(height, moved)
-        if not touched.any():
-            return Seen(frame, found.places, height, None, none)
+        return Deformed(frame, found, height, moved if touched.any() else None, touched)
+
+    def contact(self, look: Deformed) -> Contact | None:
+        """Return the forces behind a deformation; None without contact.
+
+        Raises:
+            ConvergenceError: The gel collapses under it.
+        """
+        if look.moved is None:
+            return None
         # Slopes leave depth's constant open, and where nothing is touched the gel moves too.
         noise = float(self.options.noise_mm)
-        contact = self.model.smooth_forces(moved, noise, touched, tilted=True)
-        return Seen(frame, found.places, height, contact, touched)
+        return self.model.smooth_forces(look.moved, noise, look.touched, tilted=True)
 
     def _moved(self, places_px: np.ndarray, height: Height) -> Float[np.ndarray, "k 3"]:
         """How the gel's nodes moved: along the face as markers tell, across it as depth does."""

@@ -27,6 +27,7 @@ class Frame:
         image: RGB, rectified; None where there is none that can be read.
         time_s: Since the first frame; None where unknown.
         fault: What is wrong with it, or "".
+        sound: Whether it can be measured on; one before which frames were dropped can.
     """
 
     index: int
@@ -34,6 +35,7 @@ class Frame:
     image: Image | None
     time_s: float | None
     fault: str = ""
+    sound: bool = True
 
 
 def read_frames(
@@ -70,10 +72,11 @@ def read_frames(
                     fault = fault_of(image, reference, before, limits)
                 except FileError as error:
                     fault = str(error)
+            sound = image is not None and not fault
             fault = fault or _dropped(raw.time_s, before_s, sensor.frame_rate_hz)
             before = image if image is not None else before
             before_s = raw.time_s
-            yield Frame(index, raw.name, image, _time(raw.time_s, index, sensor), fault)
+            yield Frame(index, raw.name, image, _time(raw.time_s, index, sensor), fault, sound)
 
     return run()
 

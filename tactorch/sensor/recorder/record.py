@@ -1,0 +1,186 @@
+"""From frames and poses to a recording: contacts, first touch, forces, presses."""
+
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.mesh import TetMesh
+from tactorch.recording import MaterialSpec, Press, Recording
+from tactorch.sensor.chain import SensorChain
+from tactorch.sensor.contact import Poses, Touching, press_of
+from tactorch.sensor.frames import Frame
+from tactorch.sensor.recorder.first_touch import by_depth, by_shape
+from tactorch.sensor.recorder.options import RecordOptions
+from tactorch.sensor.recorder.region import VirtualCube
+from tactorch.sensor.recorder.session import Episode, Session, watch
+from tactorch.versions import versions
+
+_log = logging.getLogger(__name__)
+Tell = Callable[[str, int, int | None], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What came of a session.
+
+    Attributes:
+        recording: Its presses.
+        presses: Of each press: contact, frame, time_s, depth_mm, force_n (three components, in the
+            object's frame) and nodes (how many were seen).
+        session: What its frames show.
+        passed_over: Why frames with contact became no press, by their names.
+    """
+
+    recording: Recording
+    presses: list[dict[str, Any]]
+    session: Session
+    passed_over: dict[str, str]
+
+
+def record(
+    frames: Iterable[Frame],
+    chain: SensorChain,
+    poses: Poses,
+    target: TetMesh | VirtualCube,
+    material: MaterialSpec,
+    options: RecordOptions | None = None,
+    *,
+    provenance: dict[str, Any] | None = None,
+    progress: Tell = lambda stage, done, total: None,
+) -> Recorded:
+    """Turn a session of frames and poses into a recording (Sections III-B and VI-B).
+
+    Args:
+        frames: Of the session, with times.
+        chain: The calibrated sensor.
+        poses: T_object_sensor over the same clock.
+        target: The object at rest in the object's frame, mm; or a virtual cube where its shape is
+            not known.
+        material: Of the object, but for Young's modulus.
+        options: How frames become presses.
+        provenance: What else to note beside what is noted anyway.
+        progress: Called with a stage ("frames", "presses"), how much of it is done, and of how
+            much (None where unknown).
+
+    Raises:
+        ConfigError: No frame shows contact, a frame has no time or no pose, no contact could be
+            used, or the object is not held as told.
+        RecordingError: Presses, mesh and material do not fit each other.
+    """
+    options = options or RecordOptions()
+    session = watch(
+        frames, chain, least_frames=options.least_frames,
+        progress=lambda done: progress("frames", done, None),
+    )  # fmt: skip
+    _require_contact(session, chain)
+    mesh = (
+        target
+        if isinstance(target, TetMesh)
+        else _region(target, session.contacts[0], poses, chain.model.points[:, :2])
+    )
+    virtual = not isinstance(target, TetMesh)
+    maker = _Maker(chain, poses, mesh, options, virtual, _noise_mm(session, chain, options))
+    chosen = [(i, one, one.chosen(options.steps)) for i, one in enumerate(session.contacts)]
+    total, presses, rows, passed_over = sum(len(c) for _, _, c in chosen), [], [], {}
+    for i, touch, frames_of in chosen:
+        first, step = maker.first(touch), 0
+        for index in frames_of:
+            name = touch.looks[index].frame.name
+            try:
+                press = maker.press(touch, index, first, step, f"contact {i + 1}, {name}")
+            except (ConfigError, ConvergenceError) as error:
+                passed_over[name] = str(error)
+                _log.warning("Frame '%s' becomes no press: %s", name, error)
+            else:
+                presses.append(press)
+                rows.append(_row(i + 1, touch, index, press))
+                step += 1
+            progress("presses", len(presses) + len(passed_over), total)
+    if not presses:
+        first_name, reason = next(iter(passed_over.items()))
+        raise ConfigError(f"no frame with contact became a press; '{first_name}': {reason}")
+    facts = {"sensor": chain.sensor.name, "frames": session.frames, "presses": rows}
+    facts |= {"faulty frames": session.faults, "passed over": passed_over, "versions": versions()}
+    recording = Recording(
+        mesh, tuple(presses), material, provenance={**facts, **(provenance or {})}
+    )
+    return Recorded(recording, rows, session, passed_over)
+
+
+@dataclass(frozen=True, eq=False)
+class _Maker:
+    """Makes presses of the frames of contacts."""
+
+    chain: SensorChain
+    poses: Poses
+    mesh: TetMesh
+    options: RecordOptions
+    virtual: bool
+    noise_mm: float
+
+    def first(self, touch: Episode) -> Float[np.ndarray, "4 4"]:
+        """Pose of first touch."""
+        if self.virtual or self.options.first_touch == "depth":
+            return _first_by_depth(touch, self.poses)
+        gel = self.chain.sensor.gel
+        return by_shape(self.poses, touch.free_s, touch.times_s[0], self.mesh, gel)
+
+    def press(
+        self, touch: Episode, index: int, first: Float[np.ndarray, "4 4"], step: int, name: str
+    ) -> Press:
+        look = touch.looks[index]
+        contact = self.chain.contact(look)
+        assert contact is not None
+        pose = self.poses.at([touch.times_s[index]])[0]
+        usual = Touching(untouched="sensor" if self.virtual else "unseen")
+        return press_of(
+            contact, pose, first, self.mesh, look.touched,
+            touching=self.options.touching or usual, noise_mm=self.noise_mm, step=step, name=name,
+            **self.options.hold.on(self.mesh, pose[:3, 2]),
+        )  # fmt: skip
+
+
+def _require_contact(session: Session, chain: SensorChain) -> None:
+    if session.contacts:
+        return
+    faulty = f", {len(session.faults)} of them faulty," if session.faults else ""
+    raise ConfigError(
+        f"none of {session.frames} frames{faulty} shows contact: the gel is pressed by"
+        f" {session.deepest_mm:.3g} mm at most, contact counts from"
+        f" {float(chain.options.least_mm):g} mm (least_mm). Is the reference without contact, and"
+        " is the calibration of this sensor?"
+    )
+
+
+def _first_by_depth(touch: Episode, poses: Poses) -> Float[np.ndarray, "4 4"]:
+    return by_depth(poses, touch.free_s, np.array(touch.times_s), np.array(touch.depths_mm))
+
+
+def _region(
+    target: VirtualCube, touch: Episode, poses: Poses, places_mm: Float[np.ndarray, "k 2"]
+) -> TetMesh:
+    """Mesh the region under a contact, about the middle of what is touched where it is deepest."""
+    look = touch.looks[int(np.argmax(touch.depths_mm))]
+    return target.under(_first_by_depth(touch, poses), places_mm[look.touched].mean(axis=0))
+
+
+def _noise_mm(session: Session, chain: SensorChain, options: RecordOptions) -> float:
+    if options.noise_mm is not None:
+        return float(options.noise_mm)
+    return max(float(chain.options.noise_mm), session.noise_mm or 0.0)
+
+
+def _row(contact: int, touch: Episode, index: int, press: Press) -> dict[str, Any]:
+    return {
+        "contact": contact,
+        "frame": touch.looks[index].frame.name,
+        "time_s": touch.times_s[index],
+        "depth_mm": touch.depths_mm[index],
+        "force_n": press.total_force.tolist(),
+        "nodes": int(press.observed.any(axis=1).sum()),
+    }

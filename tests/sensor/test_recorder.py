@@ -1,0 +1,304 @@
+"""A session of frames and poses becomes a recording: the presses that were made.
+
+The gel's motion is that of one simulation of gel and cube, so its presses are known.
+"""
+
+import logging
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError
+from tactorch.mesh import TetMesh, box_mesh
+from tactorch.recording import MaterialSpec
+from tactorch.sensor.chain import ChainOptions, Deformed, SensorChain
+from tactorch.sensor.contact import Poses
+from tactorch.sensor.depth import Height
+from tactorch.sensor.description import GelLayer, SensorDescription
+from tactorch.sensor.frames import Frame
+from tactorch.sensor.gel import Contact, GelModel
+from tactorch.sensor.recorder import Hold, RecordOptions, VirtualCube, record
+from tactorch.sensor.recorder.first_touch import by_depth, by_shape, face_points, gap_mm
+from tactorch.sensor.recorder.hold import far_nodes
+from tactorch.sensor.recorder.session import watch
+
+from .gel_on_cube import FIRST, GEL, Pair, pressed, sensor_pose
+
+SPEC = MaterialSpec("neo_hookean", 0.45)
+DEPTHS = (0.2, 0.4)  # mm, that are simulated
+# Sensor's way over time, s: down until 0.4 s before the end of each contact; touch is at z = 10.
+TIMES = np.arange(0.0, 1.01, 0.1)
+HEIGHTS = np.array([10.3, 10.2, 10.1, 9.8, 9.6, 9.8, 10.2, 10.3, 9.8, 9.6, 10.3])
+STILL = np.zeros((8, 8, 3), dtype=np.uint8)
+
+
+class Chain(SensorChain):
+    """Sees what was simulated, in place of images."""
+
+    def __init__(self, pairs: dict[float, Pair], noise_px: float = 0.0) -> None:
+        self.pairs, self.model = pairs, next(iter(pairs.values())).model
+        self.sensor = SensorDescription("seeing", (8, 8), (1.0, 1.0), GEL)
+        self.options = ChainOptions()
+        self.tracker = SimpleNamespace(begin=np.array([(1.0, 1.0), (2.0, 2.0)]))
+        self.noise_px, self.rng = noise_px, np.random.default_rng(0)
+
+    def deformed(self, frame: Frame) -> Deformed:
+        none = np.zeros(len(self.model.points), dtype=bool)
+        depth = self._depth(frame)
+        here = self.tracker.begin + self.noise_px * self.rng.normal(size=(2, 2))
+        flat = np.full((8, 8), -depth)
+        height = Height(flat, flat - flat.mean(), flat == 0, flat < 0)
+        if depth <= 0:
+            return Deformed(frame, here, height, None, none)
+        return Deformed(frame, here, height, self.pairs[depth].u_gel, ~none)
+
+    def contact(self, look: Deformed) -> Contact | None:
+        if look.moved is None:
+            return None
+        return _forces(self.model, look.moved.tobytes())
+
+    def _depth(self, frame: Frame) -> float:
+        return max(0.0, round(10.0 - HEIGHTS[frame.index], 6))
+
+
+@cache
+def _forces(model: GelModel, moved: bytes) -> Contact:
+    return model.forces(np.frombuffer(moved).reshape(-1, 3))
+
+
+@pytest.fixture(scope="module")
+def pairs() -> dict[float, Pair]:
+    return {depth: pressed(depth) for depth in DEPTHS}
+
+
+@pytest.fixture
+def poses() -> Poses:
+    return Poses(TIMES, np.stack([sensor_pose(z) for z in HEIGHTS]))
+
+
+def ball_mesh(radius_mm: float) -> TetMesh:
+    """A cube's cells, moved outward onto a ball."""
+    cube = box_mesh(2.0, 12, center_mm=(0.0, 0.0, 0.0))
+    reach = np.abs(cube.points).max(axis=1, keepdims=True)
+    away = np.maximum(np.linalg.norm(cube.points, axis=1, keepdims=True), 1e-9)
+    return TetMesh.create(radius_mm * cube.points * reach / away, cube.tets)
+
+
+def frames(**changes: object) -> list[Frame]:
+    fields = {"image": STILL, "fault": "", "sound": True}
+    return [
+        Frame(i, f"{i:03d}.png", time_s=float(t), **{**fields, **changes})
+        for i, t in enumerate(TIMES)
+    ]
+
+
+def test_presses_are_those_that_were_made(pairs: dict[float, Pair], poses: Poses) -> None:
+    told: list[tuple[str, int, int | None]] = []
+    cube = pairs[0.2].cube
+    found = record(
+        frames(), Chain(pairs), poses, cube, SPEC, RecordOptions(steps=2),
+        progress=lambda *all_: told.append(all_),
+    )  # fmt: skip
+    presses = found.recording.presses
+    assert [p.name for p in presses] == [
+        "contact 1, 003.png", "contact 1, 004.png", "contact 2, 008.png", "contact 2, 009.png",
+    ]  # fmt: skip
+    assert [p.step for p in presses] == [0, 1, 0, 1]
+    for press, depth in zip(presses, (0.2, 0.4, 0.2, 0.4), strict=True):
+        pair = pairs[depth]
+        np.testing.assert_allclose(press.forces, pair.on_cube, atol=1e-6)
+        seen = press.observed.all(axis=1)
+        assert seen[cube.points[:, 2] > 9.999].mean() > 0.95
+        np.testing.assert_allclose(press.displacement[seen], pair.u_cube[seen], atol=1e-6)
+        np.testing.assert_array_equal(press.fixed, np.repeat(pair.bottom[:, :1], 3, axis=1))
+        assert press.noise_mm == pytest.approx(0.01)  # what the chain allows for
+    assert told[-1] == ("presses", 4, 4)
+    assert ("frames", 11, None) in told
+    notes = found.recording.provenance
+    assert notes["sensor"] == "seeing"
+    assert notes["frames"] == 11
+    assert [row["frame"] for row in notes["presses"]] == [p.name[-7:] for p in presses]
+    assert notes["presses"][1]["depth_mm"] == pytest.approx(0.4)
+    assert notes["presses"][1]["force_n"] == pytest.approx(pairs[0.4].on_cube.sum(axis=0), abs=1e-6)
+
+
+def test_steps_are_even_in_depth(pairs: dict[float, Pair], poses: Poses) -> None:
+    cube = pairs[0.2].cube
+    one = record(frames(), Chain(pairs), poses, cube, SPEC, RecordOptions(steps=1))
+    assert [p.name for p in one.recording.presses] == ["contact 1, 004.png", "contact 2, 009.png"]
+    many = record(frames(), Chain(pairs), poses, cube, SPEC, RecordOptions(steps=9))
+    assert len(many.recording.presses) == 4  # what is released again is no new step
+    long = RecordOptions(steps=1, least_frames=3)
+    assert len(record(frames(), Chain(pairs), poses, cube, SPEC, long).recording.presses) == 1
+
+
+def test_faulty_frames_do_not_count(pairs: dict[float, Pair], poses: Poses) -> None:
+    session = frames()
+    bad = Frame(4, "004.png", STILL, 0.4, "dark: 10% of the reference's brightness", sound=False)
+    session[4] = bad
+    session[9] = Frame(9, "009.png", None, 0.9, "cannot be read", sound=False)
+    dropped = Frame(3, "003.png", STILL, 0.3, "2 frames were dropped before it")
+    session[3] = dropped
+    found = record(session, Chain(pairs), poses, pairs[0.2].cube, SPEC, RecordOptions(steps=1))
+    assert [p.name for p in found.recording.presses] == ["contact 1, 003.png", "contact 2, 008.png"]
+    assert list(found.session.faults) == ["003.png", "004.png", "009.png"]
+    assert found.recording.provenance["faulty frames"]["004.png"].startswith("dark")
+
+
+def test_noise_is_what_frames_without_contact_show(pairs: dict[float, Pair], poses: Poses) -> None:
+    found = watch(frames(), Chain(pairs, noise_px=0.05))
+    assert found.noise_mm == pytest.approx(0.05, rel=0.4)  # 24 numbers
+    cube = pairs[0.2].cube
+    press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC).recording.presses[0]
+    assert press.noise_mm == pytest.approx(found.noise_mm)
+    given = RecordOptions(noise_mm=0.02)
+    press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC, given).recording.presses[0]
+    assert press.noise_mm == 0.02
+
+
+def test_first_touch_is_where_the_shapes_meet() -> None:
+    cube, gel = box_mesh(10.0, 3), GEL
+    poses = Poses(TIMES, np.stack([sensor_pose(z) for z in HEIGHTS]))
+    np.testing.assert_allclose(by_shape(poses, 0.2, 0.3, cube, gel), FIRST, atol=1e-6)
+    # The last frame without contact may be one in which contact was not seen yet.
+    np.testing.assert_allclose(by_shape(poses, 0.25, 0.3, cube, gel)[2, 3], 10.0, atol=1e-6)
+    # Where nothing is known of the way, straight back.
+    np.testing.assert_allclose(by_shape(poses, None, 0.4, cube, gel), FIRST, atol=1e-9)
+
+
+def test_first_touch_on_the_way_along_the_face() -> None:
+    """A sensor that slides down sideways meets the object beside where it presses in the end."""
+    ways = np.stack([sensor_pose(z) for z in (10.5, 9.5)])
+    ways[:, 0, 3] = (4.0, 6.0)
+    found = by_shape(Poses(np.array([0.0, 1.0]), ways), 0.0, 1.0, box_mesh(10.0, 3), GEL)
+    np.testing.assert_allclose(found[:3, 3], (5.0, 5.0, 10.0), atol=1e-6)
+
+
+def test_gap_of_a_curved_gel_on_a_ball() -> None:
+    """Two spheres meet at their poles; elsewhere their sagittas keep them apart."""
+    ball = ball_mesh(6.0)
+    gel = GelLayer(5.0, 0.12, 0.45, radius_mm=6.0, curvature_radius_mm=20.0)
+    above = sensor_pose(7.5)
+    above[:2, 3] = 0.0
+    points, normals = face_points(ball)
+    assert gap_mm(above, points, normals, gel) == pytest.approx(1.5, abs=0.1)
+    # Beside it by 2 mm: the least of both sagittas, 2 mm shared as 6 : 20 between them.
+    beside = above.copy()
+    beside[0, 3] = 2.0
+    x = np.linspace(-3, 3, 601)
+    apart = 7.5 + (20 - np.sqrt(400 - (x - 2) ** 2)) - np.sqrt(36 - x**2)
+    assert gap_mm(beside, points, normals, gel) == pytest.approx(apart.min(), abs=0.1)
+    away = above.copy()
+    away[0, 3] = 40.0
+    assert gap_mm(away, points, normals, gel) == np.inf
+
+
+def test_poses_that_do_not_fit_the_images_are_told(caplog: pytest.LogCaptureFixture) -> None:
+    high = Poses(np.array([0.0, 1.0]), np.stack([sensor_pose(12.0), sensor_pose(11.5)]))
+    with caplog.at_level(logging.WARNING):
+        found = by_shape(high, 0.0, 1.0, box_mesh(10.0, 3), GEL)
+    assert "1.50 mm apart: check T_object_sensor" in caplog.text
+    np.testing.assert_allclose(found, sensor_pose(11.5))
+
+
+def test_first_touch_by_depth() -> None:
+    poses = Poses(np.array([0.0, 1.0]), np.stack([sensor_pose(10.5), sensor_pose(9.5)]))
+    times, depths = np.array([0.7, 0.9]), np.array([0.1, 0.2])  # half of the way goes to the gel
+    np.testing.assert_allclose(by_depth(poses, 0.4, times, depths), FIRST, atol=1e-9)
+    # Not before the last frame without contact, nor by depths that do not grow.
+    assert by_depth(poses, 0.6, times, depths)[2, 3] == pytest.approx(9.9)
+    assert by_depth(poses, 0.4, times, depths[::-1])[2, 3] == pytest.approx(9.95)
+
+
+def test_a_virtual_cube_moves_with_the_sensor_where_untouched(
+    pairs: dict[float, Pair], poses: Poses
+) -> None:
+    chain = Chain(pairs)
+    touched = chain.model.points[:, 1] < 0.1  # along the object's x
+    whole = chain.deformed
+
+    def half(frame: Frame) -> Deformed:
+        look = whole(frame)
+        return Deformed(
+            look.frame, look.markers_px, look.height, look.moved, look.touched & touched
+        )
+
+    chain.deformed = half  # type: ignore[method-assign]
+    cube = VirtualCube(8.0, 6.0, 1.0)
+    found = record(frames(), chain, poses, cube, SPEC, RecordOptions(steps=1)).recording
+    low, high = found.mesh.bounds
+    # Under the middle of what is touched, from the height of first touch downward.
+    begin = found.presses[0].displacement
+    middle = chain.model.points[touched].mean(axis=0)
+    np.testing.assert_allclose(low + high, 2 * np.array((5 + middle[1], 5.0, high[2] - 3)), atol=1)
+    np.testing.assert_allclose(high - low, (8, 8, 6), atol=1e-9)
+    assert high[2] == pytest.approx(10.0, abs=0.11)
+    press = found.presses[0]
+    free = press.observed.all(axis=1) & (found.mesh.points[:, 0] > 5.8)
+    assert free.sum() >= 9
+    np.testing.assert_allclose(begin[free, 2], 9.6 - high[2], atol=1e-9)
+    assert not press.forces[found.mesh.points[:, 0] > 6.1].any()
+    assert press.fixed[np.isclose(found.mesh.points[:, 2], low[2])].all()
+
+
+def test_what_holds_the_object() -> None:
+    cube = box_mesh(10.0, 2)
+    down = np.array([0.0, 0.0, -1.0])
+    fixed = Hold().on(cube, down)["fixed"]
+    np.testing.assert_array_equal(fixed.all(axis=1), cube.points[:, 2] == 0)
+    springs = Hold("x-", "springs", 2.5).on(cube, down)["springs"]
+    assert set(np.unique(springs)) == {0.0, 2.5}
+    np.testing.assert_array_equal(springs.any(axis=1), cube.points[:, 0] == 0)
+    with pytest.raises(ConfigError, match="no flat side opposite to a press along"):
+        far_nodes(ball_mesh(5.0), np.array([0.6, 0.0, -0.8]))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Hold("under"), "hold side='under': choose opposite or one of x-"),
+        (lambda: Hold(kind="glued"), "hold kind='glued': choose one of fixed, springs"),
+        (lambda: Hold(spring_n_per_mm=0), "spring_n_per_mm"),
+        (lambda: RecordOptions(steps=0), "steps=0 must be at least 1"),
+        (lambda: RecordOptions(least_frames=0), "least_frames=0 must be at least 1"),
+        (lambda: RecordOptions(first_touch="feel"), "first_touch='feel': choose one of shape"),
+        (lambda: RecordOptions(noise_mm=-1.0), "noise_mm"),
+        (lambda: VirtualCube(10.0, edge_mm=6.0), "edge_mm=6 is more than half the region of 10"),
+        (lambda: VirtualCube(10.0, edge_mm=0.1), "edge_mm=0.1 makes 6000000 elements"),
+        (lambda: VirtualCube(-1.0), "side_mm"),
+    ],
+)
+def test_settings_that_cannot_be(make: object, message: str) -> None:
+    assert callable(make)
+    with pytest.raises(ConfigError, match=message):
+        make()
+
+
+def test_sessions_without_a_press(pairs: dict[float, Pair], poses: Poses) -> None:
+    chain, cube = Chain(pairs), pairs[0.2].cube
+    with pytest.raises(ConfigError, match=r"none of 3 frames shows contact: .* by 0 mm at most"):
+        record(frames()[:3], chain, poses, cube, SPEC)
+    with pytest.raises(ConfigError, match="none of 0 frames"):
+        record([], chain, poses, cube, SPEC)
+    dark = frames(sound=False, fault="dark")
+    with pytest.raises(ConfigError, match="none of 11 frames, 11 of them faulty, shows contact"):
+        record(dark, chain, poses, cube, SPEC)
+    timeless = [Frame(i, f"{i}.png", STILL, None) for i in range(4)]
+    with pytest.raises(ConfigError, match=r"frame '0.png' has no time.*frame_rate_hz"):
+        record(timeless, chain, poses, cube, SPEC)
+    short = Poses(TIMES[:4], poses.T_object_sensor[:4])
+    with pytest.raises(ConfigError, match="1 of 1 frames have no pose"):
+        record(frames()[7:], chain, short, cube, SPEC)
+    beside = TetMesh(cube.points + np.array((100.0, 0, 0)), cube.tets)
+    with pytest.raises(
+        ConfigError, match=r"no frame with contact became a press; '003.png': the gel is over no"
+    ):
+        record(frames(), chain, poses, beside, SPEC)
+
+
+def test_the_model_is_that_of_the_pair(pairs: dict[float, Pair]) -> None:
+    """Else the exact comparison above would compare something else."""
+    assert isinstance(pairs[0.2].model, GelModel)
+    assert pairs[0.2].on_cube.sum(axis=0)[2] < -0.2
