@@ -80,8 +80,8 @@ _SHARES = Kind("three shares: [TRAINING,VALIDATION,TEST]", lambda v: _is_point(v
 _DEVICES = Kind("a whole number or auto", lambda v: v == "auto" or _is_whole(v))
 # By a setting's whole name, where its last part means something else elsewhere.
 _WHOLE_NAMES: dict[Kind, str] = {
-    _WHOLE: "dataset.count dataset.views dataset.shard phantom.count",
-    _OFFSET: "phantom.offset",
+    _WHOLE: "dataset.count dataset.views dataset.shard phantom.count data.frames",
+    _OFFSET: "phantom.offset mm_per_px",
     _MODULI: "phantom.youngs_mpa",
     _SHARES: "data.shares",
     _DEVICES: "trainer.devices",
@@ -105,21 +105,25 @@ _NAMES_OF: dict[Kind, str] = {
         model_error_left tikhonov smoothness total_variation log_jumps sparsity binary_well matern
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
         tube low_mpa high_mpa hole_mpa waist_mm rim_mm radius_mm ball distance median_mpa spread
-        patch_share dropout learning_rate weight_decay gradient_clip max_minutes brightness
+        patch_share prior_share dropout learning_rate weight_decay gradient_clip max_minutes
+        brightness ball_radius_mm marker_diameter_px magnify edge_mm around_mm least_mm
     """,
     _MODULUS: "start_mpa",
     _WHOLE: """
         seed samples steps max_iterations max_evaluations stage_iterations cg_iterations memory
         max_trials workers max_epochs splits hidden layers voxels batch split patience
-        width encoded cells frames
+        width encoded cells held_out folds rounds reference_frames most_frames pictures
     """,
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor
-        scheduler accelerator strategy precision part
+        scheduler accelerator strategy precision part map
     """,
-    _PATH: "path out recording run run_dir resume folder weights",
+    _PATH: """
+        path out recording run run_dir resume folder weights
+        sensor images reference labels calibration frames
+    """,
     _POINT: "center size radii axis",
-    _FLAG: "plots check_units retry_failed card augment",
+    _FLAG: "plots check_units retry_failed card augment video backward",
     _RECONSTRUCT: "reconstruct",
     _PRIOR_MEAN: "prior_mean",
     _PATHS: "compare",
@@ -142,6 +146,7 @@ _OPTIONAL = """
     unknowns.poisson force_scale rest_scale translation_mm rotation_rad
     edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
     dataset.presses.load dataset.poisson weights
+    labels mm_per_px marker_diameter_px held_out folds most_frames
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 

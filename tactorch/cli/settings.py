@@ -101,7 +101,9 @@ def start_of(cfg: DictConfig, settings: Settings, recording: Recording) -> tuple
             start.network  # noqa: B018  (wrong weights are told before anything is made)
         trusted = {"auto": TRUSTED, True: float("inf")}.get(cfg.initialization.prior_mean)
         if trusted is not None:
-            settings = start.as_prior_mean(settings, recording, most_chi2=trusted)
+            settings = start.as_prior_mean(
+                settings, recording, most_chi2=trusted, share=cfg.initialization.prior_share
+            )
         return start, settings
     if kind != "uniform":
         raise ConfigError(f"initialization '{kind}' is unknown; choose uniform or surrogate.")

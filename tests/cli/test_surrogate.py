@@ -114,6 +114,7 @@ def test_wrong_settings(
         (("initialization=oracle",), ("oracle", "surrogate")),
         (("initialization=surrogate", "initialization.weights=none.pt"), ("'none.pt'",)),
         (("initialization=surrogate", "initialization.prior_mean=3"), ("true, false or auto",)),
+        (("initialization=surrogate", "initialization.prior_share=half"), ("give a number",)),
     ],
 )
 def test_wrong_starts(

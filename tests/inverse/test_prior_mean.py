@@ -36,6 +36,30 @@ def test_it_is_the_prior_of_the_distance(name: str) -> None:
     np.testing.assert_allclose(about.curvature(field).toarray(), expected)
 
 
+def test_a_share_of_the_prior_is_about_the_map() -> None:
+    field = np.random.default_rng(2).normal(-1.0, 0.5, MESH.n_tets)
+    whole, none = PriorOptions(mean_mpa=MEAN), PriorOptions()
+    third = replace(whole, mean_share=1 / 3)
+    about, inner, mixed = (
+        make_regularizer("smoothness", MESH, options=one) for one in (whole, none, third)
+    )
+    assert mixed.value(field) == pytest.approx((about.value(field) + 2 * inner.value(field)) / 3)
+    expected = (about.gradient(field) + 2 * inner.gradient(field)) / 3
+    np.testing.assert_allclose(mixed.gradient(field), expected)
+    with pytest.raises(ConfigError, match="mean_share=0 must be above 0, up to 1"):
+        replace(whole, mean_share=0)
+
+
+def test_halves_of_total_variation_leave_the_jumps_open() -> None:
+    """Any map between a plain one and the mean costs the same, one beyond them more."""
+    options = PriorOptions(mean_mpa=MEAN, mean_share=0.5)
+    prior = make_regularizer("total_variation", MESH, edge=1e-6, options=options)
+    costs = [prior.value(part * np.log(MEAN)) for part in (0.0, 0.25, 0.5, 1.0)]
+    np.testing.assert_allclose(costs, costs[0], rtol=1e-3)
+    for part in (-0.2, 1.2):
+        assert prior.value(part * np.log(MEAN)) > 1.1 * costs[0]
+
+
 def test_a_prior_that_rules_keeps_the_mean(make_cube: Callable[..., Recording]) -> None:
     """With a large weight the map is the mean, but for one factor that total variation ignores."""
     recording = make_cube()

@@ -208,7 +208,7 @@ def test_a_poor_map_is_refused(
     good = Says(truth)
     np.testing.assert_array_equal(good(problem, bounds), truth)
     about = good.as_prior_mean(Settings(), recording)
-    assert about == Settings(prior=PriorOptions(mean_mpa=truth))
+    assert about == Settings(prior=PriorOptions(mean_mpa=truth, mean_share=0.5))
 
 
 def test_only_a_map_that_explains_the_presses_is_trusted(

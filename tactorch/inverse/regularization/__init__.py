@@ -46,7 +46,9 @@ def make_regularizer(
     inner = _about_nothing(name, mesh, edge, options)
     if options.mean_mpa is None or name == "none":
         return inner
-    return About(inner, options.mean_mpa, options.mean_deviation, mesh.n_tets)
+    about = About(inner, options.mean_mpa, options.mean_deviation, mesh.n_tets)
+    share = options.mean_share
+    return about if share == 1 else Composite([(1 - share, inner), (share, about)])
 
 
 def _about_nothing(

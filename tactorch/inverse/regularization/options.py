@@ -26,6 +26,9 @@ class PriorOptions:
         mean_mpa: A map (m,) that the prior, whichever, is about; None for none. Levels are then of
             the distance from it: see `About`.
         mean_deviation: Standard deviation (m,) of log-moduli about that map; None for 1.
+        mean_share: Share of the prior that is about that map, above 0 to 1; the rest is about
+            nothing. With total variation, halves leave it open, free of cost, how much of the
+            map's jumps there is between none and all, and the presses decide.
     """
 
     level_mpa: float | None = None
@@ -35,6 +38,7 @@ class PriorOptions:
     parts: Mapping[str, float] = field(default_factory=lambda: dict(_PARTS))
     mean_mpa: Float[np.ndarray, " _"] | None = None
     mean_deviation: Float[np.ndarray, " _"] | None = None
+    mean_share: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse a composite within a composite."""
@@ -42,6 +46,8 @@ class PriorOptions:
             if getattr(self, name) is not None:
                 values = np.array(getattr(self, name), dtype=np.float64)
                 object.__setattr__(self, name, values)
+        if not 0 < self.mean_share <= 1:
+            raise ConfigError(f"mean_share={self.mean_share} must be above 0, up to 1.")
         if "composite" in self.parts:
             raise ConfigError("regularization.parts: a composite cannot hold a composite.")
 

@@ -21,6 +21,7 @@ from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
 TRUSTED = 10.0  # mean squared residual of a map that explains the presses but for some noise
+HALF = 0.5  # of the prior: then the presses decide what of the map they take
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,23 +113,32 @@ class SurrogateStart:
         return found if taken else homogeneous(problem, bounds)
 
     def as_prior_mean(
-        self, settings: Settings, recording: Recording, *, most_chi2: float = TRUSTED
+        self,
+        settings: Settings,
+        recording: Recording,
+        *,
+        most_chi2: float = TRUSTED,
+        share: float = HALF,
     ) -> Settings:
         """Return settings of an inversion whose prior is about the foretold map.
 
         What the presses leave open then stays as foretold, with what the network has learnt to
         expect. On objects unlike those that it was trained on that would mislead; such maps do not
         fit the presses, and then, as where the map is refused as a start, the settings stay as
-        they are.
+        they are. Where they do fit, the presses decide still: half of the prior is about the map
+        and half about nothing, so that total variation takes any map between a plain one and the
+        foretold for as likely.
 
         Args:
             settings: Of the inversion.
             recording: Presses on an object.
             most_chi2: Mean squared residual of the map, in standard deviations, up to which it is
                 trusted; infinity trusts any that is not refused.
+            share: Of the prior that is about the map, above 0 to 1: with 1 the map stays wherever
+                the presses do not speak against it.
 
         Raises:
-            ConfigError: The prior has no use for a mean, or refers to levels.
+            ConfigError: The prior has no use for a mean, or refers to levels; or the share is none.
             ConvergenceError: No uniform modulus carries the presses.
             FileError: The weights are missing, damaged or of another model.
         """
@@ -151,7 +161,7 @@ class SurrogateStart:
             )  # fmt: skip
             return settings
         _log.info("The prior is about the surrogate's map")
-        return replace(settings, prior=replace(prior, mean_mpa=found))
+        return replace(settings, prior=replace(prior, mean_mpa=found, mean_share=share))
 
 
 def answer(
