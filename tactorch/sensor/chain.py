@@ -11,7 +11,7 @@ from tactorch.errors import ConfigError
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.calibration import Calibration
 from tactorch.sensor.contact import carry_displacements
-from tactorch.sensor.depth import Height, height_of
+from tactorch.sensor.depth import STEEP, Height, height_of
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.gel import Contact, GelModel
@@ -19,6 +19,7 @@ from tactorch.sensor.image import Image
 from tactorch.sensor.markers import MarkerLook, MarkerTracker, TrackOptions, displacement_mm
 
 _OUT = np.array([0.0, 0.0, 1.0])  # of the sensor
+_SCALE_OFF = 0.02  # by which a pixel may be of another size than when calibrated
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,18 @@ class ChainOptions:
         noise_mm: Standard deviation of the displacements that markers and depth tell.
         around_mm: By how much the touched region is widened beyond what depth shows.
         least_mm: Depth below which a frame is taken to be without contact.
+        steep: Slope from which the face counts as deformed, see `height_of`.
         track: How strictly markers are followed.
     """
 
     noise_mm: Real = 0.01
     around_mm: Real = 0.5
     least_mm: Real = 0.03
+    steep: Real = STEEP
     track: TrackOptions = field(default_factory=TrackOptions)
 
     def __post_init__(self) -> None:
-        for name in ("noise_mm", "around_mm", "least_mm"):
+        for name in ("noise_mm", "around_mm", "least_mm", "steep"):
             positive(name, getattr(self, name))
 
 
@@ -92,7 +95,8 @@ class SensorChain:
         options: How frames become contacts.
 
     Raises:
-        ConfigError: The sensor has no markers, or the reference shows too few.
+        ConfigError: The sensor has no markers, the reference shows too few, or sensor, calibration
+            and reference are not of one image size and scale.
     """
 
     def __init__(
@@ -105,8 +109,10 @@ class SensorChain:
     ) -> None:
         if sensor.markers is None:
             raise ConfigError(
-                f"sensor '{sensor.name}' has no markers, which tell how it is sheared."
+                f"sensor '{sensor.name}' has no markers, which tell how it is sheared; give markers"
+                " in its description."
             )
+        _check_sizes(sensor, calibration, reference)
         self.sensor, self.calibration, self.reference = sensor, calibration, reference
         self.model = model or GelModel(sensor.gel)
         self.options = options or ChainOptions()
@@ -143,7 +149,7 @@ class SensorChain:
             return Deformed(frame, np.full(self.tracker.begin.shape, np.nan), None, None, none)
         found = self.tracker.follow(frame.image).places
         slopes = self.calibration.slopes(frame.image, self.reference)
-        height = height_of(slopes, self.mm_per_px)
+        height = height_of(slopes, self.mm_per_px, self.options.steep)
         if -height.height_mm.min() < float(self.options.least_mm):
             return Deformed(frame, found, height, None, none)
         moved = self._moved(found, height)
@@ -187,3 +193,19 @@ class SensorChain:
         """Values of the image's pixels at places; NaN outside the image."""
         columns, rows = self.sensor.to_px(places_mm).T
         return map_coordinates(field, [rows, columns], order=1, cval=np.nan)
+
+
+def _check_sizes(sensor: SensorDescription, calibration: Calibration, reference: Image) -> None:
+    for name, image in (("reference", reference), ("calibration", calibration.reference)):
+        if image.shape[:2] != sensor.shape:
+            raise ConfigError(
+                f"the {name} is of images of {image.shape[1]} x {image.shape[0]} px, but those of"
+                f" the sensor '{sensor.name}' are {sensor.shape[1]} x {sensor.shape[0]}; give that"
+                " of this sensor."
+            )
+    told = np.array(sensor.mm_per_px, dtype=float)
+    if np.abs(np.array(calibration.mm_per_px) / told - 1).max() > _SCALE_OFF:
+        raise ConfigError(
+            f"the sensor '{sensor.name}' was calibrated with mm_per_px={calibration.mm_per_px}, its"
+            f" description has {tuple(told.tolist())}; calibrate again, or correct one of them."
+        )

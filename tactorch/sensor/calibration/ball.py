@@ -1,6 +1,5 @@
 """Presses of a ball of known radius: what the slopes of the gel's face are where it touches."""
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import require_file
+from tactorch.sensor.description.numbers import pixel_size
+from tactorch.sensor.table import rows_of
 
 _COLUMNS = ("image", "center_x_px", "center_y_px", "radius_px")
 
@@ -49,7 +49,12 @@ class Ball:
 
     def __post_init__(self) -> None:
         if not 0.2 <= self.radius_mm <= 100.0:
-            raise ConfigError(f"radius_mm={self.radius_mm:g}: give a ball's radius, 0.2 to 100 mm.")
+            metres = f" Is it in metres? Then give {1e3 * self.radius_mm:g}."
+            raise ConfigError(
+                f"radius_mm={self.radius_mm:g}: give a ball's radius, 0.2 to 100 mm."
+                + (metres if 2e-4 <= self.radius_mm <= 0.1 else "")
+            )
+        pixel_size("mm_per_px", self.mm_per_px)
 
     def check(self, circle: Circle, name: str) -> None:
         """Refuse a contact that is wider than the ball.
@@ -100,23 +105,17 @@ def read_labels(path: str | Path) -> Mapping[str, Circle]:
     Raises:
         FileError: The file is missing, or a line cannot be read; the message names it.
     """
-    file = require_file(path, "table of contacts")
     found: dict[str, Circle] = {}
-    with open(file, newline="", encoding="utf-8") as text:
-        rows = csv.DictReader(text)
-        # Other people's tables call a contact's radius that.
-        names = {"contact_radius_px": "radius_px"}
-        header = [names.get(name, name) for name in rows.fieldnames or []]
-        missing = [name for name in _COLUMNS if name not in header]
-        if missing:
-            raise FileError(f"table of contacts '{path}' lacks the column {missing[0]}.")
-        rows.fieldnames = header
-        for number, row in enumerate(rows, start=2):
-            try:
-                x, y, radius = (float(row[name]) for name in _COLUMNS[1:])
-                found[row["image"]] = Circle((x, y), radius)
-            except (TypeError, ValueError, ConfigError) as error:
-                raise FileError(f"table of contacts '{path}', line {number}: {error}") from error
+    # Other people's tables call a contact's radius that.
+    also = {"contact_radius_px": "radius_px"}
+    for row in rows_of(path, "table of contacts", _COLUMNS, also):
+        name, (x, y, radius) = row.text("image"), [row.number(one) for one in _COLUMNS[1:]]
+        if name in found:
+            raise FileError(f"{row.where}: {name} has a contact already; give one for each image.")
+        try:
+            found[name] = Circle((x, y), radius)
+        except ConfigError as error:
+            raise FileError(f"{row.where}: {error}") from error
     if not found:
-        raise FileError(f"table of contacts '{path}' has no line.")
+        raise FileError(f"table of contacts '{path}' has no line; give one for each image.")
     return found

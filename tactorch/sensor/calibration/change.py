@@ -41,7 +41,10 @@ def change(
     import cv2
 
     if image.shape != reference.shape:
-        raise ConfigError(f"the image has shape {image.shape}, the reference {reference.shape}.")
+        raise ConfigError(
+            f"the image has shape {image.shape}, the reference {reference.shape}; give rectified"
+            " images of one sensor."
+        )
     difference = (image.astype(np.float64) - reference) / _UNIT
     known = ~hidden(image, reference, look)
     if not known.all():

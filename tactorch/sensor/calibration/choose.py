@@ -1,6 +1,6 @@
 """Which map to take: the one that errs least on presses that it was not fitted to."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,18 +29,33 @@ def held_out_quality(
     Raises:
         ConfigError: There are fewer presses than folds, or fewer than two folds.
     """
-    options = options or FitOptions()
+    groups = left_out(touches, ball, options or FitOptions(), folds)
+    return together([judge(found, left, circles, ball) for found, left, circles in groups])
+
+
+def left_out(
+    touches: Sequence[Touch], ball: Ball, options: FitOptions, folds: int
+) -> Iterator[tuple[SlopeMap, list[Touch], list[Circle]]]:
+    """Yield for each group of presses the map that the others tell, the group, and its circles.
+
+    Args:
+        touches: Presses.
+        ball: What was pressed.
+        options: How the map is found; its seed deals out the groups too.
+        folds: In how many groups presses are left out.
+
+    Raises:
+        ConfigError: There are fewer presses than folds, or fewer than two folds.
+    """
     if not 2 <= folds <= len(touches):
         raise ConfigError(f"folds={folds}: give 2 to {len(touches)}, the number of presses.")
     order = np.random.default_rng(options.seed).permutation(len(touches))
-    parts = []
     for fold in range(folds):
         out = set(order[fold::folds].tolist())
         used = [touch for i, touch in enumerate(touches) if i not in out]
         left = [touch for i, touch in enumerate(touches) if i in out]
         found, _ = fit_map(used, ball, options)
-        parts.append(judge(found, left, [_circle(touch, found, ball) for touch in left], ball))
-    return _together(parts)
+        yield found, left, [new_circle(touch, found, ball) for touch in left]
 
 
 def choose_map(
@@ -71,12 +86,12 @@ def choose_map(
     return min(found, key=lambda name: sum(found[name].mae)), found
 
 
-def _circle(touch: Touch, found: SlopeMap, ball: Ball) -> Circle:
+def new_circle(touch: Touch, found: SlopeMap, ball: Ball) -> Circle:
     """Fit the circle of a press that was left out, twice: the second from the first's radius."""
     return fit_circle(touch, found, ball, fit_circle(touch, found, ball, touch.circle))
 
 
-def _together(parts: Sequence[Quality]) -> Quality:
+def together(parts: Sequence[Quality]) -> Quality:
     """Mean of what folds were judged at, by their pixels."""
     weights = np.array([part.pixels for part in parts], dtype=float)
     weights /= weights.sum()

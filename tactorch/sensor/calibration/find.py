@@ -7,6 +7,7 @@ from tactorch.errors import ConfigError
 from tactorch.sensor.calibration.ball import Ball, Circle
 
 _LEAST_CHANGE = 0.02  # in units of `change` per pixel: a grey value or so
+_LARGEST = 2.0  # radius of a ball over the image's longer side
 _SHARE = 0.4  # of the strongest change from pixel to pixel, smoothed: the contact's is more
 
 
@@ -24,10 +25,21 @@ def find_circle(changed: Float[np.ndarray, "h w 3"], ball: Ball, name: str = "im
     import cv2
 
     radius_px = ball.radius_mm / ball.mm_per_px[0]
+    rows, columns = changed.shape[:2]
+    if radius_px > _LARGEST * max(rows, columns):
+        raise ConfigError(
+            f"{name}: a ball of radius_mm={ball.radius_mm:g} would be {radius_px:.0f} px in an"
+            f" image of {columns} x {rows}; check radius_mm and mm_per_px={ball.mm_per_px[0]:g}."
+        )
+    if not np.isfinite(changed).all():
+        raise ConfigError(f"{name}: the change of its colours is not finite; is the image whole?")
     size = _steepness(changed, radius_px)
     top = float(size.max())
     if top < _LEAST_CHANGE:
-        raise ConfigError(f"{name}: no ball found; nothing changed against the reference.")
+        raise ConfigError(
+            f"{name}: no ball found; nothing changed against the reference. Leave the"
+            " image out, or check that the reference is without contact."
+        )
     mask = (size > _SHARE * top).astype(np.uint8)
     _, labels, facts, centers = cv2.connectedComponentsWithStats(mask)
     weights = np.bincount(labels.ravel(), size.ravel())

@@ -44,6 +44,24 @@ class Touch:
     known: Bool[np.ndarray, "h w"]
     circle: Circle
 
+    def __post_init__(self) -> None:
+        rows, columns = self.changed.shape[:2]
+        (x, y), radius = self.circle.center_px, self.circle.radius_px
+        if not (-0.5 <= x <= columns - 0.5 and -0.5 <= y <= rows - 0.5):
+            raise ConfigError(
+                f"{self.name}: the contact at ({x:g}, {y:g}) px lies beside the image of {columns}"
+                f" x {rows} px; are labels and image of one size, and x before y?"
+            )
+        if radius > max(rows, columns):
+            raise ConfigError(
+                f"{self.name}: the contact's radius_px={radius:g} is more than the image of"
+                f" {columns} x {rows} px; give pixels."
+            )
+        if not np.isfinite(self.changed).all():
+            raise ConfigError(
+                f"{self.name}: the change of its colours is not finite; leave it out."
+            )
+
 
 @dataclass(frozen=True)
 class FitOptions:
@@ -84,7 +102,9 @@ def fit_map(
     """
     options = options or FitOptions()
     if not touches:
-        raise ConfigError("no press of the ball to calibrate with.")
+        raise ConfigError(
+            "no press of the ball to calibrate with; give images and where it touches."
+        )
     found = make_map(options.map, options.seed)
     circles = [touch.circle for touch in touches]
     for number in range(options.rounds):
@@ -169,6 +189,8 @@ def _learn(
         rows = features(touch.changed).reshape(-1, 5)
         distance = np.where(touch.known, ball.distance(shape, circle), np.nan).ravel()
         inside = _some(rng, np.flatnonzero(distance < _INSIDE), _PIXELS)
+        if not len(inside):
+            raise ConfigError(f"{touch.name}: no pixel of the contact is not a marker's.")
         seen.append(rows[inside])
         slopes.append(ball.slopes(shape, circle).reshape(-1, 2)[inside])
         # Where nothing is touched nothing is sloped; its colours do not change but for noise.

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import FileError
+from tactorch.errors import ConfigError, FileError
 from tactorch.files import atomic_path, require_file
 from tactorch.sensor.calibration.change import change
 from tactorch.sensor.calibration.fit import seen_slopes
 from tactorch.sensor.calibration.maps import SlopeMap, make_map
+from tactorch.sensor.description.numbers import pixel_size
 from tactorch.sensor.image import Image
 from tactorch.sensor.markers import MarkerLook
 from tactorch.versions import versions
@@ -47,8 +48,14 @@ class Calibration:
             reference: Of the gel without contact on that day; None for the calibration's own.
 
         Raises:
-            ConfigError: The image has another size than the reference.
+            ConfigError: The image has another size than the reference, or than calibrated for.
         """
+        if image.shape != self.reference.shape:
+            raise ConfigError(
+                f"the image has shape {image.shape}, but the sensor was calibrated with"
+                f" {self.reference.shape}; give rectified images of that sensor, or calibrate"
+                " again."
+            )
         still = self.reference if reference is None else reference
         return seen_slopes(self.map, change(image, still, self.look))
 
@@ -96,8 +103,9 @@ def load_calibration(path: str | Path) -> Calibration:
         found_map = make_map(about["map"])
         found_map.restore({k[len(_PREFIX) :]: v for k, v in content.items() if k != "reference"})
         look = None if about["look"] is None else MarkerLook(**about["look"])
-        x, y = about["mm_per_px"]
-        return Calibration(found_map, content["reference"], (x, y), look, about["facts"])
+        scale = pixel_size("mm_per_px", about["mm_per_px"])
+        _check_arrays(content)
+        return Calibration(found_map, content["reference"], scale, look, about["facts"])
     except FileError:
         raise
     except Exception as error:  # what a damaged archive leads to has no common base
@@ -106,3 +114,12 @@ def load_calibration(path: str | Path) -> Calibration:
             f"calibration '{path}' cannot be read ({reason}); it is damaged or another file."
             " Calibrate again."
         ) from error
+
+
+def _check_arrays(content: dict[str, np.ndarray]) -> None:
+    reference = content["reference"]
+    if reference.dtype != np.uint8 or reference.ndim != 3 or reference.shape[2] != 3:
+        raise ValueError(f"its reference is no image but {reference.shape} of {reference.dtype}")
+    for name, values in content.items():
+        if not np.isfinite(values).all():
+            raise ValueError(f"its {name} is not finite")

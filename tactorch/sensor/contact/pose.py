@@ -3,7 +3,6 @@
 A pose turns points in the sensor's frame into the object's: p_object = R p_sensor + t, mm.
 """
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import require_file
+from tactorch.sensor.table import rows_of
 
 _EXACT = 1e-4  # of a rotation's orthonormality
 _FAR_MM = 1e4  # poses farther off look like metres taken for millimetres, or a wrong frame
@@ -38,6 +37,9 @@ class Poses:
     def __post_init__(self) -> None:
         if not len(self.time_s):
             raise ConfigError("there is no pose.")
+        if not np.isfinite(self.time_s).all():
+            i = int(np.argmin(np.isfinite(self.time_s)))
+            raise ConfigError(f"pose {i} has no time: time_s is {self.time_s[i]:g}; give seconds.")
         bad = np.flatnonzero(~(np.diff(self.time_s) > 0))
         if len(bad):
             raise ConfigError(
@@ -57,12 +59,18 @@ class Poses:
             ConfigError: A time lies before the first or after the last.
         """
         times = np.asarray(times_s, dtype=float)
-        outside = (times < self.time_s[0]) | (times > self.time_s[-1]) | ~np.isfinite(times)
+        untimed = ~np.isfinite(times)
+        if untimed.any():
+            raise ConfigError(
+                f"{int(untimed.sum())} of {len(times)} frames have no time, by which poses are"
+                " found; give frame_rate_hz in the sensor's description."
+            )
+        outside = (times < self.time_s[0]) | (times > self.time_s[-1])
         if outside.any():
             raise ConfigError(
                 f"{int(outside.sum())} of {len(times)} frames have no pose: frames are from"
-                f" {np.nanmin(times):.3f} to {np.nanmax(times):.3f} s, poses from"
-                f" {self.time_s[0]:.3f} to {self.time_s[-1]:.3f} s."
+                f" {times.min():.3f} to {times.max():.3f} s, poses from {self.time_s[0]:.3f} to"
+                f" {self.time_s[-1]:.3f} s. Leave such frames out, or set both to one clock."
             )
         found = np.tile(np.eye(4), (len(times), 1, 1))
         moved = self.T_object_sensor[:, :3, 3]
@@ -84,15 +92,21 @@ def check_pose(pose: Float[np.ndarray, "4 4"], name: str = "T_object_sensor") ->
         ConfigError: It is not; the message says why.
     """
     if not np.isfinite(pose).all():
-        raise ConfigError(f"{name} is not finite.")
+        raise ConfigError(f"{name} is not finite; leave out what the robot did not tell.")
     if np.abs(pose[3] - (0, 0, 0, 1)).max() > _EXACT:
         raise ConfigError(f"{name}: the last row must be 0 0 0 1; is it transposed?")
     turn = pose[:3, :3]
     determinant = float(np.linalg.det(turn))
     if abs(determinant) < 0.5:
-        raise ConfigError(f"{name} is singular (determinant {determinant:.3g}): no rotation.")
+        raise ConfigError(
+            f"{name} is singular (determinant {determinant:.3g}): its upper left 3 x 3 numbers"
+            " must be a rotation."
+        )
     if determinant < 0:
-        raise ConfigError(f"{name} mirrors (determinant {determinant:.3g}): no rotation.")
+        raise ConfigError(
+            f"{name} mirrors (determinant {determinant:.3g}); turn one axis round, so that x, y and"
+            " z are right-handed."
+        )
     if np.abs(turn @ turn.T - np.eye(3)).max() > _EXACT:
         raise ConfigError(f"{name}: its rotation is not orthonormal; does it scale or shear?")
     far = float(np.abs(pose[:3, 3]).max())
@@ -123,28 +137,15 @@ def read_poses(path: str | Path) -> Poses:
         FileError: The file is missing or a line cannot be read.
         ConfigError: A pose cannot be used.
     """
-    file = require_file(path, "table of poses")
-    with open(file, newline="", encoding="utf-8") as text:
-        rows = csv.DictReader(text)
-        missing = [name for name in _QUATERNION if name not in (rows.fieldnames or [])]
-        if missing:
-            raise FileError(
-                f"table of poses '{path}' lacks the column {missing[0]}; it needs"
-                f" {', '.join(_QUATERNION)}."
-            )
-        numbers = []
-        for line, row in enumerate(rows, start=2):
-            try:
-                numbers.append([float(row[name]) for name in _QUATERNION])
-            except (TypeError, ValueError) as error:
-                raise FileError(f"table of poses '{path}', line {line}: {error}.") from error
+    rows = list(rows_of(path, "table of poses", _QUATERNION))
+    numbers = [[row.number(name) for name in _QUATERNION] for row in rows]
     table = np.array(numbers).reshape(-1, len(_QUATERNION))
     sizes = np.linalg.norm(table[:, 4:], axis=1)
     bad = np.flatnonzero(~(np.abs(sizes - 1.0) < 1e-2))
     if len(bad):
         raise FileError(
-            f"table of poses '{path}', line {bad[0] + 2}: the quaternion has length"
-            f" {sizes[bad[0]]:.4g}, not 1."
+            f"{rows[bad[0]].where}: the quaternion has length {sizes[bad[0]]:.4g}, not 1; give qw,"
+            " qx, qy, qz in the columns of these names."
         )
     poses = np.tile(np.eye(4), (len(table), 1, 1))
     if len(table):

@@ -120,8 +120,18 @@ def facing(
             "the gel is over no part of the object in the pose of first touch"
             + (f": the nearest is {away:.3g} mm away" if np.isfinite(away) else "")
             + "; check T_object_sensor, whose z axis points out of the sensor to the object."
+            + _metres(first, mesh)
         )
     return found
+
+
+def _metres(first: Float[np.ndarray, "4 4"], mesh: TetMesh) -> str:
+    """A hint, where a pose that misses the object would not if its place were in metres."""
+    place = first[:3, 3]
+    largest = float(np.abs(place).max())
+    if not 0 < largest < 0.05 * float(np.abs(mesh.points).max()):
+        return ""
+    return f" Its place {[float(f'{v:.4g}') for v in place]} looks like metres; give mm."
 
 
 def _touched_nodes(

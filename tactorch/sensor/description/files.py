@@ -14,6 +14,7 @@ from tactorch.sensor.description.marker_grid import MarkerGrid
 from tactorch.sensor.description.sensor import SensorDescription
 
 _T = TypeVar("_T", GelLayer, MarkerGrid, SensorDescription)
+_TEXTS = ("name", "material")  # all other fields are numbers
 _SHIPPED = Path(__file__).parent
 #: Names of the sensors that come with tactorch.
 SENSORS = tuple(sorted(path.stem for path in _SHIPPED.glob("*.yaml")))
@@ -76,6 +77,14 @@ def _made(what: str, make: type[_T], settings: Any) -> _T:
     for name, field in known.items():
         if name not in settings and field.default is MISSING:
             raise ConfigError(f"{prefix}{name} is missing.")
+    for name, value in settings.items():
+        if isinstance(value, str) != (name in _TEXTS) and value is not None:
+            kind = (
+                "text; put it in quotes"
+                if name in _TEXTS
+                else "a number (YAML takes 1.0e-3 for one, not 1e-3)"
+            )
+            raise ConfigError(f"{prefix}{name}={value!r} must be {kind}.")
     try:
         return make(**settings)
     except ConfigError as error:

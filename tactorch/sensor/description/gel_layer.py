@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, RecordingError
 from tactorch.mesh.values import Real, positive
 from tactorch.recording import MaterialSpec
-from tactorch.sensor.description.numbers import lengths
+from tactorch.sensor.description.numbers import lengths, plausible
 
 _SOFTEST, _STIFFEST = 1e-3, 20.0  # MPa, of what gels are made of
+_THICK_MM, _WIDE_MM = (0.05, 100.0), (0.5, 500.0)  # that gels may be
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,25 @@ class GelLayer:
     material: str = "neo_hookean"
 
     def __post_init__(self) -> None:
-        positive("thickness_mm", self.thickness_mm)
+        plausible("thickness_mm", float(self.thickness_mm), *_THICK_MM)
         youngs = positive("youngs_mpa", self.youngs_mpa)
         if not _SOFTEST <= youngs <= _STIFFEST:
             raise ConfigError(
                 f"youngs_mpa={youngs:g}: gels have {_SOFTEST:g} to {_STIFFEST:g} MPa; give MPa, not"
                 f" Pa or kPa."
             )
-        MaterialSpec(self.material, float(self.poisson))
+        try:
+            MaterialSpec(self.material, float(self.poisson))
+        except RecordingError as error:
+            raise ConfigError(f"{error}") from error
         if (self.size_mm is None) == (self.radius_mm is None):
             raise ConfigError("give size_mm (of a rectangle) or radius_mm (of a circle).")
         if self.size_mm is not None:
             object.__setattr__(self, "size_mm", lengths("size_mm", self.size_mm, 2))
+            for i, side in enumerate(self.size_mm):
+                plausible(f"size_mm[{i}]", float(side), *_WIDE_MM)
         if self.radius_mm is not None:
-            positive("radius_mm", self.radius_mm)
+            plausible("radius_mm", float(self.radius_mm), *_WIDE_MM)
         self._check_curvature()
 
     def _check_curvature(self) -> None:

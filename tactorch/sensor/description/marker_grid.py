@@ -10,6 +10,8 @@ from tactorch.errors import ConfigError
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.description.numbers import lengths, numbers
 
+_MOST = 1000  # markers in a row
+
 
 @dataclass(frozen=True)
 class MarkerGrid:
@@ -35,8 +37,10 @@ class MarkerGrid:
     shift_mm: Sequence[Real] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if min(self.columns, self.rows) < 1:
-            raise ConfigError(f"columns={self.columns}, rows={self.rows} must be at least 1.")
+        for name in ("columns", "rows"):
+            count = getattr(self, name)
+            if not isinstance(count, int | np.integer) or not 1 <= count <= _MOST:
+                raise ConfigError(f"{name}={count!r} must be a whole number from 1 to {_MOST}.")
         object.__setattr__(self, "pitch_mm", lengths("pitch_mm", self.pitch_mm, 2))
         object.__setattr__(self, "shift_mm", numbers("shift_mm", self.shift_mm, 2))
         if positive("diameter_mm", self.diameter_mm) >= min(map(float, self.pitch_mm)):

@@ -15,7 +15,9 @@ from tactorch.errors import ConfigError
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.description.gel_layer import GelLayer
 from tactorch.sensor.description.marker_grid import MarkerGrid
-from tactorch.sensor.description.numbers import lengths, numbers, pixels
+from tactorch.sensor.description.numbers import numbers, pixel_size, pixels
+
+_WIDER = 3.0  # times the gel: what an image cannot show
 
 
 @dataclass(frozen=True)
@@ -63,12 +65,13 @@ class SensorDescription:
         sizes |= {"raw_size_px": self.raw_size_px or self.image_size_px}
         for name, size in sizes.items():
             object.__setattr__(self, name, pixels(name, size))
-        object.__setattr__(self, "mm_per_px", _scale(self.mm_per_px))
+        object.__setattr__(self, "mm_per_px", pixel_size("mm_per_px", self.mm_per_px))
         if self.frame_rate_hz is not None:
             positive("frame_rate_hz", self.frame_rate_hz)
         self._check_lens()
         self._check_warp()
         self._check_crop()
+        self._check_gel()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -147,6 +150,25 @@ class SensorDescription:
                 f"crop_px={list(crop)} reaches beyond the {whole[0]} x {whole[1]} px before it."
             )
 
+    def _check_gel(self) -> None:
+        (width, height), gel = self.size_mm, 2 * np.array(self.gel.half_mm)
+        if width > _WIDER * gel[0] and height > _WIDER * gel[1]:
+            raise ConfigError(
+                f"the image shows {width:.4g} x {height:.4g} mm, but the gel is {gel[0]:g} x"
+                f" {gel[1]:g} mm; check mm_per_px and the gel's size."
+            )
+        if self.markers is None:
+            return
+        places = self.markers.places_mm
+        inside = self.gel.covers(places)
+        if not inside.all():
+            far = np.abs(places).max(axis=0)
+            raise ConfigError(
+                f"markers: {int((~inside).sum())} of {len(places)} lie beyond the gel: they reach"
+                f" {far[0]:.4g} and {far[1]:.4g} mm from the middle, the gel {gel[0] / 2:g} and"
+                f" {gel[1] / 2:g} mm. Check columns, rows and pitch_mm, or give within_mm."
+            )
+
     @property
     def warped_size(self) -> tuple[int, int]:
         """Width and height of an image before it is cropped."""
@@ -155,14 +177,3 @@ class SensorDescription:
         size = self.raw_size_px if self.warp_corners_px is None else self.image_size_px
         assert size is not None
         return size[0], size[1]
-
-
-def _scale(value: Sequence[Real]) -> tuple[float, float]:
-    x, y = lengths("mm_per_px", value, 2)
-    for number in (x, y):
-        if number > 1.0:
-            raise ConfigError(
-                f"mm_per_px={[x, y]}: a pixel of {number:g} mm looks like pixels per mm; give"
-                f" mm per pixel ({1 / number:.4g})."
-            )
-    return x, y

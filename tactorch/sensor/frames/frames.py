@@ -6,7 +6,7 @@ from itertools import islice
 
 import numpy as np
 
-from tactorch.errors import FileError
+from tactorch.errors import ConfigError, FileError
 from tactorch.mesh.values import Real
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames.faults import FaultLimits, fault_of
@@ -15,6 +15,8 @@ from tactorch.sensor.frames.source import SourceLike, frames_of
 from tactorch.sensor.image import Image
 
 _GAP = 1.5  # frame periods between frames, from which one was dropped
+
+_LEAST_LIGHT = 8.0  # grey values, of a reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +60,10 @@ def read_frames(
 
     Raises:
         FileError: There is nothing to read.
+        ConfigError: The reference has another size than the sensor's images.
     """
     rectify = rectifier(sensor)
+    _check_reference(reference, sensor)
     raws = frames_of(source)  # here, so that a source that is not there is told at once
 
     def run() -> Iterator[Frame]:
@@ -90,17 +94,36 @@ def read_reference(source: SourceLike, sensor: SensorDescription, frames: int = 
         frames: How many to average; those that cannot be read do not count.
 
     Raises:
-        FileError: There are fewer frames that can be read, or they have the wrong size.
+        FileError: There are fewer frames that can be read, they have the wrong size, or are dark.
+        ConfigError: `frames` is less than 1.
     """
+    if frames < 1:
+        raise ConfigError(f"frames={frames} must be at least 1: that many make the reference.")
     rectify = rectifier(sensor)
     good = ((raw.image, raw.name) for raw in frames_of(source) if raw.image is not None)
-    images = [rectify(image, name) for image, name in islice(good, max(1, frames))]
-    if len(images) < frames or not images:
+    images = [rectify(image, name) for image, name in islice(good, frames)]
+    if len(images) < frames:
         raise FileError(
-            f"reference: {len(images)} of {max(1, frames)} frames can be read from"
+            f"reference: {len(images)} of {frames} frames can be read from"
             f" {_named(source)}; declare images of the gel without contact."
         )
-    return np.mean(images, axis=0).round().astype(np.uint8)
+    mean = np.mean(images, axis=0)
+    if mean.mean() < _LEAST_LIGHT:
+        raise FileError(
+            f"reference: the image from {_named(source)} is dark, {mean.mean():.1f} of 255 on"
+            " average; are the sensor's lights on?"
+        )
+    return mean.round().astype(np.uint8)
+
+
+def _check_reference(reference: Image, sensor: SensorDescription) -> None:
+    if reference.shape[:2] != sensor.shape:
+        height, width = reference.shape[:2]
+        raise ConfigError(
+            f"the reference is {width} x {height} px, but rectified images of the sensor"
+            f" '{sensor.name}' are {sensor.shape[1]} x {sensor.shape[0]}; read it with"
+            " read_reference."
+        )
 
 
 def _time(time_s: float | None, index: int, sensor: SensorDescription) -> float | None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tactorch.errors import FileError
-from tactorch.files import require_folder
+from tactorch.files import require_file, require_folder
 from tactorch.sensor.image import Image
 
 #: A path of a folder, an image or a video, the number of a camera, or images themselves.
@@ -56,6 +56,11 @@ def frames_of(source: SourceLike) -> Iterator[RawFrame]:
         return _video(path)
     if path.suffix.lower() in IMAGES:
         return iter([RawFrame(path.name, read_image(path))])
+    if path.is_file():
+        raise FileError(
+            f"'{path}' is no source of frames; give a folder, an image ({', '.join(IMAGES)}) or a"
+            f" video ({', '.join(VIDEOS)})."
+        )
     return _folder(path)
 
 
@@ -67,13 +72,14 @@ def read_image(path: str | Path) -> Image:
     """
     import cv2
 
-    if not Path(path).is_file():
-        raise FileError(f"image not found: '{path}' is not a file.")
+    require_file(path, "image")
     # Not cv2.imread, which writes its own complaints and cannot open every path.
     content = np.fromfile(path, np.uint8)
     image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
     if image is None:
-        raise FileError(f"image '{path}' cannot be read: it is damaged or no image.")
+        raise FileError(
+            f"image '{path}' cannot be read: it is damaged or no image; take or copy it again."
+        )
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -98,8 +104,7 @@ def _read(path: Path) -> RawFrame:
 def _video(path: Path) -> Iterator[RawFrame]:
     import cv2
 
-    if not path.is_file():
-        raise FileError(f"video not found: '{path}' is not a file.")
+    require_file(path, "video")
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise FileError(f"video '{path}' cannot be opened: it is damaged, or of an unknown codec.")
@@ -136,6 +141,8 @@ def _camera(number: int) -> Iterator[RawFrame]:
 
     import cv2
 
+    if number < 0:  # which OpenCV takes for any camera, and may crash on
+        raise FileError(f"camera {number} is none; cameras are numbered from 0.")
     capture = cv2.VideoCapture(number)
     if not capture.isOpened():
         raise FileError(
@@ -160,11 +167,17 @@ def _camera(number: int) -> Iterator[RawFrame]:
 
 
 def _given(images: Iterable[np.ndarray]) -> Iterator[RawFrame]:
+    i = -1
     for i, image in enumerate(images):
         name = f"frame {i}"
         array = np.asarray(image)
         if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3:
-            fault = f"an image must be (h, w, 3) of uint8, not {array.shape} of {array.dtype}"
+            fault = (
+                f"an image must be (h, w, 3) of uint8, not {array.shape} of {array.dtype}; convert"
+                " it to RGB of 8 bits"
+            )
             yield RawFrame(name, None, fault=fault)
         else:
             yield RawFrame(name, array)
+    if i < 0:
+        raise FileError("no image was given as a frame; is the source empty?")

@@ -104,7 +104,7 @@ def record(
     if not presses:
         first_name, reason = next(iter(passed_over.items()))
         raise ConfigError(f"no frame with contact became a press; '{first_name}': {reason}")
-    facts = {"sensor": chain.sensor.name, "frames": session.frames, "presses": rows}
+    facts = {"sensor": chain.sensor.name, "frames": len(session.glances), "presses": rows}
     facts |= {"faulty frames": session.faults, "passed over": passed_over, "versions": versions()}
     recording = Recording(
         mesh, tuple(presses), material, provenance={**facts, **(provenance or {})}
@@ -150,10 +150,12 @@ def _require_contact(session: Session, chain: SensorChain) -> None:
         return
     faulty = f", {len(session.faults)} of them faulty," if session.faults else ""
     raise ConfigError(
-        f"none of {session.frames} frames{faulty} shows contact: the gel is pressed by"
+        f"none of {len(session.glances)} frames{faulty} shows contact: the gel is pressed by"
         f" {session.deepest_mm:.3g} mm at most, contact counts from"
-        f" {float(chain.options.least_mm):g} mm (least_mm). Is the reference without contact, and"
-        " is the calibration of this sensor?"
+        f" {float(chain.options.least_mm):g} mm (least_mm); its slopes reach"
+        f" {session.steepest:.3g}, it counts as deformed from"
+        f" {float(chain.options.steep):g} (steep)."
+        " Is the reference without contact, and is the calibration of this sensor?"
     )
 
 

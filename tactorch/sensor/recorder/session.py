@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -28,11 +29,10 @@ class Episode:
     depths_mm: list[float] = field(default_factory=list)
     looks: list[Deformed] = field(default_factory=list)
 
-    def add(self, look: Deformed, time_s: float) -> None:
+    def add(self, look: Deformed, time_s: float, depth_mm: float) -> None:
         """Add a frame; its image and heights are let go, for sessions are long."""
-        assert look.height is not None
         self.times_s.append(time_s)
-        self.depths_mm.append(float(-look.height.height_mm.min()))
+        self.depths_mm.append(depth_mm)
         self.looks.append(replace(look, frame=replace(look.frame, image=None), height=None))
 
     def chosen(self, steps: int) -> list[int]:
@@ -44,24 +44,55 @@ class Episode:
         return sorted({int(i) for i in nearest})
 
 
+class Glance(NamedTuple):
+    """What is kept of a frame.
+
+    Attributes:
+        name: Of the frame.
+        time_s: Since the first frame; None where unknown.
+        depth_mm: How deep the gel is pressed; NaN where that cannot be measured.
+        steepest: Largest slope of its face; NaN likewise.
+        contact: Number of the contact that it belongs to, from 0; None without.
+        fault: What is wrong with it, or "".
+    """
+
+    name: str
+    time_s: float | None
+    depth_mm: float
+    steepest: float
+    contact: int | None
+    fault: str
+
+
 @dataclass(eq=False)
 class Session:
     """What the frames of a session show.
 
     Attributes:
-        frames: How many there were.
+        glances: What is kept of each frame.
         contacts: The contacts.
-        faults: What was wrong with frames, by their names.
-        deepest_mm: How deep the gel was pressed in any frame.
         noise_mm: Root mean square of how markers move along the face without contact; None where
             no frame is without.
     """
 
-    frames: int = 0
+    glances: list[Glance] = field(default_factory=list)
     contacts: list[Episode] = field(default_factory=list)
-    faults: dict[str, str] = field(default_factory=dict)
-    deepest_mm: float = 0.0
     noise_mm: float | None = None
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """What is wrong with frames, by their names."""
+        return {one.name: one.fault for one in self.glances if one.fault}
+
+    @property
+    def deepest_mm(self) -> float:
+        """How deep the gel was pressed in any frame."""
+        return float(np.nanmax([0.0, *(one.depth_mm for one in self.glances)]))
+
+    @property
+    def steepest(self) -> float:
+        """Largest slope of the gel's face in any frame."""
+        return float(np.nanmax([0.0, *(one.steepest for one in self.glances)]))
 
 
 def watch(
@@ -86,27 +117,38 @@ def watch(
     """
     found, squares, free_s = Session(), [], None
     now: Episode | None = None
+    episodes: list[Episode] = []
     for frame in frames:
-        found.frames += 1
-        if frame.fault:
-            found.faults[frame.name] = frame.fault
+        depth_mm, steepest, number = float("nan"), float("nan"), None
         if frame.image is not None and frame.sound:
             time_s, look = _time(frame), chain.deformed(frame)
             if look.height is not None:
-                found.deepest_mm = max(found.deepest_mm, float(-look.height.height_mm.min()))
+                depth_mm, steepest = -float(look.height.height_mm.min()), look.height.steepest
             if look.moved is None:
                 squares.append(_squared(chain, look))
                 now, free_s = None, time_s
             else:
                 if now is None:
                     now = Episode(free_s)
-                    found.contacts.append(now)
-                now.add(look, time_s)
-        progress(found.frames)
-    found.contacts = [one for one in found.contacts if len(one.looks) >= least_frames]
+                    episodes.append(now)
+                number = len(episodes) - 1
+                now.add(look, time_s, depth_mm)
+        found.glances.append(
+            Glance(frame.name, frame.time_s, depth_mm, steepest, number, frame.fault)
+        )
+        progress(len(found.glances))
+    _keep(found, episodes, least_frames)
     if squares:
         found.noise_mm = float(np.sqrt(np.nanmean(np.concatenate(squares))))
     return found
+
+
+def _keep(found: Session, episodes: list[Episode], least_frames: int) -> None:
+    """Keep contacts of enough frames, and number them anew."""
+    kept = [i for i, one in enumerate(episodes) if len(one.looks) >= least_frames]
+    found.contacts = [episodes[i] for i in kept]
+    new: dict[int | None, int] = {old: number for number, old in enumerate(kept)}
+    found.glances = [one._replace(contact=new.get(one.contact)) for one in found.glances]
 
 
 def _time(frame: Frame) -> float:

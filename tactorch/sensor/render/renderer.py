@@ -102,6 +102,8 @@ def render(
     look = look or Look()
     if face.height_mm.shape != sensor.shape:
         raise ConfigError(f"heights are {face.height_mm.shape}, images {sensor.shape}.")
+    if not np.isfinite(face.height_mm).all():
+        raise ConfigError("heights are not finite everywhere; give 0 where the face is at rest.")
     rows, columns = np.indices(sensor.shape)
     places = sensor.to_mm(np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float))
     rest = sensor.gel.height_mm(places).reshape(sensor.shape)
