@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
-from tactorch.cli.catalog import PACKAGE, Catalog, conf_folder
+from tactorch.cli.catalog import PACKAGE, Catalog, app_name, conf_folder
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -64,7 +64,8 @@ class App:
 
         debugging = os.environ.get(_DEBUG) == "1"
         with _process_of(self.verb, self.settings):
-            app = hydra.main(version_base="1.3", config_path=_conf(), config_name=self.verb)
+            name = app_name(self.verb)
+            app = hydra.main(version_base="1.3", config_path=_conf(), config_name=name)
             try:
                 app(self.job)()
             except Exception as error:
@@ -132,7 +133,7 @@ def _say(message: str, verb: str) -> None:
 
 def _module(verb: str) -> ModuleType:
     """Import a command's module, and with it all that makes a start slow."""
-    return importlib.import_module(f"tactorch.cli.{_MODULES.get(verb, verb)}")
+    return importlib.import_module(f"tactorch.cli.{_MODULES.get(verb, verb).replace(' ', '.')}")
 
 
 def _conf() -> str:

@@ -25,6 +25,11 @@ def conf_folder() -> Path:
     raise FileError(f"the settings ({PACKAGE}) are not installed; pip install tactorch anew.")
 
 
+def app_name(verb: str) -> str:
+    """Return the name of a command's settings, and of its Hydra app: without a space."""
+    return verb.replace(" ", "-")
+
+
 class Catalog:
     """Settings and groups of one command."""
 
@@ -32,7 +37,7 @@ class Catalog:
         """Read the command's own file; those of groups are read when asked for."""
         self.verb = verb
         self.folder = conf_folder()
-        self.text = (self.folder / f"{verb}.yaml").read_text(encoding="utf-8")
+        self.text = (self.folder / f"{app_name(verb)}.yaml").read_text(encoding="utf-8")
         self._content = _parse(self.text)
 
     @property

@@ -106,23 +106,26 @@ _NAMES_OF: dict[Kind, str] = {
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
         tube low_mpa high_mpa hole_mpa waist_mm rim_mm radius_mm ball distance median_mpa spread
         patch_share prior_share dropout learning_rate weight_decay gradient_clip max_minutes
-        brightness ball_radius_mm marker_diameter_px magnify edge_mm around_mm least_mm
+        brightness ball_radius_mm marker_diameter_px magnify edge_mm around_mm least_mm steep
+        reach_mm depth_mm
     """,
     _MODULUS: "start_mpa",
     _WHOLE: """
         seed samples steps max_iterations max_evaluations stage_iterations cg_iterations memory
         max_trials workers max_epochs splits hidden layers voxels batch split patience
         width encoded cells held_out folds rounds reference_frames most_frames pictures
+        least_frames
     """,
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor
         scheduler accelerator strategy precision part map
+        first_touch untouched held_side held_by unit
     """,
     _PATH: """
         path out recording run run_dir resume folder weights
-        sensor images reference labels calibration frames
+        sensor images reference labels calibration frames poses
     """,
-    _POINT: "center size radii axis",
+    _POINT: "center size radii axis size_mm origin_mm",
     _FLAG: "plots check_units retry_failed card augment video backward",
     _RECONSTRUCT: "reconstruct",
     _PRIOR_MEAN: "prior_mean",
@@ -146,7 +149,7 @@ _OPTIONAL = """
     unknowns.poisson force_scale rest_scale translation_mm rotation_rad
     edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
     dataset.presses.load dataset.poisson weights
-    labels mm_per_px marker_diameter_px held_out folds most_frames
+    reference labels mm_per_px marker_diameter_px held_out folds most_frames object.depth_mm
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 

@@ -11,12 +11,12 @@ NAME = "sensor_chain"
 
 @pytest.mark.slow
 def test_gel_and_cube_share_what_touches(benchmark: ModuleType) -> None:
-    scene = benchmark.simulated(benchmark.SIDES["z+"], 1.0)
+    (scene,) = benchmark.simulated(benchmark.SIDES["z+"], 1.0, [1.0])
     assert scene.force[2] < -1.0  # N: the cube pushes the gel into the sensor
     under = np.abs(scene.points[:, :2]).max(axis=1) < 4.1
     beside = np.abs(scene.points[:, :2]).max(axis=1) > 6.1
     assert scene.moved[under, 2].max() < 2 * scene.moved[beside, 2].min()  # both below 0
-    assert scene.cube[..., 2].min() > -benchmark.DEPTH
+    assert scene.cube[..., 2].min() > -1.0
 
 
 def test_sides_are_turned_up(benchmark: ModuleType) -> None:
@@ -35,7 +35,7 @@ def test_a_ball_is_found_from_images_alone(
     found = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     assert min(found["calibration"]["r2"]) > 0.98
     assert found["calibration"]["depth_rms_mm"] < 0.05
-    for side in found["sides"]:
+    for side in found["presses"]:
         assert side["marker_rms_mm"] < 0.01
         assert side["force_n"] == pytest.approx(side["true_force_n"], rel=0.1)
         assert side["object_rms_mm"] < 0.1 * side["object_size_mm"]

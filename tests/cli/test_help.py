@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tactorch.cli import VERBS
+from tactorch.cli import COMMANDS, GROUPS, VERBS
 from tactorch.cli.catalog import Catalog
 from tactorch.cli.kinds import KINDS
 
@@ -19,15 +19,26 @@ def test_usage_names_every_command(tactorch: Any) -> None:
         assert all(f"tactorch {verb}" in done.out for verb in VERBS)
 
 
+@pytest.mark.parametrize("group", GROUPS)
+def test_commands_of_a_verb_are_listed(tactorch: Any, group: str) -> None:
+    for arguments in ((group,), (group, "--help"), (group, "help"), ("--help",)):
+        done = tactorch(*arguments)
+        assert done.status == 0
+        for command, text in GROUPS[group].items():
+            assert f"tactorch {group} {command} " in done.out
+            assert text in done.out
+    assert not list(Path().iterdir())
+
+
 def test_versions_are_told(tactorch: Any) -> None:
     out = tactorch("--version").out
     assert "tactorch" in out
     assert "torch" in out
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", COMMANDS)
 def test_help_teaches(tactorch: Any, verb: str) -> None:
-    done = tactorch(verb, "--help")
+    done = tactorch(*verb.split(), "--help")
     assert done.status == 0
     catalog = Catalog(verb)
     for name in catalog.settings:
@@ -47,7 +58,7 @@ def test_help_follows_the_chosen_option(tactorch: Any) -> None:
     assert not Path("outputs").exists()
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", COMMANDS)
 def test_every_option_says_what_it_is(verb: str) -> None:
     catalog = Catalog(verb)
     for group in catalog.defaults:
@@ -55,7 +66,7 @@ def test_every_option_says_what_it_is(verb: str) -> None:
             assert len(catalog.about(group, option)) > 10, (group, option)
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", COMMANDS)
 def test_kind_of_every_setting_is_known(verb: str) -> None:
     catalog = Catalog(verb)
     tables = {"bounds", "noise", "family", "presses", "sizes", *catalog.defaults}
@@ -82,6 +93,10 @@ def test_optimizer_of_the_paper_brings_its_own_choices(tactorch: Any) -> None:
     ("arguments", "words"),
     [
         (("simlate",), ("'simlate' is not a command", "Did you mean 'simulate'?")),
+        (("sensor", "calibrat"), ("'calibrat' is not one of", "Did you mean 'calibrate'?")),
+        (("sensor", "sensor=x"), ("'sensor=x' is not one of", "choose one of calibrate, check")),
+        (("sensor", "track", "frame=x"), ("unknown setting 'frame'", "Did you mean 'frames'?")),
+        (("sensor", "track"), ("'sensor' is missing", "tactorch sensor track --help")),
         (("simulate", "phantm=x"), ("unknown setting 'phantm'", "'phantom'?", "--help")),
         (("simulate", "phantom.raduis=1"), ("'phantom.raduis'", "Did you mean 'phantom.radius'?")),
         (("simulate", "steps=3"), ("'steps'", "Did you mean 'press.steps'?")),
@@ -117,7 +132,8 @@ def test_help_and_typing_errors_do_not_wait_for_torch() -> None:
     code = (
         "import sys\n"
         "from tactorch.cli import main\n"
-        "for words in (['invert', '--help'], ['invert', 'recrding=x'], ['invert']):\n"
+        "for words in (['invert', '--help'], ['invert', 'recrding=x'], ['invert'],\n"
+        "    ['sensor'], ['sensor', 'force', '--help'], ['sensor', 'force']):\n"
         "    try: main(words)\n"
         "    except SystemExit: pass\n"
         "    heavy = {'torch', 'numpy', 'scipy', 'h5py', 'matplotlib'} & set(sys.modules)\n"

@@ -120,6 +120,8 @@ def test_faults_are_told_and_the_rest_goes_on(
     assert "torn at row 20" in said["3.png"]
     assert "damaged or no image" in said["4.png"]
     assert "frozen" in said["6.png"]
+    sound = [name for name, one in found.items() if one.sound]
+    assert sound == ["0.png", "2.png", "5.png"]  # what saturates can be measured on, for the most
     assert "64 x 40 px, but the sensor 'small' gives 64 x 48" in said["7.png"]
     assert [name for name, one in found.items() if one.image is None] == ["4.png", "7.png"]
 

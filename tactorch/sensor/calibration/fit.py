@@ -26,6 +26,9 @@ _FAR = 2.2  # of it: nothing is touched there
 _PIXELS, _FAR_PIXELS = 2500, 600  # of each press
 _OUTLIER = 0.25  # squared difference of slopes above which a pixel counts no more
 _AGREES = 0.85  # of the ball's slope: where the seen one falls below, contact ends
+# A map that has not learnt steep slopes sees none, and takes contact to end where it does: were
+# circles free to shrink they would do so round by round, and leave out what is hard to see.
+_LEAST = 0.9  # of a contact's radius as found or labelled
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +134,7 @@ def fit_circle(touch: Touch, found: SlopeMap, ball: Ball, circle: Circle) -> Cir
     """Return the circle whose ball has the slopes that a map sees, best.
 
     The middle is fitted to the slopes well inside; the radius is where the seen slope, going out
-    from it, falls behind the ball's.
+    from it, falls behind the ball's, and at least 0.9 of that of the touch.
     """
     slopes = seen_slopes(found, touch.changed)
     shape = touch.changed.shape[:2]
@@ -155,7 +158,8 @@ def fit_circle(touch: Touch, found: SlopeMap, ball: Ball, circle: Circle) -> Cir
         options={"xatol": 0.05, "fatol": 1e-6, "initial_simplex": corners},
     ).x  # fmt: skip
     middle = Circle((float(best[0]), float(best[1])), circle.radius_px)
-    return Circle(middle.center_px, _radius(slopes, touch.known, ball, middle))
+    radius = _radius(slopes, touch.known, ball, middle)
+    return Circle(middle.center_px, max(radius, _LEAST * touch.circle.radius_px))
 
 
 def _radius(

@@ -24,6 +24,7 @@ class FaultLimits:
     torn: float = 8.0
 
 
+_SATURATED = "saturated"
 _FULL = 254  # of 255: a channel that saturates
 _LEAST_JUMP = 4.0  # grey values; smaller ones are noise
 
@@ -45,11 +46,19 @@ def fault_of(
         return f"dark: {brightness / usual:.0%} of the reference's brightness"
     extra = _saturated(image) - _saturated(reference)
     if extra > limits.saturated:
-        return f"saturated: {extra:.0%} of the pixels more than in the reference"
+        return f"{_SATURATED}: {extra:.0%} of the pixels more than in the reference"
     if before is not None and np.array_equal(image, before):
         return "frozen: the same as the frame before it"
     row = _torn(image, reference, limits.torn)
     return f"torn at row {row}" if row else ""
+
+
+def is_sound(fault: str) -> bool:
+    """Tell whether a frame can be measured on, for all its fault.
+
+    A bright contact saturates some pixels of sound frames: those are worth less, not nothing.
+    """
+    return not fault or fault.startswith(_SATURATED)
 
 
 def _saturated(image: Image) -> float:

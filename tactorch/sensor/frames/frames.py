@@ -9,7 +9,7 @@ import numpy as np
 from tactorch.errors import ConfigError, FileError
 from tactorch.mesh.values import Real
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames.faults import FaultLimits, fault_of
+from tactorch.sensor.frames.faults import FaultLimits, fault_of, is_sound
 from tactorch.sensor.frames.rectify import rectifier
 from tactorch.sensor.frames.source import SourceLike, frames_of
 from tactorch.sensor.image import Image
@@ -29,7 +29,8 @@ class Frame:
         image: RGB, rectified; None where there is none that can be read.
         time_s: Since the first frame; None where unknown.
         fault: What is wrong with it, or "".
-        sound: Whether it can be measured on; one before which frames were dropped can.
+        sound: Whether it can be measured on; one that saturates, or before which frames were
+            dropped, can.
     """
 
     index: int
@@ -76,7 +77,7 @@ def read_frames(
                     fault = fault_of(image, reference, before, limits)
                 except FileError as error:
                     fault = str(error)
-            sound = image is not None and not fault
+            sound = image is not None and is_sound(fault)
             fault = fault or _dropped(raw.time_s, before_s, sensor.frame_rate_hz)
             before = image if image is not None else before
             before_s = raw.time_s

@@ -104,7 +104,8 @@ class MarkerTracker:
         """
         if image.shape != self.reference.shape:
             raise ConfigError(
-                f"the frame has shape {image.shape}, the reference {self.reference.shape}."
+                f"the frame has shape {image.shape}, the reference {self.reference.shape}; give"
+                " rectified frames of one sensor."
             )
         expected = self._expected(image)
         dark = darkness(image, self.look)

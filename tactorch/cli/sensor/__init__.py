@@ -1,0 +1,1 @@
+"""Commands of `tactorch sensor`: a file for each, and what they share."""

@@ -1,0 +1,71 @@
+"""What every command of `tactorch sensor` is given: the sensor, a reference, a calibration."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from tactorch.cli.settings import log, plain
+from tactorch.errors import ConfigError
+from tactorch.sensor.calibration import Calibration, load_calibration
+from tactorch.sensor.description import SensorDescription, load_sensor
+from tactorch.sensor.frames import SourceLike, read_reference
+from tactorch.sensor.image import Image
+from tactorch.sensor.markers import MarkerLook
+
+
+def sensor_of(cfg: DictConfig) -> SensorDescription:
+    """Read the sensor's description, with the scale that is given in its place."""
+    sensor = load_sensor(str(cfg.sensor))
+    scale = cfg.get("mm_per_px")
+    return sensor if scale is None else replace(sensor, mm_per_px=plain(scale))
+
+
+def source_of(value: str | float) -> SourceLike:
+    """Return a source of frames: a whole number is a camera, all else a path."""
+    return value if isinstance(value, int) else Path(str(value))
+
+
+def reference_of(cfg: DictConfig, sensor: SensorDescription) -> Image:
+    """Read the gel without contact.
+
+    Raises:
+        ConfigError: No frame is asked for.
+    """
+    if cfg.reference_frames < 1:
+        raise ConfigError(f"reference_frames={cfg.reference_frames} must be at least 1.")
+    return read_reference(source_of(cfg.reference), sensor, cfg.reference_frames)
+
+
+def look_of(sensor: SensorDescription, diameter_px: float | None = None) -> MarkerLook | None:
+    """Return how markers look; None where the sensor has none."""
+    if diameter_px is not None:
+        return MarkerLook(float(diameter_px))
+    if sensor.markers is None:
+        return None
+    x, y = map(float, sensor.mm_per_px)
+    return MarkerLook(float(sensor.markers.diameter_mm) / (x * y) ** 0.5)
+
+
+def calibrated(cfg: DictConfig) -> tuple[SensorDescription, Calibration]:
+    """Read sensor and calibration; the scale is that of the calibration.
+
+    A calibration made without markers serves a gel with markers, which are then filled in.
+
+    Raises:
+        ConfigError: The calibration is of images of another size.
+    """
+    sensor, calibration = sensor_of(cfg), load_calibration(str(cfg.calibration))
+    shape = calibration.reference.shape[:2]
+    if shape != sensor.shape:
+        raise ConfigError(
+            f"calibration '{cfg.calibration}' is of images of {shape[1]} x {shape[0]} px, but"
+            f" sensor '{sensor.name}' has {sensor.shape[1]} x {sensor.shape[0]}; give the sensor"
+            " that was calibrated."
+        )
+    if tuple(sensor.mm_per_px) != calibration.mm_per_px:
+        log.info("scale: %.5g x %.5g mm per px, as calibrated", *calibration.mm_per_px)
+        sensor = replace(sensor, mm_per_px=calibration.mm_per_px)
+    if calibration.look is None:
+        calibration = replace(calibration, look=look_of(sensor))
+    return sensor, calibration

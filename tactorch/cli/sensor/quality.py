@@ -1,0 +1,96 @@
+"""How good a calibration is on some presses: as JSON, as text and as a picture."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from tactorch.cli.report import write_json
+from tactorch.cli.sensor.presses import Pressed, write_circles
+from tactorch.cli.settings import log
+from tactorch.files import atomic_path
+from tactorch.sensor.calibration import Ball, Circle, Quality, SlopeMap, judge, seen_slopes
+from tactorch.sensor.depth import integrate
+from tactorch.viz.sensor_calibration import SeenPress, plot_presses
+
+REPORT, TEXT, CIRCLES, PICTURE = "quality.json", "quality.txt", "circles.csv", "held_out.png"
+#: What a command of presses leaves in its folder.
+RESULTS = (REPORT, TEXT, CIRCLES, PICTURE)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A press, the circle fitted to it, and a map that it is seen with.
+
+    Attributes:
+        pressed: The press.
+        circle: Where the ball touches.
+        map: From colours to slopes; not fitted to this press, where that can be helped.
+    """
+
+    pressed: Pressed
+    circle: Circle
+    map: SlopeMap
+
+
+def write_report(
+    folder: Path,
+    title: str,
+    quality: Quality,
+    judged: Sequence[Judged],
+    ball: Ball,
+    circles: Mapping[str, Circle],
+    more: Mapping[str, Any],
+) -> None:
+    """Write figures, contacts and the picture, and tell the figures.
+
+    Args:
+        folder: Of the run.
+        title: What was judged on what.
+        quality: Of all presses together.
+        judged: The presses.
+        ball: What was pressed.
+        circles: All contacts, those of presses that were fitted to included.
+        more: Goes into the JSON as it is.
+    """
+    each = {
+        one.pressed.touch.name: judge(one.map, [one.pressed.touch], [one.circle], ball)
+        for one in judged
+    }
+    radii = {one.pressed.touch.name: one.circle.radius_px * ball.mm_per_px[0] for one in judged}
+    text = _text(title, quality, each, radii)
+    presses = {n: {**asdict(q), "contact_radius_mm": radii[n]} for n, q in each.items()}
+    figures = {"quality": asdict(quality), "presses": presses}
+    write_json(folder / REPORT, {"judged": title, **figures, **more})
+    with atomic_path(folder / TEXT) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+    write_circles(folder / CIRCLES, circles)
+    plot_presses([_seen(one, ball) for one in judged], ball, title, folder / PICTURE)
+    log.info("%s", text)
+    log.info("pictures of them: %s", folder / PICTURE)
+
+
+def _text(
+    title: str, quality: Quality, each: Mapping[str, Quality], radii_mm: Mapping[str, float]
+) -> str:
+    width = max(len("all together"), *map(len, each))
+    head = "   R^2 x   R^2 y   MAE x   MAE y  depth rms, mm  contact radius, mm"
+    lines = [title, f"{'':<{width}}{head}"]
+    for name, q in [*each.items(), ("all together", quality)]:
+        numbers = "".join(f"{v:8.3f}" for v in (*q.r2, *q.mae))
+        radius = f"{radii_mm[name]:20.2f}" if name in radii_mm else ""
+        lines.append(f"{name:<{width}}{numbers}{q.depth_rms_mm:15.4f}{radius}")
+    lines.append(
+        f"Slopes are compared at {quality.pixels} pixels within 0.9 of the contacts' radii, which"
+        " were fitted to these presses, as their middles were; depth but for a constant."
+    )
+    return "\n".join(lines)
+
+
+def _seen(one: Judged, ball: Ball) -> SeenPress:
+    touch = one.pressed.touch
+    slopes = seen_slopes(one.map, touch.changed)
+    height = integrate(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
+    return SeenPress(
+        touch.name, one.pressed.image, touch.circle, one.circle, touch.known, slopes, height
+    )

@@ -1,0 +1,141 @@
+"""`tactorch sensor record`."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from omegaconf import DictConfig
+
+from tactorch.cli.progress import Tell, progress
+from tactorch.cli.sensor import film
+from tactorch.cli.sensor.given import calibrated, reference_of
+from tactorch.cli.sensor.sequence import FrameSequence
+from tactorch.cli.sensor.tables import write_table
+from tactorch.cli.settings import folder, log, made, material_of, plain
+from tactorch.errors import ConfigError
+from tactorch.mesh import TetMesh, box_mesh, read_mesh
+from tactorch.sensor.chain import ChainOptions, SensorChain
+from tactorch.sensor.contact import Touching, read_poses
+from tactorch.sensor.gel import GelModel
+from tactorch.sensor.recorder import Hold, Recorded, RecordOptions, VirtualCube, record
+from tactorch.viz.presses import plot_presses
+from tactorch.viz.session import plot_session
+
+_TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
+_STEM = "record"
+_HEADER = ("frame", "time_s", "depth_mm", "contact", "kept", "fault")
+_LABELS = {"frames": "following the gel", "presses": "finding forces"}
+
+
+def run(cfg: DictConfig) -> Path:
+    """Record a session; returns the recording's path."""
+    place = folder()
+    film.clear(place, _STEM, (_TABLE, _PRESSES))
+    out = place / _RECORDING if cfg.out is None else Path(str(cfg.out))
+    target, options, material = object_of(cfg), options_of(cfg), material_of(cfg)
+    sensor, calibration = calibrated(cfg)
+    reference, poses = reference_of(cfg, sensor), read_poses(str(cfg.poses))
+    frames = FrameSequence(cfg, sensor, reference)
+    model = GelModel(sensor.gel, cfg.edge_mm, cfg.layers, cfg.element)
+    limits = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.least_mm, cfg.steep)
+    chain = SensorChain(sensor, calibration, reference, model, limits)
+    facts = {"settings": plain(cfg), "calibration": calibration.facts}
+    with _Stages(frames) as tell:
+        found = record(
+            frames, chain, poses, target, material, options, provenance=facts, progress=tell
+        )
+    found.recording.save(out)
+    _write(place, found)
+    if cfg.plots:
+        plot_session(found, place / film.OVER_TIME)
+        plot_presses(found.recording, place / _PRESSES)
+    log.info("recording: %s", out)
+    return out
+
+
+class _Stages:
+    """Progress of one stage after the other; a terminal shows one bar at a time."""
+
+    def __init__(self, frames: FrameSequence) -> None:
+        self._frames, self._stack = frames, ExitStack()
+        self._stage, self._tell = "", cast(Tell | None, None)
+
+    def __enter__(self) -> "_Stages":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def __call__(self, stage: str, done: int, total: int | None) -> None:
+        if stage != self._stage or self._tell is None:
+            self._stack.close()
+            self._stage = stage
+            self._tell = self._stack.enter_context(progress(_LABELS[stage], stage))
+        self._tell(done, total or self._frames.total)
+
+
+def object_of(cfg: DictConfig) -> TetMesh | VirtualCube:
+    """Return the object at rest, or the region that stands for it.
+
+    Raises:
+        ConfigError: A value cannot be used.
+        FileError: The mesh cannot be read.
+    """
+    settings = plain(cfg.object)
+    name = settings.pop("name")
+    if name == "mesh":
+        return read_mesh(str(settings["path"]), settings["unit"])
+    if name == "virtual_cube":
+        return made("object", VirtualCube, settings)
+    if name == "box":
+        return made("object", _box, settings)
+    raise ConfigError(f"object '{name}' is unknown; choose box, mesh or virtual_cube.")
+
+
+def _box(size_mm: list[float], origin_mm: list[float], edge_mm: float) -> TetMesh:
+    if edge_mm <= 0 or min(size_mm) < edge_mm:
+        raise ConfigError(f"edge_mm={edge_mm:g} must be above 0 and no more than a side.")
+    counts = [max(1, round(size / edge_mm)) for size in size_mm]
+    return box_mesh(size_mm, counts, origin_mm=origin_mm, tets_per_cell=5)
+
+
+def options_of(cfg: DictConfig) -> RecordOptions:
+    """Return how frames become presses.
+
+    Raises:
+        ConfigError: A value cannot be used.
+    """
+    virtual = cfg.object.name == "virtual_cube"
+    untouched = ("sensor" if virtual else "unseen") if cfg.untouched == "auto" else cfg.untouched
+    hold = Hold(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
+    touching = Touching(cfg.reach_mm, untouched)
+    return RecordOptions(cfg.steps, cfg.least_frames, cfg.first_touch, None, hold, touching)
+
+
+def _write(place: Path, found: Recorded) -> None:
+    kept = {row["frame"] for row in found.presses}
+    rows = [
+        (one.name, one.time_s, one.depth_mm, None if one.contact is None else one.contact + 1,
+         int(one.name in kept), one.fault or found.passed_over.get(one.name, ""))
+        for one in found.session.glances
+    ]  # fmt: skip
+    write_table(place / _TABLE, _HEADER, rows)
+    forces = [float(np.linalg.norm(row["force_n"])) for row in found.presses]
+    values: dict[str, Any] = {
+        "frames": len(found.session.glances),
+        "contacts": len(found.session.contacts),
+        "presses": found.presses,
+        "faulty": found.session.faults,
+        "passed_over": found.passed_over,
+        "noise_mm": found.recording.presses[0].noise_mm,
+    }
+    lines = [
+        f"{len(found.presses)} presses of {len(found.session.contacts)} contacts in"
+        f" {len(found.session.glances)} frames; forces up to {max(forces):.3g} N.",
+        *(f"  {name}: {fault}" for name, fault in found.session.faults.items()),
+        *(f"  {name} became no press: {why}" for name, why in found.passed_over.items()),
+        "",
+        found.recording.summary(),
+    ]
+    film.write_summary(place, values, lines)

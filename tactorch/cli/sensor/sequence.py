@@ -1,0 +1,121 @@
+"""The frames that a command goes over, more than once where it draws them too."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from omegaconf import DictConfig
+
+from tactorch.cli.sensor.given import source_of
+from tactorch.errors import ConfigError
+from tactorch.sensor.description import SensorDescription
+from tactorch.sensor.frames import Frame, read_frames
+from tactorch.sensor.frames.source import IMAGES, VIDEOS
+from tactorch.sensor.image import Image
+
+_RATE_HZ = 10.0  # of a video of frames without times
+_LISTED = 20  # faulty frames named in a text
+
+
+class FrameSequence:
+    """Frames of a folder, a video, an image or a camera; those of a camera are kept.
+
+    Args:
+        cfg: Settings with `frames` and `most_frames`.
+        sensor: What they were taken with.
+        reference: The gel without contact.
+
+    Raises:
+        ConfigError: A camera, which never ends, without `most_frames`.
+        FileError: There is nothing to read.
+    """
+
+    def __init__(self, cfg: DictConfig, sensor: SensorDescription, reference: Image) -> None:
+        self.source, self.most = source_of(cfg.frames), cfg.most_frames
+        self.sensor, self.reference = sensor, reference
+        if self.most is not None and self.most < 1:
+            raise ConfigError(f"most_frames={self.most} must be at least 1, or null.")
+        if isinstance(self.source, int) and self.most is None:
+            raise ConfigError(f"frames={self.source} is a camera; give most_frames too.")
+        self._kept: list[Frame] | None = None
+        self._first = self._read()  # what is not there is told at once
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Go over the frames from the first."""
+        if not isinstance(self.source, int):
+            return self._read()
+        return self._camera() if self._kept is None else iter(self._kept)
+
+    @property
+    def total(self) -> int:
+        """How many frames there are, as far as is known before they are read."""
+        found = 1
+        if isinstance(self.source, int):
+            found = int(self.most)
+        elif isinstance(self.source, Path) and self.source.is_dir():
+            found = sum(p.suffix.lower() in IMAGES for p in self.source.iterdir())
+        elif isinstance(self.source, Path) and self.source.suffix.lower() in VIDEOS:
+            import cv2
+
+            capture = cv2.VideoCapture(str(self.source))
+            found = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+            capture.release()
+        return found if self.most is None else min(found, self.most)
+
+    def _read(self) -> Iterator[Frame]:
+        return islice(read_frames(self.source, self.sensor, self.reference), self.most)
+
+    def _camera(self) -> Iterator[Frame]:
+        kept = []
+        for frame in self._first:
+            kept.append(frame)
+            yield frame
+        self._kept = kept
+
+
+def without_image(frame: Frame, fault: str = "") -> Frame:
+    """Return what is told of a frame, with a fault that was found later."""
+    return replace(
+        frame, image=None, fault="; ".join(part for part in (frame.fault, fault) if part)
+    )
+
+
+def times_of(frames: Sequence[Frame]) -> Float[np.ndarray, " f"] | None:
+    """Return the times of frames, s; None where some are unknown."""
+    times = [frame.time_s for frame in frames if frame.time_s is not None]
+    return np.array(times) if len(times) == len(frames) else None
+
+
+def rate_of(frames: Sequence[Frame]) -> float:
+    """Return about how many frames there are in a second."""
+    times = times_of(frames)
+    if times is None or len(times) < 2:
+        return _RATE_HZ
+    period = float(np.median(np.diff(times)))
+    return 1.0 / period if period > 0 else _RATE_HZ
+
+
+def faults_of(frames: Sequence[Frame]) -> list[dict[str, Any]]:
+    """Return the frames with faults, as a summary lists them."""
+    return [{"frame": f.index, "name": f.name, "fault": f.fault} for f in frames if f.fault]
+
+
+def faults_told(frames: Sequence[Frame]) -> list[str]:
+    """Return lines on faulty frames."""
+    faulty = [frame for frame in frames if frame.fault]
+    lines = [f"{len(faulty)} of {len(frames)} frames are faulty" + (":" if faulty else ".")]
+    lines += [f"  {frame.name}: {frame.fault}" for frame in faulty[:_LISTED]]
+    if len(faulty) > _LISTED:
+        lines.append(f"  and {len(faulty) - _LISTED} more")
+    return lines
+
+
+def caption_of(frame: Frame, total: int, told: str) -> str:
+    """Return two lines over a picture of a frame."""
+    time = "" if frame.time_s is None else f", {frame.time_s:.2f} s"
+    fault = frame.fault if len(frame.fault) < 70 else frame.fault[:67] + "..."
+    return f"frame {frame.index} of {total}{time}: {told}\n{fault or ' '}"
