@@ -289,7 +289,7 @@ def test_sessions_without_a_press(pairs: dict[float, Pair], poses: Poses) -> Non
     with pytest.raises(ConfigError, match=r"frame '0.png' has no time.*frame_rate_hz"):
         record(timeless, chain, poses, cube, SPEC)
     short = Poses(TIMES[:4], poses.T_object_sensor[:4])
-    with pytest.raises(ConfigError, match="1 of 1 frames have no pose"):
+    with pytest.raises(ConfigError, match="2 of 2 frames have no pose"):
         record(frames()[7:], chain, short, cube, SPEC)
     beside = TetMesh(cube.points + np.array((100.0, 0, 0)), cube.tets)
     with pytest.raises(

@@ -2,43 +2,50 @@
 
 The gel's own elasticity is known, so at equilibrium the forces on its face are those that its
 deformation takes. Where displacements are noisy that amplifies the noise: forces are then those
-that are smooth and explain the displacements no better than their noise allows.
+that are smooth and explain the displacements, see `tactorch.sensor.gel.smooth`.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.linalg import cho_factor, cho_solve
 
 from tactorch.errors import ConfigError
-from tactorch.fem import SoftBody, Supports, make_material
+from tactorch.fem import (
+    Equilibrated,
+    Linearization,
+    Newton,
+    NewtonOptions,
+    SoftBody,
+    Supports,
+    make_material,
+)
 from tactorch.mesh.values import Real
 from tactorch.sensor.description import GelLayer
+from tactorch.sensor.gel.contact import Contact
+from tactorch.sensor.gel.face import GelFace
 from tactorch.sensor.gel.mesh import GelMesh, gel_mesh
+from tactorch.sensor.gel.smooth import Roughness, Smoothed, smoothed
 
-_ROUNDS = 6  # of linearising anew
+_BALANCED = 1e-8  # residual force, relative
+_ROUNDS = 8  # of linearising
 _SETTLED = 1e-3  # relative change of the forces
+_LINEAR = 0.1  # of the noise: what the linearisation may be off by at the end
+_BENT = 0.2  # of the displacement: by more the gel is linearised anew
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
-    """Forces on the outer face of a gel, in the sensor's frame.
+class _State:
+    """An equilibrium of the gel, and its tangent."""
 
-    Attributes:
-        points: Rest positions of the face's nodes, (k, 3), mm.
-        displacement: How they moved, (k, 3), mm; the smoothed ones where noise was in mind.
-        forces: On the gel at each node, (k, 3), N; what the gel does to the object is the opposite.
-    """
+    moved: Float[np.ndarray, "nodes 3"]
+    search: Newton
+    found: Equilibrated
 
-    points: Float[np.ndarray, "k 3"]
-    displacement: Float[np.ndarray, "k 3"]
-    forces: Float[np.ndarray, "k 3"]
-
-    @property
-    def total(self) -> Float[np.ndarray, "3"]:
-        """Sum of the forces, N."""
-        return self.forces.sum(axis=0)
+    @cached_property
+    def tangent(self) -> Linearization:
+        return self.search.linearize(self.found)
 
 
 class GelModel:
@@ -48,7 +55,8 @@ class GelModel:
         gel: The soft layer.
         edge_mm: Of a cell on the outer face.
         layers: Of cells through the thickness.
-        element: "tet10", which does not lock where the gel keeps its volume, or "tet4".
+        element: "tet10", which does not lock where the gel keeps its volume, or "tet4", which is
+            fast but takes a gel of Poisson's ratio 0.49 for stiffer by a tenth and more.
 
     Raises:
         ConfigError: A value cannot be used.
@@ -60,7 +68,10 @@ class GelModel:
         self.gel = gel
         self.meshed: GelMesh = gel_mesh(gel, edge_mm, layers)
         law = make_material(gel.spec.name, gel.spec.poisson, **gel.spec.parameters)
-        self.body = SoftBody(self.meshed.mesh, law, element=element)
+        newton = NewtonOptions(rtol=_BALANCED)
+        self.body = SoftBody(self.meshed.mesh, law, element=element, newton=newton)
+        self.face = GelFace(self.meshed, self.body)
+        self._kept: dict[int, np.ndarray] = {}  # compliance at rest by node, mm/N
 
     @property
     def points(self) -> Float[np.ndarray, "k 3"]:
@@ -72,11 +83,14 @@ class GelModel:
         """Young's modulus of each element, MPa."""
         return np.full(self.meshed.mesh.n_tets, float(self.gel.youngs_mpa))
 
-    def forces(self, displacement: Float[np.ndarray, "k 3"]) -> Contact:
+    def forces(
+        self, displacement: Float[np.ndarray, "k 3"], noise_mm: Real | None = None
+    ) -> Contact:
         """Return the forces that hold the outer face displaced exactly so.
 
         Args:
             displacement: Of the face's nodes, mm; NaN where it is free.
+            noise_mm: Standard deviation of the displacements, mm, for the total's covariance.
 
         Raises:
             ConfigError: The shape is wrong, or nothing is known.
@@ -85,12 +99,16 @@ class GelModel:
         known = self._known(displacement)
         supports = self._held(np.nan_to_num(displacement), known)
         nothing = np.zeros(self.meshed.mesh.points.shape)
-        found = self.body.equilibrate(self.youngs, nothing, supports).require()
+        search = self.body.search(self.youngs, nothing, supports)
+        found = search.run().require()
         assert found.response is not None
         inner = self.body.assembly.internal_force(found.response, self.youngs)
-        return Contact(
-            self.points, found.displacement[self.meshed.face], self._at_face(inner, known)
-        )
+        at_face = np.where(known, self.face.at_nodes(inner), 0.0)
+        covariance = None
+        if noise_mm is not None:
+            rates = self._total_rates(_State(found.displacement, search, found), known)
+            covariance = float(noise_mm) ** 2 * rates @ rates.T
+        return Contact(self.points, found.displacement[self.meshed.face], at_face, covariance)
 
     def smooth_forces(
         self,
@@ -100,59 +118,112 @@ class GelModel:
         *,
         tilted: bool = False,
     ) -> Contact:
-        """Return the smoothest forces that explain the displacements to within their noise.
+        """Return the smooth forces that the displacements make likeliest.
 
         Args:
             displacement: Of the face's nodes, mm; NaN where it was not seen.
-            noise_mm: Standard deviation of the displacements, mm.
-            touched: Nodes that may bear a force; None for all.
+            noise_mm: Standard deviation of the displacements, mm, at least; where they show more,
+                that counts.
+            touched: Nodes that may bear a force; None for all. The total force of a gel that keeps
+                its volume is told far better where this is known.
             tilted: Whether displacements along z are known but for a constant and a tilt, as
                 depth from slopes is. What the gel does around the contact then tells them.
 
         Raises:
-            ConfigError: The shape is wrong, or nothing is known.
+            ConfigError: The shape is wrong, or nothing is known, or nothing is touched.
             ConvergenceError: The gel collapses.
         """
         seen = self._known(displacement)
         may = np.ones(len(self.points), dtype=bool) if touched is None else touched
-        rough = self._roughness(may)
-        plane = self._plane() if tilted else np.zeros((3 * len(self.points), 0))
-        forces = np.zeros((len(self.points), 3))
+        if not may.any():
+            raise ConfigError("touched is false at every node; without contact there is no force.")
+        prior = Roughness.between(self.face.edges(may), self.face.areas[may])
+        plane = self._plane()[seen.ravel()] if tilted else np.zeros((int(seen.sum()), 0))
+        forces, state = np.zeros((len(self.points), 3)), self._rest
+        bent, compliance = state, self._rest_compliance(may)
         for _ in range(_ROUNDS):
-            moved, compliance = self._moved(forces, may)
-            wanted = (np.nan_to_num(displacement) - moved)[seen] + compliance[seen.ravel()] @ (
-                forces[may].ravel()
-            )
-            known = compliance[seen.ravel()], plane[seen.ravel()]
-            new = _least_rough(*known, wanted, rough, float(noise_mm))
-            change = float(np.linalg.norm(new - forces[may].ravel()))
-            size = float(np.linalg.norm(new))
-            forces[may] = new.reshape(-1, 3)
-            if change <= _SETTLED * size:
+            moved = state.moved[self.meshed.face]
+            off = (np.nan_to_num(displacement) - moved)[seen]
+            seen_compliance = compliance[seen.ravel()]
+            wanted = off + seen_compliance @ forces[may].ravel()
+            found = smoothed(seen_compliance, plane, wanted, prior, float(noise_mm))
+            change = np.zeros_like(forces)
+            change[may] = found.forces.reshape(-1, 3) - forces[may]
+            forces = forces + change
+            told = state.moved + bent.tangent.solve(self._loads(change).ravel()).reshape(-1, 3)
+            state = self._under(forces, told, None if state is bent else state)
+            missed = _rms((state.moved - told)[self.meshed.face])
+            if missed <= _LINEAR * found.noise_mm or _rms(change) <= _SETTLED * _rms(forces):
                 break
-        moved, _ = self._moved(forces, may)
-        return Contact(self.points, moved, forces)
+            if missed > _BENT * _rms(state.moved[self.meshed.face]):
+                bent, compliance = state, self._compliance(state, may)
+        return self._smooth_contact(state, forces, found)
 
-    def _moved(
-        self, forces: Float[np.ndarray, "k 3"], may: Bool[np.ndarray, " k"]
-    ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k3 f"]]:
-        """How the face moves under forces on it, and by how much more under unit forces."""
-        mesh, face = self.meshed.mesh, self.meshed.face
-        loads = np.zeros(mesh.points.shape)
-        loads[face] = forces
+    def _smooth_contact(
+        self, state: _State, forces: Float[np.ndarray, "k 3"], found: Smoothed
+    ) -> Contact:
+        moved = state.moved[self.meshed.face]
+        return Contact(self.points, moved, forces, found.total_covariance)
+
+    @cached_property
+    def _rest(self) -> _State:
+        return self._under(np.zeros((len(self.points), 3)))
+
+    def _loads(self, forces: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "nodes 3"]:
+        return np.asarray(self.face.spread @ forces)
+
+    def _under(
+        self,
+        forces: Float[np.ndarray, "k 3"],
+        start: Float[np.ndarray, "nodes 3"] | None = None,
+        after: _State | None = None,
+    ) -> _State:
+        """The gel under forces on its face; a state before it hands its factorisation on."""
         supports = self._held(np.zeros(forces.shape), np.zeros(forces.shape, dtype=bool))
-        search = self.body.search(self.youngs, loads, supports)
-        found = search.run().require()
-        tangent = search.linearize(found)
-        columns = []
-        for node in face[may]:
-            for axis in range(3):
-                unit = np.zeros(mesh.points.shape)
-                unit[node, axis] = 1.0
-                columns.append(self.body.discretisation.spread(unit).ravel())
-        solved = tangent.solve(np.stack(columns, axis=1))
-        at_face = solved.reshape(self.body.n_nodes, 3, -1)[face].reshape(3 * len(face), -1)
-        return found.displacement[face], at_face
+        before = None if after is None else after.search
+        search = self.body.search(self.youngs, self._loads(forces), supports, after=before)
+        found = search.run(start).require()
+        return _State(found.displacement, search, found)
+
+    def _rest_compliance(self, may: Bool[np.ndarray, " k"]) -> Float[np.ndarray, "k3 f"]:
+        """The compliance at rest, kept from one call to the next: presses touch much the same."""
+        nodes = np.flatnonzero(may).tolist()
+        new = [i for i in nodes if i not in self._kept]
+        if new:
+            of_new = np.zeros(len(may), dtype=bool)
+            of_new[new] = True
+            columns = self._compliance(self._rest, of_new)
+            self._kept.update(zip(new, np.split(columns, len(new), axis=1), strict=True))
+        return np.hstack([self._kept[i] for i in nodes])
+
+    def _compliance(self, state: _State, may: Bool[np.ndarray, " k"]) -> Float[np.ndarray, "k3 f"]:
+        """By how much more the face moves under unit forces on the chosen nodes."""
+        solved = state.tangent.solve(self.face.unit_loads(may))
+        face = self.meshed.face
+        return solved.reshape(self.body.n_nodes, 3, -1)[face].reshape(3 * len(face), -1)
+
+    def _total_rates(
+        self, state: _State, known: Bool[np.ndarray, "k 3"]
+    ) -> Float[np.ndarray, "3 known"]:
+        """How the total force answers to the prescribed displacements.
+
+        The tangent is symmetric: these are the forces on the face where all that is known of it
+        moves along an axis.
+        """
+        assert state.found.response is not None
+        values = self.body.assembly.tangent(state.found.response, self.youngs)
+        pattern, extend = state.tangent.pattern, self.body.discretisation.extend
+        rows = []
+        for axis in range(3):
+            along = np.zeros(known.shape)
+            along[:, axis] = 1.0
+            moved = np.zeros(self.meshed.mesh.points.shape)
+            moved[self.meshed.face] = np.where(known, along, 0.0)
+            jump = np.where(state.search.held.fixed, extend(moved), 0.0).ravel()
+            move = jump - state.tangent.solve(pattern.product(values, jump))
+            answer = pattern.product(values, move).reshape(-1, 3)
+            rows.append(self.face.at_nodes(answer)[known])
+        return np.stack(rows)
 
     def _plane(self) -> Float[np.ndarray, "k3 3"]:
         """Displacements along z of a constant and of two tilts, over the face."""
@@ -160,23 +231,6 @@ class GelModel:
         found[:, 2, 0] = 1.0
         found[:, 2, 1:] = self.points[:, :2] / np.abs(self.points[:, :2]).max(axis=0)
         return found.reshape(-1, 3)
-
-    def _roughness(self, may: Bool[np.ndarray, " k"]) -> Float[np.ndarray, "f f"]:
-        """Squared differences of forces between neighbours, and their squares beyond the edge."""
-        from scipy.spatial import cKDTree
-
-        points = self.points
-        count = min(7, len(points))
-        _, near = cKDTree(points).query(points, k=count)
-        own = np.full(len(points), -1)
-        own[may] = np.arange(int(may.sum()))
-        rows = np.zeros((int(may.sum()), int(may.sum())))
-        for i in np.flatnonzero(may):
-            for j in near[i, 1:]:
-                rows[own[i], own[i]] += 1.0
-                if own[j] >= 0:
-                    rows[own[i], own[j]] -= 1.0
-        return np.kron(rows.T @ rows + 1e-6 * np.eye(len(rows)), np.eye(3))
 
     def _held(
         self, displacement: Float[np.ndarray, "k 3"], known: Bool[np.ndarray, "k 3"]
@@ -188,21 +242,6 @@ class GelModel:
         prescribed[self.meshed.face] = np.where(known, displacement, 0.0)
         prescribed[self.meshed.window] = 0.0
         return Supports(fixed=fixed, prescribed=prescribed)
-
-    def _at_face(
-        self, inner: Float[np.ndarray, "nodes 3"], known: Bool[np.ndarray, "k 3"]
-    ) -> Float[np.ndarray, "k 3"]:
-        """Forces on the face's nodes; those of midsides go to their two ends in equal parts."""
-        n = self.meshed.mesh.n_points
-        at = inner[:n].copy()
-        if len(inner) > n:
-            edges = self.body.discretisation.edges
-            on_face = np.zeros(n, dtype=bool)
-            on_face[self.meshed.face] = True
-            both = on_face[edges].all(axis=1)
-            for end in (0, 1):
-                np.add.at(at, edges[both, end], 0.5 * inner[n:][both])
-        return np.where(known, at[self.meshed.face], 0.0)
 
     def _known(self, displacement: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, "k 3"]:
         if displacement.shape != self.points.shape:
@@ -216,30 +255,5 @@ class GelModel:
         return known
 
 
-def _least_rough(
-    compliance: Float[np.ndarray, "d f"],
-    plane: Float[np.ndarray, "d p"],
-    wanted: Float[np.ndarray, " d"],
-    rough: Float[np.ndarray, "f f"],
-    noise_mm: float,
-) -> Float[np.ndarray, " f"]:
-    """Minimise roughness, with a misfit as large as the noise (Morozov's discrepancy principle).
-
-    What a plane explains of the displacements is taken off first, of both sides alike.
-    """
-    if plane.shape[1]:
-        basis, _ = np.linalg.qr(plane)
-        compliance = compliance - basis @ (basis.T @ compliance)
-        wanted = wanted - basis @ (basis.T @ wanted)
-    normal, right = compliance.T @ compliance, compliance.T @ wanted
-    scale = np.trace(normal) / np.trace(rough)
-    target = len(wanted) * noise_mm**2
-    best = None
-    for weight in scale * 10.0 ** np.arange(2.0, -8.1, -0.5):
-        found = cho_solve(cho_factor(normal + weight * rough), right)
-        misfit = float(((compliance @ found - wanted) ** 2).sum())
-        best = found
-        if misfit <= target:
-            break
-    assert best is not None
-    return best
+def _rms(values: Float[np.ndarray, "k 3"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -78,6 +78,7 @@ def record(
         progress=lambda done: progress("frames", done, None),
     )  # fmt: skip
     _require_contact(session, chain)
+    poses.at([time_s for touch in session.contacts for time_s in touch.times_s])  # all are known
     mesh = (
         target
         if isinstance(target, TetMesh)
