@@ -1,0 +1,128 @@
+"""`tactorch sensor record`, on the drawn session of `test_sensor`."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactorch.recording import Recording
+
+from .test_sensor import calibration, given, made, table
+
+__all__ = ["calibration", "made"]  # fixtures
+# The sensor looks down; its face comes from 0.2 mm above the box to 0.3 mm into its top.
+HEIGHTS_MM = (4.2, 3.9, 3.8, 3.7, 4.2)
+HEADER = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"
+SMALL = ("edge_mm=1.2", "layers=3", "steps=2", "object.size_mm=[6,6,4]", "object.edge_mm=1")
+
+
+def poses(path: Path, heights: tuple[float, ...] = HEIGHTS_MM, turn: str = "0,1,0,0") -> Path:
+    rows = [f"{0.05 * i:.2f},3,3,{z},{turn}" for i, z in enumerate(heights)]
+    path.write_text("\n".join([HEADER, *rows]) + "\n")
+    return path
+
+
+def settings(made: Path, calibration: Path, run: Path, *more: str) -> tuple[str, ...]:
+    own = given(made, run, frames=made / "frames", calibration=calibration, poses="poses.csv")
+    return ("sensor", "record", *own, *SMALL, *more)
+
+
+def test_a_session_becomes_a_recording(
+    tactorch: Any, made: Path, calibration: Path, tmp_path: Path
+) -> None:
+    run, out = tmp_path / "run", tmp_path / "session.h5"
+    poses(Path("poses.csv"))
+    done = tactorch(*settings(made, calibration, run, "held_side=z-", f"out={out}"))
+    assert done.status == 0, done.err
+    recording = Recording.load(out)
+    assert [press.name for press in recording.presses] == ["contact 1, 2.png", "contact 1, 3.png"]
+    np.testing.assert_allclose(recording.mesh.bounds, [(0, 0, 0), (6, 6, 4)])
+    light, hard = recording.presses
+    assert 0 > light.total_force[2] > hard.total_force[2]  # down, into the box
+    np.testing.assert_allclose(hard.direction, (0, 0, -1), atol=1e-9)
+    assert hard.fixed[recording.mesh.points[:, 2] == 0].all()
+    seen = hard.observed.all(axis=1)
+    assert 3 <= seen.sum() <= 30  # the ball touches about the middle alone
+    away = np.linalg.norm(recording.mesh.points[seen, :2] - 3.0, axis=1)
+    assert away.max() < 2.5
+    # The sensor went 0.3 mm in from where it met the box; under the ball the gel gave some of it.
+    assert -0.3 < hard.displacement[seen, 2].min() < 0.1
+    rows = table(run / "session.csv")
+    assert [row["frame"] for row in rows] == [f"{k}.png" for k in range(5)]
+    assert [row["kept"] for row in rows] == ["0", "0", "1", "1", "0"]
+    assert [row["contact"] for row in rows] == ["", "1", "1", "1", ""]
+    assert "cannot be read" in rows[4]["fault"]
+    told = json.loads((run / "summary.json").read_text())
+    assert told["contacts"] == 1
+    assert [row["frame"] for row in told["presses"]] == ["2.png", "3.png"]
+    assert recording.provenance["settings"]["held_side"] == "z-"
+    assert recording.provenance["sensor"] == "drawn"
+    for name in ("over_time.png", "presses.png", "summary.txt", ".hydra/config.yaml"):
+        assert (run / name).is_file()
+
+
+def test_an_object_of_unknown_shape(
+    tactorch: Any, made: Path, calibration: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    poses(Path("poses.csv"))
+    own = [one for one in SMALL if not one.startswith("object.")]
+    cube = ("object=virtual_cube", "object.side_mm=4", "object.edge_mm=1", "plots=false", "steps=1")
+    done = tactorch(*settings(made, calibration, run)[: -len(SMALL)], *own, *cube)
+    assert done.status == 0, done.err
+    recording = Recording.load(run / "recording.h5")
+    low, high = recording.mesh.bounds
+    np.testing.assert_allclose(high - low, 4.0, atol=1e-9)
+    assert 3.8 < high[2] < 4.2 + 1e-9  # between the last frame without contact and the first
+    (press,) = recording.presses
+    top = np.isclose(recording.mesh.points[:, 2], high[2])
+    assert press.observed[top].all()  # what is not touched moves with the sensor
+    assert not (run / "presses.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("turn", "heights", "more", "words"),
+    [
+        (
+            "0,1,0,0",
+            HEIGHTS_MM[:3],
+            (),
+            ("1 of 3 frames have no pose", "from 0.000 to 0.100 s"),
+        ),
+        ("0,0,0,0", HEIGHTS_MM, (), ("poses.csv", "quaternion has length 0")),
+        ("1,0,0,0", HEIGHTS_MM, (), ("no frame with contact", "over no part of the object")),
+        ("0,1,0,0", HEIGHTS_MM, ("poses=nowhere.csv",), ("table of poses", "nowhere.csv")),
+        ("0,1,0,0", HEIGHTS_MM, ("steep=3",), ("shows contact", "from 3 (steep)")),
+        ("0,1,0,0", HEIGHTS_MM, ("steps=0",), ("steps=0 must be at least 1",)),
+        ("0,1,0,0", HEIGHTS_MM, ("held_side=under",), ("hold side='under'", "opposite")),
+        ("0,1,0,0", HEIGHTS_MM, ("held_by=glue",), ("hold kind='glue'", "springs")),
+        ("0,1,0,0", HEIGHTS_MM, ("first_touch=feel",), ("first_touch='feel'", "shape, depth")),
+        ("0,1,0,0", HEIGHTS_MM, ("untouched=gone",), ("untouched='gone'", "sensor")),
+        ("0,1,0,0", HEIGHTS_MM, ("object.edge_mm=9",), ("object: edge_mm=9",)),
+        ("0,1,0,0", HEIGHTS_MM, ("object=liver",), ("liver", "virtual_cube")),
+        ("0,1,0,0", HEIGHTS_MM, ("object=mesh",), ("object.path",)),
+        ("0,1,0,0", HEIGHTS_MM, ("object.size_mm=6",), ("object.size_mm=6", "[X,Y,Z]")),
+    ],
+)
+def test_wrong_sessions(
+    tactorch: Any,
+    made: Path,
+    calibration: Path,
+    tmp_path: Path,
+    turn: str,
+    heights: tuple[float, ...],
+    more: tuple[str, ...],
+    words: tuple[str, ...],
+) -> None:
+    poses(Path("poses.csv"), heights, turn)
+    run = tmp_path / "run"
+    own = settings(made, calibration, run)
+    if more and more[0].startswith("object="):
+        own = own[: -len(SMALL)]
+    done = tactorch(*own, *more)
+    assert done.status == 2, done.out
+    assert len(done.err.splitlines()) == 1, done.err
+    assert all(word in done.err for word in words), done.err
+    assert not list(run.glob("*.h5"))
