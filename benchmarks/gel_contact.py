@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows, loads = [], []
     for case in QUICK if options.quick else CASES:
         pressed = simulated(case, 0.6 if options.quick else 0.75 if case.gel is DEEP else 1.0)
-        usual = case.gel is MINI and not options.quick
+        usual = case.gel is MINI and case.exact and not options.quick
         rows.append(judged(case, pressed, models, range(10) if usual else few))
         if case.gel is MINI and case.exact:
             loads.append((case, pressed))
