@@ -15,15 +15,10 @@ from tactorch.sensor.calibration import (
     Ball,
     Calibration,
     Circle,
-    Outline,
     Touch,
-    cuboid,
     find_circle,
     fit_map,
-    hexagon,
     load_calibration,
-    pixel_scale,
-    read_corners,
     read_labels,
     save_calibration,
 )
@@ -41,6 +36,13 @@ from tactorch.sensor.frames import read_frames, read_image, read_reference
 from tactorch.sensor.gel import Contact, GelModel
 from tactorch.sensor.markers import MarkerLook, MarkerTracker
 from tactorch.sensor.render import Face, render
+from tactorch.sensor.scale import (
+    Outline,
+    cuboid,
+    hexagon,
+    pixel_scale,
+    read_corners,
+)
 
 from .dots import draw, grid
 

@@ -13,17 +13,19 @@ import yaml
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import (
-    Outline,
     change,
-    cuboid,
-    find_outline,
     hidden,
-    pixel_scale,
-    read_corners,
 )
 from tactorch.sensor.description import load_sensor
 from tactorch.sensor.frames import read_image
 from tactorch.sensor.markers import MarkerLook
+from tactorch.sensor.scale import (
+    Outline,
+    cuboid,
+    find_outline,
+    pixel_scale,
+    read_corners,
+)
 
 pytestmark = pytest.mark.external
 

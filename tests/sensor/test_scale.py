@@ -8,20 +8,22 @@ import pytest
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.sensor.calibration import (
+    change,
+    hidden,
+)
+from tactorch.sensor.description import load_sensor, save_sensor
+from tactorch.sensor.markers import MarkerLook
+from tactorch.sensor.scale import (
     KnownShape,
     Outline,
     PixelScale,
-    change,
     cuboid,
     find_outline,
     hexagon,
-    hidden,
     pixel_scale,
     read_corners,
     warp_of,
 )
-from tactorch.sensor.description import load_sensor, save_sensor
-from tactorch.sensor.markers import MarkerLook
 
 from . import ball_images as drawn
 from . import punch_images as punched

@@ -3,7 +3,7 @@
 Under a flat face the gel stays level; around it its face slopes, steepest right beside the edge.
 So the colours' change rises suddenly, going out, where the edge is. About where the outline is, of
 what size and turn, is found by comparing that rise with the shape's outline everywhere (a
-generalised Hough transform; Ballard, 1981); then each edge on its own, see `scale_edges`.
+generalised Hough transform; Ballard, 1981); then each edge on its own, see `edges`.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration.scale_edges import refined
-from tactorch.sensor.calibration.scale_shape import KnownShape, Outline
 from tactorch.sensor.description.numbers import pixel_size
+from tactorch.sensor.scale.edges import refined
+from tactorch.sensor.scale.shape import KnownShape, Outline
 
 _LEAST_CHANGE = 0.1  # in units of `change`: 5 grey values
 _SEARCHED_PX, _STRETCHED_PX = 80, 160  # of images in which it is looked for, and made to fit

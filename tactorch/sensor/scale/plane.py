@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration.scale_shape import KnownShape, Outline
+from tactorch.sensor.scale.shape import KnownShape, Outline
 
 _OWN = 3  # unknowns of each image: a turn and a place
 

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration.scale_profile import OFFSETS_PX, edge_of
-from tactorch.sensor.calibration.scale_shape import KnownShape, Outline
+from tactorch.sensor.scale.profile import OFFSETS_PX, edge_of
+from tactorch.sensor.scale.shape import KnownShape, Outline
 
 _REACHES = (0.07, 0.04, 0.025)  # to both sides of an edge, as shares of the face's size, in turn
 _ENDS = 0.1  # share of an edge that is left out at both ends, where corners are round

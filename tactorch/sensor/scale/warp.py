@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration.scale_plane import Fit, Plane, fit_plane
-from tactorch.sensor.calibration.scale_shape import KnownShape, Outline
 from tactorch.sensor.description import SensorDescription
+from tactorch.sensor.scale.plane import Fit, Plane, fit_plane
+from tactorch.sensor.scale.shape import KnownShape, Outline
 
 _MISFIT, _LEAST_MISFIT_PX = 0.03, 1.5  # of the size: residual from which it is another shape
 
