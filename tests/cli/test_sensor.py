@@ -155,6 +155,7 @@ def test_calibrate_finds_presses_and_tells_how_good_it_is(
     assert facts["sensor"] == "drawn"
 
 
+@pytest.mark.slow
 def test_contacts_that_were_found_can_be_given_as_labels(
     tactorch: Any, made: Path, tmp_path: Path
 ) -> None:
@@ -187,6 +188,7 @@ def test_contacts_that_were_found_can_be_given_as_labels(
     assert not (tmp_path / "run" / "calib.npz").exists()
 
 
+@pytest.mark.slow
 def test_check_judges_and_names_presses_that_were_learnt(
     tactorch: Any, made: Path, tmp_path: Path
 ) -> None:

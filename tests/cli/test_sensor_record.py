@@ -63,6 +63,7 @@ def test_a_session_becomes_a_recording(
         assert (run / name).is_file()
 
 
+@pytest.mark.slow
 def test_an_object_of_unknown_shape(
     tactorch: Any, made: Path, calibration: Path, tmp_path: Path
 ) -> None:

@@ -43,9 +43,11 @@ def corners_px(
 @pytest.mark.parametrize(
     ("shape", "heights", "markers", "seeds", "stretch"),
     [
-        (hexagon(8.0), punched.half_space, False, (1,), 1.2),
+        pytest.param(hexagon(8.0), punched.half_space, False, (1,), 1.2, marks=pytest.mark.slow),
         (hexagon(7.0), punched.decaying, True, (2,), 1.0),
-        (cuboid(9.0, 6.0), punched.decaying, True, (3, 4), 0.95),
+        pytest.param(
+            cuboid(9.0, 6.0), punched.decaying, True, (3, 4), 0.95, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_the_scale_is_found_on_images(
