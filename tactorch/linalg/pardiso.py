@@ -6,8 +6,13 @@ Reference: oneMKL developer reference, "pardiso" (iparm table).
 """
 
 import ctypes
+import os
+import sys
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,11 +39,27 @@ _ERRORS = {
 def _library() -> Any | None:
     """Load MKL once; None where pypardiso or its library is not installed."""
     try:
-        from pypardiso import PyPardisoSolver
-
-        return PyPardisoSolver().libmkl
+        with _told_where():
+            from pypardiso import ps
+        return ps.libmkl
     except (ImportError, OSError):
         return None
+
+
+@contextmanager
+def _told_where() -> Iterator[None]:
+    """Name the library that pip installed: to find it, pypardiso walks the whole environment."""
+    name = "PYPARDISO_MKL_RT"
+    folders = (Path(sys.prefix) / "lib", Path(sys.prefix) / "Library" / "bin")
+    found = [path for folder in folders for path in folder.glob("*mkl_rt*")]
+    if name in os.environ or len(found) != 1:
+        yield
+        return
+    os.environ[name] = str(found[0])
+    try:
+        yield
+    finally:
+        del os.environ[name]
 
 
 def available() -> bool:

@@ -32,7 +32,9 @@ _BALANCED = 1e-8  # residual force, relative
 _ROUNDS = 8  # of linearising
 _SETTLED = 1e-3  # relative change of the forces
 _LINEAR = 0.1  # of the noise: what the linearisation may be off by at the end
-_BENT = 0.2  # of the displacement: by more the gel is linearised anew
+# The gel is linearised anew where the linearisation is off by more than this of the displacement,
+# or by more than this of what it was off by before.
+_BENT, _FALLS = 0.05, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +142,7 @@ class GelModel:
         prior = Roughness.between(self.face.edges(may), self.face.areas[may])
         plane = self._plane()[seen.ravel()] if tilted else np.zeros((int(seen.sum()), 0))
         forces, state = np.zeros((len(self.points), 3)), self._rest
-        bent, compliance = state, self._rest_compliance(may)
+        bent, compliance, last = state, self._rest_compliance(may), np.inf
         for _ in range(_ROUNDS):
             moved = state.moved[self.meshed.face]
             off = (np.nan_to_num(displacement) - moved)[seen]
@@ -155,8 +157,9 @@ class GelModel:
             missed = _rms((state.moved - told)[self.meshed.face])
             if missed <= _LINEAR * found.noise_mm or _rms(change) <= _SETTLED * _rms(forces):
                 break
-            if missed > _BENT * _rms(state.moved[self.meshed.face]):
+            if missed > min(_BENT * _rms(state.moved[self.meshed.face]), _FALLS * last):
                 bent, compliance = state, self._compliance(state, may)
+            last = missed
         return self._smooth_contact(state, forces, found)
 
     def _smooth_contact(
