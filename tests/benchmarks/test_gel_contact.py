@@ -54,6 +54,7 @@ def test_a_deep_layer_is_a_half_space(benchmark: ModuleType) -> None:
     np.testing.assert_allclose(punch.sinks_mm(away), expected, rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_the_simulation_is_as_exact(benchmark: ModuleType) -> None:
     """A punch and a sphere on a coarse mesh; beside them the face sinks as it should."""
     gel = GelLayer(4.0, 0.435, 0.45, size_mm=(25.25, 20.75))

@@ -25,6 +25,7 @@ def test_sizes_are_met(benchmark: ModuleType, size: int):
     assert 5 * benchmark.cells(size) ** 3 == pytest.approx(size, rel=0.2)
 
 
+@pytest.mark.slow
 def test_twelve_presses_are_inverted(benchmark: ModuleType):
     recording = benchmark.record(130)
     assert len(recording.presses) == 12

@@ -96,6 +96,7 @@ def test_run_folder_tells_how_it_came_about(tactorch: Any, recording: Path, tmp_
     assert summary_of(folder)["recording"] == str(recording)
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn_with_other_runs_beside(
     tactorch: Any, recording: Path, tmp_path: Path
 ) -> None:

@@ -122,6 +122,7 @@ def test_unknown_executor_and_missing_scheduler(recipe: Recipe, tmp_path: Path) 
         generate(recipe, tmp_path / "x", executor="dask")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_two_dask_workers_give_the_same_bytes(
     made: SampleSet, recipe: Recipe, tmp_path: Path

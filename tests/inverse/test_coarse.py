@@ -61,6 +61,7 @@ def test_a_coarse_start_is_nearer_than_a_uniform_one(
     assert chi2[1] < 0.5 * chi2[0]
 
 
+@pytest.mark.slow
 def test_it_starts_an_inversion(make_cube: Callable[..., Recording]) -> None:
     cube = make_cube(snr_db=30.0, seed=1)
     settings = Settings(optimizer=NewtonCG())

@@ -87,6 +87,7 @@ def test_huber_bears_stray_markers(make_cube: Callable[..., Recording]) -> None:
     assert error_of(dirty, "squares") > 2.0 * best
 
 
+@pytest.mark.slow
 def test_adaptive_weights_bear_a_bad_press(make_cube: Callable[..., Recording]) -> None:
     clean = make_cube(snr_db=40.0)
     rng = np.random.default_rng(1)

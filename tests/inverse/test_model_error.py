@@ -82,6 +82,7 @@ def test_what_the_presses_of_one_place_share_is_counted_once(cube: Recording):
     assert left @ left < 0.1 * (shift @ shift)
 
 
+@pytest.mark.slow
 def test_an_inversion_without_inverse_crime_gains(finer: Recording):
     assert finer.truth is not None
     blind = replace(finer, truth=None)

@@ -53,6 +53,7 @@ def test_the_map_is_that_of_gauss_newton(noisy: Recording, prior: str) -> None:
     np.testing.assert_allclose(maps[0], maps[1], rtol=0.02)
 
 
+@pytest.mark.slow
 def test_with_a_cooled_weight_too(noisy: Recording) -> None:
     ours, theirs = (invert(noisy, Settings(optimizer=o)) for o in (NewtonCG(), GaussNewton()))
     assert correlation(ours.youngs, theirs.youngs) > 0.99
@@ -148,6 +149,7 @@ def test_the_true_hessian_refuses_nuisance_parameters(recording: Recording) -> N
         invert(recording, settings)
 
 
+@pytest.mark.slow
 def test_nuisance_parameters_are_estimated(make_cube: Make) -> None:
     wrong = make_cube(snr_db=40.0, seed=1)
     settings = {"unknowns": Unknowns(force_scale=0.2)}

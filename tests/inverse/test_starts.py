@@ -77,6 +77,7 @@ def test_monte_carlo_keeps_the_draw_that_fits_best(uniform: Recording, presses: 
     assert found[0] == drawn[int(np.argmin(fits))]
 
 
+@pytest.mark.slow
 def test_monte_carlo_passes_over_draws_that_collapse(uniform: Recording):
     problem, m = InverseProblem(uniform), uniform.mesh.n_tets
     soft_first = iter([1e-3, 0.4])

@@ -42,7 +42,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         count=12,
         options={"count": (1, 1), "shapes": ["ball"], "contrast": (4.0, 8.0), "size": (0.3, 0.35)},
         presses=PressDraw(faces=(("z+",), ("z+", "x+", "y+")), load=(0.04, 0.05), steps=(1, 2)),
-        mesh=MeshSizes(0.15, None),
+        mesh=MeshSizes(0.2, None),
         samples=1,
         shard=8,
     )

@@ -148,6 +148,7 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return programs
 
 
+@pytest.mark.slow
 def test_command_of_the_wheel_simulates_and_inverts_in_an_empty_folder(
     environment: Path, tmp_path: Path
 ) -> None:

@@ -41,7 +41,7 @@ def test_cylinder_is_meshed_by_tetwild() -> None:
     [
         ("hemisphere_two_spheres", 2 / 3 * np.pi * 1000, ("z-",)),
         ("hyperboloid_sphere", np.pi * 10 * (12.25 + (25 - 12.25) / 3), ("z-", "z+")),
-        ("toy_two_spheres", None, ("z-",)),
+        pytest.param("toy_two_spheres", None, ("z-",), marks=pytest.mark.slow),
     ],
 )
 def test_curved_bodies_are_meshed_with_their_flat_sides(
@@ -57,6 +57,7 @@ def test_curved_bodies_are_meshed_with_their_flat_sides(
     assert found.min() < 0.5 * found.max()
 
 
+@pytest.mark.slow
 def test_conforming_mesh_follows_the_inclusion() -> None:
     """The inclusion's nodes lie on its surface, and its elements fill its volume."""
     ball = Sphere((5.0, 5.0, 5.0), 2.5)
