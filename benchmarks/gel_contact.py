@@ -15,6 +15,7 @@ simulation where `GelModel` takes it for flat. The last line printed is one JSON
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -114,6 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         pressed = simulated(case, 0.6 if options.quick else 0.75 if case.gel is DEEP else 1.0)
         usual = case.gel is MINI and case.exact and not options.quick
         rows.append(judged(case, pressed, models, range(10) if usual else few))
+        print(f"{case.name}, {rows[-1]['indenter']}: done", file=sys.stderr, flush=True)
         if case.gel is MINI and case.exact:
             loads.append((case, pressed))
     if options.gel_mesh is not None:
