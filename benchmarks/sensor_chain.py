@@ -274,7 +274,7 @@ class Stages:
 
     def __init__(self, place: Path) -> None:
         self.calibration: Calibration = load_calibration(place / "calib.npz")
-        self.model = GelModel(GEL, 1.0, 4, "tet4")
+        self.model = GelModel(GEL, 1.0, 4)
         reference = self.calibration.reference
         self.chain = SensorChain(
             SENSOR, self.calibration, reference, self.model, ChainOptions(steep=STEEP)
