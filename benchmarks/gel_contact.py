@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from indentation import FineGel, Indenter, Pressed, fine_gel, published_gel
 from layer_contact import Layer, flat_punch, half_space_punch_n, hertz_n, sphere
-from machine import OtherWork, describe_machine
+from machine import OtherWork, write_results
 
 from tactorch.sensor.description import GelLayer, load_sensor
 from tactorch.sensor.gel import GelModel, KnownLoad, calibrate_modulus
@@ -127,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("\n".join(lines))
     print(f"Other processes took {meter.share() or 0:.0%} of the cores meanwhile.\n")
     if options.out is not None:
-        write(options.out, lines, result)
+        write_results(options.out, "gel_contact", lines, result, PACKAGES)
     print(json.dumps(result))
 
 
@@ -274,15 +274,6 @@ def told(result: dict[str, Any]) -> list[str]:
         f" {m['youngs_mpa']:.4f} +- {m['deviation_mpa']:.4f} MPa (each: {each}), chi2"
         f" {m['chi2']:.2f} of {m['freedom']}.",
     ]
-
-
-def write(folder: Path, lines: list[str], result: dict[str, Any]) -> None:
-    """Write table, figures and machine."""
-    folder.mkdir(parents=True, exist_ok=True)
-    machine = describe_machine(PACKAGES)
-    (folder / "gel_contact.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    content = json.dumps({**result, "machine": machine}, indent=1)
-    (folder / "gel_contact.json").write_text(content + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

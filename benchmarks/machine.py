@@ -1,5 +1,6 @@
 """What a benchmark ran on, in words that fit any machine, and what else ran there meanwhile."""
 
+import json
 import os
 import platform
 import resource
@@ -7,6 +8,7 @@ import sys
 import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 
 def describe_machine(packages: tuple[str, ...]) -> dict[str, str | int]:
@@ -18,6 +20,16 @@ def describe_machine(packages: tuple[str, ...]) -> dict[str, str | int]:
         "python": platform.python_version(),
         **{name: _version(name) for name in packages},
     }
+
+
+def write_results(
+    folder: Path, name: str, lines: list[str], result: dict[str, Any], packages: tuple[str, ...]
+) -> None:
+    """Write NAME.md with the lines, and NAME.json with the figures and the machine."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{name}.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    content = json.dumps({**result, "machine": describe_machine(packages)}, indent=1)
+    (folder / f"{name}.json").write_text(content + "\n", encoding="utf-8")
 
 
 def peak_gib() -> float:

@@ -28,7 +28,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from machine import OtherWork, describe_machine
+from machine import OtherWork, write_results
 from scipy.interpolate import LinearNDInterpolator, RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("\n".join(lines))
     print(f"Other processes took {meter.share() or 0:.0%} of the cores meanwhile.\n")
     if options.out is not None:
-        write(options.out, lines, result)
+        write_results(options.out, "sensor_chain", lines, result, PACKAGES)
     print(json.dumps(result))
 
 
@@ -397,15 +397,6 @@ def told(result: dict[str, Any]) -> list[str]:
         f" around it (true {SOFT_MPA}) and {m['hardest_mpa']:.2f} MPa at most (true {BALL_MPA}), r"
         f" {m['pearson']:.3f}, SSIM {m['ssim']:.3f}.",
     ]
-
-
-def write(folder: Path, lines: list[str], result: dict[str, Any]) -> None:
-    """Write table, figures and machine."""
-    folder.mkdir(parents=True, exist_ok=True)
-    machine = describe_machine(PACKAGES)
-    (folder / "sensor_chain.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    content = json.dumps({**result, "machine": machine}, indent=1)
-    (folder / "sensor_chain.json").write_text(content + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

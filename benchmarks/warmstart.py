@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from hydra import compose, initialize_config_module
-from machine import OtherWork, describe_machine
+from machine import OtherWork, write_results
 
 from tactorch.cli.generate import recipe_of
 from tactorch.generation import Sample, make_sample
@@ -70,7 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("\n".join(["", *told(result["objects"])]))
     print(f"Other processes took {meter.share() or 0:.0%} of the cores meanwhile.\n")
     if options.out is not None:
-        write(options.out, lines, {**result, "each": rows})
+        whole = {**result, "each": rows}
+        write_results(options.out, "warmstart", lines, whole, PACKAGES)
     print(json.dumps(result))
 
 
@@ -187,16 +188,6 @@ def row(one: dict[str, Any]) -> str:
         three("iterations", "d"), three("ssim", ".3f"), three("pearson", ".3f"),
     ]  # fmt: skip
     return "| " + " | ".join(map(str, cells)) + " |"
-
-
-def write(folder: Path, lines: list[str], result: dict[str, Any]) -> None:
-    """Write warmstart.md and warmstart.json."""
-    folder.mkdir(parents=True, exist_ok=True)
-    machine = describe_machine(PACKAGES)
-    text = "\n".join([*lines, "", f"Machine: {machine}", ""])
-    (folder / "warmstart.md").write_text(text, encoding="utf-8")
-    content = json.dumps({**result, "machine": machine}, indent=1) + "\n"
-    (folder / "warmstart.json").write_text(content, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,13 +2,21 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol, runtime_checkable
 
 from tactorch.cli.settings import log
 
-Tell = Callable[[int, int], None]
 _LINES = 10  # of progress in a log
+
+
+@runtime_checkable
+class Tell(Protocol):
+    """Says how far it is."""
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Tell what is done, of how many, and what else there is to say, as ", 2 failed"."""
 
 
 @contextmanager
@@ -36,27 +44,33 @@ def progress(label: str, what: str) -> Iterator[Tell]:
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn(what),
+        TextColumn(what + "{task.fields[note]}"),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), speed_estimate_period=3600.0) as bar:
-        task = bar.add_task(label, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        task = bar.add_task(label, total=None, note="")
+
+        def tell(done: int, total: int, note: str = "") -> None:
+            bar.update(task, completed=done, total=total, note=note)
+
+        yield tell
 
 
 def _in_lines(label: str, what: str) -> Tell:
-    shown, start = 0, time.monotonic()
+    shown, begun, start = 0, -1, 0.0
 
-    def tell(done: int, total: int) -> None:
-        nonlocal shown
+    def tell(done: int, total: int, note: str = "") -> None:
+        nonlocal shown, begun, start
+        if begun < 0:  # perhaps what a run before this one did
+            begun, start = done, time.monotonic()
         part = _LINES * done // max(total, 1)
         if part <= shown:
             return
         shown = part
-        left = (time.monotonic() - start) * (total - done) / max(done, 1)
-        rest = f", about {left:.0f} s left" if done < total else ""
-        log.info("%s: %d of %d %s%s", label, done, total, what, rest)
+        left = (time.monotonic() - start) * (total - done) / max(done - begun, 1)
+        rest = f", about {left:.0f} s left" if begun < done < total else ""
+        log.info("%s: %d of %d %s%s%s", label, done, total, what, note, rest)
 
     return tell
