@@ -1,4 +1,4 @@
-"""The chain from images to a map, on a coarse simulation."""
+"""The chain from images to a map."""
 
 import json
 from types import ModuleType
@@ -31,7 +31,7 @@ def test_a_ball_is_found_from_images_alone(
     benchmark: ModuleType, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Laterally within 1.5 mm in a cube of 10 mm, and far better."""
-    benchmark.main(["--cell", "1.0"])
+    benchmark.main([])
     found = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     assert min(found["calibration"]["r2"]) > 0.98
     assert found["calibration"]["depth_rms_mm"] < 0.05
