@@ -30,6 +30,10 @@ RESULTS = (
 )
 
 
+# Of the volume: with more at a bound a map is no more than where the search ran to.
+_MOST_AT_BOUNDS = 0.2
+
+
 @dataclass(frozen=True)
 class ScoreTable:
     """Scores of several maps: values by map and metric, and the same as text."""
@@ -114,6 +118,7 @@ def summarise(
         "elements": recording.mesh.n_tets,
         "presses": len(recording.presses),
         "youngs_median_mpa": float(np.median(reconstruction.youngs)),
+        "volume_at_bounds": _at_bounds(recording, reconstruction),
         "inclusion": None if inclusion is None else _inclusion(inclusion),
         "nuisance": {name: found.plain() for name, found in reconstruction.nuisance.items()},
     }
@@ -123,6 +128,14 @@ def summarise(
             found = scores(recording.mesh, recording.reference, recording.truth)
             summary["reference"] = found
     return summary | {"config": reconstruction.config}
+
+
+def _at_bounds(recording: Recording, found: Reconstruction) -> float:
+    """Share of the volume within 1 % of the least or the largest modulus allowed."""
+    bounds = found.config["settings"]["bounds"]
+    there = (found.youngs < 1.01 * bounds["lower"]) | (found.youngs > 0.99 * bounds["upper"])
+    volumes = recording.mesh.volumes
+    return float(volumes[there].sum() / volumes.sum())
 
 
 def _inclusion(inclusion: Inclusion) -> dict[str, Any]:
@@ -151,6 +164,12 @@ def describe(
         _finding(inclusion, summary["youngs_median_mpa"]),
         *(_estimate(name, found) for name, found in reconstruction.nuisance.items()),
     ]
+    if summary["volume_at_bounds"] > _MOST_AT_BOUNDS:
+        lines.append(
+            f"DO NOT TRUST THIS MAP: {summary['volume_at_bounds']:.0%} of it lie at a bound of"
+            " Young's modulus. If the bounds are right, presses or model are off by more than the"
+            " noise that is stated: give noise.mm larger, or estimate what is wrong (unknowns)."
+        )
     if recording.truth is not None:
         true = find_inclusion(recording.mesh, recording.truth)
         if true is not None and inclusion is not None:

@@ -81,6 +81,21 @@ def test_invert_leaves_map_and_summary(
     assert summary["stop_reason"] in (folder / "summary.txt").read_text()
 
 
+@pytest.mark.parametrize("lower", [0.001, 0.3])
+def test_a_map_at_its_bounds_is_told(
+    tactorch: Any, recording: Path, tmp_path: Path, lower: float
+) -> None:
+    """The body has 0.2 MPa, so that a bound above it holds nearly all of the map."""
+    done = tactorch(
+        "invert", f"recording={recording}", f"run_dir={tmp_path}", f"bounds.lower={lower}",
+        "start_mpa=0.4", "optimizer.max_iterations=5", "plots=false",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    told = (tmp_path / "summary.txt").read_text()
+    assert ("DO NOT TRUST" in told) == (lower == 0.3)
+    assert (summary_of(tmp_path)["volume_at_bounds"] > 0.2) == (lower == 0.3)
+
+
 def test_run_folder_tells_how_it_came_about(tactorch: Any, recording: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     tactorch("invert", f"recording={recording}", f"run_dir={folder}", "start_mpa=0.25", *QUICK)
