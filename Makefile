@@ -15,6 +15,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.tactorch-installed
 # One thread per process: the workers already share the cores.
 ONE_THREAD := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1
+# Quick tests check the shapes of some calls, see tests/conftest.py; these of all.
+ALL_CHECKED := TACTORCH_CHECK_EVERY=1
 # "worksteal" evens out files of very different length.
 PARALLEL := -n $(WORKERS) --dist worksteal
 
@@ -41,10 +43,10 @@ test: $(STAMP)  ## quick tests
 	$(ONE_THREAD) $(BIN)/pytest -q $(PARALLEL) $(ARGS)
 
 slow: $(STAMP)  ## tests that take long
-	$(BIN)/pytest -q -m slow $(ARGS)
+	$(ALL_CHECKED) $(BIN)/pytest -q -m slow $(ARGS)
 
 external: $(STAMP)  ## tests on the shared data (TACTORCH_SHARED, or ../shared)
-	$(BIN)/pytest -q -m external $(ARGS)
+	$(ALL_CHECKED) $(BIN)/pytest -q -m external $(ARGS)
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .

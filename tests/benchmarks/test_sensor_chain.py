@@ -27,11 +27,21 @@ def test_sides_are_turned_up(benchmark: ModuleType) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "simulation",
+    [
+        [],
+        pytest.param(
+            ["--cell", "1.0", "--element", "tet10"],
+            marks=pytest.mark.xfail(reason="11 % too much force, the ball 2.1 mm off: see README"),
+        ),
+    ],
+)
 def test_a_ball_is_found_from_images_alone(
-    benchmark: ModuleType, capsys: pytest.CaptureFixture[str]
+    benchmark: ModuleType, capsys: pytest.CaptureFixture[str], simulation: list[str]
 ) -> None:
     """Laterally within 1.5 mm in a cube of 10 mm, and far better."""
-    benchmark.main([])
+    benchmark.main(simulation)
     found = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     assert min(found["calibration"]["r2"]) > 0.98
     assert found["calibration"]["depth_rms_mm"] < 0.05

@@ -99,10 +99,10 @@ def test_known_motion_is_found(most: float, missing: float) -> None:
     order = cKDTree(truth[0]).query(tracker.begin)[1]
     assert sorted(order) == list(range(len(truth[0])))
     off, false, lost = [], 0, 0
-    for now, seen, image in zip(truth[:, order], drawn[:, order], images, strict=True):
+    for there, seen, image in zip(truth[:, order], drawn[:, order], images, strict=True):
         found = tracker.follow(image)
         assert np.array_equal(np.isnan(found.places).any(axis=1), ~found.valid)
-        moved, true = found.places - tracker.begin, now - truth[0][order]
+        moved, true = found.places - tracker.begin, there - truth[0][order]
         off.append(np.linalg.norm(moved - true, axis=1)[found.valid & seen])
         false += int((found.valid & ~seen).sum())
         lost += int((~found.valid & seen).sum())

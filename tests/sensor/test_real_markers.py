@@ -77,8 +77,8 @@ def test_neighbours_move_alike_all_along(tracked: np.ndarray) -> None:
     """Motion of up to 47 px varies smoothly: no marker is taken for another (66 px apart)."""
     begin = tracked[0]
     _, near = cKDTree(begin).query(begin, k=5)
-    for now in tracked[::4]:
-        moved = now - begin
+    for places in tracked[::4]:
+        moved = places - begin
         off = np.linalg.norm(moved - np.nanmedian(moved[near[:, 1:]], axis=1), axis=1)
         assert np.nanmax(off) < 20.0
     assert np.nanmax(np.linalg.norm(tracked - begin, axis=2)) > 40.0

@@ -58,7 +58,7 @@ def run(cfg: DictConfig) -> Path:
     reference = reference_of(cfg, sensor)
     tracker, frames = MarkerTracker(reference, look), FrameSequence(cfg, sensor, reference)
     known, places = _followed(tracker, frames)
-    moved = np.stack([displacement_mm(sensor, tracker.begin, now)[1][:, :2] for now in places])
+    moved = np.stack([displacement_mm(sensor, tracker.begin, one)[1][:, :2] for one in places])
     _write(place, tracker.begin, known, places, moved)
     values, lines = _summary(known, places, moved)
     if cfg.backward:
