@@ -1,11 +1,11 @@
 """One training: from a data module and a module to weights, a curve and a summary."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import lightning
 import torch
@@ -18,6 +18,7 @@ from tactorch.files import atomic_path
 from tactorch.learning.order import SeededSteps
 
 LAST, BEST, CURVE = "last.ckpt", "best.ckpt", "curve.json"
+_Network = TypeVar("_Network", bound=lightning.LightningModule)
 
 
 @dataclass(frozen=True)
@@ -205,6 +206,30 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
         ) from error
     assert isinstance(content, Mapping)
     return content
+
+
+def rebuild(make: Callable[..., _Network], path: Path, kind: str, advice: str) -> _Network:
+    """Make a network anew from a checkpoint alone: its settings stand in it. Ready to answer.
+
+    Args:
+        make: The network's class.
+        path: The checkpoint.
+        kind: What messages call the network.
+        advice: What to do where the checkpoint is another network's.
+
+    Raises:
+        FileError: The file is missing, damaged or of another network.
+    """
+    content = read_checkpoint(path)
+    try:
+        network = make(**content["hyper_parameters"])
+        network.load_state_dict({k: v.float() for k, v in content["state_dict"].items()})
+    except ConfigError as error:
+        raise FileError(f"weights '{path}': {error}") from error
+    except (KeyError, TypeError, RuntimeError, AttributeError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise FileError(f"weights '{path}' are not a {kind}'s ({reason}); {advice}.") from error
+    return network.eval()
 
 
 def load_weights(module: lightning.LightningModule, path: Path) -> None:

@@ -5,10 +5,10 @@ from typing import Any
 
 import torch
 
-from tactorch.errors import ConfigError, FileError
+from tactorch.errors import FileError
 from tactorch.files import atomic_path
 from tactorch.learning.surrogate.network import Surrogate
-from tactorch.learning.training import read_checkpoint
+from tactorch.learning.training import read_checkpoint, rebuild
 
 #: The surrogate that comes with tactorch; the file beside it tells how it was made.
 SHIPPED = Path(__file__).with_name("surrogate.pt")
@@ -26,18 +26,8 @@ def load_surrogate(path: Path) -> Surrogate:
             f"the surrogate's weights are missing from this installation ('{path}'); reinstall"
             " tactorch, or make them with train/surrogate.py and give initialization.weights=FILE."
         )
-    content = read_checkpoint(path)
-    try:
-        network = Surrogate(**content["hyper_parameters"])
-        network.load_state_dict({k: v.float() for k, v in content["state_dict"].items()})
-    except ConfigError as error:
-        raise FileError(f"weights '{path}': {error}") from error
-    except (KeyError, TypeError, RuntimeError, AttributeError) as error:
-        raise FileError(
-            f"weights '{path}' are not a surrogate's ({' '.join(str(error).split())[:120]}); give"
-            " the best.ckpt of a run of `tactorch train model=surrogate data=warmstart`."
-        ) from error
-    return network.eval()
+    advice = "give the best.ckpt of a run of `tactorch train model=surrogate data=warmstart`"
+    return rebuild(Surrogate, path, "surrogate", advice)
 
 
 def export(checkpoint: Path, path: Path) -> None:
