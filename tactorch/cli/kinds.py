@@ -1,7 +1,7 @@
 """What kind of value each setting holds, so that a wrong one is refused by name."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
@@ -80,7 +80,10 @@ _SHARES = Kind("three shares: [TRAINING,VALIDATION,TEST]", lambda v: _is_point(v
 _DEVICES = Kind("a whole number or auto", lambda v: v == "auto" or _is_whole(v))
 # By a setting's whole name, where its last part means something else elsewhere.
 _WHOLE_NAMES: dict[Kind, str] = {
-    _WHOLE: "dataset.count dataset.views dataset.shard phantom.count data.frames",
+    _WHOLE: """
+        dataset.count dataset.views dataset.shard phantom.count data.frames
+        size.models.patches size.recognition.count size.sampling.presses
+    """,
     _OFFSET: "phantom.offset mm_per_px",
     _MODULI: "phantom.youngs_mpa",
     _SHARES: "data.shares",
@@ -107,14 +110,14 @@ _NAMES_OF: dict[Kind, str] = {
         tube low_mpa high_mpa hole_mpa waist_mm rim_mm radius_mm ball distance median_mpa spread
         patch_share prior_share dropout learning_rate weight_decay gradient_clip max_minutes
         brightness ball_radius_mm marker_diameter_px magnify edge_mm around_mm least_mm steep
-        reach_mm depth_mm
+        reach_mm depth_mm sensor_mm load
     """,
     _MODULUS: "start_mpa",
     _WHOLE: """
         seed samples steps max_iterations max_evaluations stage_iterations cg_iterations memory
         max_trials workers max_epochs splits hidden layers voxels batch split patience
         width encoded cells held_out folds rounds reference_frames most_frames pictures
-        least_frames
+        least_frames divisions tnc_evaluations places epochs candidates
     """,
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor
@@ -130,7 +133,7 @@ _NAMES_OF: dict[Kind, str] = {
     _RECONSTRUCT: "reconstruct",
     _PRIOR_MEAN: "prior_mean",
     _PATHS: "compare",
-    _NAMES: "faces",
+    _NAMES: "faces names meshes",
     _POINTS: "patch_centers_mm",
     _NUMBERS: "parameters parts",
     _LEVELS: "levels_mpa",
@@ -171,7 +174,7 @@ def check_settings(cfg: DictConfig, catalog: Catalog, given: list[str]) -> None:
             raise ConfigError(unknown_setting(str(name), catalog, given))
     for name in (*catalog.settings, *catalog.defaults):
         _check_presence(name, values.get(name, {}), catalog)
-    for name, value in _leaves(values):
+    for name, value in _leaves(values, groups=catalog.defaults):
         _check(name, value)
 
 
@@ -186,10 +189,13 @@ def _check_presence(name: str, value: Any, catalog: Catalog) -> None:
         raise ConfigError(f"{name}={value!r}: it holds several settings; give {name}.KEY=VALUE.")
 
 
-def _leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _leaves(
+    values: Mapping[Any, Any], prefix: str = "", groups: Container[str] = ()
+) -> Iterator[tuple[str, Any]]:
+    """Name and value of each setting; groups hold others, even where called like a setting."""
     for key, value in values.items():
         name = f"{prefix}{key}"
-        if isinstance(value, Mapping) and str(key) not in KINDS:
+        if isinstance(value, Mapping) and (str(key) not in KINDS or name in groups):
             yield from _leaves(value, f"{name}.")
         else:
             yield name, value

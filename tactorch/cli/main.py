@@ -11,6 +11,7 @@ VERBS = {
     "generate": "make a dataset of simulated presses on random objects",
     "train": "train a network on a dataset",
     "evaluate-model": "how good a trained network is, in numbers and pictures",
+    "reproduce": "the paper's tables and figures, made anew, beside its own numbers",
     "demo": "from presses to a map, on a simulated cube or a published case",
     "sensor": "from camera frames of a tactile sensor to forces; see its commands below",
 }
@@ -25,6 +26,8 @@ GROUPS = {
         "record": "frames and poses of a session into a recording, to invert",
     },
 }
+#: Verbs whose first argument may be a value alone, and the setting that it is.
+POSITIONAL = {"reproduce": "name"}
 #: All that can be given settings, as typed.
 COMMANDS = (
     *(verb for verb in VERBS if verb not in GROUPS),
@@ -54,6 +57,8 @@ def _dispatch(arguments: list[str] | None) -> None:
     from tactorch.cli.app import fail, run_app
 
     verb, settings = given[0], given[1:]
+    if verb in POSITIONAL and settings and settings[0][:1] != "-" and "=" not in settings[0]:
+        settings[0] = f"{POSITIONAL[verb]}={settings[0]}"
     if verb not in VERBS:
         from tactorch.cli.complaints import did_you_mean
 
