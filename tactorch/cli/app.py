@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from tactorch.cli.catalog import PACKAGE, Catalog, app_name, conf_folder
+from tactorch.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 # What is no name in Python.
 _MODULES = {"import": "import_", "evaluate-model": "evaluate_model"}
 _DEBUG = "HYDRA_FULL_ERROR"
-#: Exit status where the input is wrong, and where Ctrl-C ended the run.
-WRONG, INTERRUPTED = 2, 130
+#: Exit status where the input is wrong.
+WRONG = 2
 
 
 def run_app(verb: str, given: Sequence[str]) -> None:

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
-
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tactorch.cli.catalog import Catalog
 from tactorch.cli.complaints import unknown_setting
 from tactorch.errors import ConfigError
+
+if TYPE_CHECKING:  # completion reads the tables below, and must not wait
+    from omegaconf import DictConfig
 
 
 class Kind(NamedTuple):
@@ -47,13 +47,13 @@ _NUMBER = Kind("a number", _is_number)
 HOMOGENEOUS = "homogeneous"
 _MODULUS = Kind(f"a number or {HOMOGENEOUS}", lambda v: v == HOMOGENEOUS or _is_number(v))
 _WHOLE = Kind("a whole number", _is_whole)
-_FLAG = Kind("true or false", lambda value: isinstance(value, bool))
+FLAG = Kind("true or false", lambda value: isinstance(value, bool))
 _PRIOR_MEAN = Kind("true, false or auto", lambda v: isinstance(v, bool) or v == "auto")
 _RECONSTRUCT = Kind("true, false or linear", lambda v: isinstance(v, bool) or v == "linear")
 _TEXT = Kind("text", lambda value: isinstance(value, str))
 # A file may be called 7.
-_PATH = Kind("a path", lambda value: isinstance(value, str | int | float) and value is not True)
-_PATHS = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(_PATH.holds, v)))
+PATH = Kind("a path", lambda value: isinstance(value, str | int | float) and value is not True)
+PATHS = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(PATH.holds, v)))
 _NAMES = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(_TEXT.holds, v)))
 _POINT = Kind("a list of three numbers: [X,Y,Z]", _is_point)
 _POINTS = Kind(
@@ -121,15 +121,15 @@ _NAMES_OF: dict[Kind, str] = {
         scheduler accelerator strategy precision part map
         first_touch untouched held_side held_by unit
     """,
-    _PATH: """
+    PATH: """
         path out recording run run_dir resume folder weights
         sensor images reference labels calibration frames poses
     """,
     _POINT: "center size radii axis size_mm origin_mm",
-    _FLAG: "plots check_units retry_failed card augment video backward",
+    FLAG: "plots check_units retry_failed card augment video backward",
     _RECONSTRUCT: "reconstruct",
     _PRIOR_MEAN: "prior_mean",
-    _PATHS: "compare",
+    PATHS: "compare",
     _NAMES: "faces",
     _POINTS: "patch_centers_mm",
     _NUMBERS: "parameters parts",
@@ -154,12 +154,15 @@ _OPTIONAL = """
 OPTIONAL = frozenset(_OPTIONAL.split())
 
 
-def check_settings(cfg: DictConfig, catalog: Catalog, given: list[str]) -> None:
+def check_settings(cfg: "DictConfig", catalog: Catalog, given: list[str]) -> None:
     """Refuse settings that are missing, unknown, or hold another kind of value than they should.
 
     Raises:
         ConfigError: names the setting and what to give.
     """
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
     try:
         values = OmegaConf.to_container(cfg, resolve=True)
     except OmegaConfBaseException as error:
@@ -195,9 +198,13 @@ def _leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield name, value
 
 
+def kind_of(name: str) -> Kind | None:
+    """Return what a setting holds, by its full name; None where what is beside it decides."""
+    return None if name.startswith(_FREE) else KINDS.get(name, KINDS.get(name.split(".")[-1]))
+
+
 def _check(name: str, value: Any) -> None:
-    leaf = name.split(".")[-1]
-    kind = None if name.startswith(_FREE) else KINDS.get(name, KINDS.get(leaf))
+    leaf, kind = name.split(".")[-1], kind_of(name)
     if kind is None or kind.holds(value):
         return
     optional = leaf in OPTIONAL or name in OPTIONAL

@@ -2,6 +2,10 @@
 
 import os
 import sys
+from importlib import import_module
+
+#: Exit status where Ctrl-C ended the run.
+INTERRUPTED = 130
 
 VERBS = {
     "simulate": "press a phantom and record how its surface moves",
@@ -13,6 +17,8 @@ VERBS = {
     "evaluate-model": "how good a trained network is, in numbers and pictures",
     "demo": "from presses to a map, on a simulated cube or a published case",
     "sensor": "from camera frames of a tactile sensor to forces; see its commands below",
+    "doctor": "what works on this machine, what is missing, and the commands that install it",
+    "completion": "a script that makes bash, zsh or fish complete commands and settings",
 }
 #: Commands of a verb that has several.
 GROUPS = {
@@ -25,9 +31,11 @@ GROUPS = {
         "record": "frames and poses of a session into a recording, to invert",
     },
 }
+#: Verbs that are no Hydra apps: they have no file of settings.
+PLAIN = ("doctor", "completion")
 #: All that can be given settings, as typed.
 COMMANDS = (
-    *(verb for verb in VERBS if verb not in GROUPS),
+    *(verb for verb in VERBS if verb not in (*GROUPS, *PLAIN)),
     *(f"{group} {verb}" for group, verbs in GROUPS.items() for verb in verbs),
 )
 
@@ -39,10 +47,15 @@ def main(arguments: list[str] | None = None) -> None:
         sys.stdout.flush()
     except BrokenPipeError:  # as in `tactorch invert --help | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:  # before or after what a command's own run catches
+        print("tactorch: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
 
 
 def _dispatch(arguments: list[str] | None) -> None:
     given = list(sys.argv[1:] if arguments is None else arguments)
+    if given[:1] == ["help"] and len(given) > 1:
+        given = [*given[1:], "--help"]
     if not given or given[0] in ("-h", "--help", "help"):
         print(_usage())
         return
@@ -59,7 +72,9 @@ def _dispatch(arguments: list[str] | None) -> None:
 
         known = ", ".join(VERBS)
         fail(f"'{verb}' is not a command; choose one of {known}.{did_you_mean(verb, list(VERBS))}")
-    if verb not in GROUPS:
+    if verb in PLAIN:
+        _run_plain(verb, settings)
+    elif verb not in GROUPS:
         run_app(verb, settings)
     elif not settings or settings[0] in ("-h", "--help", "help"):
         print(_usage_of(verb))
@@ -74,6 +89,24 @@ def _dispatch(arguments: list[str] | None) -> None:
             f"{did_you_mean(settings[0], commands)}",
             verb,
         )
+
+
+def _run_plain(verb: str, words: list[str]) -> None:
+    """Run a verb that is no Hydra app; it gives the exit status."""
+    from tactorch.cli.app import fail
+    from tactorch.cli.help import wants_help
+    from tactorch.errors import TactorchError
+
+    module = import_module(f"tactorch.cli.{verb}")
+    if wants_help(words):
+        print(module.HELP)
+        return
+    try:
+        status = module.run(words)
+    except TactorchError as error:
+        fail(str(error), verb)
+    if status:
+        sys.exit(status)
 
 
 def _usage() -> str:

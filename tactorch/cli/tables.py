@@ -1,0 +1,74 @@
+"""Tables for people: drawn at a terminal, aligned text without control codes elsewhere."""
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import IO, Any
+
+_GAP = "  "
+_NO_CONTROL = ("", "dumb", "unknown")  # TERM of terminals that know no control codes
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells with a header.
+
+    Attributes:
+        header: Name of each column.
+        rows: Cells of each row.
+        words: Columns from the left that hold words; the others hold numbers, set to the right.
+        styles: Rich's styles of cells that hold just this text, at a terminal.
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    words: int = 1
+    styles: Mapping[str, str] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """Return aligned lines, whatever their length: nothing is wrapped or cut."""
+        lines = [self.header, *self.rows] if any(self.header) else [*self.rows]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        return "\n".join(
+            _GAP.join(self._set(k, cell, widths[k]) for k, cell in enumerate(line)).rstrip()
+            for line in lines
+        )
+
+    def _set(self, column: int, cell: str, width: int) -> str:
+        return cell.ljust(width) if column < self.words else cell.rjust(width)
+
+    def drawn(self) -> Any:
+        """Return rich's table."""
+        from rich import box
+        from rich.table import Table as Rich
+        from rich.text import Text
+
+        table = Rich(box=box.SIMPLE_HEAD, show_header=any(self.header), pad_edge=False)
+        for column, name in enumerate(self.header):
+            table.add_column(Text(name), justify="left" if column < self.words else "right")
+        for row in self.rows:
+            table.add_row(*(Text(cell, self.styles.get(cell, "")) for cell in row))
+        return table
+
+
+def is_rich(stream: IO[str] | None = None) -> bool:
+    """Whether a stream (standard output, if none is given) is a terminal that can be drawn on."""
+    try:
+        there = (sys.stdout if stream is None else stream).isatty()
+    except (AttributeError, ValueError):  # none at all, or closed
+        return False
+    return there and os.environ.get("TERM", "") not in _NO_CONTROL
+
+
+def show(table: Table) -> None:
+    """Print a table."""
+    try:
+        if is_rich():
+            from rich.console import Console
+
+            Console(highlight=False).print(table.drawn())
+            return
+    except ImportError:  # `tactorch doctor` is run just where packages are missing
+        pass
+    print(table.text())
