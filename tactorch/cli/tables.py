@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import IO, Any
+from typing import Any
 
 _GAP = "  "
 _NO_CONTROL = ("", "dumb", "unknown")  # TERM of terminals that know no control codes
@@ -52,7 +52,7 @@ class Table:
         return table
 
 
-def is_rich(stream: IO[str] | None = None) -> bool:
+def is_rich(stream: Any = None) -> bool:
     """Whether a stream (standard output, if none is given) is a terminal that can be drawn on."""
     try:
         there = (sys.stdout if stream is None else stream).isatty()

@@ -145,7 +145,7 @@ TYPED = [
     ("inve\trecordi\tba\t", "invert recording=ball.h5"),
     ("simulate phantom=cube_sp\t", "simulate phantom=cube_sphere"),
     ("sen\tcalib\tsens\tgelsight_mi\t", "sensor calibrate sensor=gelsight_mini"),
-    ("invert optimizer=g\toptim\t.tol\t1", "invert optimizer=gauss_newton optimizer.tolerance=1"),
+    ("invert optimizer=g\toptim\ttol\t1", "invert optimizer=gauss_newton optimizer.tolerance=1"),
     ("invert recording=my\t", "invert recording=my ball.h5"),
     ("invert -m optimizer=tnc,ne\t", "invert -m optimizer=tnc,newton_cg"),
     ("invert recording=ru\ttn\t", "invert recording=runs/tnc/"),
