@@ -13,7 +13,9 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from tactorch.cli.catalog import PACKAGE, Catalog, app_name, conf_folder
+from tactorch.cli.logs import to_log_file
 from tactorch.cli.main import INTERRUPTED
+from tactorch.cli.tables import is_rich
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -84,7 +86,7 @@ class App:
 
         self.began = True
         note = ", ".join(f"{name} {version}" for name, version in versions().items())
-        _to_log_file(f"tactorch {self.verb} with {note}")
+        to_log_file(f"tactorch {self.verb} with {note}")
         try:
             check_settings(cfg, Catalog(self.verb), self.settings)
             self._check_output(cfg.get("out"))
@@ -104,7 +106,7 @@ class App:
         """Say what went wrong; other jobs of a sweep still run."""
         self.failed = True
         _say(message, self.verb)
-        _to_log_file(f"error: {message}", error=True)
+        to_log_file(f"error: {message}", error=True)
 
     def _check_output(self, out: str | None) -> None:
         """Refuse that jobs of a sweep write the same file."""
@@ -157,22 +159,11 @@ def _process_of(verb: str, settings: Sequence[str]) -> Iterator[None]:
             os.environ[_DEBUG] = debug
 
 
-def _to_log_file(message: str, error: bool = False) -> None:
-    """Write to the run's log file only; errors with their traceback."""
-    level = logging.ERROR if error else logging.INFO
-    record = logging.LogRecord(
-        "tactorch", level, "", 0, message, None, sys.exc_info() if error else None
-    )
-    for handler in logging.getLogger().handlers:
-        if isinstance(handler, logging.FileHandler):
-            handler.handle(record)
-
-
 @contextmanager
 def _no_lines_in_the_bar() -> Iterator[None]:
     """Where a progress bar shows the iterations, keep their lines to the log file."""
     handlers = [h for h in logging.getLogger().handlers if not isinstance(h, logging.FileHandler)]
-    if not (sys.stderr.isatty() and sys.stdout.isatty()):
+    if not (is_rich(sys.stderr) and is_rich()):
         handlers = []
     for handler in handlers:
         handler.addFilter(_is_not_iteration)

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol, runtime_checkable
 
-from tactorch.cli.settings import log
+from tactorch.cli.logs import log
+from tactorch.cli.tables import is_rich
 
 _LINES = 10  # of progress in a log
 
@@ -27,7 +28,7 @@ def progress(label: str, what: str) -> Iterator[Tell]:
         label: What is going on.
         what: The things that are counted.
     """
-    if not sys.stderr.isatty():
+    if not is_rich(sys.stderr):
         yield _in_lines(label, what)
         return
     from rich.console import Console

@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 _GAP = "  "
 _NO_CONTROL = ("", "dumb", "unknown")  # TERM of terminals that know no control codes
@@ -38,19 +38,6 @@ class Table:
     def _set(self, column: int, cell: str, width: int) -> str:
         return cell.ljust(width) if column < self.words else cell.rjust(width)
 
-    def drawn(self) -> Any:
-        """Return rich's table."""
-        from rich import box
-        from rich.table import Table as Rich
-        from rich.text import Text
-
-        table = Rich(box=box.SIMPLE_HEAD, show_header=any(self.header), pad_edge=False)
-        for column, name in enumerate(self.header):
-            table.add_column(Text(name), justify="left" if column < self.words else "right")
-        for row in self.rows:
-            table.add_row(*(Text(cell, self.styles.get(cell, "")) for cell in row))
-        return table
-
 
 def is_rich(stream: Any = None) -> bool:
     """Whether a stream (standard output, if none is given) is a terminal that can be drawn on."""
@@ -65,10 +52,28 @@ def show(table: Table) -> None:
     """Print a table."""
     try:
         if is_rich():
-            from rich.console import Console
-
-            Console(highlight=False).print(table.drawn())
+            drawn(table)
             return
     except ImportError:  # `tactorch doctor` is run just where packages are missing
         pass
     print(table.text())
+
+
+def drawn(table: Table) -> None:
+    """Draw a table at the terminal.
+
+    Raises:
+        ImportError: Rich is not installed.
+    """
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as Rich
+    from rich.text import Text
+
+    found = Rich(box=box.SIMPLE_HEAD, show_header=any(table.header), pad_edge=False)
+    for column, name in enumerate(table.header):
+        side: Literal["left", "right"] = "left" if column < table.words else "right"
+        found.add_column(Text(name), justify=side)
+    for row in table.rows:
+        found.add_row(*(Text(cell, table.styles.get(cell, "")) for cell in row))
+    Console(highlight=False).print(found)

@@ -1,7 +1,7 @@
 """One training: from a data module and a module to weights, a curve and a summary."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -83,6 +83,30 @@ class Curve(lightning.Callback):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from a checkpoint."""
         self.epochs = list(state["epochs"])
+
+
+class EpochsTold(lightning.Callback):
+    """Tells at the end of each epoch how many are done, of how many, and the losses.
+
+    Args:
+        tell: Called with epochs done, their limit, and a note such as ", loss 0.1".
+    """
+
+    def __init__(self, tell: Callable[[int, int, str], None]) -> None:
+        self.tell = tell
+
+    def on_train_epoch_end(
+        self, trainer: lightning.Trainer, module: lightning.LightningModule
+    ) -> None:
+        """Tell."""
+        if not trainer.is_global_zero:
+            return
+        names = {"train/loss": "loss", "val/loss": "validation"}
+        found = {told: trainer.callback_metrics.get(name) for name, told in names.items()}
+        note = "".join(
+            f", {told} {value:.4g}" for told, value in found.items() if value is not None
+        )
+        self.tell(trainer.current_epoch + 1, int(trainer.max_epochs or 0), note)
 
 
 def fit(
