@@ -27,8 +27,8 @@ def tell(text: str, *tables: Table) -> None:
     to_log_file(text)
     for table in tables:
         before, _, text = text.partition(table.text())
-        if before:
-            print(before.removesuffix("\n"))
+        if before.strip():
+            print(before.rstrip("\n"))
         drawn(table)
     if text:
         print(text.removeprefix("\n"))

@@ -71,7 +71,7 @@ def _in_lines(label: str, what: str) -> Tell:
             return
         shown = part
         left = (time.monotonic() - start) * (total - done) / max(done - begun, 1)
-        rest = f", about {left:.0f} s left" if begun < done < total else ""
+        rest = f", about {left:.0f} s left" if begun < done < total and left >= 1 else ""
         log.info("%s: %d of %d %s%s%s", label, done, total, what, note, rest)
 
     return tell

@@ -70,7 +70,7 @@ def drawn(table: Table) -> None:
     from rich.table import Table as Rich
     from rich.text import Text
 
-    found = Rich(box=box.SIMPLE_HEAD, show_header=any(table.header), pad_edge=False)
+    found = Rich(box=box.SIMPLE_HEAD, show_header=any(table.header), header_style="")
     for column, name in enumerate(table.header):
         side: Literal["left", "right"] = "left" if column < table.words else "right"
         found.add_column(Text(name), justify=side)
