@@ -29,6 +29,7 @@ WRONG = 2
 
 def run_app(verb: str, given: Sequence[str]) -> None:
     """Run the Hydra app of a command; ends the process with a status other than 0 on errors."""
+    from tactorch.cli.complaints import unknown_flag
     from tactorch.cli.help import help_text, wants_help
     from tactorch.cli.resume import with_resume
     from tactorch.errors import TactorchError
@@ -40,6 +41,9 @@ def run_app(verb: str, given: Sequence[str]) -> None:
         settings = with_resume(verb, list(given))
     except TactorchError as error:
         fail(str(error), verb)
+    wrong = unknown_flag(verb, settings)
+    if wrong:
+        fail(wrong, verb)
     app = App(verb, settings)
     try:
         app.run()

@@ -199,8 +199,8 @@ def run(words: Sequence[str]) -> None:
     elif what in SHELLS and not given:
         print(script(what), end="")
     else:
-        told = f"'{' '.join(words)}' is none" if words else "which one"
-        raise ConfigError(f"shell: {told}; choose one of {', '.join(SHELLS)}.")
+        told = f"'{' '.join(words)}' is no shell that is known" if words else "name a shell"
+        raise ConfigError(f"{told}; choose one of {', '.join(SHELLS)}.")
 
 
 def script(shell: str) -> str:

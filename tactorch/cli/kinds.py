@@ -52,7 +52,7 @@ _PRIOR_MEAN = Kind("true, false or auto", lambda v: isinstance(v, bool) or v == 
 _RECONSTRUCT = Kind("true, false or linear", lambda v: isinstance(v, bool) or v == "linear")
 _TEXT = Kind("text", lambda value: isinstance(value, str))
 # A file may be called 7.
-PATH = Kind("a path", lambda value: isinstance(value, str | int | float) and value is not True)
+PATH = Kind("a path", lambda v: isinstance(v, str | int | float) and v is not True and v != "")
 PATHS = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(PATH.holds, v)))
 _NAMES = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(_TEXT.holds, v)))
 _POINT = Kind("a list of three numbers: [X,Y,Z]", _is_point)

@@ -4,6 +4,7 @@ import os
 import sys
 from importlib import import_module
 
+_HELP = ("-h", "--help", "help")
 #: Exit status where Ctrl-C ended the run.
 INTERRUPTED = 130
 
@@ -54,12 +55,12 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _dispatch(arguments: list[str] | None) -> None:
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if given[:1] == ["help"] and len(given) > 1:
+    if given and given[0] in _HELP and len(given) > 1:
         given = [*given[1:], "--help"]
-    if not given or given[0] in ("-h", "--help", "help"):
+    if not given or given[0] in _HELP:
         print(_usage())
         return
-    if given[0] in ("-V", "--version", "version"):
+    if given[0] in ("-V", "--version", "version") or given[-1] == "--version":
         from tactorch.versions import versions
 
         print("  ".join(f"{name} {version}" for name, version in versions().items()))
@@ -68,15 +69,12 @@ def _dispatch(arguments: list[str] | None) -> None:
 
     verb, settings = given[0], given[1:]
     if verb not in VERBS:
-        from tactorch.cli.complaints import did_you_mean
-
-        known = ", ".join(VERBS)
-        fail(f"'{verb}' is not a command; choose one of {known}.{did_you_mean(verb, list(VERBS))}")
+        fail(_no_command(verb))
     if verb in PLAIN:
         _run_plain(verb, settings)
     elif verb not in GROUPS:
         run_app(verb, settings)
-    elif not settings or settings[0] in ("-h", "--help", "help"):
+    elif not settings or settings[0] in _HELP:
         print(_usage_of(verb))
     elif settings[0] in GROUPS[verb]:
         run_app(f"{verb} {settings[0]}", settings[1:])
@@ -89,6 +87,18 @@ def _dispatch(arguments: list[str] | None) -> None:
             f"{did_you_mean(settings[0], commands)}",
             verb,
         )
+
+
+def _no_command(word: str) -> str:
+    """Say that a word is no command, and which one may be meant."""
+    from tactorch.cli.complaints import did_you_mean
+
+    if "=" in word:
+        return f"a command comes first, as in: tactorch simulate {word}"
+    inner = next((command for command in COMMANDS if command.endswith(f" {word}")), None)
+    flags = ("--help", "--version")
+    meant = f" Did you mean '{inner}'?" if inner else did_you_mean(word, [*VERBS, *flags])
+    return f"'{word}' is not a command; choose one of {', '.join(VERBS)}.{meant}"
 
 
 def _run_plain(verb: str, words: list[str]) -> None:

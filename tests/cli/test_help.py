@@ -35,6 +35,8 @@ def test_versions_are_told(tactorch: Any) -> None:
     out = tactorch("--version").out
     assert "tactorch" in out
     assert "torch" in out
+    for arguments in (("version",), ("-V",), ("invert", "--version")):
+        assert tactorch(*arguments).out == out
 
 
 @pytest.mark.parametrize("verb", COMMANDS)
@@ -94,6 +96,14 @@ def test_optimizer_of_the_paper_brings_its_own_choices(tactorch: Any) -> None:
     ("arguments", "words"),
     [
         (("simlate",), ("'simlate' is not a command", "Did you mean 'simulate'?")),
+        (("INVERT",), ("Did you mean 'invert'?",)),
+        (("--versio",), ("Did you mean '--version'?",)),
+        (("calibrate",), ("Did you mean 'sensor calibrate'?",)),
+        (("phantom=cube_box",), ("a command comes first", "tactorch simulate phantom=cube_box")),
+        (("simulate", "--verbose"), ("--verbose", "KEY=VALUE", "tactorch simulate --help")),
+        (("simulate", "--cfg", "nothing"), ("--cfg", "'nothing'", "'job'")),
+        (("invert", "."), ("'.' is not a setting", "perhaps recording=.")),
+        (("invert", "recording="), ("recording=''", "give a path")),
         (("sensor", "calibrat"), ("'calibrat' is not one of", "Did you mean 'calibrate'?")),
         (("sensor", "sensor=x"), ("'sensor=x' is not one of", "choose one of calibrate, check")),
         (("sensor", "track", "frame=x"), ("unknown setting 'frame'", "Did you mean 'frames'?")),
@@ -179,6 +189,7 @@ def test_help_of_a_verb_may_be_asked_for_either_way(tactorch: Any) -> None:
         words = verb.split()
         done = tactorch("help", *words)
         assert done.status == 0
+        assert done.out == tactorch("--help", *words).out
         assert done.out == tactorch(*words, "--help").out
         assert f"tactorch {verb}" in done.out
     assert tactorch("help", "invrt").status == 2
