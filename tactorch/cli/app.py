@@ -48,7 +48,7 @@ def run_app(verb: str, given: Sequence[str]) -> None:
     try:
         app.run()
     except KeyboardInterrupt:
-        print(f"tactorch {verb}: interrupted", file=sys.stderr)
+        print(f"tactorch {verb}: interrupted{app.how_to_go_on()}", file=sys.stderr)
         sys.exit(INTERRUPTED)
     if app.failed:
         sys.exit(WRONG)
@@ -63,6 +63,7 @@ class App:
         self.settings = settings
         self.failed = False
         self.began = False
+        self.place: Path | None = None
         self._outputs: set[Path] = set()
 
     def run(self) -> None:
@@ -84,11 +85,14 @@ class App:
 
     def job(self, cfg: "DictConfig") -> Any:
         """Run the command once; errors raised on purpose become a message."""
+        from hydra.core.hydra_config import HydraConfig
+
         from tactorch.cli.kinds import check_settings
         from tactorch.errors import TactorchError
         from tactorch.versions import versions
 
         self.began = True
+        self.place = Path(HydraConfig.get().runtime.output_dir)
         note = ", ".join(f"{name} {version}" for name, version in versions().items())
         to_log_file(f"tactorch {self.verb} with {note}")
         try:
@@ -105,6 +109,15 @@ class App:
                 f"out of memory ({error}); use a coarser mesh, fewer presses or optimizer=lbfgs."
             )
         return None
+
+    def how_to_go_on(self) -> str:
+        """Return the rest of a sentence, where a run that was stopped can go on."""
+        from tactorch.cli.resume import has_state
+
+        if self.place is None or not has_state(self.verb, self.place):
+            return ""
+        place = Path(os.path.relpath(self.place))
+        return f"; go on with tactorch {self.verb} resume={place}"
 
     def _complain(self, message: str) -> None:
         """Say what went wrong; other jobs of a sweep still run."""

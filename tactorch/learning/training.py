@@ -1,6 +1,7 @@
 """One training: from a data module and a module to weights, a curve and a summary."""
 
 import json
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
@@ -128,6 +129,7 @@ def fit(
     Raises:
         FileError: The checkpoint is damaged or of another model.
         ConfigError: An option cannot be used.
+        KeyboardInterrupt: Ctrl-C ended the training; it goes on from its last epoch.
     """
     options = options or TrainerOptions()
     folder.mkdir(parents=True, exist_ok=True)
@@ -138,7 +140,14 @@ def fit(
     last, best = folder / LAST, folder / BEST
     if last.is_file():
         check_checkpoint(last, module)
-    trainer.fit(module, datamodule=data, ckpt_path=str(last) if last.is_file() else None)
+    on_interrupt = signal.getsignal(signal.SIGINT)
+    try:
+        trainer.fit(module, datamodule=data, ckpt_path=str(last) if last.is_file() else None)
+    except SystemExit as end:  # so Lightning ends a process on Ctrl-C, without a word
+        if trainer.interrupted:
+            signal.signal(signal.SIGINT, on_interrupt)  # which Lightning took away
+            raise KeyboardInterrupt from end
+        raise
     if not judged:  # there is nothing to choose by: the last is as good as any
         trainer.save_checkpoint(best)
     load_weights(module, best)
