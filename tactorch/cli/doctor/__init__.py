@@ -79,7 +79,9 @@ def _tell(findings: Sequence[Finding], well: bool) -> None:
     ill = [one for one in findings if one.works is False]
     print()
     if ill:
-        print("Not working, what that takes away, and what to do:")
+        print(
+            "Not working, what that takes away, and what to do; the first may be why others fail:"
+        )
         show(Table(("",) * 3, [(one.name, one.feature, one.remedy) for one in ill], 3))
         print()
     if not well:
