@@ -47,14 +47,15 @@ _NUMBER = Kind("a number", _is_number)
 HOMOGENEOUS = "homogeneous"
 _MODULUS = Kind(f"a number or {HOMOGENEOUS}", lambda v: v == HOMOGENEOUS or _is_number(v))
 _WHOLE = Kind("a whole number", _is_whole)
-FLAG = Kind("true or false", lambda value: isinstance(value, bool))
+_FLAG = Kind("true or false", lambda value: isinstance(value, bool))
 _PRIOR_MEAN = Kind("true, false or auto", lambda v: isinstance(v, bool) or v == "auto")
 _RECONSTRUCT = Kind("true, false or linear", lambda v: isinstance(v, bool) or v == "linear")
 _TEXT = Kind("text", lambda value: isinstance(value, str))
 # A file may be called 7.
-PATH = Kind("a path", lambda v: isinstance(v, str | int | float) and v is not True and v != "")
-PATHS = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(PATH.holds, v)))
+_PATH = Kind("a path", lambda v: isinstance(v, str | int | float) and v is not True and v != "")
+_PATHS = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(_PATH.holds, v)))
 _NAMES = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(_TEXT.holds, v)))
+FLAG, PATH, PATHS = _FLAG, _PATH, _PATHS  # which completion knows
 _POINT = Kind("a list of three numbers: [X,Y,Z]", _is_point)
 _POINTS = Kind(
     "a list of points: [[X,Y,Z],...]", lambda v: isinstance(v, list) and all(map(_is_point, v))
@@ -121,15 +122,15 @@ _NAMES_OF: dict[Kind, str] = {
         scheduler accelerator strategy precision part map
         first_touch untouched held_side held_by unit
     """,
-    PATH: """
+    _PATH: """
         path out recording run run_dir resume folder weights
         sensor images reference labels calibration frames poses
     """,
     _POINT: "center size radii axis size_mm origin_mm",
-    FLAG: "plots check_units retry_failed card augment video backward",
+    _FLAG: "plots check_units retry_failed card augment video backward",
     _RECONSTRUCT: "reconstruct",
     _PRIOR_MEAN: "prior_mean",
-    PATHS: "compare",
+    _PATHS: "compare",
     _NAMES: "faces",
     _POINTS: "patch_centers_mm",
     _NUMBERS: "parameters parts",
