@@ -13,6 +13,9 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from tactorch.cli.catalog import PACKAGE, Catalog, app_name, conf_folder
+from tactorch.cli.logs import to_log_file
+from tactorch.cli.main import INTERRUPTED
+from tactorch.cli.tables import is_rich
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -20,12 +23,13 @@ if TYPE_CHECKING:
 # What is no name in Python.
 _MODULES = {"import": "import_", "evaluate-model": "evaluate_model"}
 _DEBUG = "HYDRA_FULL_ERROR"
-#: Exit status where the input is wrong, and where Ctrl-C ended the run.
-WRONG, INTERRUPTED = 2, 130
+#: Exit status where the input is wrong.
+WRONG = 2
 
 
 def run_app(verb: str, given: Sequence[str]) -> None:
     """Run the Hydra app of a command; ends the process with a status other than 0 on errors."""
+    from tactorch.cli.complaints import unknown_flag
     from tactorch.cli.help import help_text, wants_help
     from tactorch.cli.resume import with_resume
     from tactorch.errors import TactorchError
@@ -37,11 +41,14 @@ def run_app(verb: str, given: Sequence[str]) -> None:
         settings = with_resume(verb, list(given))
     except TactorchError as error:
         fail(str(error), verb)
+    wrong = unknown_flag(verb, settings)
+    if wrong:
+        fail(wrong, verb)
     app = App(verb, settings)
     try:
         app.run()
     except KeyboardInterrupt:
-        print(f"tactorch {verb}: interrupted", file=sys.stderr)
+        print(f"tactorch {verb}: interrupted{app.how_to_go_on()}", file=sys.stderr)
         sys.exit(INTERRUPTED)
     if app.failed:
         sys.exit(WRONG)
@@ -56,6 +63,7 @@ class App:
         self.settings = settings
         self.failed = False
         self.began = False
+        self.place: Path | None = None
         self._outputs: set[Path] = set()
 
     def run(self) -> None:
@@ -77,13 +85,16 @@ class App:
 
     def job(self, cfg: "DictConfig") -> Any:
         """Run the command once; errors raised on purpose become a message."""
+        from hydra.core.hydra_config import HydraConfig
+
         from tactorch.cli.kinds import check_settings
         from tactorch.errors import TactorchError
         from tactorch.versions import versions
 
         self.began = True
+        self.place = Path(HydraConfig.get().runtime.output_dir)
         note = ", ".join(f"{name} {version}" for name, version in versions().items())
-        _to_log_file(f"tactorch {self.verb} with {note}")
+        to_log_file(f"tactorch {self.verb} with {note}")
         try:
             check_settings(cfg, Catalog(self.verb), self.settings)
             self._check_output(cfg.get("out"))
@@ -99,11 +110,20 @@ class App:
             )
         return None
 
+    def how_to_go_on(self) -> str:
+        """Return the rest of a sentence, where a run that was stopped can go on."""
+        from tactorch.cli.resume import has_state
+
+        if self.place is None or not has_state(self.verb, self.place):
+            return ""
+        place = Path(os.path.relpath(self.place))
+        return f"; go on with tactorch {self.verb} resume={place}"
+
     def _complain(self, message: str) -> None:
         """Say what went wrong; other jobs of a sweep still run."""
         self.failed = True
         _say(message, self.verb)
-        _to_log_file(f"error: {message}", error=True)
+        to_log_file(f"error: {message}", error=True)
 
     def _check_output(self, out: str | None) -> None:
         """Refuse that jobs of a sweep write the same file."""
@@ -156,22 +176,11 @@ def _process_of(verb: str, settings: Sequence[str]) -> Iterator[None]:
             os.environ[_DEBUG] = debug
 
 
-def _to_log_file(message: str, error: bool = False) -> None:
-    """Write to the run's log file only; errors with their traceback."""
-    level = logging.ERROR if error else logging.INFO
-    record = logging.LogRecord(
-        "tactorch", level, "", 0, message, None, sys.exc_info() if error else None
-    )
-    for handler in logging.getLogger().handlers:
-        if isinstance(handler, logging.FileHandler):
-            handler.handle(record)
-
-
 @contextmanager
 def _no_lines_in_the_bar() -> Iterator[None]:
     """Where a progress bar shows the iterations, keep their lines to the log file."""
     handlers = [h for h in logging.getLogger().handlers if not isinstance(h, logging.FileHandler)]
-    if not (sys.stderr.isatty() and sys.stdout.isatty()):
+    if not (is_rich(sys.stderr) and is_rich()):
         handlers = []
     for handler in handlers:
         handler.addFilter(_is_not_iteration)

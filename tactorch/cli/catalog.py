@@ -107,9 +107,10 @@ def _pair(setting: str) -> tuple[str, str]:
 
 
 def _parse(text: str) -> dict[str, Any]:
-    from omegaconf import OmegaConf
+    """Read names and nesting; OmegaConf, which reads some numbers better, takes longer to load."""
+    import yaml
 
-    content = OmegaConf.to_container(OmegaConf.create(text))
+    content = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)) or {}
     assert isinstance(content, dict)
     return {str(key): value for key, value in content.items()}
 

@@ -1,8 +1,10 @@
 """What Hydra complains of, as one line that says what to do."""
 
+import argparse
 import difflib
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 from tactorch.cli.catalog import Catalog
 
@@ -17,7 +19,7 @@ def complaint(error: Exception, verb: str, settings: Sequence[str]) -> str:
     if isinstance(error, MissingConfigException) and error.options:
         return _unknown_option(str(error.missing_cfg_file), error.options)
     if isinstance(error, OverrideParseException):
-        return _unreadable(error.override, error.message)
+        return _unreadable(error.override, error.message, catalog)
     if isinstance(error, OSError) and not isinstance(error, MissingConfigException):
         return f"the run folder cannot be made ({error}); choose another run_dir."
     text = str(error)
@@ -28,6 +30,23 @@ def complaint(error: Exception, verb: str, settings: Sequence[str]) -> str:
         return unknown_setting(unknown[1], catalog, settings)
     cause = f" ({_line(str(error.__cause__))})" if error.__cause__ else ""
     return _line(text) + cause
+
+
+def unknown_flag(verb: str, settings: Sequence[str]) -> str:
+    """Say which of Hydra's flags is none, or misused; empty where all are fine."""
+    from hydra._internal.utils import get_args_parser
+
+    flags = get_args_parser()
+    flags.exit_on_error = False
+    told: list[str] = []
+    flags.error = told.append  # type: ignore[method-assign,assignment]
+    try:
+        flags.parse_args(settings)
+    except argparse.ArgumentError as error:
+        told.append(str(error))
+    if not told:
+        return ""
+    return f"{_line(told[0])}; settings are KEY=VALUE, without dashes: see tactorch {verb} --help."
 
 
 def unknown_setting(key: str, catalog: Catalog, settings: Sequence[str]) -> str:
@@ -58,8 +77,9 @@ def nearest(key: str, known: Sequence[str]) -> str | None:
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
     """Return a question to end a message with, or nothing."""
-    found = difflib.get_close_matches(word, known, n=1)
-    return f" Did you mean '{found[0]}'?" if found else ""
+    lowered = {name.lower(): name for name in known}
+    found = difflib.get_close_matches(word.lower(), lowered, n=1)
+    return f" Did you mean '{lowered[found[0]]}'?" if found else ""
 
 
 def _unknown_option(path: str, options: Sequence[str]) -> str:
@@ -68,10 +88,12 @@ def _unknown_option(path: str, options: Sequence[str]) -> str:
     return f"{group}={option} is unknown; choose one of {choices}.{did_you_mean(option, options)}"
 
 
-def _unreadable(setting: str, message: str) -> str:
+def _unreadable(setting: str, message: str, catalog: Catalog) -> str:
     key, equals, value = setting.partition("=")
     if not equals:
-        return f"'{setting}' is not a setting; write KEY=VALUE."
+        needed = next((name for name, value in catalog.settings.items() if value == "???"), None)
+        meant = f", here perhaps {needed}={setting}" if needed and Path(setting).exists() else ""
+        return f"'{setting}' is not a setting; write KEY=VALUE{meant}."
     return (
         f"'{setting}' cannot be read ({message.splitlines()[0]}); put a value with spaces, =, "
         f"brackets or the like in quotes of its own: \"{key}='{value}'\"."

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from tactorch.cli.logs import tell
 from tactorch.cli.report import score_table, write_json
 from tactorch.cli.settings import log
 from tactorch.errors import FileError, RecordingError
@@ -27,7 +28,7 @@ def run(cfg: DictConfig) -> dict[str, float]:
             "recording that was inverted."
         )
     columns = score_table(recording, {"reconstruction": reconstruction.youngs})
-    log.info("%s", columns.text)
+    tell(columns.table.text(), columns.table)
     out = path.parent / "scores.json" if cfg.out is None else Path(str(cfg.out))
     write_json(out, columns.values)
     log.info("scores: %s", out)

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from tactorch.cli.settings import log
+from tactorch.cli.logs import log, tell
+from tactorch.cli.tables import Table
 from tactorch.errors import ConfigError
 from tactorch.learning.recognizer.scores import class_scores
 from tactorch.viz.recognition import plot_confusion, plot_examples, plot_reliability
@@ -49,8 +50,13 @@ def judge(judged: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> 
         100 * found.accuracy, len(truth), len(each), 100 * np.mean(each),
         100 * result["accuracy_deviation"], found.calibration_error,
     )  # fmt: skip
-    for name, figures in result["classes"].items():
-        log.info("%s: precision %.3f, recall %.3f", name, figures["precision"], figures["recall"])
+    names = ("precision", "recall", "f1")
+    rows = [
+        (kind, *(f"{figures[name]:.3f}" for name in names))
+        for kind, figures in result["classes"].items()
+    ]
+    table = Table(("class", *names), rows)
+    tell(table.text(), table)
     return result
 
 

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Callable, Container, Iterator, Mapping
-from typing import Any, NamedTuple
-
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tactorch.cli.catalog import Catalog
 from tactorch.cli.complaints import unknown_setting
 from tactorch.errors import ConfigError
+
+if TYPE_CHECKING:  # completion reads the tables below, and must not wait
+    from omegaconf import DictConfig
 
 
 class Kind(NamedTuple):
@@ -52,9 +52,10 @@ _PRIOR_MEAN = Kind("true, false or auto", lambda v: isinstance(v, bool) or v == 
 _RECONSTRUCT = Kind("true, false or linear", lambda v: isinstance(v, bool) or v == "linear")
 _TEXT = Kind("text", lambda value: isinstance(value, str))
 # A file may be called 7.
-_PATH = Kind("a path", lambda value: isinstance(value, str | int | float) and value is not True)
+_PATH = Kind("a path", lambda v: isinstance(v, str | int | float) and v is not True and v != "")
 _PATHS = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(_PATH.holds, v)))
 _NAMES = Kind("a list: [A,B]", lambda v: isinstance(v, list) and all(map(_TEXT.holds, v)))
+FLAG, PATH, PATHS = _FLAG, _PATH, _PATHS  # which completion knows
 _POINT = Kind("a list of three numbers: [X,Y,Z]", _is_point)
 _POINTS = Kind(
     "a list of points: [[X,Y,Z],...]", lambda v: isinstance(v, list) and all(map(_is_point, v))
@@ -157,12 +158,15 @@ _OPTIONAL = """
 OPTIONAL = frozenset(_OPTIONAL.split())
 
 
-def check_settings(cfg: DictConfig, catalog: Catalog, given: list[str]) -> None:
+def check_settings(cfg: "DictConfig", catalog: Catalog, given: list[str]) -> None:
     """Refuse settings that are missing, unknown, or hold another kind of value than they should.
 
     Raises:
         ConfigError: names the setting and what to give.
     """
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
     try:
         values = OmegaConf.to_container(cfg, resolve=True)
     except OmegaConfBaseException as error:
@@ -201,9 +205,13 @@ def _leaves(
             yield name, value
 
 
+def kind_of(name: str) -> Kind | None:
+    """Return what a setting holds, by its full name; None where what is beside it decides."""
+    return None if name.startswith(_FREE) else KINDS.get(name, KINDS.get(name.split(".")[-1]))
+
+
 def _check(name: str, value: Any) -> None:
-    leaf = name.split(".")[-1]
-    kind = None if name.startswith(_FREE) else KINDS.get(name, KINDS.get(leaf))
+    leaf, kind = name.split(".")[-1], kind_of(name)
     if kind is None or kind.holds(value):
         return
     optional = leaf in OPTIONAL or name in OPTIONAL

@@ -2,6 +2,11 @@
 
 import os
 import sys
+from importlib import import_module
+
+_HELP = ("-h", "--help", "help")
+#: Exit status where Ctrl-C ended the run.
+INTERRUPTED = 130
 
 VERBS = {
     "simulate": "press a phantom and record how its surface moves",
@@ -14,6 +19,8 @@ VERBS = {
     "reproduce": "the paper's tables and figures, made anew, beside its own numbers",
     "demo": "from presses to a map, on a simulated cube or a published case",
     "sensor": "from camera frames of a tactile sensor to forces; see its commands below",
+    "doctor": "what works on this machine, what is missing, and the commands that install it",
+    "completion": "a script that makes bash, zsh or fish complete commands and settings",
 }
 #: Commands of a verb that has several.
 GROUPS = {
@@ -28,9 +35,11 @@ GROUPS = {
 }
 #: Verbs whose first argument may be a value alone, and the setting that it is.
 POSITIONAL = {"reproduce": "name"}
+#: Verbs that are no Hydra apps: they have no file of settings.
+PLAIN = ("doctor", "completion")
 #: All that can be given settings, as typed.
 COMMANDS = (
-    *(verb for verb in VERBS if verb not in GROUPS),
+    *(verb for verb in VERBS if verb not in (*GROUPS, *PLAIN)),
     *(f"{group} {verb}" for group, verbs in GROUPS.items() for verb in verbs),
 )
 
@@ -42,14 +51,19 @@ def main(arguments: list[str] | None = None) -> None:
         sys.stdout.flush()
     except BrokenPipeError:  # as in `tactorch invert --help | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:  # before or after what a command's own run catches
+        print("tactorch: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
 
 
 def _dispatch(arguments: list[str] | None) -> None:
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if not given or given[0] in ("-h", "--help", "help"):
+    if given and given[0] in _HELP and len(given) > 1:
+        given = [*given[1:], "--help"]
+    if not given or given[0] in _HELP:
         print(_usage())
         return
-    if given[0] in ("-V", "--version", "version"):
+    if given[0] in ("-V", "--version", "version") or given[-1] == "--version":
         from tactorch.versions import versions
 
         print("  ".join(f"{name} {version}" for name, version in versions().items()))
@@ -60,13 +74,12 @@ def _dispatch(arguments: list[str] | None) -> None:
     if verb in POSITIONAL and settings and settings[0][:1] != "-" and "=" not in settings[0]:
         settings[0] = f"{POSITIONAL[verb]}={settings[0]}"
     if verb not in VERBS:
-        from tactorch.cli.complaints import did_you_mean
-
-        known = ", ".join(VERBS)
-        fail(f"'{verb}' is not a command; choose one of {known}.{did_you_mean(verb, list(VERBS))}")
-    if verb not in GROUPS:
+        fail(_no_command(verb))
+    if verb in PLAIN:
+        _run_plain(verb, settings)
+    elif verb not in GROUPS:
         run_app(verb, settings)
-    elif not settings or settings[0] in ("-h", "--help", "help"):
+    elif not settings or settings[0] in _HELP:
         print(_usage_of(verb))
     elif settings[0] in GROUPS[verb]:
         run_app(f"{verb} {settings[0]}", settings[1:])
@@ -79,6 +92,36 @@ def _dispatch(arguments: list[str] | None) -> None:
             f"{did_you_mean(settings[0], commands)}",
             verb,
         )
+
+
+def _no_command(word: str) -> str:
+    """Say that a word is no command, and which one may be meant."""
+    from tactorch.cli.complaints import did_you_mean
+
+    if "=" in word:
+        return f"a command comes first, as in: tactorch simulate {word}"
+    inner = next((command for command in COMMANDS if command.endswith(f" {word}")), None)
+    flags = ("--help", "--version")
+    meant = f" Did you mean '{inner}'?" if inner else did_you_mean(word, [*VERBS, *flags])
+    return f"'{word}' is not a command; choose one of {', '.join(VERBS)}.{meant}"
+
+
+def _run_plain(verb: str, words: list[str]) -> None:
+    """Run a verb that is no Hydra app; it gives the exit status."""
+    from tactorch.cli.app import fail
+    from tactorch.cli.help import wants_help
+    from tactorch.errors import TactorchError
+
+    module = import_module(f"tactorch.cli.{verb}")
+    if wants_help(words):
+        print(module.HELP)
+        return
+    try:
+        status = module.run(words)
+    except TactorchError as error:
+        fail(str(error), verb)
+    if status:
+        sys.exit(status)
 
 
 def _usage() -> str:

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol, runtime_checkable
 
-from tactorch.cli.settings import log
+from tactorch.cli.logs import log
+from tactorch.cli.tables import is_rich
 
 _LINES = 10  # of progress in a log
 
@@ -27,7 +28,7 @@ def progress(label: str, what: str) -> Iterator[Tell]:
         label: What is going on.
         what: The things that are counted.
     """
-    if not sys.stderr.isatty():
+    if not is_rich(sys.stderr):
         yield _in_lines(label, what)
         return
     from rich.console import Console
@@ -70,7 +71,7 @@ def _in_lines(label: str, what: str) -> Tell:
             return
         shown = part
         left = (time.monotonic() - start) * (total - done) / max(done - begun, 1)
-        rest = f", about {left:.0f} s left" if begun < done < total else ""
+        rest = f", about {left:.0f} s left" if begun < done < total and left >= 1 else ""
         log.info("%s: %d of %d %s%s%s", label, done, total, what, note, rest)
 
     return tell

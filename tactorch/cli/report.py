@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.cli.logs import tell
 from tactorch.cli.settings import log
+from tactorch.cli.tables import Table
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
 from tactorch.inverse import NuisanceEstimate, Reconstruction
@@ -36,10 +38,10 @@ _MOST_AT_BOUNDS = 0.2
 
 @dataclass(frozen=True)
 class ScoreTable:
-    """Scores of several maps: values by map and metric, and the same as text."""
+    """Scores of several maps: values by map and metric, and the same as a table."""
 
     values: dict[str, dict[str, float]]
-    text: str
+    table: Table
 
 
 def score_table(recording: Recording, maps: Mapping[str, Float[np.ndarray, " m"]]) -> ScoreTable:
@@ -51,12 +53,8 @@ def score_table(recording: Recording, maps: Mapping[str, Float[np.ndarray, " m"]
         shown["reference"] = recording.reference
     values = {name: scores(recording.mesh, youngs, truth) for name, youngs in shown.items()}
     names = list(next(iter(values.values())))
-    lines = [" " * 24 + "".join(f"{column:>16}" for column in values)]
-    lines += [
-        f"{name:<24}" + "".join(f"{column[name]:>16.4g}" for column in values.values())
-        for name in names
-    ]
-    return ScoreTable(values, "\n".join(lines))
+    rows = [[name, *(f"{column[name]:.4g}" for column in values.values())] for name in names]
+    return ScoreTable(values, Table(["", *values], rows))
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
@@ -90,10 +88,12 @@ def write_outputs(
     inclusion = find_inclusion(recording.mesh, reconstruction.youngs)
     summary = summarise(recording, reconstruction, inclusion, source)
     write_json(out / "summary.json", summary)
-    text = describe(recording, reconstruction, inclusion, summary)
+    maps = {"reconstruction": reconstruction.youngs}
+    tables = [] if recording.truth is None else [score_table(recording, maps).table]
+    text = describe(recording, reconstruction, inclusion, summary, tables)
     with atomic_path(out / "summary.txt") as temporary:
         temporary.write_text(text + "\n")
-    log.info("\n%s", text)
+    tell(f"\n{text}", *tables)
     if plots:
         for path in draw(out, recording, reconstruction, others or {}):
             log.info("picture: %s", path)
@@ -154,8 +154,9 @@ def describe(
     reconstruction: Reconstruction,
     inclusion: Inclusion | None,
     summary: Mapping[str, Any],
+    tables: Sequence[Table] = (),
 ) -> str:
-    """Say in a few lines what was found and how far to believe it."""
+    """Say in a few lines what was found and how far to believe it; tables stand at the end."""
     lines = [
         f"{summary['optimizer']}: {summary['iterations']} iterations in "
         f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
@@ -174,8 +175,7 @@ def describe(
         true = find_inclusion(recording.mesh, recording.truth)
         if true is not None and inclusion is not None:
             lines.append("In truth: " + _finding(true, float(np.median(recording.truth))))
-        lines += ["", score_table(recording, {"reconstruction": reconstruction.youngs}).text]
-    return "\n".join(lines)
+    return "\n".join((*lines, *(f"\n{table.text()}" for table in tables)))
 
 
 def _estimate(name: str, found: NuisanceEstimate) -> str:

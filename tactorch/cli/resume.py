@@ -43,7 +43,7 @@ def _repeated(verb: str, run: Path, settings: list[str]) -> list[str]:
     made_by = hydra["hydra"]["job"]["name"]
     if made_by != verb:
         raise ConfigError(f"'{run}' is a run of {made_by}; continue it with tactorch {made_by}.")
-    if not any(any(run.glob(pattern)) for pattern in _STATES[verb]):
+    if not has_state(verb, run):
         notice = f"'{run}' was stopped before its first checkpoint; it starts anew."
         print(notice, file=sys.stderr)
         settings = [s for s in settings if _key(s) != "resume"]
@@ -52,6 +52,11 @@ def _repeated(verb: str, run: Path, settings: list[str]) -> list[str]:
     kept = [_moved(s, Path(hydra["hydra"]["runtime"]["cwd"])) for s in kept]
     here = [] if "run_dir" in given else [f"run_dir='{run}'"]
     return [*kept, *settings, *here]
+
+
+def has_state(verb: str, run: Path) -> bool:
+    """Whether a run of a command got as far as having a state to go on from."""
+    return any(any(run.glob(pattern)) for pattern in _STATES.get(verb, ()))
 
 
 def _load(run: Path, name: str) -> Any:

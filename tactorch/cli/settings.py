@@ -1,6 +1,5 @@
 """From Hydra's settings to the objects of the library."""
 
-import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,6 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from tactorch.cli.kinds import HOMOGENEOUS
+from tactorch.cli.logs import log as log
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
     Bounds,
@@ -25,7 +25,6 @@ from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import MaterialSpec, Recording
 from tactorch.simulation import PressPlan
 
-log = logging.getLogger("tactorch")
 _T = TypeVar("_T")
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from tactorch.cli.progress import progress
 from tactorch.cli.settings import folder, log, material_of, phantom_of, plain, plan_of
 from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom
@@ -25,19 +26,20 @@ def make_recording(cfg: DictConfig) -> Recording:
     """Simulate a recording as the settings say."""
     phantom = phantom_of(cfg)
     mesh, fine = meshes_of(cfg, phantom)
-    return simulate(
-        phantom,
-        plan_of(cfg),
-        material=material_of(cfg),
-        mesh=mesh,
-        fine_mesh=fine,
-        samples=cfg.samples,
-        element=cfg.element,
-        solver=cfg.solver.name,
-        snr_db=cfg.snr_db,
-        seed=cfg.seed,
-        progress=lambda done, total: log.info("press %d of %d", done, total),
-    )
+    with progress("simulating", "presses") as tell:
+        return simulate(
+            phantom,
+            plan_of(cfg),
+            material=material_of(cfg),
+            mesh=mesh,
+            fine_mesh=fine,
+            samples=cfg.samples,
+            element=cfg.element,
+            solver=cfg.solver.name,
+            snr_db=cfg.snr_db,
+            seed=cfg.seed,
+            progress=tell,
+        )
 
 
 def meshes_of(cfg: DictConfig, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:

@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig
 
+from tactorch.cli.logs import log, tell
 from tactorch.cli.networks import data_of, facts_of, model_of, network_of
+from tactorch.cli.progress import progress
 from tactorch.cli.report import write_json
-from tactorch.cli.settings import folder, log, made, plain
+from tactorch.cli.settings import folder, made, plain
+from tactorch.cli.tables import Table
 from tactorch.errors import ConfigError
 
 SCORES, DATA = "scores.json", "data.json"
@@ -34,7 +37,8 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     for number in range(cfg.splits):
         place = out if cfg.splits == 1 else out / f"split-{number:02d}"
         rows.append(_scores_of(cfg, number, place))
-        log.info("split %d of %d: %s", number + 1, cfg.splits, _told(rows[-1]))
+        if cfg.splits > 1:
+            log.info("split %d of %d: %s", number + 1, cfg.splits, _told(rows[-1]))
     values = {name: [row[name] for row in rows] for name in rows[0]}
     summary = {
         name: {"mean": float(np.mean(v)), "deviation": float(np.std(v, ddof=len(v) > 1))}
@@ -42,14 +46,13 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     }
     result = {"splits": rows, "summary": summary}
     write_json(out / SCORES, result)
-    for name, figures in summary.items():
-        log.info("%s: %.4g +- %.2g", name, figures["mean"], figures["deviation"])
+    tell(*_summed(summary, cfg.splits))
     return result
 
 
 def _scores_of(cfg: DictConfig, number: int, place: Path) -> dict[str, float]:
     """Train on one split; one that had ended is not trained again."""
-    from tactorch.learning.training import TrainerOptions, fit
+    from tactorch.learning.training import EpochsTold, TrainerOptions, fit
 
     options = made("trainer", TrainerOptions, {**plain(cfg.trainer), "seed": cfg.seed})
     done = place / "split.json"
@@ -62,7 +65,10 @@ def _scores_of(cfg: DictConfig, number: int, place: Path) -> dict[str, float]:
     if cfg.resume is not None:
         check_data(place, data)
     write_json(place / DATA, facts_of(cfg, data))
-    scores = fit(model_of(cfg, data), data, place, options)
+    label = f"split {number + 1}" if cfg.splits > 1 else "training"
+    with progress(label, "epochs") as tell_epochs:
+        told = [EpochsTold(tell_epochs)]
+        scores = fit(model_of(cfg, data), data, place, options, told)
     write_json(done, {"settings": _decisive(cfg), "scores": scores})
     return scores
 
@@ -93,6 +99,16 @@ def check_data(place: Path, data: Any) -> None:
             f"'{place}' was trained on other data, or on another split of them; give the same"
             " data.folder, data.split and data.shares, or train anew."
         )
+
+
+def _summed(summary: dict[str, dict[str, float]], splits: int) -> tuple[str, Table]:
+    """Return scores as text and as a table; deviations are over splits."""
+    names = ("mean", "deviation") if splits > 1 else ("mean",)
+    rows = [
+        (metric, *(f"{figures[name]:.4g}" for name in names)) for metric, figures in summary.items()
+    ]
+    table = Table(("score on the test part", *(names if splits > 1 else ("",))), rows)
+    return table.text(), table
 
 
 def _told(scores: dict[str, float]) -> str:

@@ -1,6 +1,7 @@
 """One training: from a data module and a module to weights, a curve and a summary."""
 
 import json
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
@@ -86,6 +87,30 @@ class Curve(lightning.Callback):
         self.epochs = list(state["epochs"])
 
 
+class EpochsTold(lightning.Callback):
+    """Tells at the end of each epoch how many are done, of how many, and the losses.
+
+    Args:
+        tell: Called with epochs done, their limit, and a note such as ", loss 0.1".
+    """
+
+    def __init__(self, tell: Callable[[int, int, str], None]) -> None:
+        self.tell = tell
+
+    def on_train_epoch_end(
+        self, trainer: lightning.Trainer, module: lightning.LightningModule
+    ) -> None:
+        """Tell."""
+        if not trainer.is_global_zero:
+            return
+        names = {"train/loss": "loss", "val/loss": "validation"}
+        found = {told: trainer.callback_metrics.get(name) for name, told in names.items()}
+        note = "".join(
+            f", {told} {value:.4g}" for told, value in found.items() if value is not None
+        )
+        self.tell(trainer.current_epoch + 1, int(trainer.max_epochs or 0), note)
+
+
 def fit(
     module: lightning.LightningModule,
     data: lightning.LightningDataModule,
@@ -105,6 +130,7 @@ def fit(
     Raises:
         FileError: The checkpoint is damaged or of another model.
         ConfigError: An option cannot be used.
+        KeyboardInterrupt: Ctrl-C ended the training; it goes on from its last epoch.
     """
     options = options or TrainerOptions()
     folder.mkdir(parents=True, exist_ok=True)
@@ -115,7 +141,14 @@ def fit(
     last, best = folder / LAST, folder / BEST
     if last.is_file():
         check_checkpoint(last, module)
-    trainer.fit(module, datamodule=data, ckpt_path=str(last) if last.is_file() else None)
+    on_interrupt = signal.getsignal(signal.SIGINT)
+    try:
+        trainer.fit(module, datamodule=data, ckpt_path=str(last) if last.is_file() else None)
+    except SystemExit as end:  # so Lightning ends a process on Ctrl-C, without a word
+        if trainer.interrupted:
+            signal.signal(signal.SIGINT, on_interrupt)  # which Lightning took away
+            raise KeyboardInterrupt from end
+        raise
     if not judged:  # there is nothing to choose by: the last is as good as any
         trainer.save_checkpoint(best)
     load_weights(module, best)

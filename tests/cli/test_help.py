@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from omegaconf import OmegaConf
 
 from tactorch.cli import COMMANDS, GROUPS, VERBS
-from tactorch.cli.catalog import Catalog
+from tactorch.cli.catalog import Catalog, _parse, conf_folder
 from tactorch.cli.kinds import KINDS
 
 
@@ -34,6 +35,8 @@ def test_versions_are_told(tactorch: Any) -> None:
     out = tactorch("--version").out
     assert "tactorch" in out
     assert "torch" in out
+    for arguments in (("version",), ("-V",), ("invert", "--version")):
+        assert tactorch(*arguments).out == out
 
 
 @pytest.mark.parametrize("verb", COMMANDS)
@@ -93,6 +96,14 @@ def test_optimizer_of_the_paper_brings_its_own_choices(tactorch: Any) -> None:
     ("arguments", "words"),
     [
         (("simlate",), ("'simlate' is not a command", "Did you mean 'simulate'?")),
+        (("INVERT",), ("Did you mean 'invert'?",)),
+        (("--versio",), ("Did you mean '--version'?",)),
+        (("calibrate",), ("Did you mean 'sensor calibrate'?",)),
+        (("phantom=cube_box",), ("a command comes first", "tactorch simulate phantom=cube_box")),
+        (("simulate", "--verbose"), ("--verbose", "KEY=VALUE", "tactorch simulate --help")),
+        (("simulate", "--cfg", "nothing"), ("--cfg", "'nothing'", "'job'")),
+        (("invert", "."), ("'.' is not a setting", "perhaps recording=.")),
+        (("invert", "recording="), ("recording=''", "give a path")),
         (("sensor", "calibrat"), ("'calibrat' is not one of", "Did you mean 'calibrate'?")),
         (("sensor", "sensor=x"), ("'sensor=x' is not one of", "choose one of calibrate, check")),
         (("sensor", "track", "frame=x"), ("unknown setting 'frame'", "Did you mean 'frames'?")),
@@ -128,21 +139,67 @@ def test_nothing_is_left_of_a_command_that_did_not_begin(tactorch: Any) -> None:
     assert not list(Path().iterdir())
 
 
-def test_help_and_typing_errors_do_not_wait_for_torch() -> None:
+# By the modules that are loaded, as a time would depend on the machine.
+HEAVY = (
+    *("torch", "numpy", "scipy", "numba", "h5py", "matplotlib", "lightning", "cv2", "skimage"),
+    *("tensorboard", "rich", "pyvista", "vtk", "meshio", "pyamg", "dask", "pytetwild", "pypardiso"),
+)
+SETTINGS = ("hydra", "omegaconf", "antlr4")
+
+
+@pytest.mark.parametrize(
+    ("typed", "unwanted"),
+    [
+        ((), (*HEAVY, *SETTINGS, "yaml", "logging")),
+        (("--help",), (*HEAVY, *SETTINGS, "yaml", "logging")),
+        (("--version",), (*HEAVY, *SETTINGS, "yaml")),
+        (("simlate",), (*HEAVY, *SETTINGS, "yaml")),
+        (("sensor",), (*HEAVY, *SETTINGS, "yaml")),
+        (("doctor", "--help"), (*HEAVY, *SETTINGS, "yaml")),
+        (("invert", "--help"), (*HEAVY, *SETTINGS)),
+        (("sensor", "force", "--help"), (*HEAVY, *SETTINGS)),
+        (("completion", "bash"), (*HEAVY, *SETTINGS)),
+        (("completion", "line", "tactorch invert optimizer.tol"), (*HEAVY, *SETTINGS)),
+        (("completion", "words", "train", "data.folder="), (*HEAVY, *SETTINGS)),
+        (("invert", "recrding=x"), HEAVY),
+        (("invert",), HEAVY),
+        (("sensor", "force"), HEAVY),
+    ],
+    ids=lambda value: " ".join(value) if value and value[0] != HEAVY[0] else "",
+)
+def test_what_is_quick_loads_nothing_slow(
+    typed: tuple[str, ...], unwanted: tuple[str, ...], tmp_path: Path
+) -> None:
     code = (
         "import sys\n"
         "from tactorch.cli import main\n"
-        "for words in (['invert', '--help'], ['invert', 'recrding=x'], ['invert'],\n"
-        "    ['sensor'], ['sensor', 'force', '--help'], ['sensor', 'force']):\n"
-        "    try: main(words)\n"
-        "    except SystemExit: pass\n"
-        "    heavy = {'torch', 'numpy', 'scipy', 'h5py', 'matplotlib'} & set(sys.modules)\n"
-        "    assert not heavy, (words, heavy)\n"
+        f"try: main({list(typed)!r})\n"
+        "except SystemExit: pass\n"
+        f"loaded = set({list(unwanted)!r}) & set(sys.modules)\n"
+        "assert not loaded, loaded\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, cwd="/"
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_help_of_a_verb_may_be_asked_for_either_way(tactorch: Any) -> None:
+    for verb in ("invert", "sensor", "sensor track", "doctor", "completion"):
+        words = verb.split()
+        done = tactorch("help", *words)
+        assert done.status == 0
+        assert done.out == tactorch("--help", *words).out
+        assert done.out == tactorch(*words, "--help").out
+        assert f"tactorch {verb}" in done.out
+    assert tactorch("help", "invrt").status == 2
+
+
+def test_settings_are_read_as_hydra_reads_them() -> None:
+    # The catalog has its own way, which is quicker.
+    for path in conf_folder().rglob("*.yaml"):
+        text = path.read_text(encoding="utf-8")
+        assert _parse(text) == OmegaConf.to_container(OmegaConf.create(text)), path
 
 
 def test_module_is_the_command(tmp_path: Path) -> None:

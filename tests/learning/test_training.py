@@ -1,6 +1,7 @@
 """Killed at any step, a training goes on to the same curve."""
 
 import json
+import signal
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +17,15 @@ from tactorch.learning.order import EpochSampler, rise_and_fall, seed_of
 from tactorch.learning.recognizer.data import Turned
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.symmetry import symmetries
-from tactorch.learning.training import BEST, CURVE, LAST, TrainerOptions, check_checkpoint, fit
+from tactorch.learning.training import (
+    BEST,
+    CURVE,
+    LAST,
+    EpochsTold,
+    TrainerOptions,
+    check_checkpoint,
+    fit,
+)
 
 
 class Blobs(lightning.LightningDataModule):
@@ -59,6 +68,37 @@ def trained(folder: Path, callbacks: tuple = (), **options: object) -> list[dict
     fit(model, Blobs(), folder, TrainerOptions(max_epochs=4, **options), callbacks)
     curve: list[dict[str, float]] = json.loads((folder / CURVE).read_text())
     return curve
+
+
+class PressCtrlC(lightning.Callback):
+    """Interrupts the training at the end of an epoch."""
+
+    def __init__(self, epoch: int) -> None:
+        self.epoch = epoch
+
+    def on_train_epoch_end(self, trainer: lightning.Trainer, *others: object) -> None:
+        if trainer.current_epoch == self.epoch:
+            raise KeyboardInterrupt
+
+
+def test_ctrl_c_is_an_interruption_and_can_be_pressed_again(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            trained(tmp_path, (PressCtrlC(2),))
+        assert signal.getsignal(signal.SIGINT) is before
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert (tmp_path / LAST).is_file()
+
+
+def test_epochs_are_told_with_their_losses(tmp_path: Path) -> None:
+    told: list[tuple[int, int, str]] = []
+    curve = trained(tmp_path, (EpochsTold(lambda *what: told.append(what)),))
+    assert [what[:2] for what in told] == [(done, 4) for done in range(1, 5)]
+    for (*_, note), epoch in zip(told, curve, strict=True):
+        losses = f", loss {epoch['train/loss']:.4g}, validation {epoch['val/loss']:.4g}"
+        assert note == losses
 
 
 @pytest.fixture(scope="module")

@@ -92,6 +92,11 @@ def test_trained_weights_are_in_the_wheel(names: set[str]) -> None:
         assert f"tactorch/learning/surrogate/surrogate.{kind}" in names
 
 
+def test_scripts_for_shells_are_in_the_wheel(names: set[str]) -> None:
+    for shell in ("bash", "zsh", "fish"):
+        assert f"tactorch/cli/shells/tactorch.{shell}" in names
+
+
 def test_configs_are_inside_the_package(names: set[str], source: Path) -> None:
     found = (source / "conf").rglob("*.yaml")
     configs = {f"tactorch/{p.relative_to(source).as_posix()}" for p in found}

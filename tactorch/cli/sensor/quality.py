@@ -5,9 +5,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from tactorch.cli.logs import tell
 from tactorch.cli.report import write_json
 from tactorch.cli.sensor.presses import Pressed, write_circles
 from tactorch.cli.settings import log
+from tactorch.cli.tables import Table
 from tactorch.files import atomic_path
 from tactorch.sensor.calibration import Ball, Circle, Quality, SlopeMap, judge, seen_slopes
 from tactorch.sensor.depth import integrate
@@ -58,7 +60,8 @@ def write_report(
         for one in judged
     }
     radii = {one.pressed.touch.name: one.circle.radius_px * ball.mm_per_px[0] for one in judged}
-    text = _text(title, quality, each, radii)
+    table = _table(quality, each, radii)
+    text = _text(title, quality, table)
     presses = {n: {**asdict(q), "contact_radius_mm": radii[n]} for n, q in each.items()}
     figures = {"quality": asdict(quality), "presses": presses}
     write_json(folder / REPORT, {"judged": title, **figures, **more})
@@ -66,24 +69,27 @@ def write_report(
         temporary.write_text(text + "\n", encoding="utf-8")
     write_circles(folder / CIRCLES, circles)
     plot_presses([_seen(one, ball) for one in judged], ball, title, folder / PICTURE)
-    log.info("%s", text)
+    tell(text, table)
     log.info("pictures of them: %s", folder / PICTURE)
 
 
-def _text(
-    title: str, quality: Quality, each: Mapping[str, Quality], radii_mm: Mapping[str, float]
-) -> str:
-    width = max(len("all together"), *map(len, each))
-    head = "   R^2 x   R^2 y   MAE x   MAE y  depth rms, mm  contact radius, mm"
-    lines = [title, f"{'':<{width}}{head}"]
+def _table(quality: Quality, each: Mapping[str, Quality], radii_mm: Mapping[str, float]) -> Table:
+    head = ("", "R^2 x", "R^2 y", "MAE x", "MAE y", "depth rms, mm", "contact radius, mm")
+    rows = []
     for name, q in [*each.items(), ("all together", quality)]:
-        numbers = "".join(f"{v:8.3f}" for v in (*q.r2, *q.mae))
-        radius = f"{radii_mm[name]:20.2f}" if name in radii_mm else ""
-        lines.append(f"{name:<{width}}{numbers}{q.depth_rms_mm:15.4f}{radius}")
-    lines.append(
+        numbers = [f"{v:.3f}" for v in (*q.r2, *q.mae)]
+        radius = f"{radii_mm[name]:.2f}" if name in radii_mm else ""
+        rows.append((name, *numbers, f"{q.depth_rms_mm:.4f}", radius))
+    return Table(head, rows)
+
+
+def _text(title: str, quality: Quality, table: Table) -> str:
+    lines = [
+        title,
+        table.text(),
         f"Slopes are compared at {quality.pixels} pixels within 0.9 of the contacts' radii, which"
-        " were fitted to these presses, as their middles were; depth but for a constant."
-    )
+        " were fitted to these presses, as their middles were; depth but for a constant.",
+    ]
     return "\n".join(lines)
 
 

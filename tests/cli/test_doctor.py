@@ -1,0 +1,246 @@
+"""The doctor: on this machine, and on machines that lack something or where it is broken."""
+
+import importlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactorch.cli import doctor
+from tactorch.cli.doctor import machine, packages, places, solvers
+from tactorch.cli.doctor.finding import Finding, looked_at
+
+CORE = ("torch", "numpy", "scipy", "numba", "h5py", "hydra-core")
+TOLD = (
+    *("tactorch", "python", "lightning", "opencv-python-headless", "pytetwild", "pypardiso"),
+    *("pyamg", "vtk", "dask", "superlu", "multigrid", "cores", "threads", "memory", "GPU"),
+    *("cache of numba", "settings (conf)", "shared data", "videos", "mesher", "headless browser"),
+)
+
+
+@pytest.fixture
+def without(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Make imports of some modules fail, also where they are loaded already."""
+    real = importlib.import_module
+
+    def forget(*names: str, error: Exception | None = None) -> None:
+        def load(name: str, package: str | None = None) -> Any:
+            if name in names:
+                raise error or ModuleNotFoundError(f"No module named '{name}'", name=name)
+            return real(name, package)
+
+        monkeypatch.setattr(importlib, "import_module", load)
+        for name in names:
+            monkeypatch.setitem(sys.modules, name, None)
+
+    return forget
+
+
+def by_name(findings: Iterator[Finding]) -> dict[str, Finding]:
+    return {one.name: one for one in findings}
+
+
+def test_all_is_told_and_the_core_works_here(tactorch: Any) -> None:
+    done = tactorch("doctor", "json=true")
+    assert done.status == 0, done.out
+    found = json.loads(done.out)
+    assert found["works"] is True
+    told = {one["name"]: one for one in found["findings"]}
+    assert {*CORE, *TOLD} <= set(told)
+    assert all(told[name]["works"] is True and told[name]["told"] for name in CORE)
+    assert told["superlu"]["works"] is True
+    assert told["a pressed block"]["works"] is True
+    assert not list(Path().iterdir())
+
+
+def told_of(monkeypatch: pytest.MonkeyPatch, *findings: Finding) -> None:
+    """Let the doctor find these alone."""
+    monkeypatch.setattr(doctor, "look", lambda: iter(findings))
+
+
+def test_text_is_aligned_and_names_what_to_do(
+    tactorch: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long = "x" * 300
+    told_of(
+        monkeypatch,
+        Finding("packages", "numpy", True, "2.0", "everything", core=True),
+        Finding("packages", "pyamg", False, long, "solver=multigrid", 'pip install "pyamg>=5"'),
+        Finding("machine", "GPU", None, "none: built without CUDA"),
+    )
+    done = tactorch("doctor")
+    assert done.status == 0
+    lines = done.out.splitlines()
+    assert [line[10:].split()[:2] for line in lines[1:4]] == [
+        ["numpy", "yes"], ["pyamg", "NO"], ["GPU", "-"],
+    ]  # fmt: skip
+    assert any(line.endswith(long) for line in lines)  # neither wrapped nor cut
+    assert any(line.split() == ["pyamg", "solver=multigrid", "pip", "install", '"pyamg>=5"']
+               for line in lines)  # fmt: skip
+    assert "\x1b" not in done.out
+    assert lines[-1] == "The core of tactorch works here; what is listed above does not."
+
+
+def test_status_is_1_where_the_core_does_not_work(
+    tactorch: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told_of(monkeypatch, Finding("packages", "numpy", False, "gone", "everything", core=True))
+    assert tactorch("doctor").status == 1
+    done = tactorch("doctor", "json=true")
+    assert done.status == 1
+    assert json.loads(done.out)["works"] is False
+
+
+def test_unknown_setting_is_refused(tactorch: Any) -> None:
+    done = tactorch("doctor", "json=yes")
+    assert done.status == 2
+    assert "'json=yes'" in done.err
+    assert "json=true" in done.err
+    assert len(done.err.splitlines()) == 1
+
+
+def test_missing_package_is_told_with_its_command(without: Callable[..., None]) -> None:
+    without("pyamg", "distributed", "cv2")
+    found = by_name(packages.look_at_packages())
+    for name, module in (("pyamg", "pyamg"), ("opencv-python-headless", "cv2")):
+        assert found[name].works is False
+        assert f"No module named '{module}'" in found[name].told
+        assert found[name].remedy.startswith(f'pip install "{name}')
+    assert found["dask"].remedy == 'pip install "tactorch[dask]"'
+    assert found["numpy"].works is True
+    assert not any(found[name].core for name in ("pyamg", "dask"))
+
+
+@pytest.mark.parametrize(
+    "error", [ImportError("libx.so: cannot open\nshared object"), RuntimeError(""), OSError("bad")]
+)
+def test_broken_package_is_no_traceback(without: Callable[..., None], error: Exception) -> None:
+    without("numba", error=error)
+    found = by_name(packages.look_at_packages())["numba"]
+    assert found.works is False
+    assert found.core
+    assert type(error).__name__ in found.told
+    assert "\n" not in found.told
+
+
+def test_version_out_of_range_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(packages, "version", lambda name: "0.0.1")
+    found = by_name(packages.look_at_packages())["numpy"]
+    assert found.works is False
+    assert "0.0.1 is installed, and tactorch needs >=" in found.told
+
+
+def test_nothing_installed_by_pip_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> str:
+        raise packages.PackageNotFoundError(name)
+
+    monkeypatch.setattr(packages, "version", absent)
+    monkeypatch.setattr(packages, "requires", absent)
+    packages._ranges.cache_clear()
+    found = by_name(packages.look_at_packages())
+    packages._ranges.cache_clear()
+    assert "not installed" in found["tactorch"].told
+    assert found["numpy"].works is True
+    assert found["numpy"].told == importlib.import_module("numpy").__version__
+
+
+def test_solver_that_fails_takes_down_itself_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tactorch.linalg import Status, multigrid
+
+    def wrong(self: Any, rhs: Any) -> Any:
+        return rhs
+
+    monkeypatch.setattr(multigrid.Multigrid, "solve", wrong)
+    found = by_name(solvers.look_at_solvers())
+    assert found["multigrid"].works is False
+    assert "off by" in found["multigrid"].told
+    assert found["multigrid"].remedy.startswith('pip install "pyamg')
+    assert found["superlu"].works is True
+    assert found["any of them"].works is True
+    monkeypatch.setattr(multigrid.Multigrid, "factor", lambda self, values: Status.INDEFINITE)
+    assert "indefinite" in by_name(solvers.look_at_solvers())["multigrid"].told
+
+
+def test_no_solver_at_all_is_a_core_that_does_not_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(name: str) -> str:
+        raise OSError("libmkl_rt.so.2 is damaged")
+
+    monkeypatch.setattr(solvers, "_solve", fail)
+    monkeypatch.setattr(solvers, "_press", lambda: fail(""))
+    found = by_name(solvers.look_at_solvers())
+    for name in ("any of them", "a pressed block"):
+        assert found[name].works is False
+        assert found[name].core
+
+
+def test_folders_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("TACTORCH_CACHE", str(tmp_path / "file"))
+    found = looked_at(places.FILES, "cache", places._cache, remedy="set TACTORCH_CACHE")
+    assert found.works is False
+    assert str(tmp_path / "file") in found.told
+    assert found.remedy == "set TACTORCH_CACHE"
+
+
+def test_shared_data(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TACTORCH_SHARED", str(tmp_path))
+    found = places._shared_data()
+    assert found.works is False
+    assert str(tmp_path / "data") in found.told
+    (tmp_path / "data").mkdir()
+    assert places._shared_data().works is True
+    monkeypatch.delenv("TACTORCH_SHARED")
+    assert places._shared_data().works is not False  # nothing was asked for
+
+
+def test_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    import torch
+
+    found = by_name(machine.look_at_machine())
+    assert "usable of" in found["cores"].told
+    assert "GiB" in found["memory"].told
+    monkeypatch.setattr(torch.version, "cuda", None)
+    assert "built without CUDA" in machine._gpu().told
+    monkeypatch.setattr(torch.version, "cuda", "12.8")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+
+    def no_driver() -> None:
+        raise RuntimeError("Found no NVIDIA driver on your system.")
+
+    monkeypatch.setattr(torch.cuda, "init", no_driver)
+    gpu = machine._gpu()
+    assert gpu.works is None
+    assert "no NVIDIA driver" in gpu.told
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.setattr(torch, "ones", lambda *a, **k: no_driver())
+    assert machine._gpu().works is False
+
+
+def test_no_browser_is_told_and_not_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(places.shutil, "which", lambda name: None)
+    found = places._browser()
+    assert found.works is None
+    assert "no Chromium" in found.told
+
+
+def test_what_packages_print_does_not_spoil_the_json(
+    tactorch: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def talkative() -> Iterator[Finding]:
+        print("hello from a package")
+        yield Finding("packages", "x", True, "1")
+
+    for module, name in (
+        (packages, "look_at_packages"),
+        (solvers, "look_at_solvers"),
+        (machine, "look_at_machine"),
+        (places, "look_at_places"),
+    ):
+        monkeypatch.setattr(module, name, talkative)
+    done = tactorch("doctor", "json=true")
+    assert len(json.loads(done.out)["findings"]) == 4
+    assert "hello" in done.err
