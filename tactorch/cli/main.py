@@ -34,7 +34,7 @@ GROUPS = {
     },
 }
 #: Verbs whose first argument may be a value alone, and the setting that it is.
-POSITIONAL = {"reproduce": "name"}
+POSITIONAL = {"reproduce": "exhibit"}
 #: Verbs that are no Hydra apps: they have no file of settings.
 PLAIN = ("doctor", "completion")
 #: All that can be given settings, as typed.

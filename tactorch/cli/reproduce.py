@@ -17,7 +17,7 @@ def run(cfg: DictConfig) -> list[Path]:
     sizes = plain(cfg.size)
     size = sizes.pop("name")
     out = Path("outputs") / "reproduce" / size if cfg.out is None else Path(str(cfg.out))
-    written = make(cfg.name, sizes, out, workers=cfg.workers, progress=_progress)
+    written = make(cfg.exhibit, sizes, out, workers=cfg.workers, progress=_progress)
     for path in written:
         log.info("%s", path)
     return written

@@ -42,7 +42,7 @@ def make(
         TactorchError: Cases failed; the exhibits hold the others.
     """
     if name != ALL and name not in EXHIBITS:
-        raise ConfigError(f"name={name}: choose one of {', '.join(EXHIBITS)}, or {ALL}.")
+        raise ConfigError(f"exhibit={name}: choose one of {', '.join(EXHIBITS)}, or {ALL}.")
     wanted = list(EXHIBITS) if name == ALL else [name]
     written, failed = [], []
     for study in dict.fromkeys(study_of(exhibit) for exhibit in wanted):

@@ -91,7 +91,7 @@ def test_values_that_the_comments_name() -> None:
 
 def test_a_value_alone_where_a_command_takes_one() -> None:
     assert offered("reproduce tab") == ["table1", "table2"]
-    assert offered("reproduce name=tab") == ["name=table1", "name=table2"]
+    assert offered("reproduce exhibit=tab") == ["exhibit=table1", "exhibit=table2"]
     assert offered("reproduce table1 tab") == []
 
 

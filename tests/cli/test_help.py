@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 from tactorch.cli import COMMANDS, GROUPS, VERBS
 from tactorch.cli.catalog import Catalog, _parse, conf_folder
 from tactorch.cli.kinds import KINDS
+from tactorch.reproduce.studies import STUDIES
 
 
 def test_usage_names_every_command(tactorch: Any) -> None:
@@ -72,7 +73,7 @@ def test_every_option_says_what_it_is(verb: str) -> None:
 @pytest.mark.parametrize("verb", COMMANDS)
 def test_kind_of_every_setting_is_known(verb: str) -> None:
     catalog = Catalog(verb)
-    tables = {"bounds", "noise", "family", "presses", "sizes", *catalog.defaults}
+    tables = {"bounds", "noise", "family", "presses", "sizes", *STUDIES, *catalog.defaults}
     keys = set(catalog.settings)
     for group in catalog.defaults:
         for option in catalog.options(group):
