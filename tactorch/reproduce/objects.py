@@ -32,18 +32,17 @@ def pressed(settings: Mapping[str, Any]) -> Recording:
     on their flat side and are pressed by a round sensor at places spread evenly over the rest.
 
     Args:
-        settings: `phantom` (its name), `relative_edge_length` of the mesh, `load` (highest
-            pressure over the object's median modulus), `steps`; `patches` and `sensor_mm`
-            (number and radius) on curved bodies.
+        settings: `phantom` (its name), `relative_edge_length` of the mesh, `p_max_mpa` (the
+            highest pressure), `steps`; `patches` and `sensor_mm` (number and radius) on curved
+            bodies.
     """
     phantom = make_phantom(settings["phantom"])
     mesh = phantom.mesh(relative_edge_length=settings["relative_edge_length"])
     truth = phantom.on_mesh(mesh)
-    highest = float(settings["load"] * np.median(truth))
     if isinstance(phantom.body, Box):
-        plan = PressPlan.ramp(highest, settings["steps"], faces=SIDES)
+        plan = PressPlan.ramp(settings["p_max_mpa"], settings["steps"], faces=SIDES)
         return simulate(phantom, plan, material=MATERIAL, mesh=mesh, samples=1)
-    return _pressed_by_sensor(phantom, mesh, truth, highest, settings)
+    return _pressed_by_sensor(phantom, mesh, truth, settings)
 
 
 def sensor_on(
@@ -71,13 +70,13 @@ def _pressed_by_sensor(
     phantom: Phantom,
     mesh: TetMesh,
     truth: np.ndarray,
-    highest_mpa: float,
     settings: Mapping[str, Any],
 ) -> Recording:
     patches = places(mesh, settings["sensor_mm"], settings["patches"])
     presses = []
     for step in range(settings["steps"]):
-        presser = sensor_on(mesh, truth, highest_mpa * (step + 1) / settings["steps"])
+        pressure = settings["p_max_mpa"] * (step + 1) / settings["steps"]
+        presser = sensor_on(mesh, truth, pressure)
         presses += [replace(presser.press(patch), step=step) for patch in patches]
     return Recording(
         mesh,

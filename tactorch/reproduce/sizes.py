@@ -86,14 +86,7 @@ def work(case: Case, scratch: Path) -> Outcome:
 def fig9(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path) -> str:
     """Draw Fig. 9: maps by believed size, and whether larger ones seem softer."""
     table = Table(
-        [
-            "believed size",
-            "method",
-            "median, MPa",
-            "r with the truth",
-            "centre off, mm",
-            "factor told",
-        ],
+        ["believed", "method", "median, MPa", "r with the truth", "centre off, mm", "told"],
         [None, None, 3, 3, 2, None],
     )
     rows: list[list[Panel]] = [[] for _ in _METHODS]

@@ -1,0 +1,149 @@
+"""Each exhibit, from the smallest study that makes it."""
+
+import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError, TactorchError
+from tactorch.reproduce import EXHIBITS, depths, make, sizes
+from tactorch.reproduce.depths import nearest
+from tactorch.reproduce.studies import TITLES, cases_of, study_of
+
+_COARSE = 0.25
+TINY = {
+    "credibility": {"divisions": 3, "layers": 3},
+    "models": {
+        "names": ["4c", "5b"],
+        "relative_edge_length": _COARSE,
+        "p_max_mpa": 0.02,
+        "steps": 1,
+        "patches": 2,
+        "sensor_mm": 3.0,
+        "tnc_evaluations": 3,
+    },
+    "design": {"meshes": ["same"], "relative_edge_length": 0.35, "layers": 4},
+    "sizes": {"relative_edge_length": _COARSE, "steps": 1, "snr_db": 40.0},
+    "depths": {
+        "places": 1,
+        "relative_edge_length": _COARSE,
+        "p_max_mpa": 0.1,
+        "steps": 1,
+        "hold": "fixed",
+        "snr_db": 40.0,
+        "seed": 1,
+    },
+}
+
+
+@contextmanager
+def _silent(study: str) -> Iterator:
+    yield lambda done, total, note: None
+
+
+def made(name: str, out: Path) -> str:
+    (path,) = make(name, TINY, out, workers=1, progress=_silent)
+    assert path == out / f"{name}.md"
+    text = path.read_text()
+    assert text.startswith(f"# {TITLES[name]}\n")
+    assert name in (out / "README.md").read_text()
+    for picture in (line for line in text.splitlines() if line.startswith("![")):
+        file = out / picture.rpartition("(")[2].rstrip(")")
+        assert file.read_bytes()[:4] == b"\x89PNG"
+    return text
+
+
+def rows(out: Path, name: str) -> list[dict[str, str]]:
+    with open(out / f"{name}.csv") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("reproduced")
+
+
+def test_credibility_falls_with_depth(out):
+    text = made("fig3", out)
+    assert "in 9 of 9 cubes" in text
+    table = rows(out, "fig3")
+    assert len(table) == 27
+    softest = [float(r["L, mm/MPa"]) for r in table if r["Young's modulus, MPa"] == "5.0"]
+    stiffest = [float(r["L, mm/MPa"]) for r in table if r["Young's modulus, MPa"] == "10.0"]
+    assert np.all(np.array(softest) > np.array(stiffest))
+
+
+def test_table1_holds_both_methods_beside_the_paper(out):
+    text = made("table1", out)
+    table = {r["model"]: r for r in rows(out, "table1")}
+    assert set(table) == {"4c", "5b"}
+    assert table["4c"]["s / iteration: paper"] == "0.36"
+    assert float(table["4c"]["SSIM at the end: ours"]) > 0.5
+    # Three solves are too few for truncated Newton: its time is a lower bound, and said to be.
+    assert table["4c"]["s to the paper's SSIM: TNC here"].startswith(">")
+    assert "lower bound" in text
+
+
+def test_maps_of_the_models_come_from_the_same_cases(out):
+    stored = sorted(path.name for path in (out / "cases" / "models").glob("*.npz"))
+    made("fig4", out)
+    made("fig5", out)
+    assert sorted(p.name for p in (out / "cases" / "models").glob("*.npz")) == stored
+    assert {r["model"] for r in rows(out, "fig4")} == {"4c"}
+    assert {r["model"] for r in rows(out, "fig5")} == {"5b"}
+
+
+def test_sizes_shift_the_modulus_as_the_paper_says(out, monkeypatch):
+    monkeypatch.setattr(sizes, "SIZES", {k: sizes.SIZES[k] for k in ("80 %", "120 %")})
+    monkeypatch.setattr(sizes, "_METHODS", ("plain",))
+    made("fig9", out)
+    table = {(r["believed"], r["method"]): r for r in rows(out, "fig9")}
+    assert len(table) == 2
+    small, large = (float(table[size, "plain"]["median, MPa"]) for size in ("80 %", "120 %"))
+    assert small > 0.2 > large
+
+
+def test_depths_are_told(out, monkeypatch):
+    monkeypatch.setattr(depths, "DEPTHS_MM", (3.0, 6.0))
+    text = made("fig10", out)
+    table = rows(out, "fig10")
+    assert [float(r["true depth, mm"]) for r in table] == [3, 6]
+    assert "depth told right, of seven | 0.9500" in text
+    off = [abs(float(r["estimate, mm"]) - float(r["true depth, mm"])) for r in table]
+    assert max(off) < 1.0
+
+
+@pytest.mark.parametrize(("depth", "told"), [(2.49, 2.0), (2.51, 3.0), (9.9, 8.0), (-1.0, 2.0)])
+def test_the_nearest_depth(depth, told):
+    assert nearest(depth) == told
+
+
+def test_every_exhibit_has_a_study_and_cases_of_distinct_names():
+    assert set(TITLES) == set(EXHIBITS)
+    for study in {study_of(name) for name in EXHIBITS} & set(TINY):
+        names = [case.name for case in cases_of(study, TINY[study])]
+        assert len(set(names)) == len(names) > 0
+
+
+def test_depths_of_a_larger_study_begin_with_those_of_a_smaller():
+    small = {case.name: case.settings for case in cases_of("depths", TINY["depths"])}
+    large = cases_of("depths", {**TINY["depths"], "places": 3})
+    again = {case.name: case.settings for case in large if case.name in small}
+    assert again == small
+
+
+def test_unknown_exhibits_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="exhibit=fig6"):
+        make("fig6", TINY, tmp_path, workers=1, progress=_silent)
+    assert not list(tmp_path.iterdir())
+
+
+def test_failures_are_told_and_the_rest_is_written(tmp_path):
+    # A load that collapses the object.
+    hard = {**TINY, "models": {**TINY["models"], "p_max_mpa": 5.0, "names": ["5b"]}}
+    with pytest.raises(TactorchError, match="models 5b"):
+        make("table1", hard, tmp_path, workers=1, progress=_silent)
+    assert not (tmp_path / "table1.md").exists()
