@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import yaml
 
 from tactorch.cli.catalog import Catalog, app_name
-from tactorch.cli.kinds import KINDS, OPTIONAL
+from tactorch.cli.kinds import KINDS, is_optional, kind_of
 from tactorch.cli.main import COMMANDS
 
 _INTERNAL = ("defaults", "hydra", "name")
@@ -21,21 +21,25 @@ _EXPERIMENT = "experiment"
 
 @dataclass(frozen=True)
 class Setting:
-    """A line of a settings file: name, default as it stands there, and its comment."""
+    """A line of a settings file.
+
+    Attributes:
+        name: Full name within the file.
+        default: As it stands there.
+        comment: Beside it, or on lines of its own above.
+        heading: What a line above says of this and the following settings; empty for none.
+    """
 
     name: str
     default: str
     comment: str
+    heading: str = ""
 
 
-def settings_of(text: str) -> Iterator[Setting]:
-    """Yield the settings of a file, nested ones by their full names, with their comments.
-
-    A comment counts for the setting beside it; one on lines of its own, for what follows it.
-    """
+def settings_of(text: str) -> list[Setting]:
+    """Return the settings of a file, nested ones by their full names, with their comments."""
     root = yaml.compose(text)
-    if isinstance(root, yaml.MappingNode):
-        yield from _settings(root, text.splitlines(), "")
+    return list(_settings(root, text.splitlines(), "")) if root is not None else []
 
 
 def _settings(node: yaml.MappingNode, lines: list[str], prefix: str) -> Iterator[Setting]:
@@ -43,39 +47,46 @@ def _settings(node: yaml.MappingNode, lines: list[str], prefix: str) -> Iterator
         if not prefix and key.value in _INTERNAL:
             continue
         name = f"{prefix}{key.value}"
-        comment = _comment(lines, key, value)
-        if isinstance(value, yaml.MappingNode) and not value.flow_style:
-            # A table that may be extended, such as the parts of a composite, is one setting.
-            if comment or key.value in KINDS:
-                yield Setting(name, "", comment)
-            yield from _settings(value, lines, f"{name}.")
-        else:
-            yield Setting(name, _default(value, lines), comment)
+        nested = isinstance(value, yaml.MappingNode) and not value.flow_style
+        above = " ".join(_above(lines, key.start_mark.line))
+        beside = _beside(lines, key if _is_block(value) else value)
+        heading = above.rstrip(":") if above.endswith(":") else ""
+        comment = beside or ("" if heading else above)
+        if not nested:
+            yield Setting(name, _default(value, lines), comment, heading)
+            continue
+        # A table that may be extended, such as the parts of a composite, is a setting too.
+        if comment or key.value in KINDS:
+            yield Setting(name, "", comment, heading)
+        yield from _settings(value, lines, f"{name}.")
+
+
+def _is_block(value: yaml.Node) -> bool:
+    return isinstance(value, yaml.CollectionNode) and not value.flow_style
 
 
 def _default(value: yaml.Node, lines: list[str]) -> str:
     begin, end = value.start_mark, value.end_mark
     if begin.line == end.line:
         return lines[begin.line][begin.column : end.column]
-    return " ".join(str(yaml.safe_load(yaml.serialize(value))).split())
+    content = yaml.safe_load(yaml.serialize(value))
+    return yaml.safe_dump(content, default_flow_style=True, width=1000).strip()
 
 
-def _comment(lines: list[str], key: yaml.Node, value: yaml.Node) -> str:
-    nested = isinstance(value, yaml.CollectionNode) and not value.flow_style
-    mark = key.end_mark if nested else value.end_mark
-    beside = re.search(r"(?:^|\s)#\s*(.*)$", lines[mark.line][mark.column :])
-    if beside:
-        return beside[1]
-    above: list[str] = []
-    for line in reversed(lines[1 : key.start_mark.line]):
-        if not line.strip().startswith("#"):
-            break
-        above.insert(0, line.strip().lstrip("# "))
-    # A line that ends in a colon heads several settings; what stands first in a file, the file.
-    at_top = not any(
-        line.strip() and not line.startswith("#") for line in lines[: key.start_mark.line]
-    )
-    return "" if at_top or (above and above[-1].endswith(":")) else " ".join(above)
+def _beside(lines: list[str], node: yaml.Node) -> str:
+    mark = node.end_mark
+    found = re.search(r"(?:^|\s)#\s*(.*)$", lines[mark.line][mark.column :])
+    return found[1] if found else ""
+
+
+def _above(lines: list[str], line: int) -> list[str]:
+    """Comments on the lines above one, but for those with which the file begins."""
+    found: list[str] = []
+    for text in reversed(lines[:line]):
+        if not text.strip().startswith("#"):
+            return found
+        found.insert(0, text.strip().lstrip("# "))
+    return []
 
 
 def page() -> str:
@@ -135,10 +146,25 @@ def _group(catalog: Catalog, group: str, catalogs: Mapping[str, Catalog]) -> str
     for option in catalog.options(group):
         about = catalog.about(group, option)
         parts.append(f"#### {group}={option} {{#{group}-{option}}}\n\n{html.escape(about, False)}")
-        found = list(settings_of(catalog.option_text(group, option)))
+        text = catalog.option_text(group, option)
+        parts += _inherited(text, group)
+        found = settings_of(text)
         if found:
             parts.append(_table(found, f"{group}."))
     return "\n\n".join(parts)
+
+
+def _inherited(text: str, group: str) -> list[str]:
+    """Say what an option takes over from another, and which other options it chooses."""
+    chosen = []
+    for entry in (yaml.safe_load(text) or {}).get("defaults", ()):
+        if isinstance(entry, str) and entry != "_self_":
+            return [f"As [{group}={entry}](#{group}-{entry}), but for:"]
+        if isinstance(entry, dict):
+            for name, option in entry.items():
+                other = name.removeprefix("override /").split("@")[0]
+                chosen.append(f"[{other}={option}](#{other}-{option})")
+    return [f"Chooses {', '.join(chosen)} too."] if chosen else []
 
 
 def _experiments(catalog: Catalog) -> str:
@@ -152,10 +178,12 @@ def _experiments(catalog: Catalog) -> str:
     return "\n\n".join(parts)
 
 
-def _table(found: Iterator[Setting] | list[Setting], prefix: str) -> str:
-    rows = ["| setting | default | value | |", "|---|---|---|---|"]
+def _table(found: list[Setting], prefix: str) -> str:
+    rows = ["| setting | default | value | comment |", "|---|---|---|---|"]
     for setting in found:
         name = f"{prefix}{setting.name}"
+        if setting.heading:
+            rows.append(f"| *{setting.heading}* | | | |")
         default = f"`{setting.default}`" if setting.default else ""
         cells = (f"`{name}`", default, _kind(name), html.escape(setting.comment, False))
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
@@ -163,9 +191,5 @@ def _table(found: Iterator[Setting] | list[Setting], prefix: str) -> str:
 
 
 def _kind(name: str) -> str:
-    leaf = name.rpartition(".")[2]
-    kind = KINDS.get(name, KINDS.get(leaf))
-    if kind is None:
-        return ""
-    optional = " or null" if leaf in OPTIONAL or name in OPTIONAL else ""
-    return kind.name + optional
+    kind = kind_of(name)
+    return "" if kind is None else kind.name + (" or null" if is_optional(name) else "")

@@ -1,34 +1,41 @@
 """Hooks of MkDocs: pages that are made from the code when the site is built, and equations."""
 
 import inspect
-import sys
+import re
 from pathlib import Path
 from typing import Any
 
+import api
+import configuration
+import equations
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 from tactorch.recording import schema
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-import configuration
-import equations
-
+_ROOT = Path(__file__).resolve().parents[2]
 _SCHEMA = "<!-- the docstring of tactorch.recording.schema -->"
+_EXAMPLE = re.compile(r"^<!-- (examples/\w+\.py) -->$", flags=re.MULTILINE)
 
 
 def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
-    """Add the page that has no file."""
-    files.append(File.generated(config, "configuration.md", content=configuration.page()))
+    """Add the pages that have no file."""
+    for path, content in {"configuration.md": configuration.page(), **api.pages()}.items():
+        files.append(File.generated(config, path, content=content))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put in the layout of recordings, as the code has it."""
-    return markdown.replace(_SCHEMA, inspect.getdoc(schema) or "")
+    """Put in what stands elsewhere: the layout of recordings, and examples."""
+    found = markdown.replace(_SCHEMA, inspect.getdoc(schema) or "")
+    return _EXAMPLE.sub(lambda match: _shown(match[1]), found)
 
 
 def on_page_content(html: str, **_: Any) -> str:
     """Draw the equations."""
     return equations.with_mathml(html)
+
+
+def _shown(path: str) -> str:
+    code = (_ROOT / path).read_text(encoding="utf-8")
+    return f'```python title="{path}"\n{code}```'

@@ -37,11 +37,6 @@ class Block:
     marks: tuple[str, ...]
 
     @property
-    def included(self) -> bool:
-        """Whether it is a file of the repository; those are run by the tests of the examples."""
-        return self.text.startswith('--8<-- "examples/')
-
-    @property
     def slow(self) -> bool:
         """Whether it takes long."""
         return "slow" in self.marks

@@ -41,8 +41,7 @@ def test_every_block_says_what_it_is(path: Path) -> None:
 
 
 def has(path: Path, slow: bool) -> bool:
-    own = [block for block in blocks(path, "python") if not block.included]
-    return path != README and any(block.slow == slow for block in own)
+    return path != README and any(block.slow == slow for block in blocks(path, "python"))
 
 
 @pytest.mark.parametrize("path", [p for p in ALL if has(p, slow=False)], ids=label)
@@ -64,7 +63,7 @@ def run_page(path: Path, folder: Path, found: list[Block]) -> None:
     for block in found:
         if block.title and block.language == "yaml":
             (folder / block.title).write_text(block.text)
-        if block.language == "python" and not block.included:
+        if block.language == "python":
             exec(compile(block.text, label(path), "exec"), names)
 
 

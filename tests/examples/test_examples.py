@@ -39,7 +39,7 @@ def module(name: str) -> ModuleType:
 
 def check_page(name: str, printed: str) -> None:
     """The words are the same, and the numbers but for round-off and another machine's search."""
-    pattern = rf'"examples/{name}.py"\n```\n\nprints\n\n```text\n(.*?)```'
+    pattern = rf"<!-- examples/{name}\.py -->\n\nprints\n\n```text\n(.*?)```"
     told = re.search(pattern, PAGE.read_text(), flags=re.DOTALL)
     assert told is not None, f"{PAGE} does not show what examples/{name}.py prints"
     assert NUMBER.sub("#", printed) == NUMBER.sub("#", told[1])
