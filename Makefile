@@ -49,8 +49,8 @@ external: $(STAMP)  ## tests on the shared data (TACTORCH_SHARED, or ../shared)
 	$(ALL_CHECKED) $(BIN)/pytest -q -m external $(ARGS)
 
 docs: $(STAMP)  ## build the documentation into site/
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet $(ARGS)
-	@echo "site/index.html"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict $(ARGS)
+	@echo "Open site/index.html; for the search, serve it: $(BIN)/mkdocs serve"
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .
