@@ -17,7 +17,7 @@ NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 TESTED = {
     "press": "test_press", "gradient": "test_gradient", "find_ball": "test_find_ball",
     "own_material": "test_own_material", "own_prior": "test_own_prior",
-    "next_press": "test_next_press",
+    "next_press": "test_next_press", "image_to_force": "test_image_to_force",
 }  # fmt: skip
 
 
@@ -117,3 +117,12 @@ def test_next_press(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["places"] == 3
     assert found["last"] < 0.9 * found["first"]
     assert found["off_mm"] < 3.0
+
+
+@pytest.mark.slow
+def test_image_to_force(capsys: pytest.CaptureFixture[str]) -> None:
+    """From a finer gel's press: within a fifth along z, and sheared the right way."""
+    found = run("image_to_force", capsys)
+    assert found["told"][2] == pytest.approx(found["true"][2], rel=0.2)
+    assert found["told"][0] == pytest.approx(found["true"][0], rel=0.3)
+    assert abs(found["told"][1]) < 0.02
