@@ -4,14 +4,15 @@ What is public a package says in `__all__`. mkdocstrings reads the source; here 
 out: which packages a page has, and in what order names stand on it.
 """
 
-import importlib
-import inspect
+import ast
 from collections.abc import Iterator
-from types import ModuleType
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
 
 import tactorch
 
+_ROOT = Path(__file__).resolve().parents[2]
 #: Pages: title, and the packages (or modules) on it.
 PAGES = {
     "recording": ("Recordings", ["tactorch.recording", "tactorch.importers"]),
@@ -71,71 +72,111 @@ FIRST = (
 )  # fmt: skip
 
 
+class Origin(NamedTuple):
+    """Where a name is defined: the module, and the definition or assignment there."""
+
+    module: str
+    node: ast.stmt
+
+
 def pages() -> dict[str, str]:
     """Return the reference's pages, by path, as Markdown."""
-    seen: set[int] = set()
+    seen: set[Origin] = set()
     made = {f"api/{name}.md": _page(*content, seen) for name, content in PAGES.items()}
     return {"api/index.md": _index(), **made}
 
 
-def public(module: ModuleType) -> list[str]:
+def public(module: str) -> list[str]:
     """Return a module's public names, those that lead first."""
-    names = getattr(module, "__all__", None) or [
-        name
-        for name, value in vars(module).items()
-        if not name.startswith("_") and getattr(value, "__module__", "") == module.__name__
+    names = [
+        node.name
+        for node in tree(module).body
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_")
     ]
+    for node in tree(module).body:
+        if isinstance(node, ast.Assign) and "__all__" in _targets(node):
+            names = ast.literal_eval(node.value)
     return sorted(names, key=lambda n: FIRST.index(n) if n in FIRST else len(FIRST))
 
 
-def path_of(module: ModuleType, name: str) -> str:
+@cache
+def origin(module: str, name: str) -> Origin:
+    """Return where a name of a module is defined.
+
+    Raises:
+        LookupError: It is not there.
+    """
+    for node in tree(module).body:
+        if isinstance(node, ast.ImportFrom) and node.module:
+            if any((alias.asname or alias.name) == name for alias in node.names):
+                return origin(node.module, name)
+        elif name in _targets(node):
+            return Origin(module, node)
+    raise LookupError(f"{module} has no {name}")
+
+
+def path_of(module: str, name: str) -> str:
     """Return where mkdocstrings finds a name; one that a submodule has too, at its source."""
-    value = getattr(module, name)
-    try:
-        importlib.import_module(f"{module.__name__}.{name}")
-    except ModuleNotFoundError:
-        return f"{module.__name__}.{name}"
-    return f"{value.__module__}.{name}"
+    place = _ROOT.joinpath(*module.split("."), name)
+    taken = place.with_suffix(".py").is_file() or place.is_dir()
+    return f"{origin(module, name).module if taken else module}.{name}"
 
 
-def _page(title: str, packages: list[str], seen: set[int]) -> str:
+@cache
+def tree(module: str) -> ast.Module:
+    """Return the source of a module or package of tactorch."""
+    place = _ROOT.joinpath(*module.split("."))
+    file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
+def docstring(module: str) -> str:
+    """Return a module's documentation."""
+    return ast.get_docstring(tree(module)) or ""
+
+
+def _targets(node: ast.stmt) -> list[str]:
+    """Names that a statement defines."""
+    if isinstance(node, ast.ClassDef | ast.FunctionDef):
+        return [node.name]
+    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+    return [target.id for target in targets if isinstance(target, ast.Name)]
+
+
+def _page(title: str, packages: list[str], seen: set[Origin]) -> str:
     parts = [f"# {title}"]
     for package in packages:
-        module = importlib.import_module(package)
-        parts += [f"## {package}", inspect.getdoc(module) or ""]
-        parts += _entries(module, seen)
+        parts += [f"## {package}", docstring(package), *_entries(package, seen)]
     return "\n\n".join(parts) + "\n"
 
 
-def _entries(module: ModuleType, seen: set[int]) -> Iterator[str]:
+def _entries(module: str, seen: set[Origin]) -> Iterator[str]:
     constants = []
     for name in public(module):
-        value = getattr(module, name)
-        if not _documented(value):
-            constants.append(f"- `{name}`: {_constant(value)}")
-        elif id(value) not in seen:
-            seen.add(id(value))
+        found = origin(module, name)
+        if not isinstance(found.node, ast.ClassDef | ast.FunctionDef):
+            constants.append(f"- `{name}`: {_constant(found.node)}")
+        elif found not in seen:
+            seen.add(found)
             yield f"::: {path_of(module, name)}"
     if constants:
         yield "**Constants**\n\n" + "\n".join(constants)
 
 
-def _documented(value: Any) -> bool:
-    return inspect.isclass(value) or inspect.isfunction(value)
-
-
-def _constant(value: Any) -> str:
-    if isinstance(value, dict | list | tuple | set | frozenset):
-        return ", ".join(f"`{item}`" for item in value)
-    return f"`{value}`" if isinstance(value, int | float | str) else "a type of annotations"
+def _constant(node: ast.stmt) -> str:
+    value = getattr(node, "value", None)
+    if isinstance(value, ast.Dict):
+        return ", ".join(f"`{ast.unparse(key)}`" for key in value.keys if key is not None)
+    return f"`{ast.unparse(value)}`" if isinstance(value, ast.expr) else ""
 
 
 def _index() -> str:
     rows = ["| name | what it is |", "|---|---|"]
     for name in tactorch.__all__:
-        value = getattr(tactorch, name)
-        home = importlib.import_module(tactorch._HOME[name])
-        about = (inspect.getdoc(value) or "").splitlines()[0]
+        home = tactorch._HOME[name]
+        node = origin(home, name).node
+        assert isinstance(node, ast.ClassDef | ast.FunctionDef)
+        about = (ast.get_docstring(node) or "").splitlines()[0]
         rows.append(f"| [`{name}`][{path_of(home, name)}] | {about} |")
     listed = "\n".join(f"- [{title}]({name}.md)" for name, (title, _) in PAGES.items())
     return _INDEX.format(names="\n".join(rows), pages=listed)

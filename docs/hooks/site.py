@@ -1,6 +1,5 @@
 """Hooks of MkDocs: pages that are made from the code when the site is built, and equations."""
 
-import inspect
 import re
 from pathlib import Path
 from typing import Any
@@ -9,12 +8,13 @@ import api
 import configuration
 import equations
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
-
-from tactorch.recording import schema
+from mkdocs.structure.pages import Page
 
 _ROOT = Path(__file__).resolve().parents[2]
 _SCHEMA = "<!-- the docstring of tactorch.recording.schema -->"
+_FETCHED = re.compile(r'<(?:script|link|img|iframe)\b[^>]*(?:src|href)="?(?:https?:)?//[^>]*>')
 _EXAMPLE = re.compile(r"^<!-- (examples/\w+\.py) -->$", flags=re.MULTILINE)
 
 
@@ -27,13 +27,25 @@ def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Put in what stands elsewhere: the layout of recordings, and examples."""
-    found = markdown.replace(_SCHEMA, inspect.getdoc(schema) or "")
+    found = markdown.replace(_SCHEMA, api.docstring("tactorch.recording.schema"))
     return _EXAMPLE.sub(lambda match: _shown(match[1]), found)
 
 
 def on_page_content(html: str, **_: Any) -> str:
     """Draw the equations."""
     return equations.with_mathml(html)
+
+
+def on_post_page(output: str, page: Page, **_: Any) -> str:
+    """Refuse what a reader's browser would have to fetch from elsewhere.
+
+    Raises:
+        PluginError: There is some.
+    """
+    found = _FETCHED.search(output)
+    if found:
+        raise PluginError(f"{page.file.src_uri} needs a network: {found[0]}")
+    return output
 
 
 def _shown(path: str) -> str:
