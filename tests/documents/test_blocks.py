@@ -84,25 +84,21 @@ def measured(folder: Path) -> dict[str, Any]:
 # ---------------------------------------------------------------- README
 
 
-def readme_python() -> list[Block]:
-    return blocks(README, "python")
-
-
-def test_the_readme_has_the_blocks_that_run() -> None:
-    assert len(readme_python()) == 6
+OWN_DATA = "forces=forces"
+README_PYTHON = blocks(README, "python")
+ALONE = [block.text for block in README_PYTHON if OWN_DATA not in block.text]
 
 
 def test_the_block_for_ones_own_data_runs(folder: Path) -> None:
-    (own,) = (block for block in readme_python() if "forces=forces" in block.text)
+    (own,) = (block for block in README_PYTHON if OWN_DATA in block.text)
     exec(compile(own.text, "README.md", "exec"), {"__name__": "__main__", **measured(folder)})
     assert (folder / "mine.h5").is_file()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("index", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("index", range(len(ALONE)))
 def test_a_block_of_the_readme_runs_alone(index: int, folder: Path) -> None:
-    alone = [block.text for block in readme_python() if "forces=forces" not in block.text]
-    command = [sys.executable, "-c", alone[index]]
+    command = [sys.executable, "-c", ALONE[index]]
     run = subprocess.run(command, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     assert index != 0 or ("Inclusion(" in run.stdout and (folder / "map.vtu").is_file())
