@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import yaml
 
 from tactorch.cli.catalog import Catalog, app_name
-from tactorch.cli.kinds import KINDS, is_optional, kind_of
+from tactorch.cli.kinds import KINDS, OPTIONAL, kind_of
 from tactorch.cli.main import COMMANDS
 
 _INTERNAL = ("defaults", "hydra", "name")
@@ -192,4 +192,5 @@ def _table(found: list[Setting], prefix: str) -> str:
 
 def _kind(name: str) -> str:
     kind = kind_of(name)
-    return "" if kind is None else kind.name + (" or null" if is_optional(name) else "")
+    optional = name in OPTIONAL or name.split(".")[-1] in OPTIONAL
+    return "" if kind is None else kind.name + (" or null" if optional else "")

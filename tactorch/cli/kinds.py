@@ -196,20 +196,16 @@ def _leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 
 def kind_of(name: str) -> Kind | None:
-    """Return the kind of a setting by its full name; None where it is checked elsewhere."""
-    if name.startswith(_FREE):
-        return None
-    return KINDS.get(name, KINDS.get(name.split(".")[-1]))
-
-
-def is_optional(name: str) -> bool:
-    """Say whether a setting may be null."""
-    return name in OPTIONAL or name.split(".")[-1] in OPTIONAL
+    """Return what a setting holds, by its full name; None where what is beside it decides."""
+    return None if name.startswith(_FREE) else KINDS.get(name, KINDS.get(name.split(".")[-1]))
 
 
 def _check(name: str, value: Any) -> None:
-    kind, optional = kind_of(name), is_optional(name)
-    if kind is None or kind.holds(value) or (value is None and optional):
+    leaf, kind = name.split(".")[-1], kind_of(name)
+    if kind is None or kind.holds(value):
+        return
+    optional = leaf in OPTIONAL or name in OPTIONAL
+    if value is None and optional:
         return
     or_null = ", or null" if optional else ""
     raise ConfigError(f"{name}={value!r}: give {kind.name}{or_null}.")
