@@ -60,9 +60,11 @@ PAGES = {
             "tactorch.learning.training",
         ],
     ),
-    "metrics": ("Metrics and pictures", ["tactorch.metrics", "tactorch.viz"]),
+    "more": ("Metrics, pictures and more", ["tactorch.metrics", "tactorch.viz"]),
     "errors": ("Errors", ["tactorch.errors"]),
 }
+#: The page of packages that none of the others names.
+REST = "more"
 #: Names that lead their package; the others follow in the order of `__all__`.
 FIRST = (
     "Recording", "Press", "Phantom", "make_phantom", "simulate", "PressPlan", "invert", "Settings",
@@ -82,8 +84,27 @@ class Origin(NamedTuple):
 def pages() -> dict[str, str]:
     """Return the reference's pages, by path, as Markdown."""
     seen: set[Origin] = set()
-    made = {f"api/{name}.md": _page(*content, seen) for name, content in PAGES.items()}
+    made = {
+        f"api/{name}.md": _page(title, packages_of(name), seen)
+        for name, (title, _) in PAGES.items()
+    }
     return {"api/index.md": _index(), **made}
+
+
+def packages_of(page: str) -> list[str]:
+    """Return the packages of a page; all that export something are on one."""
+    named = {package for _, packages in PAGES.values() for package in packages}
+    rest = [] if page != REST else [p for p in _exporting() if p not in named]
+    return [*PAGES[page][1], *rest]
+
+
+def _exporting() -> Iterator[str]:
+    """Packages with public names, but for the command line and what `tactorch` itself loads."""
+    for path in sorted((_ROOT / "tactorch").rglob("__init__.py")):
+        package = ".".join(path.parent.relative_to(_ROOT).parts)
+        apart = package == "tactorch" or package.startswith("tactorch.cli")
+        if not apart and any("__all__" in _targets(node) for node in tree(package).body):
+            yield package
 
 
 def public(module: str) -> list[str]:
