@@ -112,6 +112,7 @@ def test_own_prior(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["mirrored"] > found["total variation"] + 0.1
 
 
+@pytest.mark.slow
 def test_next_press(capsys: pytest.CaptureFixture[str]) -> None:
     found = run("next_press", capsys)
     assert found["places"] == 3
