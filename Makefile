@@ -23,7 +23,7 @@ PARALLEL := -n $(WORKERS) --dist worksteal
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test slow external lint format typecheck clean
+.PHONY: help setup demo test slow external docs lint format typecheck clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-10s %s\n", $$1, $$2}'
@@ -33,7 +33,7 @@ setup: $(STAMP)  ## make .venv and install the project with its tools
 $(STAMP): pyproject.toml setup.py constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "Installing into $(VENV) (about two minutes the first time)"
-	@$(BIN)/python -m pip install --quiet --progress-bar off $(PIP_ARGS) -c constraints.txt -e ".[test,dev]"
+	@$(BIN)/python -m pip install --quiet --progress-bar off $(PIP_ARGS) -c constraints.txt -e ".[test,dev,docs]"
 	@touch $@
 
 demo: $(STAMP)  ## simulate a soft cube with a stiff inclusion and find it again
@@ -48,6 +48,10 @@ slow: $(STAMP)  ## tests that take long
 external: $(STAMP)  ## tests on the shared data (TACTORCH_SHARED, or ../shared)
 	$(ALL_CHECKED) $(BIN)/pytest -q -m external $(ARGS)
 
+docs: $(STAMP)  ## build the documentation into site/
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict $(ARGS)
+	@echo "Open site/index.html; for the search, serve it: $(BIN)/mkdocs serve"
+
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -60,5 +64,5 @@ typecheck: $(STAMP)  ## mypy
 	$(BIN)/mypy
 
 clean:  ## remove the environment, builds and caches; runs in outputs/ stay
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist site *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

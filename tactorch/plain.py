@@ -2,6 +2,7 @@
 
 from dataclasses import fields, is_dataclass
 from hashlib import sha256
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 
 def plain(value: Any) -> Any:
     """Return settings as plain JSON values; what is none is described."""
+    if isinstance(value, type | FunctionType):
+        return f"{value.__module__}.{value.__qualname__}"
     if is_dataclass(value):
         return plain_fields(value)
     if isinstance(value, dict):

@@ -41,7 +41,12 @@ from tactorch.inverse.parameterization import (
 )
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.regularization import REGULARIZERS, PriorOptions, make_regularizer
+from tactorch.inverse.regularization import (
+    REGULARIZERS,
+    PriorOptions,
+    Regularizer,
+    make_regularizer,
+)
 from tactorch.inverse.starts import Start, best_uniform, homogeneous, monte_carlo, start_map
 from tactorch.inverse.uniform import UniformFit, uniform_fit
 
@@ -74,6 +79,7 @@ __all__ = [
     "Point",
     "PriorOptions",
     "Reconstruction",
+    "Regularizer",
     "Settings",
     "Start",
     "UniformFit",

@@ -24,7 +24,7 @@ from tactorch.inverse.parameterization import Bounds, make_parameterization
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.progress import progress
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.regularization import PriorOptions, make_regularizer
+from tactorch.inverse.regularization import Prior, PriorOptions, make_regularizer
 from tactorch.inverse.starts import Start, start_map
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.plain import plain, plain_fields
@@ -43,7 +43,8 @@ class Settings:
     Attributes:
         optimizer: A name ("gauss_newton", "newton_cg", "tnc", "lbfgs") or an optimizer.
         parameterization: "log", "scaled" or "identity".
-        regularization: A name: see `tactorch.inverse.regularization.REGULARIZERS`.
+        regularization: A name of `tactorch.inverse.REGULARIZERS`, or a prior of your own: a
+            function of the mesh that makes one (see `tactorch.inverse.Regularizer`).
         edge: Where priors turn from smooth to sharp (log-modulus), or None for each one's own.
         prior: What else some priors need.
         bounds: Limits of Young's modulus.
@@ -64,7 +65,7 @@ class Settings:
 
     optimizer: str | Optimizer = field(default_factory=GaussNewton)
     parameterization: str = "log"
-    regularization: str = "total_variation"
+    regularization: Prior = "total_variation"
     edge: float | None = None
     prior: PriorOptions = field(default_factory=PriorOptions)
     bounds: Bounds = field(default_factory=Bounds)

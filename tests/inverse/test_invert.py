@@ -21,6 +21,8 @@ from tactorch.inverse import (
     make_optimizer,
 )
 from tactorch.inverse.progress import progress
+from tactorch.inverse.regularization import Smoothness
+from tactorch.plain import plain
 from tactorch.recording import Recording
 
 SHORT = Settings(optimizer=GaussNewton(max_iterations=3))
@@ -162,3 +164,9 @@ def test_no_progress_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> No
     with progress("gauss_newton", show=False) as update:
         update({"iteration": 12, "misfit": 3.25e-4})
     assert capfd.readouterr() == ("", "")
+
+
+def test_settings_with_a_prior_of_ones_own_are_told_by_its_name() -> None:
+    """Not by where it lies in memory, which another run would have elsewhere."""
+    told = plain(Settings(regularization=Smoothness))
+    assert told["regularization"] == "tactorch.inverse.regularization.smoothness.Smoothness"

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import REGULARIZERS, PriorOptions, make_regularizer
+from tactorch.inverse.regularization import Smoothness, TotalVariation
 from tactorch.mesh import TetMesh, box_mesh
 
 MESH = box_mesh(10.0, 2, tets_per_cell=5)
@@ -27,6 +28,21 @@ def test_a_uniform_field_costs_nothing(name: str, level: float) -> None:
     field = np.full(MESH.n_tets, level)
     assert prior.value(field) == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(prior.gradient(field), 0.0, atol=1e-9)
+
+
+def test_a_prior_of_ones_own_is_made_of_the_mesh() -> None:
+    """Also about a map; what is beside its mean is its own affair."""
+    own = make_regularizer(TotalVariation, MESH, options=PriorOptions(level_mpa=0.2))
+    assert isinstance(own, TotalVariation)
+    mean = np.exp(field_of(1))
+    about = make_regularizer(
+        lambda mesh: Smoothness(mesh), MESH, options=PriorOptions(mean_mpa=mean)
+    )
+    assert about.name == "smoothness"
+    assert about.value(np.log(mean)) == pytest.approx(0.0, abs=1e-12)
+    assert about.value(field_of(2)) == pytest.approx(
+        Smoothness(MESH).value(field_of(2) - np.log(mean))
+    )
 
 
 @pytest.mark.parametrize("options", OPTIONS)

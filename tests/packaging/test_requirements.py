@@ -14,7 +14,8 @@ ROOT = Path(__file__).resolve().parents[2]
 def requirements() -> list[Requirement]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    return [Requirement(r) for r in [*project["dependencies"], *extras["test"], *extras["dev"]]]
+    named = [*extras["test"], *extras["dev"], *extras["docs"]]
+    return [Requirement(r) for r in [*project["dependencies"], *named]]
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,8 @@
 """Priors on the map of Young's modulus, one a file."""
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 from tactorch.errors import ConfigError
 from tactorch.inverse.regularization.about import About
 from tactorch.inverse.regularization.base import NoPrior, Regularizer
@@ -27,13 +30,18 @@ REGULARIZERS = (
 )
 
 
+#: A prior by its name, or what makes one of a mesh: a class of yours, say.
+Prior: TypeAlias = str | Callable[[TetMesh], Regularizer]
+
+
 def make_regularizer(
-    name: str, mesh: TetMesh, *, edge: float | None = None, options: PriorOptions | None = None
+    name: Prior, mesh: TetMesh, *, edge: float | None = None, options: PriorOptions | None = None
 ) -> Regularizer:
     """Make a prior by name.
 
     Args:
-        name: One of `REGULARIZERS`.
+        name: One of `REGULARIZERS`, or a function of the mesh that makes a prior; `edge`, and all
+            of `options` but the mean, are then its own affair.
         mesh: The object.
         edge: Where total variation, sparsity and the logarithm of jumps turn from smooth to sharp;
             None takes each one's own default.
@@ -43,7 +51,7 @@ def make_regularizer(
         ConfigError: the name is unknown, or a setting cannot be used.
     """
     options = options or PriorOptions()
-    inner = _about_nothing(name, mesh, edge, options)
+    inner = name(mesh) if callable(name) else _about_nothing(name, mesh, edge, options)
     if options.mean_mpa is None or name == "none":
         return inner
     about = About(inner, options.mean_mpa, options.mean_deviation, mesh.n_tets)
@@ -90,6 +98,7 @@ __all__ = [
     "LogJumps",
     "Matern",
     "NoPrior",
+    "Prior",
     "PriorOptions",
     "Regularizer",
     "Smoothness",

@@ -1,0 +1,157 @@
+"""Pages that are made when the site is built: nothing of conf/ or of the packages is left out."""
+
+import html
+import importlib
+import inspect
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tactorch.cli.catalog import Catalog
+from tactorch.cli.main import COMMANDS
+
+from .blocks import DOCS, ROOT, pages
+
+CONF = sorted((ROOT / "conf").rglob("*.yaml"))
+
+
+@pytest.fixture(scope="module")
+def hooks() -> Iterator[dict[str, ModuleType]]:
+    sys.path.insert(0, str(DOCS / "hooks"))
+    yield {name: importlib.import_module(name) for name in ("configuration", "api", "equations")}
+    sys.path.remove(str(DOCS / "hooks"))
+
+
+@pytest.fixture(scope="module")
+def configuration(hooks: dict[str, ModuleType]) -> str:
+    return hooks["configuration"].page()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_setting_of_a_command_is_there(command: str, configuration: str) -> None:
+    catalog = Catalog(command)
+    for name in catalog.settings:
+        assert f"| `{name}" in configuration
+    for group in catalog.defaults:
+        assert f"\n### {group}\n" in configuration
+        for option in catalog.options(group):
+            assert f"\n#### {group}={option}" in configuration
+            for key in catalog.option_keys(group, option):
+                assert group == "experiment" or shown(f"{group}.{key}", configuration), key
+
+
+def shown(name: str, configuration: str) -> bool:
+    """Whether a setting has a line, or is in the default of the table that it belongs to."""
+    table, _, leaf = name.rpartition(".")
+    inside = rf"\| `{re.escape(table)}` \| `{{[^`]*\b{leaf}:"
+    return f"| `{name}" in configuration or re.search(inside, configuration) is not None
+
+
+@pytest.mark.parametrize("path", CONF, ids=lambda p: p.relative_to(ROOT / "conf").as_posix())
+def test_every_comment_is_there(path: Path, configuration: str) -> None:
+    text = html.unescape(configuration).replace("\\|", "|")
+    settings = path.read_text().split("\nhydra:")[0]
+    for line in settings.splitlines():
+        found = re.search(r"(?:^|\s)#\s*(.*)$", line)
+        about_all = line.startswith("#") and path.parent.name == "conf"  # its header says it
+        if found and not about_all and path.parent.name != "app" and "@package" not in line:
+            assert found[1].rstrip(":") in text, found[1]
+
+
+def test_settings_are_read_with_their_comments(hooks: dict[str, ModuleType]) -> None:
+    text = """\
+# What the file is.
+defaults:
+  - _self_
+first: 1.0e-3  # how much
+# Of the rest:
+second: null
+table:
+  # on a line of its own
+  inner: [a, 'b # c']
+  last:
+    - [1, 2]
+hydra: {}
+"""
+    found = hooks["configuration"].settings_of(text)
+    assert [(s.name, s.default, s.comment, s.heading) for s in found] == [
+        ("first", "1.0e-3", "how much", ""),
+        ("second", "null", "", "Of the rest"),
+        ("table.inner", "[a, 'b # c']", "on a line of its own", ""),
+        ("table.last", "[[1, 2]]", "", ""),
+    ]
+
+
+def test_every_package_is_on_one_page_of_the_api(hooks: dict[str, ModuleType]) -> None:
+    listed = [package for page in hooks["api"].PAGES for package in hooks["api"].packages_of(page)]
+    assert len(listed) == len(set(listed))
+    for path in (ROOT / "tactorch").rglob("__init__.py"):
+        package = ".".join(path.parent.relative_to(ROOT).parts)
+        apart = package == "tactorch" or package.startswith("tactorch.cli")
+        assert apart or "\n__all__" not in path.read_text() or package in listed, package
+
+
+@pytest.mark.slow  # it imports all there is
+def test_every_public_name_is_in_the_api(hooks: dict[str, ModuleType]) -> None:
+    api = hooks["api"]
+    shown = re.findall(r"^::: (\S+)$", "\n".join(api.pages().values()), flags=re.MULTILINE)
+    assert len(shown) == len(set(shown))
+    objects = [
+        getattr(importlib.import_module(p.rpartition(".")[0]), p.rpartition(".")[2]) for p in shown
+    ]
+    for package in (package for page in api.PAGES for package in api.packages_of(page)):
+        module = importlib.import_module(package)
+        for name in vars(module).get("__all__", ()):
+            value = getattr(module, name)
+            if inspect.isclass(value) or inspect.isfunction(value):
+                assert any(value is other for other in objects), name
+
+
+def test_documents_refer_to_names_that_exist() -> None:
+    for page in pages():
+        for name in re.findall(r"\]\[(tactorch[\w.]*)\]", page.read_text()):
+            module, _, leaf = name.rpartition(".")
+            try:
+                home = importlib.import_module(module)
+            except ModuleNotFoundError:  # a method
+                outer, _, middle = module.rpartition(".")
+                home = getattr(importlib.import_module(outer), middle)
+            assert inspect.isclass(getattr(home, leaf)) or callable(getattr(home, leaf)), name
+
+
+def test_files_that_documents_name_exist() -> None:
+    for page in pages():
+        for name in re.findall(
+            r"`((?:tactorch|benchmarks|train|examples)/[\w/.]+)", page.read_text()
+        ):
+            assert (ROOT / name).exists(), f"{page.name}: {name}"
+
+
+@pytest.mark.parametrize(
+    ("latex", "holds"),
+    [
+        (r"\mathbf R", "<mi>𝐑</mi>"),
+        (r"\mathbf u", "<mi>𝐮</mi>"),
+        (r"\mathbb R", "<mi>ℝ</mi>"),
+        (r"\mathrm{argmin} E", "<mi>argmin</mi>"),
+    ],
+)
+def test_letters_keep_their_look(hooks: dict[str, ModuleType], latex: str, holds: str) -> None:
+    """Browsers draw no mathvariant but normal."""
+    made = hooks["equations"].mathml(latex)
+    assert holds in made
+    assert "mathvariant" not in made
+
+
+def test_equations_keep_their_numbers(hooks: dict[str, ModuleType]) -> None:
+    page = '<p>a <span class="arithmatex">\\(x &lt; 1\\)</span></p>\n'
+    page += '<div class="arithmatex">\\[ y = 2 \\tag{13} \\]</div>'
+    made = hooks["equations"].with_mathml(page)
+    assert made.count("<math") == 2
+    assert "arithmatex" not in made
+    assert '<span class="eq-number">(13)</span>' in made
+    assert "tag" not in made.replace("eq-number", "")
