@@ -10,7 +10,7 @@ import numpy as np
 from omegaconf import DictConfig
 
 from tactorch.cli.networks import data_of, facts_of, model_of, network_of
-from tactorch.cli.report import write_json
+from tactorch.cli.outputs import write_json
 from tactorch.cli.settings import folder, log, made, plain
 from tactorch.errors import ConfigError
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tactorch.cli.report import write_json
+from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.presses import Pressed, write_circles
 from tactorch.cli.settings import log
 from tactorch.files import atomic_path
