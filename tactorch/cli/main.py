@@ -8,6 +8,7 @@ VERBS = {
     "import": "turn files of others into a recording",
     "invert": "reconstruct the map of Young's modulus from a recording",
     "evaluate": "score a reconstruction against the truth",
+    "report": "one HTML file that shows what a run has found, or several side by side",
     "generate": "make a dataset of simulated presses on random objects",
     "train": "train a network on a dataset",
     "evaluate-model": "how good a trained network is, in numbers and pictures",
@@ -59,6 +60,10 @@ def _dispatch(arguments: list[str] | None) -> None:
 
         known = ", ".join(VERBS)
         fail(f"'{verb}' is not a command; choose one of {known}.{did_you_mean(verb, list(VERBS))}")
+    if verb == "report":
+        from tactorch.cli.positional import with_runs
+
+        settings = with_runs(settings)
     if verb not in GROUPS:
         run_app(verb, settings)
     elif not settings or settings[0] in ("-h", "--help", "help"):

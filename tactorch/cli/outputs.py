@@ -223,25 +223,19 @@ def draw(
 ) -> list[Path]:
     """Draw slices of the map and the convergence."""
     from tactorch.viz import plot_convergence, plot_slices
+    from tactorch.viz.contact import pushed_nodes
 
     name = reconstruction.config["optimizer"]["name"]
     histories = {name: reconstruction.history, **others}
-    pushed = np.sum([np.abs(press.forces) for press in recording.presses], axis=0)
     slices = plot_slices(
         recording.mesh,
         reconstruction.youngs,
         out / "slices.png",
         truth=recording.truth,
-        pressed=_pressed(recording, pushed),
+        pressed=pushed_nodes(recording.presses),
         title="Young's modulus, reconstructed",
     )
     return [slices, plot_convergence(histories, out / "convergence.png")]
-
-
-def _pressed(recording: Recording, pushed: np.ndarray) -> Any:
-    """Faces that were pressed, or all pushed nodes where a press has no direction."""
-    total = np.sum([press.forces for press in recording.presses], axis=0)
-    return total if np.abs(total).sum() > 0.5 * pushed.sum() else pushed
 
 
 def _label(found: Reconstruction, path: Path, taken: Collection[str]) -> str:
