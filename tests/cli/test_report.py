@@ -40,6 +40,22 @@ def test_runs_side_by_side(tactorch: Any, finished_run: Path, tmp_path: Path) ->
     assert "2 runs compared" in Path("both.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
+def test_a_prior_about_a_surrogates_map_is_made_again(tactorch: Any, recording_file: Path) -> None:
+    """The result holds the checksum of that map only."""
+    about = ("initialization=surrogate", "initialization.prior_mean=true")
+    quick = ("plots=false", "optimizer.max_iterations=1", "run_dir=run")
+    done = tactorch("invert", f"recording={recording_file}", *about, *quick)
+    assert "The prior is about the surrogate's map" in done.out
+    assert tactorch("report", "run").status == 0
+    page = Path("run/report.html").read_text(encoding="utf-8")
+    assert "are left out" not in page
+    shutil.rmtree("run/.hydra")
+    assert tactorch("report", "run").status == 0
+    page = Path("run/report.html").read_text(encoding="utf-8")
+    assert "credibility and uncertainty are left out (the prior was about a map" in page
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [

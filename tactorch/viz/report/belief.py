@@ -53,11 +53,11 @@ class Fit:
 
     Attributes:
         residual: Predicted less observed, mm, (n, 3); NaN where nothing was observed.
-        deviation: Standard deviation that each was weighed by, mm, (n, 3); NaN likewise.
+        deviations: It in independent standard deviations, as the inversion weighs it, (n, 3).
     """
 
     residual: Float[np.ndarray, "n 3"]
-    deviation: Float[np.ndarray, "n 3"]
+    deviations: Float[np.ndarray, "n 3"]
 
     @property
     def rms_mm(self) -> float:
@@ -67,7 +67,7 @@ class Fit:
     @property
     def rms_deviations(self) -> float:
         """Root mean square of the residual in standard deviations."""
-        return float(np.sqrt(np.nanmean((self.residual / self.deviation) ** 2)))
+        return float(np.sqrt(np.nanmean(self.deviations**2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def judge(run: Run, *, uncertainty: bool = True, tell: Tell | None = None) -> Ju
 
 def _believed(run: Run, recording: Recording, tell: Tell) -> tuple[Belief, list[Fit]]:
     tell("presses at the map", 0, _STEPS)
-    point = solution(recording, run.found, settings_of(run.found.config))
+    point = solution(recording, run.found, run.settings or settings_of(run.found.config))
     tell("credibility", 1, _STEPS)
     felt = credibility(point.evaluation).values
     tell("posterior", 2, _STEPS)
@@ -124,14 +124,14 @@ def _believed(run: Run, recording: Recording, tell: Tell) -> tuple[Belief, list[
 
 
 def _fits(recording: Recording, point: Point) -> list[Fit]:
-    fits = []
-    for seen, reported in zip(
-        point.objective.problem.observations, point.evaluation.reported, strict=True
+    found, fits = point.evaluation, []
+    for seen, reported, deviations in zip(
+        point.objective.problem.observations, found.reported, found.deviations, strict=True
     ):
-        residual, deviation = np.full((2, recording.mesh.n_points * 3), np.nan)
-        residual[seen.index] = reported.ravel()[seen.index] - seen.displacement
-        deviation[seen.index] = 1.0 / seen.scale
-        fits.append(Fit(residual.reshape(-1, 3), deviation.reshape(-1, 3)))
+        both = np.full((2, recording.mesh.n_points * 3), np.nan)
+        both[0, seen.index] = reported.ravel()[seen.index] - seen.displacement
+        both[1, seen.index] = deviations
+        fits.append(Fit(*both.reshape(2, -1, 3)))
     return fits
 
 
@@ -146,5 +146,5 @@ def _plain_fits(run: Run, recording: Recording) -> list[Fit]:
         recording.presses, run.found.displacements, noise.deviations(recording), strict=True
     ):
         residual = np.where(press.data, moved - press.displacement, np.nan)
-        fits.append(Fit(residual, np.where(press.data, deviation, np.nan)))
+        fits.append(Fit(residual, residual / deviation))
     return fits

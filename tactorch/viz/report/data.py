@@ -157,7 +157,7 @@ def _presses(recording: Recording, judged: Judgement) -> list[dict[str, Any]]:
                 "nodes": indices(seen, mesh.n_points),
                 "observed": rows(press.displacement[seen]),
                 "residual": rows(fit.residual[seen]),
-                "deviations": rows((fit.residual / fit.deviation)[seen]),
+                "deviations": rows(fit.deviations[seen]),
                 "rms_um": 1e3 * fit.rms_mm,
                 "rms_deviations": fit.rms_deviations,
             }

@@ -86,11 +86,13 @@ def _made_on(told: Sequence[Told]) -> str:
 
 # ------------------------------------------------------------------ the top
 
+_DOUBT = "What it shows, for what that is worth"
+
 
 def _hero(told: Told) -> str:
     words = _alarms(told.finding)
     if told.finding.alarms:
-        shown = f"What it shows, for what that is worth: {_lower(told.finding.headline)}"
+        shown = f"{_DOUBT}: {_lower(told.finding.headline)}"
         words += element("h1", text(shown), class_="doubted")
     else:
         words += element("h1", text(told.finding.headline))
@@ -109,7 +111,7 @@ def _heroes(told: Sequence[Told]) -> str:
             "article",
             element("h2", text(one.run.name))
             + _alarms(one.finding)
-            + element("p", text(one.finding.headline), class_="lead")
+            + _lead(one.finding)
             + _facts(one.finding)
             + _cautions(one.finding)
             + _absent(one),
@@ -120,6 +122,12 @@ def _heroes(told: Sequence[Told]) -> str:
     heading = element("h1", f"{len(told)} runs compared")
     cards = element("div", cards, class_="cards")
     return element("section", heading + cards + _solid(len(told)), class_="heroes")
+
+
+def _lead(found: Finding) -> str:
+    if not found.alarms:
+        return element("p", text(found.headline), class_="lead")
+    return element("p", text(f"{_DOUBT}: {_lower(found.headline)}"), class_="lead doubted")
 
 
 def _alarms(found: Finding) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from tactorch.errors import FileError, RecordingError
 from tactorch.files import require_file, require_folder
-from tactorch.inverse import Reconstruction
+from tactorch.inverse import Reconstruction, Settings
 from tactorch.recording import Recording
 
 _LOG_LINES = 200
@@ -27,6 +27,7 @@ class Run:
         summary: `summary.json`.
         text: `summary.txt`.
         log: The end of its log.
+        settings: Settings of the inversion, where the result does not hold them all.
     """
 
     folder: Path
@@ -37,6 +38,7 @@ class Run:
     summary: dict[str, Any]
     text: str
     log: str
+    settings: Settings | None = None
 
 
 def load_run(

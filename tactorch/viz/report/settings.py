@@ -16,6 +16,12 @@ _PARTS = {
 }
 
 
+def is_complete(config: Mapping[str, Any]) -> bool:
+    """Whether a result holds all its settings: of a map that a prior is about, it does not."""
+    prior = config.get("settings", {}).get("prior", {})
+    return not isinstance(prior.get("mean_mpa"), str)
+
+
 def settings_of(config: Mapping[str, Any]) -> Settings:
     """Return the settings that a reconstruction's `config` tells.
 
@@ -23,8 +29,7 @@ def settings_of(config: Mapping[str, Any]) -> Settings:
         ConfigError: it does not tell them all: it was written by another version, or the prior is
             about a map, of which only the checksum is kept.
     """
-    prior = config.get("settings", {}).get("prior", {})
-    if isinstance(prior.get("mean_mpa"), str):
+    if not is_complete(config):
         raise ConfigError("the prior was about a map that the result does not hold")
     try:
         values = dict(config["settings"])

@@ -46,14 +46,15 @@ function rebuild() {
   changed();
 }
 
-// On paper all is light, whatever the screen, and folded parts are open.
+// On paper all is light, whatever the screen, and folded parts are open; but the settings and logs
+// of several runs, page after page, only where the reader has opened them.
 let folded = [];
 function paper(begins) {
   if (begins === state.printing) return;
   state.printing = begins;
   document.documentElement.classList.toggle("printing", begins);
   if (begins) {
-    folded = all("details:not([open])");
+    folded = all("details:not([open])").filter((part) => runs.length === 1 || !one("pre", part));
     for (const part of folded) part.open = true;
   } else for (const part of folded) part.open = false;
   redraw();

@@ -200,7 +200,7 @@ class View {
     gl.disable(gl.CULL_FACE);
     gl.depthFunc(gl.LEQUAL);
     const touch = grey ? neutral : [0.835, 0.369, 0];
-    this.paint("touched", { colour: touch, clear: 0.13, lit: false, plane });
+    this.paint("touched", { colour: touch, clear: 0.1, lit: false, plane });
     gl.depthFunc(gl.LESS);
   }
 
