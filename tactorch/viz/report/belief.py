@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tactorch.credibility import credibility
 from tactorch.credibility.trust import posterior_at
@@ -20,6 +20,7 @@ LEVEL = 0.95
 Tell = Callable[[str, int, int], None]
 
 _STEPS = 4
+_AT_BOUND = 1e-3  # of the way from one bound to the other, in parameters
 _log = logging.getLogger("tactorch")
 
 
@@ -32,6 +33,7 @@ class Belief:
         low: Lower end of the interval of 95 %, MPa, (m,).
         high: Its upper end, MPa, (m,).
         resolution: Share of the data in each modulus: near 1 they decide, near 0 the prior, (m,).
+        at_bound: Where the map lies at a bound of the moduli, which cuts the interval off, (m,).
         kind: Class of the posterior.
     """
 
@@ -39,12 +41,16 @@ class Belief:
     low: Float[np.ndarray, " m"]
     high: Float[np.ndarray, " m"]
     resolution: Float[np.ndarray, " m"]
+    at_bound: Bool[np.ndarray, " m"]
     kind: str
 
     @property
     def spread(self) -> Float[np.ndarray, " m"]:
-        """Half the interval, as a share of the modulus: 0.3 is up or down by a factor of 1.3."""
-        return np.sqrt(self.high / self.low) - 1.0
+        """Half the interval, as a share of the modulus: 0.3 is up or down by a factor of 1.3.
+
+        NaN at a bound, where there is no such interval.
+        """
+        return np.where(self.at_bound, np.nan, np.sqrt(self.high / self.low) - 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +125,10 @@ def _believed(run: Run, recording: Recording, tell: Tell) -> tuple[Belief, list[
     low, high = posterior.interval(LEVEL)
     resolution = np.clip(posterior.resolution_diagonal(), 0.0, 1.0)
     tell("done", _STEPS, _STEPS)
-    belief = Belief(felt, low, high, resolution, type(posterior).__name__)
+    lower, upper = posterior.parameterization.limits
+    edge = _AT_BOUND * (upper - lower)
+    at_bound = (point.elements < lower + edge) | (point.elements > upper - edge)
+    belief = Belief(felt, low, high, resolution, at_bound, type(posterior).__name__)
     return belief, _fits(recording, point)
 
 

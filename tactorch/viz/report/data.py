@@ -23,7 +23,8 @@ FIELDS: dict[str, tuple[str, str, str]] = {
     "spread": (
         "Uncertainty",
         "± %",
-        "half the width of the 95 % interval, as a share of the modulus",
+        "half the width of the 95 % interval, as a share of the modulus; at the top of the scale"
+        " too where the map lies at a bound, and there is none",
     ),
     "credibility": (
         "Credibility",
@@ -36,6 +37,9 @@ FIELDS: dict[str, tuple[str, str, str]] = {
         "how far the presses decide on each element by itself; the prior does the rest",
     ),
 }
+
+#: Stands for an uncertainty that there is none of, in the page too.
+NOT_TOLD = -1.0
 
 # What is known of the intervals of each kind of posterior.
 _POSTERIORS = {
@@ -93,7 +97,7 @@ def _fields(run: Run, belief: Belief | None) -> dict[str, Any]:
             if values is not None:
                 fields[name] = values
     if belief is not None:
-        fields["spread"] = 100.0 * belief.spread
+        fields["spread"] = np.nan_to_num(100.0 * belief.spread, nan=NOT_TOLD)
         fields["credibility"] = belief.credibility
         fields["resolution"] = 100.0 * belief.resolution
     return {name: quantised(values) for name, values in fields.items()}

@@ -340,7 +340,8 @@ def _limits(told: Sequence[Told]) -> dict[str, list[float]]:
         spread = np.concatenate([100.0 * belief.spread for belief in beliefs])
         felt = np.concatenate([belief.credibility for belief in beliefs])
         resolved = np.concatenate([100.0 * belief.resolution for belief in beliefs])
-        limits["spread"] = [0.0, float(np.percentile(spread, _PERCENTILE)) or 1.0]
+        spread = spread[np.isfinite(spread)]
+        limits["spread"] = [0.0, float(np.percentile(spread, _PERCENTILE)) if len(spread) else 1.0]
         top = float(np.percentile(felt, _PERCENTILE)) or 1.0
         limits["credibility"] = [max(float(felt.min()), 1e-4 * top), top]
         limits["resolution"] = [0.0, float(np.percentile(resolved, _PERCENTILE)) or 1.0]

@@ -175,7 +175,7 @@ def _cautions(run: Run, judged: Judgement, inclusion: Inclusion | None, fit: flo
         )
     if judged.belief is not None:
         volumes = found.mesh.volumes
-        wide = judged.belief.spread > _FACTOR - 1.0
+        wide = ~(judged.belief.spread <= _FACTOR - 1.0)  # at a bound too
         share = float(volumes[wide].sum() / volumes.sum())
         if share > _WORTH_TELLING:
             told.append(

@@ -68,14 +68,30 @@ def test_what_is_read_off_a_slice_is_the_map(run_folder: Path, report: Path, vis
     assert compared == 4
 
 
+def test_a_slice_says_its_range(run_folder: Path, report: Path, visit: Open) -> None:
+    from tactorch.inverse import Reconstruction
+
+    found = Reconstruction.load(run_folder / "reconstruction.h5")
+    seen = visit(report)
+    seen.slide("#slice-x", 4.1)
+    x = found.mesh.points[found.mesh.tets, 0]
+    there = found.youngs[(x.min(axis=1) < 4.1) & (x.max(axis=1) > 4.1)]
+    label = seen.page.locator(".slice-row:has(#slice-x) canvas").first.get_attribute("aria-label")
+    told = [float(v) for v in label.split(":")[1].removesuffix(" MPa").split(" to ")]
+    np.testing.assert_allclose(told, [there.min(), there.max()], rtol=0.006)
+
+
 def test_grey_is_grey_and_a_logarithm_changes_shades(report: Path, visit: Open) -> None:
     seen = visit(report)
     seen.page.uncheck("#outlines")
     coloured = inner(seen.pixels(".slice"))
     assert np.ptp(coloured, axis=2).max() > 30
     seen.page.select_option("#colours", "ultrasound")
+    columns = [f".slice-row canvas:nth-of-type({k})" for k in (1, 2, 3, 4)]
+    assert seen.page.locator(".head").count() == len(columns)
+    for column in columns:
+        assert np.ptp(inner(seen.pixels(column)), axis=2).max() <= 2
     grey = inner(seen.pixels(".slice"))
-    assert np.ptp(grey, axis=2).max() <= 2
     seen.page.select_option("#scale", "log")
     assert (inner(seen.pixels(".slice")) != grey).any()
     assert not seen.troubles

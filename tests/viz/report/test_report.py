@@ -123,6 +123,23 @@ def test_misses_are_those_of_the_inversion(model_error: str, make_run: Any, tmp_
         assert mean == pytest.approx(last["chi2"], rel=1e-4)
 
 
+def test_no_uncertainty_is_told_at_a_bound(make_run: Any, tmp_path: Path) -> None:
+    """There the interval is cut off, and would look as if the modulus were known."""
+    settings = Settings(optimizer=GaussNewton(max_iterations=6), bounds=Bounds(0.1, 0.21))
+    run = load_run(make_run(tmp_path / "run", settings))
+    judged = judge(run)
+    assert judged.belief is not None
+    above = run.found.youngs > 0.2099
+    assert 0.05 < above.mean() < 0.95
+    assert np.isnan(judged.belief.spread[above]).all()
+    assert np.isfinite(judged.belief.spread[~judged.belief.at_bound]).all()
+    volumes = run.found.mesh.volumes
+    share = volumes[judged.belief.at_bound].sum() / volumes.sum()
+    told = [line for line in finding(run, judged).cautions if "factor of two" in line]
+    assert f"{100 * share:.0f} %" in told[0]
+    page_of(run, tmp_path)
+
+
 def test_without_its_recording_it_tells_what_is_left(run_folder: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(run_folder, tmp_path / "run"))
     summary = json.loads((folder / "summary.json").read_text())

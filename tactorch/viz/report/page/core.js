@@ -89,7 +89,11 @@ function lowest(field) {
   return least[field];
 }
 
+// An uncertainty below 0 stands for none, where the map lies at a bound.
+const isTold = (field, value) => field !== "spread" || value > -0.5;
+
 function shareOf(field, value) {
+  if (!isTold(field, value)) return 1;
   const [low, high] = limitsOf(field);
   const share = isLog(field)
     ? Math.log(Math.max(value, 1e-12) / low) / Math.log(high / low)

@@ -278,8 +278,10 @@ function rangeOf({ axis, column }) {
   const { elements } = cut(column.run, axis, state.at[axis]);
   let low = Infinity, high = -Infinity;
   for (const e of elements) {
-    low = Math.min(low, column.run.fields[column.field][e]);
-    high = Math.max(high, column.run.fields[column.field][e]);
+    const value = column.run.fields[column.field][e];
+    if (!isTold(column.field, value)) continue;
+    low = Math.min(low, value);
+    high = Math.max(high, value);
   }
   return `: ${number(low)} to ${number(high)} ${data.fields[column.field].unit}`;
 }
@@ -304,6 +306,7 @@ function read(panel, event) {
     const { title, unit } = data.fields[field];
     let text = `${title} ${number(values[element])} ${unit}`;
     if (field === "spread") text = `${title} ± ${number(values[element], 2)} %`;
+    if (!isTold(field, values[element])) text = `${title} not told: the map is at a bound`;
     if (field === "youngs" && run.interval) {
       const [low, high] = run.interval.map((end) => number(end[element]));
       text += ` (95 %: ${low} to ${high})`;
