@@ -201,7 +201,7 @@ _SOLID = """
     <button type="button" data-view="z">z</button></span>
 </div>
 <figcaption>Drag, or the arrow keys, to turn; + and − to enlarge. The solid surface is where the
-modulus, smoothed to the nodes, passes the value chosen; orange marks where the body was pressed.
+modulus, smoothed to the nodes, passes the value chosen; faces that were pressed are tinted.
 </figcaption>"""
 
 _LOOK = """

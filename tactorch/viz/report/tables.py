@@ -34,15 +34,19 @@ _Column = dict[str, float]
 def score_table(runs: Sequence[Run]) -> str:
     """Return scores against the truth, what they cost, the best of each marked."""
     columns = {run.name: _scores(run, run.found.youngs) | _cost(run) for run in runs}
+    same = _same_truth(runs)
     for run in runs:
         recording = run.recording
         if recording is not None and recording.reference is not None:
-            columns.setdefault("reference", _scores(run, recording.reference))
+            name = "reference" if same else f"reference of {run.name}"
+            columns.setdefault(name, _scores(run, recording.reference))
     told = _SCORES | _COST
     names = [name for name in told if any(name in column for column in columns.values())]
     body = [[told[name][0], *(_number(c.get(name)) for c in columns.values())] for name in names]
     best = {row: _best(told[name][1], name, columns) for row, name in enumerate(names)}
     caption = "Scores against the truth" if set(names) & set(_SCORES) else "Fit and cost"
+    if not same:
+        best, caption = {}, f"{caption}; the truths differ, so that no best is marked"
     return table(["", *columns], body, caption=caption, best=best)
 
 
@@ -50,6 +54,15 @@ def _scores(run: Run, youngs: Float[np.ndarray, " m"]) -> _Column:
     if run.recording is None or run.recording.truth is None:
         return {}
     return scores(run.recording.mesh, youngs, run.recording.truth)
+
+
+def _same_truth(runs: Sequence[Run]) -> bool:
+    """Whether scores of the runs can be compared."""
+    known = [run.recording for run in runs if run.recording is not None]
+    told = {
+        (one.mesh.content_hash(), one.truth.tobytes()) for one in known if one.truth is not None
+    }
+    return len(told) <= 1
 
 
 def _cost(run: Run) -> _Column:

@@ -1,5 +1,6 @@
 """The page in a real browser that has no network: it draws, moves, turns and prints."""
 
+import dataclasses
 import re
 import shutil
 from collections.abc import Callable
@@ -216,6 +217,17 @@ def test_several_runs_share_sliders_and_colours(
     assert "regularization" in seen.page.locator("#settings table").first.inner_text()
     assert seen.page.locator("#scores td.best .mark").count() > 3
     assert not seen.troubles
+
+
+def test_truths_that_differ_are_shown_apart(run_folder: Path, visit: Open, tmp_path: Path) -> None:
+    from tactorch.viz.report import load_run, write_report
+
+    run = load_run(run_folder)
+    recording = dataclasses.replace(run.recording, truth=2.0 * run.recording.truth)
+    other = dataclasses.replace(run, name="other", recording=recording)
+    seen = visit(write_report([run, other], tmp_path / "both.html", uncertainty=False))
+    heads = seen.page.locator(".head strong").all_inner_texts()
+    assert heads == ["first", "other", "Truth of first", "Truth of other"]
 
 
 def test_text_from_outside_stays_text(run_folder: Path, visit: Open, tmp_path: Path) -> None:

@@ -258,6 +258,12 @@ def test_the_best_score_is_marked(run_folder: Path) -> None:
     assert row.count("best") == 2  # the class and the word
     assert row.index("</td><td") < row.index("best")
     assert "best" not in score_table([run])
+    # Scores against different truths are no match.
+    recording = dataclasses.replace(run.recording, truth=run.recording.truth * 1.1)
+    other = dataclasses.replace(best, recording=recording)
+    table = score_table([run, other])
+    assert 'class="best"' not in table
+    assert "the truths differ" in table
 
 
 def test_a_recording_without_a_truth_has_no_scores(run_folder: Path, tmp_path: Path) -> None:

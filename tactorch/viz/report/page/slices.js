@@ -16,9 +16,18 @@ function columnsShown() {
     .map((run) => ({ run, field: state.quantity, title: run.name }));
   if (!MODULI.has(state.quantity)) return found;
   for (const field of ["truth", "reference"]) {
-    const run = runs.find((candidate) => candidate.fields[field]);
-    if (run && field !== state.quantity)
-      found.push({ run, field, title: data.fields[field].title });
+    // Runs on the same object have the same truth: it is shown once.
+    const seen = new Map();
+    for (const run of runs)
+      if (run.fields[field]) {
+        const same = data.runs[runs.indexOf(run)];
+        const key = JSON.stringify([same.points, same.tets, same.fields[field]]);
+        if (!seen.has(key)) seen.set(key, run);
+      }
+    for (const run of seen.values()) {
+      const of = seen.size > 1 ? ` of ${run.name}` : "";
+      found.push({ run, field, title: data.fields[field].title + of });
+    }
   }
   return found;
 }
