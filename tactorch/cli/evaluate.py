@@ -6,7 +6,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from tactorch.cli.logs import tell
-from tactorch.cli.report import score_table, write_json
+from tactorch.cli.outputs import score_table, write_json
 from tactorch.cli.settings import log
 from tactorch.errors import FileError, RecordingError
 from tactorch.inverse import Reconstruction

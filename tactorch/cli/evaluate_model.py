@@ -7,7 +7,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from tactorch.cli.networks import data_of, model_of
-from tactorch.cli.report import write_json
+from tactorch.cli.outputs import write_json
 from tactorch.cli.settings import folder
 from tactorch.cli.train import DATA, check_data
 from tactorch.errors import ConfigError, FileError

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from tactorch.cli.report import RESULTS, histories_of, write_outputs
+from tactorch.cli.outputs import RESULTS, histories_of, write_outputs
 from tactorch.cli.resume import CHECKPOINT, checkpoint_of
 from tactorch.cli.settings import folder, inversion_of, plain, start_of
 from tactorch.inverse import INTERRUPTED, Reconstruction, invert

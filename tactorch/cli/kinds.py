@@ -123,14 +123,14 @@ _NAMES_OF: dict[Kind, str] = {
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor
         scheduler accelerator strategy precision part map
-        first_touch untouched held_side held_by unit exhibit
+        first_touch untouched held_side held_by unit exhibit colours
     """,
     _PATH: """
         path out recording run run_dir resume folder weights
         sensor images reference labels calibration frames poses
     """,
     _POINT: "center size radii axis size_mm origin_mm",
-    _FLAG: "plots check_units retry_failed card augment video backward",
+    _FLAG: "plots check_units retry_failed card augment video backward uncertainty",
     _RECONSTRUCT: "reconstruct",
     _PRIOR_MEAN: "prior_mean",
     _PATHS: "compare",

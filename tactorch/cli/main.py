@@ -13,6 +13,7 @@ VERBS = {
     "import": "turn files of others into a recording",
     "invert": "reconstruct the map of Young's modulus from a recording",
     "evaluate": "score a reconstruction against the truth",
+    "report": "one HTML file that shows what a run has found, or several side by side",
     "generate": "make a dataset of simulated presses on random objects",
     "train": "train a network on a dataset",
     "evaluate-model": "how good a trained network is, in numbers and pictures",
@@ -75,6 +76,10 @@ def _dispatch(arguments: list[str] | None) -> None:
         settings[0] = f"{POSITIONAL[verb]}={settings[0]}"
     if verb not in VERBS:
         fail(_no_command(verb))
+    if verb == "report":
+        from tactorch.cli.positional import with_runs
+
+        settings = with_runs(settings)
     if verb in PLAIN:
         _run_plain(verb, settings)
     elif verb not in GROUPS:

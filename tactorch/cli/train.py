@@ -11,8 +11,8 @@ from omegaconf import DictConfig
 
 from tactorch.cli.logs import log, tell
 from tactorch.cli.networks import data_of, facts_of, model_of, network_of
+from tactorch.cli.outputs import write_json
 from tactorch.cli.progress import progress
-from tactorch.cli.report import write_json
 from tactorch.cli.settings import folder, made, plain
 from tactorch.cli.tables import Table
 from tactorch.errors import ConfigError

@@ -145,7 +145,12 @@ class Evaluation:
     @property
     def chi2_of_presses(self) -> Float[np.ndarray, " presses"]:
         """Mean squared deviation of each press."""
-        return np.array([np.mean(r**2) for r in np.split(self._white, self._begins[1:])])
+        return np.array([np.mean(r**2) for r in self.deviations])
+
+    @property
+    def deviations(self) -> list[Float[np.ndarray, " _"]]:
+        """Predicted minus observed, each press, in independent standard deviations."""
+        return np.split(self._white, self._begins[1:])
 
     @property
     def displacements(self) -> list[Float[np.ndarray, "nodes 3"]]:

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import TactorchError
 from tactorch.mesh import TetMesh, select_face
+from tactorch.recording import Press
 from tactorch.viz.sampling import IN_PLANE
 
 # An arrow is drawn where at least this share of the force lies in the plane of the slice.
@@ -57,6 +58,16 @@ def contact_patches(
         push = -mesh.surface.normals[chosen].mean(axis=0)
         patches.append(ContactPatch(mesh.surface.triangles[chosen], push / np.linalg.norm(push)))
     return patches
+
+
+def pushed_nodes(presses: Sequence[Press]) -> Float[np.ndarray, "n 3"]:
+    """Return the force on each node over all presses, N, for `contact_patches`.
+
+    Where pushes of opposite direction cancel, their sizes are summed, without a direction.
+    """
+    total = np.sum([press.forces for press in presses], axis=0)
+    sizes = np.sum([np.abs(press.forces) for press in presses], axis=0)
+    return total if np.abs(total).sum() > 0.5 * sizes.sum() else sizes
 
 
 def cut_triangles(

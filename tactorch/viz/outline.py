@@ -3,7 +3,7 @@
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from scipy.ndimage import gaussian_filter
@@ -40,6 +40,11 @@ class Outline:
         """Return the outline, or None for a truth that is uniform or varies everywhere."""
         departure = _departure(mesh, truth)
         return None if departure is None else cls(mesh, departure)
+
+    @property
+    def inside(self) -> Bool[np.ndarray, " m"]:
+        """The elements within the outline, (m,)."""
+        return self.departure > _LEVEL
 
     def draw(self, axes: Axes, piece: Slice) -> None:
         """Draw the outline in one slice, where it has any."""

@@ -92,9 +92,20 @@ def test_trained_weights_are_in_the_wheel(names: set[str]) -> None:
         assert f"tactorch/learning/surrogate/surrogate.{kind}" in names
 
 
+def test_numbers_of_the_paper_are_in_the_wheel(names: set[str]) -> None:
+    assert "tactorch/reproduce/paper.yaml" in names
+
+
 def test_scripts_for_shells_are_in_the_wheel(names: set[str]) -> None:
     for shell in ("bash", "zsh", "fish"):
         assert f"tactorch/cli/shells/tactorch.{shell}" in names
+
+
+def test_the_page_of_the_report_is_in_the_wheel(names: set[str]) -> None:
+    page = (ROOT / "tactorch" / "viz" / "report" / "page").iterdir()
+    found = {p.relative_to(ROOT).as_posix() for p in page}
+    assert len(found) == 8
+    assert found <= names
 
 
 def test_configs_are_inside_the_package(names: set[str], source: Path) -> None:

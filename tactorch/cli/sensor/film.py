@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from omegaconf import DictConfig
 
+from tactorch.cli.outputs import write_json
 from tactorch.cli.progress import progress
-from tactorch.cli.report import write_json
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.settings import log
 from tactorch.errors import ConfigError

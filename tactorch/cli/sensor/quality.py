@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tactorch.cli.logs import tell
-from tactorch.cli.report import write_json
+from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.presses import Pressed, write_circles
 from tactorch.cli.settings import log
 from tactorch.cli.tables import Table

@@ -1,0 +1,246 @@
+"""What a run leaves in its folder: files, pictures, numbers and a few sentences."""
+
+import json
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.cli.logs import tell
+from tactorch.cli.settings import log
+from tactorch.cli.tables import Table
+from tactorch.errors import FileError
+from tactorch.files import atomic_path
+from tactorch.inverse import NuisanceEstimate, Reconstruction
+from tactorch.metrics import Inclusion, find_inclusion, scores
+from tactorch.recording import Recording
+
+History = Sequence[Mapping[str, Any]]
+
+# What an inversion leaves in its folder.
+RESULTS = (
+    "reconstruction.h5",
+    "reconstruction.vtu",
+    "slices.png",
+    "convergence.png",
+    "summary.json",
+    "summary.txt",
+)
+
+
+# Of the volume: with more at a bound a map is no more than where the search ran to.
+_MOST_AT_BOUNDS = 0.2
+
+
+@dataclass(frozen=True)
+class ScoreTable:
+    """Scores of several maps: values by map and metric, and the same as a table."""
+
+    values: dict[str, dict[str, float]]
+    table: Table
+
+
+def score_table(recording: Recording, maps: Mapping[str, Float[np.ndarray, " m"]]) -> ScoreTable:
+    """Score maps, and the reference that the recording carries, against its truth."""
+    truth = recording.truth
+    assert truth is not None
+    shown = dict(maps)
+    if recording.reference is not None:
+        shown["reference"] = recording.reference
+    values = {name: scores(recording.mesh, youngs, truth) for name, youngs in shown.items()}
+    names = list(next(iter(values.values())))
+    rows = [[name, *(f"{column[name]:.4g}" for column in values.values())] for name in names]
+    return ScoreTable(values, Table(["", *values], rows))
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write strict JSON, NaN as null, whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(_strict(values), indent=2, allow_nan=False) + "\n")
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _strict(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_strict(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_outputs(
+    out: Path,
+    recording: Recording,
+    reconstruction: Reconstruction,
+    *,
+    source: str,
+    others: Mapping[str, History] | None = None,
+    plots: bool = True,
+) -> dict[str, Any]:
+    """Write map, pictures, summary and text; print the text; returns the summary."""
+    reconstruction.save(out / "reconstruction.h5")
+    reconstruction.write_vtu(out / "reconstruction.vtu", recording.truth)
+    inclusion = find_inclusion(recording.mesh, reconstruction.youngs)
+    summary = summarise(recording, reconstruction, inclusion, source)
+    write_json(out / "summary.json", summary)
+    maps = {"reconstruction": reconstruction.youngs}
+    tables = [] if recording.truth is None else [score_table(recording, maps).table]
+    text = describe(recording, reconstruction, inclusion, summary, tables)
+    with atomic_path(out / "summary.txt") as temporary:
+        temporary.write_text(text + "\n")
+    tell(f"\n{text}", *tables)
+    if plots:
+        for path in draw(out, recording, reconstruction, others or {}):
+            log.info("picture: %s", path)
+    log.info("results: %s", out)
+    return summary
+
+
+def summarise(
+    recording: Recording, reconstruction: Reconstruction, inclusion: Inclusion | None, source: str
+) -> dict[str, Any]:
+    """Collect the numbers of a run; scores stand among them where there is a truth."""
+    last = reconstruction.history[-1]
+    summary: dict[str, Any] = {
+        "recording": source,
+        "optimizer": reconstruction.config["optimizer"]["name"],
+        "seconds": reconstruction.seconds,
+        "iterations": reconstruction.iterations,
+        "evaluations": last["evaluations"],
+        "stop_reason": reconstruction.stop_reason,
+        "misfit": reconstruction.misfit_mm2,
+        "chi2": last["chi2"],
+        "elements": recording.mesh.n_tets,
+        "presses": len(recording.presses),
+        "youngs_median_mpa": float(np.median(reconstruction.youngs)),
+        "volume_at_bounds": _at_bounds(recording, reconstruction),
+        "inclusion": None if inclusion is None else _inclusion(inclusion),
+        "nuisance": {name: found.plain() for name, found in reconstruction.nuisance.items()},
+    }
+    if recording.truth is not None:
+        summary |= scores(recording.mesh, reconstruction.youngs, recording.truth)
+        if recording.reference is not None:
+            found = scores(recording.mesh, recording.reference, recording.truth)
+            summary["reference"] = found
+    return summary | {"config": reconstruction.config}
+
+
+def _at_bounds(recording: Recording, found: Reconstruction) -> float:
+    """Share of the volume within 1 % of the least or the largest modulus allowed."""
+    bounds = found.config["settings"]["bounds"]
+    there = (found.youngs < 1.01 * bounds["lower"]) | (found.youngs > 0.99 * bounds["upper"])
+    volumes = recording.mesh.volumes
+    return float(volumes[there].sum() / volumes.sum())
+
+
+def _inclusion(inclusion: Inclusion) -> dict[str, Any]:
+    return {
+        "side": inclusion.side,
+        "center_mm": [float(x) for x in inclusion.center_mm],
+        "volume_mm3": float(inclusion.volume_mm3),
+        "equivalent_radius_mm": float(inclusion.equivalent_radius_mm),
+        "mean_mpa": float(inclusion.mean_mpa),
+        "background_mpa": float(inclusion.background_mpa),
+    }
+
+
+def describe(
+    recording: Recording,
+    reconstruction: Reconstruction,
+    inclusion: Inclusion | None,
+    summary: Mapping[str, Any],
+    tables: Sequence[Table] = (),
+) -> str:
+    """Say in a few lines what was found and how far to believe it; tables stand at the end."""
+    lines = [
+        f"{summary['optimizer']}: {summary['iterations']} iterations in "
+        f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
+        f"Displacements are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations "
+        f"(misfit {summary['misfit']:.3g} mm2).",
+        _finding(inclusion, summary["youngs_median_mpa"]),
+        *(_estimate(name, found) for name, found in reconstruction.nuisance.items()),
+    ]
+    if summary["volume_at_bounds"] > _MOST_AT_BOUNDS:
+        lines.append(
+            f"DO NOT TRUST THIS MAP: {summary['volume_at_bounds']:.0%} of it lie at a bound of"
+            " Young's modulus. If the bounds are right, presses or model are off by more than the"
+            " noise that is stated: give noise.mm larger, or estimate what is wrong (unknowns)."
+        )
+    if recording.truth is not None:
+        true = find_inclusion(recording.mesh, recording.truth)
+        if true is not None and inclusion is not None:
+            lines.append("In truth: " + _finding(true, float(np.median(recording.truth))))
+    return "\n".join((*lines, *(f"\n{table.text()}" for table in tables)))
+
+
+def _estimate(name: str, found: NuisanceEstimate) -> str:
+    pairs = zip(found.value, found.deviation, strict=True)
+    values = ", ".join(f"{value:.4g} +- {deviation:.2g}" for value, deviation in pairs)
+    told = (
+        "" if (found.deviation < 0.9 * found.prior_deviation).any() else " (the data tell little)"
+    )
+    return f"Estimated beside the map: {name} {values}{told}."
+
+
+def _finding(inclusion: Inclusion | None, median_mpa: float) -> str:
+    if inclusion is None:
+        return f"No inclusion stands out; Young's modulus is {median_mpa:.3g} MPa."
+    x, y, z = inclusion.center_mm
+    kind = "stiff" if inclusion.mean_mpa > inclusion.background_mpa else "soft"
+    return (
+        f"A {kind} inclusion at ({x:.2f}, {y:.2f}, {z:.2f}) mm, as large as a ball of radius "
+        f"{inclusion.equivalent_radius_mm:.2f} mm: {inclusion.mean_mpa:.3g} MPa on average in "
+        f"{inclusion.background_mpa:.3g} MPa."
+    )
+
+
+def histories_of(runs: Sequence[Path], own_name: str) -> dict[str, History]:
+    """Read the convergence of other runs, each under a name of its own.
+
+    Raises:
+        FileError: one is no run, or named twice.
+    """
+    histories: dict[str, History] = {}
+    for run in runs:
+        try:
+            found = Reconstruction.load(run / "reconstruction.h5" if run.is_dir() else run)
+        except FileError as error:
+            raise FileError(f"compare: {error}") from error
+        histories[_label(found, run, {own_name, *histories})] = found.history
+    return histories
+
+
+def draw(
+    out: Path,
+    recording: Recording,
+    reconstruction: Reconstruction,
+    others: Mapping[str, History],
+) -> list[Path]:
+    """Draw slices of the map and the convergence."""
+    from tactorch.viz import plot_convergence, plot_slices
+    from tactorch.viz.contact import pushed_nodes
+
+    name = reconstruction.config["optimizer"]["name"]
+    histories = {name: reconstruction.history, **others}
+    slices = plot_slices(
+        recording.mesh,
+        reconstruction.youngs,
+        out / "slices.png",
+        truth=recording.truth,
+        pressed=pushed_nodes(recording.presses),
+        title="Young's modulus, reconstructed",
+    )
+    return [slices, plot_convergence(histories, out / "convergence.png")]
+
+
+def _label(found: Reconstruction, path: Path, taken: Collection[str]) -> str:
+    name = str(found.config.get("optimizer", {}).get("name", path.name))
+    for label in (name, path.name, str(path)):
+        if label not in taken:
+            return label
+    raise FileError(f"compare: '{path}' is named twice; give each run once.")

@@ -1,0 +1,191 @@
+// Data, colours, numbers and axes that all figures share.
+
+const data = JSON.parse(document.getElementById("data").textContent);
+const one = (selector, within = document) => within.querySelector(selector);
+const all = (selector, within = document) => [...within.querySelectorAll(selector)];
+const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+const ARRAYS = {
+  float32: Float32Array, uint32: Uint32Array, uint16: Uint16Array, int16: Int16Array,
+  uint8: Uint8Array,
+};
+
+function unpacked(packed) {
+  const text = atob(packed.data), bytes = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+  return new ARRAYS[packed.dtype](bytes.buffer);
+}
+
+function values(packed) {
+  const step = (packed.high - packed.low) / 65535;
+  return Float32Array.from(unpacked(packed), (k) => {
+    const value = packed.low + k * step;
+    return packed.ratio ? Math.exp(value) : value;
+  });
+}
+
+function vectors(packed) {
+  return Float32Array.from(unpacked(packed), (k) => (k === -32768 ? NaN : k * packed.step));
+}
+
+// ------------------------------------------------------------ what the reader has chosen
+
+const state = {
+  at: [0, 0, 0], // mm, the slice across each axis
+  colours: data.colours,
+  log: false,
+  outlines: true,
+  quantity: "youngs",
+  hidden: new Set(["resolution"]),
+  printing: false,
+};
+const listeners = [];
+let drawing = 0;
+
+// Redraw, once a frame however much has changed.
+function changed() {
+  if (drawing) return;
+  drawing = requestAnimationFrame(redraw);
+}
+
+function redraw() {
+  cancelAnimationFrame(drawing);
+  drawing = 0;
+  for (const draw of listeners) draw();
+}
+
+// ------------------------------------------------------------ colours
+
+const MAPS = Object.fromEntries(Object.entries(data.maps).map(([k, v]) => [k, unpacked(v)]));
+const MODULI = new Set(["youngs", "truth", "reference"]);
+
+// Young's modulus in the colours chosen, what is known of it in others; or all in grey.
+function mapOf(field) {
+  if (state.colours === "ultrasound" || MODULI.has(field)) return MAPS[state.colours];
+  return MAPS.cividis;
+}
+
+function isLog(field) {
+  return field === "credibility" || (state.log && MODULI.has(field));
+}
+
+function limitsOf(field) {
+  const [low, high] = data.limits[field];
+  if (!isLog(field)) return [low, high];
+  return [low > 0 ? low : lowest(field), high];
+}
+
+const least = {};
+// A logarithmic scale starts at the least modulus of all runs, or two decades below the largest.
+function lowest(field) {
+  if (!(field in least)) {
+    least[field] = Infinity;
+    for (const run of runs)
+      for (const name of MODULI)
+        for (const value of run.fields[name] || [])
+          least[field] = Math.min(least[field], value);
+    least[field] = Math.max(least[field], data.limits[field][1] / 1000);
+  }
+  return least[field];
+}
+
+// An uncertainty below 0 stands for none, where the map lies at a bound.
+const isTold = (field, value) => field !== "spread" || value > -0.5;
+
+function shareOf(field, value) {
+  if (!isTold(field, value)) return 1;
+  const [low, high] = limitsOf(field);
+  const share = isLog(field)
+    ? Math.log(Math.max(value, 1e-12) / low) / Math.log(high / low)
+    : (value - low) / (high - low);
+  return clamp(share, 0, 1);
+}
+
+function shade(map, share) {
+  const k = 3 * Math.round(255 * clamp(share, 0, 1));
+  return [map[k], map[k + 1], map[k + 2]];
+}
+
+const css = ([r, g, b]) => `rgb(${r} ${g} ${b})`;
+const colourOf = (field, value) => shade(mapOf(field), shareOf(field, value));
+
+function ink(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+}
+
+// ------------------------------------------------------------ numbers and axes
+
+const RAISED = Object.fromEntries([..."-0123456789"].map((c, i) => [c, "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"[i]]));
+
+function number(value, digits = 3) {
+  if (!Number.isFinite(value)) return "–";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e5 || size < 1e-3) {
+    const [lead, power] = value.toExponential(digits - 1).split("e");
+    return `${Number(lead)}·10${[...power.replace("+", "")].map((c) => RAISED[c]).join("")}`;
+  }
+  return String(Number(value.toPrecision(digits)));
+}
+
+const mm = (value) => (Math.abs(value) < 5e-3 ? 0 : value).toFixed(2);
+
+function ticks(low, high, count = 5) {
+  const rough = (high - low) / count;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough * 0.999);
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-6); k <= high / step + 1e-6; k++)
+    found.push(Number((k * step).toPrecision(8)));
+  return found;
+}
+
+function logTicks(low, high) {
+  const found = [];
+  for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power++)
+    for (const lead of [1, 2, 5]) {
+      const value = lead * 10 ** power;
+      if (value >= low * 0.999 && value <= high * 1.001) found.push(Number(value.toPrecision(3)));
+    }
+  return found.length > 6 ? found.filter((v) => /^[1]/.test(v.toExponential())) : found;
+}
+
+// A canvas of a size in CSS pixels, sharp on any screen; its context draws in CSS pixels.
+function prepared(canvas, width, height, sharpness = window.devicePixelRatio || 1) {
+  const w = Math.round(width * sharpness), h = Math.round(height * sharpness);
+  if (canvas.width !== w || canvas.height !== h) {
+    canvas.width = w;
+    canvas.height = h;
+    canvas.style.width = `${width}px`;
+    canvas.style.height = `${height}px`;
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(sharpness, 0, 0, sharpness, 0, 0);
+  context.clearRect(0, 0, width, height);
+  context.font = "11px system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
+  return context;
+}
+
+function colourBar(canvas, field, width) {
+  const g = prepared(canvas, width, 30), map = mapOf(field), [low, high] = limitsOf(field);
+  const left = 4, right = width - 4;
+  for (let x = left; x < right; x++) {
+    g.fillStyle = css(shade(map, (x - left) / (right - left)));
+    g.fillRect(x, 0, 1.5, 10);
+  }
+  g.strokeStyle = ink("line");
+  g.strokeRect(left, 0.5, right - left, 10);
+  g.fillStyle = ink("soft");
+  g.textBaseline = "top";
+  let end = -Infinity;
+  for (const tick of isLog(field) ? logTicks(low, high) : ticks(low, high, 4)) {
+    const x = left + shareOf(field, tick) * (right - left), label = number(tick);
+    const half = g.measureText(label).width / 2;
+    const middle = clamp(x, half, width - half);
+    if (middle - half < end + 6) continue;
+    g.textAlign = "center";
+    g.fillText(label, middle, 16);
+    g.fillRect(x - 0.5, 10, 1, 4);
+    end = middle + half;
+  }
+}

@@ -1,0 +1,382 @@
+// Slices across x, y and z: a row and a slider for each axis, a column for each map.
+
+const grid = one("#grid");
+const MARGIN = { left: 38, right: 8, top: 6, bottom: 34 };
+const CONTACT = "#d55e00";
+const sliders = [];
+let columns = [], panels = [];
+
+function columnsShown() {
+  if (runs.length === 1)
+    return Object.keys(runs[0].fields)
+      .filter((field) => !state.hidden.has(field))
+      .map((field) => ({ run: runs[0], field, title: data.fields[field].title }));
+  const found = runs
+    .filter((run) => run.fields[state.quantity])
+    .map((run) => ({ run, field: state.quantity, title: run.name }));
+  if (!MODULI.has(state.quantity)) return found;
+  for (const field of ["truth", "reference"]) {
+    // Runs on the same object have the same truth: it is shown once.
+    const seen = new Map();
+    for (const run of runs)
+      if (run.fields[field]) {
+        const same = data.runs[runs.indexOf(run)];
+        const key = JSON.stringify([same.points, same.tets, same.fields[field]]);
+        if (!seen.has(key)) seen.set(key, run);
+      }
+    for (const run of seen.values()) {
+      const of = seen.size > 1 ? ` of ${run.name}` : "";
+      found.push({ run, field, title: data.fields[field].title + of });
+    }
+  }
+  return found;
+}
+
+function makeGrid() {
+  columns = columnsShown();
+  panels = [];
+  grid.replaceChildren();
+  grid.style.setProperty("--columns", Math.max(columns.length, 1));
+  const head = grid.appendChild(document.createElement("div"));
+  head.className = "heads";
+  head.append(document.createElement("span"));
+  for (const column of columns) {
+    const box = head.appendChild(document.createElement("div"));
+    box.className = "head";
+    const title = box.appendChild(document.createElement("strong"));
+    title.textContent = column.title;
+    const unit = box.appendChild(document.createElement("span"));
+    unit.textContent = data.fields[column.field].unit;
+    column.bar = box.appendChild(document.createElement("canvas"));
+  }
+  for (const axis of [2, 1, 0]) makeRow(axis);
+}
+
+function makeRow(axis) {
+  const row = grid.appendChild(document.createElement("div"));
+  row.className = "slice-row";
+  const control = row.appendChild(document.createElement("div"));
+  control.className = "control";
+  const label = control.appendChild(document.createElement("label"));
+  label.htmlFor = `slice-${AXES[axis]}`;
+  label.textContent = `Slice across ${AXES[axis]}`;
+  const out = control.appendChild(document.createElement("output"));
+  out.htmlFor = label.htmlFor;
+  const slider = control.appendChild(document.createElement("input"));
+  const [low, high] = [bounds[0][axis], bounds[1][axis]];
+  Object.assign(slider, { type: "range", id: label.htmlFor, min: low, max: high });
+  slider.step = (high - low) / 400;
+  slider.addEventListener("input", () => {
+    state.at[axis] = Number(slider.value);
+    changed();
+  });
+  sliders[axis] = { slider, out };
+  for (const column of columns) {
+    const canvas = row.appendChild(document.createElement("canvas"));
+    canvas.setAttribute("role", "img");
+    canvas.className = "slice";
+    const panel = { canvas, axis, column };
+    canvas.addEventListener("pointermove", (event) => read(panel, event));
+    canvas.addEventListener("click", (event) => moveTo(panel, event));
+    panels.push(panel);
+  }
+}
+
+// Room in CSS pixels, and how many of them a mm takes; the same for all panels.
+function layout() {
+  const first = panels[0].canvas.parentElement;
+  const control = one(".control", first).offsetWidth;
+  const gap = 12, stacked = control > 0.6 * first.clientWidth;
+  const room = stacked ? first.clientWidth - gap * (columns.length - 1)
+    : first.clientWidth - control - gap * columns.length;
+  const width = clamp(Math.floor(room / columns.length), 130, 380);
+  const widest = Math.max(...PLANE.map(([a]) => bounds[1][a] - bounds[0][a]));
+  return { width, scale: (width - MARGIN.left - MARGIN.right) / (1.06 * widest) };
+}
+
+// From mm in the plane to pixels of a panel.
+function framing(axis, { width, scale }) {
+  const [across, up] = PLANE[axis];
+  const middle = 0.5 * (bounds[0][across] + bounds[1][across]);
+  const pad = 0.03 * (bounds[1][up] - bounds[0][up]);
+  const centre = (MARGIN.left + width - MARGIN.right) / 2;
+  const height = Math.round(
+    (bounds[1][up] - bounds[0][up] + 2 * pad) * scale + MARGIN.top + MARGIN.bottom);
+  return {
+    width, height, scale, across, up,
+    x: (value) => centre + (value - middle) * scale,
+    y: (value) => MARGIN.top + (bounds[1][up] + pad - value) * scale,
+    back: (px, py) =>
+      [middle + (px - centre) / scale, bounds[1][up] + pad - (py - MARGIN.top) / scale],
+  };
+}
+
+function drawSlice(canvas, { run, field }, axis, at, frame, sharpness) {
+  const g = prepared(canvas, frame.width, frame.height, sharpness);
+  const { corners, ends, elements } = cut(run, axis, at), values = run.fields[field];
+  g.lineJoin = "round";
+  g.lineWidth = 1.2;
+  for (let e = 0; e < elements.length; e++) {
+    // The thin line of the same colour closes the seams that smoothing leaves.
+    g.fillStyle = g.strokeStyle = css(colourOf(field, values[elements[e]]));
+    g.beginPath();
+    for (let k = ends[e]; k < ends[e + 1]; k++)
+      g.lineTo(frame.x(corners[2 * k]), frame.y(corners[2 * k + 1]));
+    g.closePath();
+    g.fill();
+    g.stroke();
+  }
+  const strokes = (triangles, styles) => {
+    const segments = cutTriangles(run, triangles, axis, at);
+    for (const [colour, width, dash] of styles) {
+      g.strokeStyle = colour;
+      g.lineWidth = width;
+      g.setLineDash(dash || []);
+      g.stroke(chained(segments, frame));
+    }
+    g.setLineDash([]);
+    return segments;
+  };
+  strokes(run.surface, [[ink("soft"), 0.8]]);
+  if (state.outlines) {
+    if (run.true) strokes(run.true, [["#000", 2.6], ["#fff", 1.4, [4, 3]]]);
+    if (run.found) strokes(run.found, [["#000", 2.8], ["#fff", 1.4]]);
+    for (const patch of run.contact) {
+      const segments = strokes(patch.triangles, [[CONTACT, 3]]);
+      arrows(g, segments, patch.direction, frame);
+    }
+  }
+  axesOf(g, axis, frame);
+  return elements.length;
+}
+
+// Segments joined to lines, so that dashes run on from one to the next.
+function chained(segments, frame) {
+  const path = new Path2D(), key = (x, y) => `${x.toFixed(4)},${y.toFixed(4)}`;
+  const near = new Map();
+  segments.forEach((s, i) => {
+    for (const k of [key(s[0], s[1]), key(s[2], s[3])])
+      near.set(k, [...(near.get(k) || []), i]);
+  });
+  const used = new Set();
+  const follow = (i, from) => {
+    while (i !== undefined) {
+      used.add(i);
+      const s = segments[i];
+      const [x, y] = key(s[0], s[1]) === from ? [s[2], s[3]] : [s[0], s[1]];
+      path.lineTo(frame.x(x), frame.y(y));
+      from = key(x, y);
+      i = near.get(from).find((j) => !used.has(j));
+    }
+  };
+  const loose = segments.map((_, i) => i).filter((i) =>
+    near.get(key(segments[i][0], segments[i][1])).length === 1);
+  for (const i of [...loose, ...segments.keys()]) {
+    if (used.has(i)) continue;
+    path.moveTo(frame.x(segments[i][0]), frame.y(segments[i][1]));
+    follow(i, key(segments[i][0], segments[i][1]));
+  }
+  return path;
+}
+
+// Up to three arrows in the body, along the push, beside the line of contact.
+function arrows(g, segments, direction, frame) {
+  const flat = [direction[frame.across], direction[frame.up]], size = Math.hypot(...flat);
+  if (!segments.length || size < 0.3) return;
+  const [dx, dy] = [flat[0] / size, -flat[1] / size];
+  const middles = segments.map((s) => [frame.x((s[0] + s[2]) / 2), frame.y((s[1] + s[3]) / 2)]);
+  middles.sort((a, b) => (b[0] - a[0]) * dy - (b[1] - a[1]) * dx);
+  g.strokeStyle = g.fillStyle = CONTACT;
+  g.lineWidth = 1.3;
+  for (const share of [1 / 6, 1 / 2, 5 / 6]) {
+    const [x, y] = middles[Math.floor(share * middles.length)];
+    g.beginPath();
+    g.moveTo(x, y);
+    g.lineTo(x + 9 * dx, y + 9 * dy);
+    g.stroke();
+    g.beginPath();
+    g.moveTo(x + 14 * dx, y + 14 * dy);
+    g.lineTo(x + 8 * dx - 3 * dy, y + 8 * dy + 3 * dx);
+    g.lineTo(x + 8 * dx + 3 * dy, y + 8 * dy - 3 * dx);
+    g.fill();
+  }
+}
+
+function axesOf(g, axis, frame) {
+  const { across, up, width, height } = frame;
+  const bottom = height - MARGIN.bottom + 2;
+  g.fillStyle = g.strokeStyle = ink("soft");
+  g.lineWidth = 1;
+  g.textAlign = "center";
+  g.textBaseline = "top";
+  const count = clamp(Math.round((bounds[1][across] - bounds[0][across]) * frame.scale / 45), 2, 6);
+  for (const tick of ticks(bounds[0][across], bounds[1][across], count)) {
+    g.fillRect(Math.round(frame.x(tick)) - 0.5, bottom, 1, 4);
+    g.fillText(number(tick), frame.x(tick), bottom + 6);
+  }
+  g.fillText(`${AXES[across]} (mm)`, (MARGIN.left + width - MARGIN.right) / 2, bottom + 19);
+  g.textAlign = "right";
+  g.textBaseline = "middle";
+  const high = clamp(Math.round((bounds[1][up] - bounds[0][up]) * frame.scale / 35), 2, 6);
+  const left = Math.min(frame.x(bounds[0][across]) - 4, MARGIN.left);
+  for (const tick of ticks(bounds[0][up], bounds[1][up], high)) {
+    g.fillRect(left - 4, Math.round(frame.y(tick)) - 0.5, 4, 1);
+    g.fillText(number(tick), left - 6, frame.y(tick));
+  }
+  g.save();
+  g.translate(left - 30, frame.y(0.5 * (bounds[0][up] + bounds[1][up])));
+  g.rotate(-Math.PI / 2);
+  g.textAlign = "center";
+  g.fillText(`${AXES[up]} (mm)`, 0, 0);
+  g.restore();
+}
+
+// Where the other two slices are: thin lines.
+function crossHair(g, axis, frame) {
+  g.strokeStyle = ink("hair");
+  g.lineWidth = 1;
+  g.setLineDash([2, 3]);
+  g.beginPath();
+  const x = Math.round(frame.x(state.at[frame.across])) + 0.5;
+  const y = Math.round(frame.y(state.at[frame.up])) + 0.5;
+  g.moveTo(x, MARGIN.top);
+  g.lineTo(x, frame.height - MARGIN.bottom);
+  g.moveTo(MARGIN.left, y);
+  g.lineTo(frame.width - MARGIN.right, y);
+  g.stroke();
+  g.setLineDash([]);
+}
+
+function drawSlices() {
+  if (!panels.length) return;
+  const place = layout();
+  grid.style.setProperty("--panel", `${place.width}px`);
+  for (const column of columns) colourBar(column.bar, column.field, place.width);
+  for (const axis of [0, 1, 2]) {
+    const { slider, out } = sliders[axis];
+    slider.value = state.at[axis];
+    out.textContent = `${AXES[axis]} = ${mm(state.at[axis])} mm`;
+    slider.setAttribute("aria-valuetext", out.textContent);
+  }
+  for (const panel of panels) {
+    const { canvas, axis, column } = panel;
+    panel.frame = framing(axis, place);
+    const shown = repaint(panel);
+    const g = prepared(canvas, panel.frame.width, panel.frame.height);
+    g.drawImage(panel.base, 0, 0, panel.frame.width, panel.frame.height);
+    crossHair(g, axis, panel.frame);
+    const label = `${column.title}, slice across ${AXES[axis]} at ${mm(state.at[axis])} mm`;
+    canvas.setAttribute("aria-label", shown ? label + rangeOf(panel) : `${label}: outside the body`);
+  }
+}
+
+// The picture without the lines that show the other slices: drawn anew only when it differs.
+function repaint(panel) {
+  const { axis, column, frame } = panel;
+  const look = [state.at[axis], state.colours, state.log, state.outlines, frame.width, frame.scale,
+    ink("scheme"), window.devicePixelRatio].join();
+  if (panel.look !== look) {
+    panel.look = look;
+    panel.base = panel.base || document.createElement("canvas");
+    panel.shown = drawSlice(panel.base, column, axis, state.at[axis], frame);
+  }
+  return panel.shown;
+}
+
+function rangeOf({ axis, column }) {
+  const { elements } = cut(column.run, axis, state.at[axis]);
+  let low = Infinity, high = -Infinity;
+  for (const e of elements) {
+    const value = column.run.fields[column.field][e];
+    if (!isTold(column.field, value)) continue;
+    low = Math.min(low, value);
+    high = Math.max(high, value);
+  }
+  return `: ${number(low)} to ${number(high)} ${data.fields[column.field].unit}`;
+}
+
+// ------------------------------------------------------------ pointing
+
+function pointed({ canvas, axis, column, frame }, event) {
+  const box = canvas.getBoundingClientRect();
+  const [x, y] = frame.back(event.clientX - box.left, event.clientY - box.top);
+  return { x, y, element: elementAt(cut(column.run, axis, state.at[axis]), x, y) };
+}
+
+function read(panel, event) {
+  const { x, y, element } = pointed(panel, event), { run } = panel.column;
+  if (element < 0) return;
+  const place = [...state.at];
+  place[panel.frame.across] = x;
+  place[panel.frame.up] = y;
+  const parts = [`(${place.map((v) => v.toFixed(1)).join(", ")}) mm`];
+  if (runs.length > 1) parts.push(run.name);
+  for (const [field, values] of Object.entries(run.fields)) {
+    const { title, unit } = data.fields[field];
+    let text = `${title} ${number(values[element])} ${unit}`;
+    if (field === "spread") text = `${title} ± ${number(values[element], 2)} %`;
+    if (!isTold(field, values[element])) text = `${title} not told: the map is at a bound`;
+    if (field === "youngs" && run.interval) {
+      const [low, high] = run.interval.map((end) => number(end[element]));
+      text += ` (95 %: ${low} to ${high})`;
+    }
+    parts.push(text);
+  }
+  one("#readout").textContent = parts.join("  ·  ");
+}
+
+function moveTo(panel, event) {
+  const { x, y, element } = pointed(panel, event);
+  if (element < 0) return;
+  state.at[panel.frame.across] = x;
+  state.at[panel.frame.up] = y;
+  changed();
+}
+
+// ------------------------------------------------------------ what is shown, and on paper
+
+function describe() {
+  const legend = [];
+  const has = (what) => runs.some((run) => run[what] && run[what].length);
+  if (has("found")) legend.push(["solid", "the inclusion that is told of"]);
+  if (has("true")) legend.push(["dashed", "the true inclusions"]);
+  if (has("contact")) legend.push(["touched", "where it was pressed, arrows along the force"]);
+  one("#legend").replaceChildren(...legend.map(([kind, text]) => {
+    const entry = document.createElement("span"), key = document.createElement("span");
+    key.className = `key ${kind}`;
+    entry.append(key, text);
+    return entry;
+  }));
+  const notes = [...new Set(columns.map((column) => column.field))].map((field) =>
+    `${data.fields[field].title}: ${data.fields[field].note}.`);
+  if (columns.some((column) => column.field === "spread"))
+    notes.push(...new Set(columns.map((column) => column.run.posterior).filter(Boolean)));
+  one("#field-notes").textContent = notes.join(" ");
+}
+
+// Paper has no sliders: three fixed places on each axis, the middle one the slider's.
+function drawForPrint() {
+  const paper = one("#print-slices"), width = Math.min(230, Math.floor(700 / columns.length));
+  const widest = Math.max(...PLANE.map(([a]) => bounds[1][a] - bounds[0][a]));
+  const scale = (width - MARGIN.left - MARGIN.right) / (1.06 * widest);
+  paper.replaceChildren();
+  for (const column of columns) {
+    const bar = paper.appendChild(document.createElement("div"));
+    bar.className = "print-head";
+    bar.style.width = `${width}px`;
+    bar.textContent = `${column.title} (${data.fields[column.field].unit})`;
+    colourBar(bar.appendChild(document.createElement("canvas")), column.field, width);
+  }
+  for (const axis of [2, 1, 0]) {
+    const low = bounds[0][axis], size = bounds[1][axis] - low;
+    const places = [low + 0.2 * size, state.at[axis], low + 0.8 * size].sort((a, b) => a - b);
+    for (const at of places) {
+      const title = paper.appendChild(document.createElement("p"));
+      title.textContent = `Slice across ${AXES[axis]} at ${mm(at)} mm`;
+      const row = paper.appendChild(document.createElement("div"));
+      for (const column of columns)
+        drawSlice(row.appendChild(document.createElement("canvas")), column, axis, at,
+          framing(axis, { width, scale }), 3);
+    }
+  }
+}

@@ -1,0 +1,76 @@
+"""`tactorch report`: runs named plainly or by key, and what it says where something is wrong."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactorch.cli.positional import with_runs
+
+
+@pytest.mark.parametrize(
+    ("given", "taken"),
+    [
+        (["runs/a"], ["run='runs/a'"]),
+        (["a", "b c", "d", "out=x.html"], ["run='a'", "compare=['b c','d']", "out=x.html"]),
+        (["run=a", "compare=[b]"], ["run=a", "compare=[b]"]),
+        (["it's"], [r"run='it\'s'"]),
+        (["--help"], ["--help"]),
+        ([], []),
+    ],
+)
+def test_bare_paths_become_settings(given: list[str], taken: list[str]) -> None:
+    assert with_runs(given) == taken
+
+
+def test_a_run_is_told_in_a_file_beside_it(tactorch: Any, finished_run: Path) -> None:
+    done = tactorch("report", finished_run)
+    assert done.status == 0, done.err
+    assert (finished_run / "report.html").is_file()
+    assert "uncertainty=false" in done.out  # what takes long is told, and how to do without
+    assert "steps" in done.out
+    assert "report.html" in done.out
+
+
+def test_runs_side_by_side(tactorch: Any, finished_run: Path, tmp_path: Path) -> None:
+    other = Path(shutil.copytree(finished_run, tmp_path / "other, 'quoted'"))
+    done = tactorch("report", finished_run, other, "out=both.html", "uncertainty=false")
+    assert done.status == 0, done.err
+    assert "2 runs compared" in Path("both.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_prior_about_a_surrogates_map_is_made_again(tactorch: Any, recording_file: Path) -> None:
+    """The result holds the checksum of that map only."""
+    about = ("initialization=surrogate", "initialization.prior_mean=true")
+    quick = ("plots=false", "optimizer.max_iterations=1", "run_dir=run")
+    done = tactorch("invert", f"recording={recording_file}", *about, *quick)
+    assert "The prior is about the surrogate's map" in done.out
+    assert tactorch("report", "run").status == 0
+    page = Path("run/report.html").read_text(encoding="utf-8")
+    assert "are left out" not in page
+    shutil.rmtree("run/.hydra")
+    assert tactorch("report", "run").status == 0
+    page = Path("run/report.html").read_text(encoding="utf-8")
+    assert "credibility and uncertainty are left out (the prior was about a map" in page
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ((), "'run' is missing"),
+        (("nowhere",), "run not found: 'nowhere'"),
+        (("{run}", "{run}"), "named twice"),
+        (("{run}", "colours=jet"), "colours=jet"),
+        (("{run}", "uncertainty=perhaps"), "true or false"),
+        (("{run}", "recording=gone.h5"), "gone.h5"),
+    ],
+)
+def test_wrong_input(
+    tactorch: Any, finished_run: Path, settings: tuple[str, ...], words: str
+) -> None:
+    done = tactorch("report", *(word.format(run=finished_run) for word in settings))
+    assert done.status == 2
+    assert words in done.err
+    assert len(done.err.strip().splitlines()) == 1
