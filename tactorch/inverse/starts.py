@@ -14,14 +14,14 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import map_cases, worker_count
 from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.uniform import FIRST_MPA, uniform_fit
+from tactorch.inverse.uniform import uniform_fit
 
 _log = logging.getLogger(__name__)
 Start: TypeAlias = float | np.ndarray | Callable[[InverseProblem, Bounds], np.ndarray]
 
 
 def best_uniform(
-    problem: InverseProblem, bounds: Bounds | None = None, *, first_mpa: float = FIRST_MPA
+    problem: InverseProblem, bounds: Bounds | None = None, *, first_mpa: float | None = None
 ) -> float:
     """Return the modulus that fits best where all elements have the same, MPa.
 

@@ -10,6 +10,8 @@ from tactorch.inverse.evaluation import Evaluation
 from tactorch.inverse.nuisance import Nuisance, Unknowns
 from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
+from tactorch.mesh import TetMesh
+from tactorch.recording import Press
 
 FIRST_MPA = 0.2
 _LARGEST_STEP, _SETTLED, _ROUNDS, _HALVINGS = 1.5, 1e-3, 30, 8
@@ -34,19 +36,27 @@ def uniform_fit(
     bounds: Bounds | None = None,
     unknowns: Unknowns | None = None,
     *,
-    first_mpa: float = FIRST_MPA,
+    first_mpa: float | None = None,
 ) -> UniformFit:
     """Find the uniform modulus, and nuisance parameters, that fit best.
 
     Gauss-Newton on the logarithm and on z, halving steps that fit worse, and stiffening where a
     press has no equilibrium.
 
+    Args:
+        problem: Presses and observations.
+        bounds: Of the modulus.
+        unknowns: Nuisance parameters that are free.
+        first_mpa: Where to begin, MPa; by default 0.2, or what mean stress and strain under the
+            presses come to where that is much more.
+
     Raises:
         ConvergenceError: no modulus within the bounds carries the presses.
     """
     bounds = bounds or Bounds()
     fit = _Fit(problem, bounds, unknowns or Unknowns())
-    x = np.concatenate([[np.clip(np.log(first_mpa), fit.low[0], fit.high[0])], np.zeros(fit.k)])
+    first = _first_mpa(problem) if first_mpa is None else first_mpa
+    x = np.concatenate([[np.clip(np.log(first), fit.low[0], fit.high[0])], np.zeros(fit.k)])
     point = fit.at(x)
     while point is None:
         if x[0] >= fit.high[0]:
@@ -66,6 +76,36 @@ def uniform_fit(
         if settled:
             break
     return UniformFit(float(np.exp(x[0])), fit.nuisance(x))
+
+
+def _first_mpa(problem: InverseProblem) -> float:
+    """Return where to begin: a body much softer than it is would collapse under its presses.
+
+    To find that out, and to stiffen, takes far longer than all the rest.
+    """
+    recording = problem.recording
+    found = [_stress_over_strain(recording.mesh, press) for press in recording.presses]
+    told = [value for value in found if value is not None]
+    guess = float(np.median(told)) if told else FIRST_MPA
+    return guess if guess > _STIFFER * FIRST_MPA else FIRST_MPA
+
+
+def _stress_over_strain(mesh: TetMesh, press: Press) -> float | None:
+    """Mean pressure over how far the contact gives way, as a share of the body's length there."""
+    total = press.forces.sum(axis=0)
+    force = float(np.linalg.norm(total))
+    touched = np.any(press.forces != 0, axis=1)
+    surface = mesh.surface
+    area = float(surface.areas[touched[surface.triangles].all(axis=1)].sum())
+    if force == 0.0 or area == 0.0:
+        return None
+    inward = total / force
+    seen = press.observed.all(axis=1) & touched
+    if not seen.any():
+        return None
+    given = float((press.displacement[seen] @ inward).mean())
+    length = float(np.ptp(mesh.points @ inward))
+    return force / area * length / given if given > 0.0 else None
 
 
 class _Fit:

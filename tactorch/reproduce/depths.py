@@ -21,7 +21,7 @@ from tactorch.applications import find_lumps
 from tactorch.inverse import Settings, homogeneous, invert
 from tactorch.phantoms import make_phantom
 from tactorch.reproduce.cases import Case, Outcome
-from tactorch.reproduce.objects import MATERIAL, SIDES
+from tactorch.reproduce.objects import MATERIAL
 from tactorch.reproduce.paper import paper
 from tactorch.reproduce.table import Table
 from tactorch.simulation import PressPlan, simulate
@@ -62,7 +62,10 @@ def work(case: Case, scratch: Path) -> Outcome:
     recording = simulate(
         phantom,
         PressPlan.ramp(
-            settings["p_max_mpa"], settings["steps"], faces=SIDES, hold=settings["hold"]
+            settings["p_max_mpa"],
+            settings["steps"],
+            faces=settings["faces"],
+            hold=settings["hold"],
         ),
         material=MATERIAL,
         mesh=phantom.mesh(relative_edge_length=edge),

@@ -30,6 +30,7 @@ TINY = {
     "depths": {
         "places": 1,
         "relative_edge_length": _COARSE,
+        "faces": ["z+", "x+", "y+"],
         "p_max_mpa": 0.1,
         "steps": 1,
         "hold": "fixed",
