@@ -44,10 +44,12 @@ class VariationalPosterior(LaplacePosterior):
     Attributes:
         weight: Weight of total variation that the data and the map speak for.
         iterations: How many it took.
+        sizes: Root mean square of the jump of the log-modulus across each face.
     """
 
     weight: float
     iterations: int
+    sizes: Float[np.ndarray, " faces"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,13 @@ class _Jumps:
         return self.free / float(self.areas @ sizes)
 
 
-def variational_posterior(point: Point, weight: float) -> VariationalPosterior:
+def variational_posterior(
+    point: Point,
+    weight: float,
+    *,
+    sizes: Float[np.ndarray, " faces"] | None = None,
+    most_iterations: int = _MOST,
+) -> VariationalPosterior:
     """Take the posterior under total variation near a solution; linear in the data there.
 
     Costs some tens of inversions of a dense matrix of the unknowns: fit for a thousand or two.
@@ -106,6 +114,8 @@ def variational_posterior(point: Point, weight: float) -> VariationalPosterior:
     Args:
         point: The solution.
         weight: Weight of the prior there: the start of the iteration, no more.
+        sizes: Of the jumps, from a posterior nearby to start from.
+        most_iterations: After so many it is taken as it is; one from a posterior nearby needs few.
 
     Raises:
         ConfigError: the prior is not total variation, the weight is not positive, or data and
@@ -120,9 +130,10 @@ def variational_posterior(point: Point, weight: float) -> VariationalPosterior:
     if not weight > 0:
         raise ConfigError(f"weight={weight} of the prior must be above 0.")
     parts = _Jumps.at(point)
-    sizes = np.maximum(np.abs(parts.now), getattr(prior, "edge", 0.0))
+    if sizes is None:
+        sizes = np.maximum(np.abs(parts.now), getattr(prior, "edge", 0.0))
     hessian, iterations = point.jacobian.T @ point.jacobian, 0
-    while iterations < _MOST:
+    while iterations < most_iterations:
         iterations += 1
         factor, step = _solve(point, parts, hessian, weight * parts.areas / sizes)
         before = sizes, weight
@@ -139,6 +150,7 @@ def variational_posterior(point: Point, weight: float) -> VariationalPosterior:
         parameterization=point.objective.parameterization,
         weight=weight,
         iterations=iterations,
+        sizes=sizes,
     )
 
 
