@@ -44,12 +44,10 @@ class VariationalPosterior(LaplacePosterior):
     Attributes:
         weight: Weight of total variation that the data and the map speak for.
         iterations: How many it took.
-        sizes: Root mean square of the jump of the log-modulus across each face.
     """
 
     weight: float
     iterations: int
-    sizes: Float[np.ndarray, " faces"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +102,6 @@ def variational_posterior(
     point: Point,
     weight: float,
     *,
-    sizes: Float[np.ndarray, " faces"] | None = None,
     most_iterations: int = _MOST,
 ) -> VariationalPosterior:
     """Take the posterior under total variation near a solution; linear in the data there.
@@ -114,8 +111,7 @@ def variational_posterior(
     Args:
         point: The solution.
         weight: Weight of the prior there: the start of the iteration, no more.
-        sizes: Of the jumps, from a posterior nearby to start from.
-        most_iterations: After so many it is taken as it is; one from a posterior nearby needs few.
+        most_iterations: After so many it is taken as it is.
 
     Raises:
         ConfigError: the prior is not total variation, the weight is not positive, or data and
@@ -130,8 +126,7 @@ def variational_posterior(
     if not weight > 0:
         raise ConfigError(f"weight={weight} of the prior must be above 0.")
     parts = _Jumps.at(point)
-    if sizes is None:
-        sizes = np.maximum(np.abs(parts.now), getattr(prior, "edge", 0.0))
+    sizes = np.maximum(np.abs(parts.now), getattr(prior, "edge", 0.0))
     hessian, iterations = point.jacobian.T @ point.jacobian, 0
     while iterations < most_iterations:
         iterations += 1
@@ -150,7 +145,6 @@ def variational_posterior(
         parameterization=point.objective.parameterization,
         weight=weight,
         iterations=iterations,
-        sizes=sizes,
     )
 
 

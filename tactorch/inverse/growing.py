@@ -167,12 +167,12 @@ class GrowingInversion:
         youngs, counts = state["youngs"], state["counts"]
         m, n = self._about.mesh.n_tets, len(presses)
         fits = youngs.shape == (m,) and len(counts) == len(state["deviations"])
-        if not fits or len(counts) not in (0, n) or (len(counts) == n) != self._corrects:
+        if not fits or len(counts) != n:
             raise ConfigError(
                 f"the state is of {len(youngs)} elements and {len(counts)} presses, not of {m} and "
                 f"{n}; start anew."
             )
-        offsets = np.split(state["offsets"], np.cumsum(counts)[:-1]) if n and len(counts) else []
+        offsets = np.split(state["offsets"], np.cumsum(counts)[:-1]) if n else []
         errors = tuple(zip(offsets, (float(d) for d in state["deviations"]), strict=True))
         known = dict(zip(_WEIGHT, map(float, state["weight"]), strict=True))
         weight = {} if np.isnan(known["weight"]) else known
