@@ -9,7 +9,8 @@ finer mesh of quadratic elements with 40 dB of noise:
 - `patches`: a round sensor of 3 mm radius at four places of each of three sides (33 data a press).
 
 A press is appended to the recording when the run waits for one. Counted from there: `map` until
-the map is there, saved and told; `picture` until live.png and live.html show it; `next` until the
+the map is there, saved and told (`processor`: the time of this process alone, on all cores, which
+other work on the machine lengthens less); `picture` until live.png and live.html show it; `next` until the
 next place is known and shown too. Below, the map after the last press beside a whole inversion of
 the same recording from 0.2 MPa (`invert`), and beside what an update would take without what is
 kept from press to press (`invert` from the map before the last press). Nothing reads the truth
@@ -90,14 +91,15 @@ class Robot(Screen):
     def __init__(self, folder: Path, path: Path, recording: Recording) -> None:
         """Take what is to be pressed."""
         super().__init__(folder, path)
-        self._recording, self._path, self._pressed, self._began = recording, path, 0, 0.0
+        self._recording, self._path, self._pressed = recording, path, 0
+        self._began, self._cpu = 0.0, 0.0
         self.rows: list[dict[str, Any]] = []
 
     def waiting(self, presses: int, idle_seconds: float) -> None:
         """Press, if the last press is in the map."""
         if presses < self._pressed or self._pressed == len(self._recording.presses):
             return
-        self._began = time.perf_counter()
+        self._began, self._cpu = time.perf_counter(), time.process_time()
         if self._pressed == 0:
             self._recording.select([0]).save(self._path)
         else:
@@ -107,6 +109,7 @@ class Robot(Screen):
     def updated(self, seen: Seen) -> None:
         """Note how long it took, drawn and not."""
         until_map = time.perf_counter() - self._began
+        worked = time.process_time() - self._cpu
         super().updated(seen)
         youngs = seen.found.result.youngs
         self.rows.append(
@@ -114,6 +117,7 @@ class Robot(Screen):
                 "press": seen.entry["press"],
                 "at_rest": not seen.entry["names"],
                 "map_s": until_map,
+                "map_cpu_s": worked,
                 "picture_s": time.perf_counter() - self._began,
                 "next_s": None,
                 "iterations": seen.entry["iterations"],
@@ -153,6 +157,7 @@ def session(name: str, rule: str) -> dict[str, Any]:
     presses = [row for row in robot.rows if not row["at_rest"]]
     return {
         "presses": robot.rows,
+        "median_map_cpu_s": float(np.median([row["map_cpu_s"] for row in presses])),
         "median_map_s": float(np.median([row["map_s"] for row in presses])),
         "longest_map_s": max(row["map_s"] for row in presses),
         "within_aim": float(np.mean([row["map_s"] <= AIM_S for row in presses])),
@@ -179,7 +184,7 @@ def quality(recording: Recording, youngs: np.ndarray) -> dict[str, Any]:
 def table(name: str, figures: dict[str, Any]) -> list[str]:
     """The session as Markdown."""
     rows = [
-        f"| {row['press']}{' (at rest)' if row['at_rest'] else ''} | {row['map_s']:.1f} "
+        f"| {row['press']}{' (at rest)' if row['at_rest'] else ''} | {row['map_s']:.1f} | {row['map_cpu_s']:.1f} "
         f"| {row['picture_s']:.1f} | {_seconds(row['next_s'])} | {row['iterations']} "
         f"| {row['chi2']:.3f} | {row['r']:.3f} | {row['ssim']:.3f} "
         f"| {_millimetres(row['position_error_mm'])} |"
@@ -197,8 +202,8 @@ def table(name: str, figures: dict[str, Any]) -> list[str]:
     return [
         f"## {name}",
         "",
-        "| press | map, s | picture, s | next, s | iterations | chi2 | r | SSIM | position, mm |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| press | map, s | processor, s | picture, s | next, s | iterations | chi2 | r | SSIM | position, mm |",
+        "|---|---|---|---|---|---|---|---|---|---|",
         *rows,
         "",
         f"A map within {AIM_S:g} s: {figures['within_aim']:.0%} of the presses; median "
