@@ -184,7 +184,8 @@ def quality(recording: Recording, youngs: np.ndarray) -> dict[str, Any]:
 def table(name: str, figures: dict[str, Any]) -> list[str]:
     """The session as Markdown."""
     rows = [
-        f"| {row['press']}{' (at rest)' if row['at_rest'] else ''} | {row['map_s']:.1f} | {row['map_cpu_s']:.1f} "
+        f"| {row['press']}{' (at rest)' if row['at_rest'] else ''} "
+        f"| {row['map_s']:.1f} | {row['map_cpu_s']:.1f} "
         f"| {row['picture_s']:.1f} | {_seconds(row['next_s'])} | {row['iterations']} "
         f"| {row['chi2']:.3f} | {row['r']:.3f} | {row['ssim']:.3f} "
         f"| {_millimetres(row['position_error_mm'])} |"
@@ -202,7 +203,8 @@ def table(name: str, figures: dict[str, Any]) -> list[str]:
     return [
         f"## {name}",
         "",
-        "| press | map, s | processor, s | picture, s | next, s | iterations | chi2 | r | SSIM | position, mm |",
+        "| press | map, s | processor, s | picture, s | next, s | iterations | chi2 | r | SSIM "
+        "| position, mm |",
         "|---|---|---|---|---|---|---|---|---|---|",
         *rows,
         "",

@@ -54,7 +54,7 @@ def page(
     ]
     if finding:
         parts.append(f'<p class="finding">{escape(finding)}</p>')
-    if rows:
+    if rows and rows[0][-1] != "-":
         parts.append(f'<p class="next">Press next: {escape(rows[0][-1])}</p>')
     parts += [f'<p class="note">{escape(note)}</p>' for note in notes]
     if picture is not None and picture.is_file():

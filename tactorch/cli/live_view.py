@@ -189,7 +189,7 @@ def _deviation(entry: dict[str, Any]) -> str:
 
 def _next(entry: dict[str, Any]) -> str:
     if "next" not in entry:
-        return "..."
+        return "-"
     place = entry["next"]
     if place is None:
         return f"none: {entry['next_why_not']}"

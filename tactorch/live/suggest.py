@@ -1,7 +1,8 @@
 """Where to press next, by the rules of active sampling, from presses that somebody else made.
 
 A robot's presses tell where it pressed, but not where else it might: candidates are patches of the
-sensor's size over the surface, pressed as hard as before and held as in the last press.
+sensor's size over what was never held of the surface, pressed as hard as before and held as in the
+last press.
 """
 
 import time
@@ -126,7 +127,7 @@ class Suggester:
         recording = point.objective.problem.recording
         mesh, presses = recording.mesh, recording.presses
         radius = self.options.radius_mm or sensor_radius_mm(mesh, presses)
-        places = self._candidates(mesh, presses[-1], radius)
+        places = self._candidates(mesh, presses, radius)
         m = mesh.n_tets
         if posterior is None:  # a rule that does not look at what is believed
             belief = Belief(point.elements, np.broadcast_to(0.0, (m, m)))
@@ -150,13 +151,13 @@ class Suggester:
         )
         return places[best], ""
 
-    def _candidates(self, mesh: TetMesh, last: Press, radius_mm: float) -> list[Patch]:
-        """Places that can be pressed while the object is held as in the last press.
+    def _candidates(self, mesh: TetMesh, presses: Sequence[Press], radius_mm: float) -> list[Patch]:
+        """Places that no press was held at: what it stands on cannot be pressed.
 
         Raises:
             ConfigError: there is none.
         """
-        held = np.asarray(last.held.any(axis=1))
+        held = np.any([press.held.any(axis=1) for press in presses], axis=0)
         key = held.tobytes()
         if self._places[0] != key:
             try:
