@@ -12,9 +12,9 @@ A press is appended to the recording when the run waits for one. Counted from th
 the map is there, saved and told (`processor`: the time of this process alone, on all cores, which
 other work on the machine lengthens less); `picture` until live.png and live.html show it; `next`
 until the next place is known and shown too. Below, the map after the last press beside a whole
-inversion of the same recording from 0.2 MPa (`invert`), and beside what an update would take
-without what is kept from press to press (`invert` from the map before the last press). Nothing reads the truth
-but the scores. The last line printed is one JSON object.
+inversion of the same recording from 0.2 MPa (`invert`), and what `invert` takes from the last map:
+without what is kept from press to press. Nothing reads the truth but the scores. The last line
+printed is one JSON object.
 """
 
 import argparse
