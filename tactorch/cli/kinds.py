@@ -112,6 +112,7 @@ _NAMES_OF: dict[Kind, str] = {
         patch_share prior_share dropout learning_rate weight_decay gradient_clip max_minutes
         brightness ball_radius_mm marker_diameter_px magnify edge_mm around_mm least_mm steep
         reach_mm depth_mm sensor_mm load
+        poll_seconds patience_seconds idle_seconds pause_seconds
     """,
     _MODULUS: "start_mpa",
     _WHOLE: """
@@ -119,15 +120,16 @@ _NAMES_OF: dict[Kind, str] = {
         max_trials workers max_epochs splits hidden layers voxels batch split patience
         width encoded cells held_out folds rounds reference_frames most_frames pictures
         least_frames divisions tnc_evaluations places epochs candidates
+        most_at_once most_iterations max_presses
     """,
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor
         scheduler accelerator strategy precision part map
-        first_touch untouched held_side held_by unit exhibit colours
+        first_touch untouched held_side held_by unit exhibit colours rule
     """,
     _PATH: """
         path out recording run run_dir resume folder weights
-        sensor images reference labels calibration frames poses
+        sensor images reference labels calibration frames poses replay
     """,
     _POINT: "center size radii axis size_mm origin_mm",
     _FLAG: "plots check_units retry_failed card augment video backward uncertainty",
@@ -154,6 +156,7 @@ _OPTIONAL = """
     edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
     dataset.presses.load dataset.poisson weights
     reference labels mm_per_px marker_diameter_px held_out folds most_frames object.depth_mm
+    idle_seconds max_presses replay suggest.radius_mm
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 

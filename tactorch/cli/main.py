@@ -12,6 +12,7 @@ VERBS = {
     "simulate": "press a phantom and record how its surface moves",
     "import": "turn files of others into a recording",
     "invert": "reconstruct the map of Young's modulus from a recording",
+    "live": "follow a recording that grows: the map after each press, and where to press next",
     "evaluate": "score a reconstruction against the truth",
     "report": "one HTML file that shows what a run has found, or several side by side",
     "generate": "make a dataset of simulated presses on random objects",

@@ -162,7 +162,7 @@ def describe(
         f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
         f"Displacements are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations "
         f"(misfit {summary['misfit']:.3g} mm2).",
-        _finding(inclusion, summary["youngs_median_mpa"]),
+        finding(inclusion, summary["youngs_median_mpa"]),
         *(_estimate(name, found) for name, found in reconstruction.nuisance.items()),
     ]
     if summary["volume_at_bounds"] > _MOST_AT_BOUNDS:
@@ -174,7 +174,7 @@ def describe(
     if recording.truth is not None:
         true = find_inclusion(recording.mesh, recording.truth)
         if true is not None and inclusion is not None:
-            lines.append("In truth: " + _finding(true, float(np.median(recording.truth))))
+            lines.append("In truth: " + finding(true, float(np.median(recording.truth))))
     return "\n".join((*lines, *(f"\n{table.text()}" for table in tables)))
 
 
@@ -187,7 +187,8 @@ def _estimate(name: str, found: NuisanceEstimate) -> str:
     return f"Estimated beside the map: {name} {values}{told}."
 
 
-def _finding(inclusion: Inclusion | None, median_mpa: float) -> str:
+def finding(inclusion: Inclusion | None, median_mpa: float) -> str:
+    """Say where the inclusion is, how large and how stiff."""
     if inclusion is None:
         return f"No inclusion stands out; Young's modulus is {median_mpa:.3g} MPa."
     x, y, z = inclusion.center_mm

@@ -2,28 +2,26 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.credibility.belief import Belief
 from tactorch.credibility.candidates import Patch
+from tactorch.credibility.foretold import credibilities, foretold
 from tactorch.credibility.gaussian import GaussianPosterior
 from tactorch.credibility.presser import Presser
 from tactorch.credibility.rules import Rule, Situation
 from tactorch.credibility.trust import posterior_at
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.errors import ConfigError
 from tactorch.inverse import (
     INTERRUPTED,
     START_MPA,
-    CommonError,
-    InverseProblem,
     Point,
     Settings,
     invert,
     make_objective,
-    smooth_pattern,
 )
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
@@ -113,7 +111,7 @@ def sample(
         pressed = tuple(step.place for step in steps)
 
         def foretell(places: Sequence[int], at: Point = point) -> list[np.ndarray | None]:
-            return body.foretell([presser.plan(candidates[i]) for i in places], at)
+            return foretold([presser.plan(candidates[i]) for i in places], at, body.settings)
 
         place = rule.choose(
             Situation(
@@ -126,19 +124,6 @@ def sample(
                 jacobians=foretell,
             )
         )
-
-
-def credibilities(point: Point) -> Float[np.ndarray, "presses m"]:
-    """Return the square of L (eq. 15) of each press by itself, as a precision.
-
-    L is by the parameter, in standard deviations of the noise, and of an element of mean volume:
-    else small elements would count as hardly felt.
-    """
-    mesh = point.objective.problem.recording.mesh
-    counts = [len(seen.index) for seen in point.objective.problem.observations]
-    rows = np.split(point.jacobian[:, : mesh.n_tets], np.cumsum(counts)[:-1])
-    felt = np.array([np.abs(part).max(axis=0) for part in rows])
-    return (felt * mesh.volumes.mean() / mesh.volumes) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,44 +151,3 @@ class _Body:
         # The widest that can be had: Laplace's trusts total variation where no press was yet.
         posterior = posterior_at(point, found.history[-1].get("weight", 0.0))
         return point, posterior, found.stop_reason == INTERRUPTED
-
-    def foretell(self, presses: Sequence[Press], point: Point) -> list[np.ndarray | None]:
-        """Return the Jacobians of presses not made yet, side by side, at the present map.
-
-        Their errors are what the inversion takes the present data to have: the sensor's noise, and
-        what the mesh gets wrong, rough and smooth.
-        """
-        scales = np.concatenate([seen.scale for seen in point.objective.problem.observations])
-        noise = float(1.0 / np.median(scales))
-        # Displacements do not matter here; presses that moved nothing are refused as data.
-        nothing = np.full(presses[0].forces.shape, noise)
-        planned = [replace(press, displacement=nothing, noise_mm=noise) for press in presses]
-        try:
-            return list(self._rows(planned, point))
-        except ConvergenceError:
-            return [self._rows_or_none(press, point) for press in planned]
-
-    def _rows_or_none(self, press: Press, point: Point) -> np.ndarray | None:
-        try:
-            return self._rows([press], point)[0]
-        except ConvergenceError:
-            return None
-
-    def _rows(self, presses: Sequence[Press], point: Point) -> list[np.ndarray]:
-        settings = self.settings
-        problem = InverseProblem(
-            self._recording(presses),
-            element=settings.element,
-            solver=settings.solver,
-            newton=settings.newton,
-        )
-        slope = point.objective.parameterization.slope(point.elements)
-        counts = [len(seen.index) for seen in problem.observations]
-        rows = problem.evaluate(point.youngs).jacobian() * slope
-        parts = np.split(rows, np.cumsum(counts)[:-1])
-        known = point.objective.problem.model_deviation
-        if known is None:
-            return parts
-        left, points = float(np.median(known)), self.mesh.points
-        smooth = [smooth_pattern(points, seen, left) for seen in problem.observations]
-        return [CommonError(s).whiten(part) for s, part in zip(smooth, parts, strict=True)]

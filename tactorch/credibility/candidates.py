@@ -37,16 +37,9 @@ class Patch:
         Raises:
             ConfigError: the mesh has no such surface there.
         """
-        surface = mesh.surface
-        corners = mesh.points[surface.triangles]
-        facing = -(surface.normals @ self.inward)
+        surface, facing = mesh.surface, self._facing(mesh)
         weights = _inner_points(_CUTS)
-        offsets = np.einsum("qc,kcd->kqd", weights, corners) - self.center
-        along = offsets @ self.inward
-        across = np.linalg.norm(offsets - along[..., None] * self.inward, axis=2)
-        reach = 1.5 * self.radius_mm
-        inside = (across <= self.radius_mm) & (np.abs(along) <= reach) & (facing > 0)[:, None]
-        shares = (inside @ weights) * (surface.areas * facing)[:, None]
+        shares = (self._inside(mesh, weights) @ weights) * (surface.areas * facing)[:, None]
         nodal = np.bincount(surface.triangles.ravel(), shares.ravel(), minlength=mesh.n_points)
         if not nodal.sum() > 0:
             raise ConfigError(
@@ -56,9 +49,33 @@ class Patch:
         scale = np.pi * self.radius_mm**2 / nodal.sum()
         return scale * nodal[:, None] * self.inward
 
+    def facing(self, mesh: TetMesh) -> float:
+        """Return how squarely the pressed surface faces the sensor: the mean cosine by area."""
+        inside = self._inside(mesh, _inner_points(_CUTS)).sum(axis=1) * mesh.surface.areas
+        return float(inside @ self._facing(mesh) / max(inside.sum(), 1e-300))
+
+    def _facing(self, mesh: TetMesh) -> Float[np.ndarray, " k"]:
+        """Cosine between each triangle's normal and the way to the sensor."""
+        return -(mesh.surface.normals @ self.inward)
+
+    def _inside(self, mesh: TetMesh, weights: Float[np.ndarray, "q 3"]) -> Bool[np.ndarray, "k q"]:
+        """Which inner points of each triangle are pressed."""
+        corners = mesh.points[mesh.surface.triangles]
+        offsets = np.einsum("qc,kcd->kqd", weights, corners) - self.center
+        along = offsets @ self.inward
+        across = np.linalg.norm(offsets - along[..., None] * self.inward, axis=2)
+        reach = 1.5 * self.radius_mm
+        near = (across <= self.radius_mm) & (np.abs(along) <= reach)
+        return near & (self._facing(mesh) > 0)[:, None]
+
 
 def candidate_patches(
-    mesh: TetMesh, held: Bool[np.ndarray, " n"], radius_mm: Real, count: int
+    mesh: TetMesh,
+    held: Bool[np.ndarray, " n"],
+    radius_mm: Real,
+    count: int,
+    *,
+    least_facing: float = 0.0,
 ) -> list[Patch]:
     """Return places that the sensor can press, in farthest-point order from the first.
 
@@ -70,6 +87,8 @@ def candidate_patches(
         held: Which nodes are held.
         radius_mm: Of the sensor.
         count: How many at most; fewer where the surface has no more.
+        least_facing: How squarely the surface must face the sensor, as of `Patch.facing`: by 0.85
+            edges and corners of a cube are left out.
 
     Raises:
         ConfigError: radius or count cannot be used, no node is held, or no patch fits.
@@ -82,7 +101,12 @@ def candidate_patches(
     normals = _vertex_normals(mesh)
     free = [int(i) for i in mesh.surface.nodes() if not held[i]]
     all_patches = (Patch(mesh.points[i], -normals[i], float(radius)) for i in free)
-    fitting = [patch for patch in all_patches if not patch.forces(mesh)[held].any()]
+    fitting = [
+        patch
+        for patch in all_patches
+        if not patch.forces(mesh)[held].any()
+        and (least_facing <= 0 or patch.facing(mesh) >= least_facing)
+    ]
     if not fitting:
         raise ConfigError(
             f"radius_mm={radius:g}: no patch fits without touching what is held; use a smaller one."

@@ -98,7 +98,12 @@ class _Jumps:
         return self.free / float(self.areas @ sizes)
 
 
-def variational_posterior(point: Point, weight: float) -> VariationalPosterior:
+def variational_posterior(
+    point: Point,
+    weight: float,
+    *,
+    most_iterations: int = _MOST,
+) -> VariationalPosterior:
     """Take the posterior under total variation near a solution; linear in the data there.
 
     Costs some tens of inversions of a dense matrix of the unknowns: fit for a thousand or two.
@@ -106,6 +111,7 @@ def variational_posterior(point: Point, weight: float) -> VariationalPosterior:
     Args:
         point: The solution.
         weight: Weight of the prior there: the start of the iteration, no more.
+        most_iterations: After so many it is taken as it is.
 
     Raises:
         ConfigError: the prior is not total variation, the weight is not positive, or data and
@@ -122,7 +128,7 @@ def variational_posterior(point: Point, weight: float) -> VariationalPosterior:
     parts = _Jumps.at(point)
     sizes = np.maximum(np.abs(parts.now), getattr(prior, "edge", 0.0))
     hessian, iterations = point.jacobian.T @ point.jacobian, 0
-    while iterations < _MOST:
+    while iterations < most_iterations:
         iterations += 1
         factor, step = _solve(point, parts, hessian, weight * parts.areas / sizes)
         before = sizes, weight

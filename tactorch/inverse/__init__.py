@@ -3,6 +3,7 @@
 from tactorch.inverse.coarse import CoarseStart
 from tactorch.inverse.correlation import CommonError
 from tactorch.inverse.evaluation import Evaluation
+from tactorch.inverse.growing import GrowingInversion, Grown
 from tactorch.inverse.invert import (
     INTERRUPTED,
     START_MPA,
@@ -65,6 +66,8 @@ __all__ = [
     "CommonError",
     "Evaluation",
     "GaussNewton",
+    "GrowingInversion",
+    "Grown",
     "InverseProblem",
     "ModelError",
     "Monitor",

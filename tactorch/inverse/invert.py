@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import NewtonOptions
+from tactorch.fem import NewtonOptions, SoftBody
 from tactorch.inverse.adaptive import adapt
 from tactorch.inverse.misfit import make_misfit
 from tactorch.inverse.model_error import LEFT, chosen, corrected, discretisation_error
@@ -146,9 +146,9 @@ def invert(
     if not reason:
         with progress(optimizer.name, show_progress) as update:
             monitor.on_record = update
-            reason = _run(optimizer, objective, x, monitor)
+            reason = run_to_end(optimizer, objective, x, monitor)
         monitor.save()
-    found = _result(recording, settings, optimizer, objective, monitor, reason)
+    found = result_of(recording, settings, optimizer, objective, monitor, reason)
     return replace(found, config={"start_mpa": _described(start_mpa), **found.config})
 
 
@@ -159,6 +159,27 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
         ConfigError: a setting cannot be used.
         ConvergenceError: the model's error is asked for, and no uniform map carries the presses.
     """
+    problem = make_problem(recording, settings)
+    if chosen(settings.model_error, recording, settings.element) == "discretisation":
+        fit = uniform_fit(problem, settings.bounds, settings.unknowns)
+        left = settings.model_error_left
+        corrected(problem, discretisation_error(problem, fit.youngs_mpa, fit.nuisance, left))
+    return combine(problem, settings)
+
+
+def make_problem(
+    recording: Recording, settings: Settings, body: SoftBody | None = None
+) -> InverseProblem:
+    """Return the data as the settings have them, their model's error not counted yet.
+
+    Args:
+        recording: Presses on an object.
+        settings: Of the inversion.
+        body: The object as the settings have it, where it is there already.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+    """
     problem = InverseProblem(
         recording,
         element=settings.element,
@@ -166,18 +187,23 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
         noise=settings.noise,
         newton=settings.newton,
         misfit=make_misfit(settings.misfit),
+        body=body,
     )
     problem.unknowns = settings.unknowns
-    if chosen(settings.model_error, recording, settings.element) == "discretisation":
-        fit = uniform_fit(problem, settings.bounds, settings.unknowns)
-        left = settings.model_error_left
-        corrected(problem, discretisation_error(problem, fit.youngs_mpa, fit.nuisance, left))
+    return problem
+
+
+def combine(problem: InverseProblem, settings: Settings) -> Objective:
+    """Combine data, whose model's error is counted, with parameterisation and prior.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+    """
+    mesh = problem.recording.mesh
     objective = Objective(
         problem,
         make_parameterization(settings.parameterization, settings.bounds),
-        make_regularizer(
-            settings.regularization, recording.mesh, edge=settings.edge, options=settings.prior
-        ),
+        make_regularizer(settings.regularization, mesh, edge=settings.edge, options=settings.prior),
         settings.unknowns,
     )
     if settings.misfit == "adaptive":
@@ -238,8 +264,8 @@ def _described(start: Start) -> float | str:
     return "a map, one modulus an element" if np.ndim(start) else float(start)
 
 
-def _run(optimizer: Optimizer, objective: Objective, x: np.ndarray, monitor: Monitor) -> str:
-    """Run to an end; interruptions keep the best so far."""
+def run_to_end(optimizer: Optimizer, objective: Objective, x: np.ndarray, monitor: Monitor) -> str:
+    """Run an optimizer, and return why it ended; interruptions keep the monitor's best so far."""
     try:
         reason = optimizer.minimize(objective, x, monitor)
         monitor.ended = "" if reason.endswith("limit reached") else reason
@@ -256,7 +282,7 @@ def _run(optimizer: Optimizer, objective: Objective, x: np.ndarray, monitor: Mon
         return f"no derivatives at the best map: {error}"
 
 
-def _result(
+def result_of(
     recording: Recording,
     settings: Settings,
     optimizer: Optimizer,
@@ -264,6 +290,7 @@ def _result(
     monitor: Monitor,
     reason: str,
 ) -> Reconstruction:
+    """Return what an optimizer that has ended has found."""
     point = monitor.point
     if point is None:  # resumed and stopped before a step
         assert monitor.best is not None

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import orth
 
 from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.fem import SoftBody
 from tactorch.inverse.correlation import CommonError
 from tactorch.inverse.evaluation import Observation
 from tactorch.inverse.nuisance import Nuisance
@@ -69,6 +70,7 @@ def discretisation_error(
     youngs_mpa: float,
     nuisance: Nuisance | None = None,
     left: float = LEFT,
+    finer: SoftBody | None = None,
 ) -> ModelError:
     """Estimate what the mesh gets wrong, at a uniform modulus (MPa) and nuisance values.
 
@@ -77,6 +79,7 @@ def discretisation_error(
         youngs_mpa: The modulus.
         nuisance: By default what the recording states.
         left: Share of the error that stays as uncertainty once it is taken off, 0 to 1.
+        finer: The same body of quadratic elements, where one is there already.
 
     Raises:
         ConfigError: the problem has quadratic elements, with which there is nothing to compare, or
@@ -93,17 +96,18 @@ def discretisation_error(
             "model_error=discretisation compares plain tetrahedra with quadratic ones; with "
             f"element={problem.body.discretisation.element.name} choose model_error=none."
         )
-    finer = InverseProblem(
+    quadratic = InverseProblem(
         problem.recording,
         element="tet10",
         solver=problem.body.solver,
         noise=problem.noise,
         newton=problem.body.newton,
+        body=finer,
     )
     youngs = youngs_mpa
     for trial in range(_TRIALS):
         try:
-            plain, fine = (_predicted(p, youngs, nuisance) for p in (problem, finer))
+            plain, fine = (_predicted(p, youngs, nuisance) for p in (problem, quadratic))
             break
         except ConvergenceError:
             # The fit is of the stiffer model: at its edge the softer one may collapse.

@@ -27,6 +27,7 @@ class InverseProblem:
         noise: Standard deviations for presses that do not state theirs.
         newton: Settings of the equilibrium search.
         misfit: What a residual costs; its square by default.
+        body: Of this mesh, material, element and solver, where one is there already.
     """
 
     def __init__(
@@ -38,14 +39,11 @@ class InverseProblem:
         noise: NoiseModel | None = None,
         newton: NewtonOptions | None = None,
         misfit: Misfit | None = None,
+        body: SoftBody | None = None,
     ) -> None:
         """Set up the body and the observations."""
-        spec = recording.material
-        material = make_material(spec.name, spec.poisson, **spec.parameters)
         self.recording = recording
-        self.body = SoftBody(
-            recording.mesh, material, element=element, solver=solver, newton=newton
-        )
+        self.body = body or body_of(recording, element, solver, newton)
         self.noise = noise or NoiseModel()
         deviations = self.noise.deviations(recording)
         self.observations = [
@@ -127,6 +125,15 @@ class InverseProblem:
         else:
             solved = map_cases(work, len(self.observations))
         return Evaluation(youngs, values, solved, self.common, self.misfit)
+
+
+def body_of(
+    recording: Recording, element: str, solver: str, newton: NewtonOptions | None = None
+) -> SoftBody:
+    """Return the object of a recording as a body to be solved."""
+    spec = recording.material
+    material = make_material(spec.name, spec.poisson, **spec.parameters)
+    return SoftBody(recording.mesh, material, element=element, solver=solver, newton=newton)
 
 
 def _observe(press: Press, deviation: float) -> Observation:

@@ -1,6 +1,7 @@
 """Reading a recording out of an open HDF5 file, believing nothing that it says."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,12 +36,13 @@ class Reader:
         self.source = source
         self.known = known
 
-    def recording(self, check_units: bool) -> Recording:
-        """Read and check everything."""
-        self._check_format()
+    def recording(self, check_units: bool, presses: Sequence[Press] | None = None) -> Recording:
+        """Read and check everything; the file's own presses only where none are given."""
+        count = self.count()
         mesh = self.mesh()
-        material = self._material()
-        presses = self._presses(mesh.n_points)
+        material = self.material()
+        if presses is None:
+            presses = [self.press(index, mesh.n_points) for index in range(count)]
         provenance = self._json("provenance", self._text("provenance"))
         moduli = {
             name: self._array(name, "f", (mesh.n_tets,)) if name in self.file else None
@@ -53,7 +55,7 @@ class Reader:
         try:
             return Recording(
                 mesh,
-                presses,
+                tuple(presses),
                 material,
                 **moduli,
                 provenance=provenance,
@@ -94,7 +96,8 @@ class Reader:
         except MeshError as error:
             raise self._error(f"dataset 'mesh' is not a sound mesh: {error}") from error
 
-    def _material(self) -> MaterialSpec:
+    def material(self) -> MaterialSpec:
+        """Read the constitutive law."""
         name = self._attribute("material", "name", str)
         poisson = self._attribute("material", "poisson", float)
         text = self._attribute("material", "parameters", str)
@@ -103,11 +106,14 @@ class Reader:
         except RecordingError as error:
             raise self._error(f"'material' is not sound: {error}") from error
 
-    def _presses(self, n_points: int) -> tuple[Press, ...]:
-        count = self._attribute("presses", "count", int)
-        return tuple(self._press(f"presses/{index:04d}", n_points) for index in range(count))
+    def count(self) -> int:
+        """Return how many presses there are, of a file that is a recording."""
+        self._check_format()
+        return self._attribute("presses", "count", int)
 
-    def _press(self, path: str, n_points: int) -> Press:
+    def press(self, index: int, n_points: int) -> Press:
+        """Read and check a press by its number from 0."""
+        path = f"presses/{index:04d}"
         fields: dict[str, Any] = {}
         for field in PRESS_ARRAYS:
             kind = "b" if field in PRESS_MASKS else "f"

@@ -1,6 +1,8 @@
 """Recordings on disk: one HDF5 file (`tactorch.recording.schema`), written whole or not at all."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -67,10 +69,11 @@ def write_recording(file: "h5py.Group", recording: Recording) -> None:
     presses = file.create_group("presses")
     mark(presses, "count", len(recording.presses))
     for index, press in enumerate(recording.presses):
-        _write_press(presses.create_group(f"{index:04d}"), press)
+        write_press(presses.create_group(f"{index:04d}"), press)
 
 
-def _write_press(group: "h5py.Group", press: Press) -> None:
+def write_press(group: "h5py.Group", press: Press) -> None:
+    """Write a press into a group of its own."""
     mark(group, "name", press.name)
     mark(group, "step", press.step)
     if press.noise_mm is not None:
@@ -114,6 +117,17 @@ def load_recording(path: str | Path, *, check_units: bool = True) -> Recording:
         FileError: The file is missing, truncated or not HDF5.
         RecordingError: A dataset is missing, damaged, of the wrong type or shape, or implausible.
     """
+    with open_recording(path) as (file, source), reading(source):
+        return Reader(file, source).recording(check_units)
+
+
+@contextmanager
+def open_recording(path: str | Path) -> Iterator[tuple["h5py.File", Path]]:
+    """Open the file of a recording to read.
+
+    Raises:
+        FileError: The file is missing, truncated or not HDF5.
+    """
     import h5py
 
     source = require_file(path, "recording")
@@ -129,12 +143,18 @@ def load_recording(path: str | Path, *, check_units: bool = True) -> Recording:
             f"recording '{source}' is damaged or cut short ({error}); copy it again from its source"
         ) from error
     with file:
-        try:
-            return Reader(file, source).recording(check_units)
-        except RecordingError:
-            raise
-        # What h5py raises on a damaged file has no common base.
-        except Exception as error:
-            raise FileError(
-                f"recording '{source}' is damaged ({error}); copy it again from its source"
-            ) from error
+        yield file, source
+
+
+@contextmanager
+def reading(source: Path) -> Iterator[None]:
+    """Turn what a damaged file leads to into a `FileError`."""
+    try:
+        yield
+    except (RecordingError, FileError):
+        raise
+    # What h5py raises on a damaged file has no common base.
+    except Exception as error:
+        raise FileError(
+            f"recording '{source}' is damaged ({error}); copy it again from its source"
+        ) from error

@@ -56,11 +56,34 @@ def slice_body(mesh: TetMesh, n_slices: int, pixels: int) -> tuple[tuple[Slice, 
         For x, y and z, the slices in order of position.
     """
     low, high = mesh.bounds
+    return _cut(mesh, [_centres(low[a], high[a], n_slices) for a in range(3)], pixels)
+
+
+def slices_at(
+    mesh: TetMesh, point_mm: Float[np.ndarray, "3"], pixels: int
+) -> tuple[Slice, Slice, Slice]:
+    """Cut a mesh through a point by three planes, across x, y and z; see `slice_body`.
+
+    A plane that would lie on the surface is moved into the body by a pixel.
+    """
+    low, high = mesh.bounds
+    pixel = float((high - low).max()) / pixels
+    within = np.clip(point_mm, low + pixel, high - pixel)
+    x, y, z = (row[0] for row in _cut(mesh, list(within[:, None]), pixels))
+    return x, y, z
+
+
+def _cut(
+    mesh: TetMesh, positions: list[Float[np.ndarray, " k"]], pixels: int
+) -> tuple[tuple[Slice, ...], ...]:
+    """Cut across x, y and z at as many positions each."""
+    low, high = mesh.bounds
+    n_slices = len(positions[0])
     counts = [int(np.ceil(part * pixels - 1e-9)) for part in (high - low) / (high - low).max()]
     centres = [_centres(low[a], high[a], counts[a]) for a in range(3)]
     grids = []
     for axis, (across, up) in enumerate(IN_PLANE):
-        for position in _centres(low[axis], high[axis], n_slices):
+        for position in positions[axis]:
             points = np.empty((counts[up], counts[across], 3))
             points[..., axis] = position + _NUDGE * mesh.diagonal
             points[..., across] = centres[across]

@@ -73,7 +73,8 @@ def test_every_option_says_what_it_is(verb: str) -> None:
 @pytest.mark.parametrize("verb", COMMANDS)
 def test_kind_of_every_setting_is_known(verb: str) -> None:
     catalog = Catalog(verb)
-    tables = {"bounds", "noise", "family", "presses", "sizes", *STUDIES, *catalog.defaults}
+    tables = {"bounds", "noise", "family", "presses", "sizes", "suggest"}
+    tables |= {*STUDIES, *catalog.defaults}
     keys = set(catalog.settings)
     for group in catalog.defaults:
         for option in catalog.options(group):

@@ -163,7 +163,7 @@ def test_failed_save_leaves_the_old_file(
     def full(*_: object) -> None:
         raise OSError("No space left on device")
 
-    monkeypatch.setattr("tactorch.recording.storage._write_press", full)
+    monkeypatch.setattr("tactorch.recording.storage.write_press", full)
     with pytest.raises(FileError, match=r"cannot write '.*case\.h5': No space"):
         record().save(saved)
     assert saved.read_bytes() == before

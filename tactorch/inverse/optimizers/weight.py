@@ -184,6 +184,27 @@ class Cooling:
             self.weight *= _FAST if chi2 > _NEAR else _SLOW
 
 
+def carried(state: dict[str, float], growth: float) -> dict[str, float]:
+    """Return the state of a weight from which to go on with more data; none where it is of no use.
+
+    A weight that had fitted the data is kept, for the map to be fitted anew at it, and is lowered
+    or raised from there. Where the data told nothing it had risen without end: it begins no higher
+    than a hundred times one that rules over a uniform map.
+
+    Args:
+        state: What `Cooling.state` has told, perhaps among other numbers.
+        growth: How many times as many data there are as when the weight was first taken.
+    """
+    if not state or state.get("ended") == float(_REASONS.index(_UNFITTED)):
+        return {}
+    ruling = growth * state["first_weight"]
+    return {
+        "weight": min(state["weight"], _MOST_RAISED * ruling),
+        "first_weight": ruling,
+        "ended": state["ended"],
+    }
+
+
 def ruling_weight(point: Point) -> float:
     """A weight at which the prior outweighs the data: thirty times the balance of the diagonals."""
     data = np.einsum("ij,ij->", point.jacobian, point.jacobian)

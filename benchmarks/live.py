@@ -1,0 +1,234 @@
+"""`tactorch live`: seconds from a press to the map, and whether the map is as good as at once.
+
+    python benchmarks/live.py [--session sides] [--rule auto] [--out FOLDER]
+
+Two sessions of twelve presses on a cube of 10 mm with a stiff ball, 2,058 elements, simulated on a
+finer mesh of quadratic elements with 40 dB of noise:
+
+- `sides`: whole sides, in turn from three directions with rising pressure (192 data a press);
+- `patches`: a round sensor of 3 mm radius at four places of each of three sides (33 data a press).
+
+A press is appended to the recording when the run waits for one. Counted from there: `map` until
+the map is there, saved and told (`processor`: the time of this process alone, on all cores, which
+other work on the machine lengthens less); `picture` until live.png and live.html show it; `next`
+until the next place is known and shown too. Below, the map after the last press beside a whole
+inversion of the same recording from 0.2 MPa (`invert`), and what `invert` takes from the last map:
+without what is kept from press to press. Nothing reads the truth but the scores. The last line
+printed is one JSON object.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from machine import OtherWork, write_results
+
+from tactorch.cli.live_view import Screen
+from tactorch.inverse import Settings, invert
+from tactorch.live import Follower, FollowOptions, Seen, Source, Suggester, SuggestOptions
+from tactorch.mesh import box_mesh
+from tactorch.metrics import find_inclusion, scores
+from tactorch.phantoms import make_phantom
+from tactorch.recording import Recording, append_press
+from tactorch.simulation import PressPlan, simulate
+
+PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl", "matplotlib")
+CELLS, FINE_CELLS, SNR_DB = 7, 10, 40.0
+SIDES = ["z+", "x+", "y+"]
+CORNERS = [[3, 3, 3], [7, 7, 7], [3, 7, 3], [7, 3, 7]]
+AIM_S = 3.0
+SESSIONS = ("sides", "patches")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run both sessions and print the tables and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--out", type=Path, help="folder for live.json and .md")
+    parser.add_argument("--session", choices=SESSIONS, nargs="*", default=SESSIONS)
+    parser.add_argument("--rule", default="auto", help="of the suggested places")
+    options = parser.parse_args(arguments)
+    meter, lines, result = OtherWork(), [], {}
+    for name in options.session:
+        figures = session(name, options.rule)
+        result[name] = figures
+        lines += table(name, figures)
+        print("\n".join(table(name, figures)), flush=True)
+    busy = meter.share()
+    result["other_work"] = busy
+    lines.append(f"Other processes took {busy or 0.0:.0%} of the cores meanwhile.")
+    print(lines[-1] + "\n")
+    if options.out is not None:
+        write_results(options.out, "live", lines, result, PACKAGES)
+    print(json.dumps(result))
+
+
+def recording_of(name: str) -> Recording:
+    """Simulate a session."""
+    if name == "sides":
+        phantom, plan = make_phantom("cube_sphere", depth=0.4), PressPlan.ramp(0.02, 4, faces=SIDES)
+    else:
+        phantom = make_phantom("cube_sphere", depth=0.4, radius=0.22)
+        plan = PressPlan(SIDES, [0.03], patch_radius_mm=3.0, patch_centers_mm=CORNERS, hold="fixed")
+    made = simulate(
+        phantom,
+        plan,
+        mesh=box_mesh(10.0, CELLS, tets_per_cell=6),
+        fine_mesh=box_mesh(10.0, FINE_CELLS, tets_per_cell=5),
+        element="tet10",
+        snr_db=SNR_DB,
+    )
+    return made.select([4 * side + turn for turn in range(4) for side in range(3)])
+
+
+class Robot(Screen):
+    """The screen of a run, and whoever presses when the run waits."""
+
+    def __init__(self, folder: Path, path: Path, recording: Recording) -> None:
+        """Take what is to be pressed."""
+        super().__init__(folder, path)
+        self._recording, self._path, self._pressed = recording, path, 0
+        self._began, self._cpu = 0.0, 0.0
+        self.rows: list[dict[str, Any]] = []
+
+    def waiting(self, presses: int, idle_seconds: float) -> None:
+        """Press, if the last press is in the map."""
+        if presses < self._pressed or self._pressed == len(self._recording.presses):
+            return
+        self._began, self._cpu = time.perf_counter(), time.process_time()
+        if self._pressed == 0:
+            self._recording.select([0]).save(self._path)
+        else:
+            append_press(self._path, self._recording.presses[self._pressed])
+        self._pressed += 1
+
+    def updated(self, seen: Seen) -> None:
+        """Note how long it took, drawn and not."""
+        until_map = time.perf_counter() - self._began
+        worked = time.process_time() - self._cpu
+        super().updated(seen)
+        youngs = seen.found.result.youngs
+        self.rows.append(
+            {
+                "press": seen.entry["press"],
+                "at_rest": not seen.entry["names"],
+                "map_s": until_map,
+                "map_cpu_s": worked,
+                "picture_s": time.perf_counter() - self._began,
+                "next_s": None,
+                "iterations": seen.entry["iterations"],
+                "chi2": seen.entry["chi2"],
+                **quality(self._recording, youngs),
+            }
+        )
+        print(f"press {seen.entry['press']}: {until_map:.1f} s", flush=True)
+
+    def suggested(self, seen: Seen) -> None:
+        """Note how long that took."""
+        super().suggested(seen)
+        self.rows[-1]["next_s"] = time.perf_counter() - self._began
+
+
+def session(name: str, rule: str) -> dict[str, Any]:
+    """Follow a session, and invert it whole."""
+    recording = recording_of(name)
+    with tempfile.TemporaryDirectory() as place:
+        folder, path = Path(place) / "run", Path(place) / "session.h5"
+        folder.mkdir()
+        count = len(recording.presses)
+        options = FollowOptions(poll_seconds=0.05, max_presses=count)
+        with Robot(folder, path, recording) as robot:
+            suggester = Suggester(Settings(), SuggestOptions(rule=rule))
+            ended = Follower(
+                Source(path), Settings(), folder, robot, options=options, suggester=suggester
+            ).run()
+    assert ended.seen is not None
+    before = time.perf_counter()
+    whole = invert(recording, show_progress=False)
+    whole_s = time.perf_counter() - before
+    live = ended.seen.found.result.youngs
+    before = time.perf_counter()
+    invert(recording, start_mpa=live, show_progress=False)
+    again_s = time.perf_counter() - before
+    presses = [row for row in robot.rows if not row["at_rest"]]
+    return {
+        "presses": robot.rows,
+        "median_map_cpu_s": float(np.median([row["map_cpu_s"] for row in presses])),
+        "median_map_s": float(np.median([row["map_s"] for row in presses])),
+        "longest_map_s": max(row["map_s"] for row in presses),
+        "within_aim": float(np.mean([row["map_s"] <= AIM_S for row in presses])),
+        "live": quality(recording, live),
+        "invert": {"seconds": whole_s, **quality(recording, whole.youngs)},
+        "invert_from_last_map_s": again_s,
+        "mean_difference_of_log_youngs": float(np.abs(np.log(live / whole.youngs)).mean()),
+    }
+
+
+def quality(recording: Recording, youngs: np.ndarray) -> dict[str, Any]:
+    """Scores against the truth, and where the inclusion is."""
+    assert recording.truth is not None
+    got = scores(recording.mesh, youngs, recording.truth)
+    found = find_inclusion(recording.mesh, youngs)
+    return {
+        "r": got["pearson"],
+        "ssim": got["ssim"],
+        "position_error_mm": got["position_error_mm"],
+        "center_mm": None if found is None else [round(float(x), 2) for x in found.center_mm],
+    }
+
+
+def table(name: str, figures: dict[str, Any]) -> list[str]:
+    """The session as Markdown."""
+    rows = [
+        f"| {row['press']}{' (at rest)' if row['at_rest'] else ''} "
+        f"| {row['map_s']:.1f} | {row['map_cpu_s']:.1f} "
+        f"| {row['picture_s']:.1f} | {_seconds(row['next_s'])} | {row['iterations']} "
+        f"| {row['chi2']:.3f} | {row['r']:.3f} | {row['ssim']:.3f} "
+        f"| {_millimetres(row['position_error_mm'])} |"
+        for row in figures["presses"]
+    ]
+    live, whole = figures["live"], figures["invert"]
+    compared = [
+        f"| {label} | {seconds} | {got['r']:.3f} | {got['ssim']:.3f} "
+        f"| {_millimetres(got['position_error_mm'])} | {got['center_mm']} |"
+        for label, seconds, got in (
+            ("live, after the last press", "", live),
+            ("invert, whole", f"{whole['seconds']:.1f}", whole),
+        )
+    ]
+    return [
+        f"## {name}",
+        "",
+        "| press | map, s | processor, s | picture, s | next, s | iterations | chi2 | r | SSIM "
+        "| position, mm |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+        *rows,
+        "",
+        f"A map within {AIM_S:g} s: {figures['within_aim']:.0%} of the presses; median "
+        f"{figures['median_map_s']:.1f} s, longest {figures['longest_map_s']:.1f} s. From the same "
+        f"map `invert` would take {figures['invert_from_last_map_s']:.1f} s.",
+        "",
+        "| all presses | s | r | SSIM | position, mm | centre, mm |",
+        "|---|---|---|---|---|---|",
+        *compared,
+        "",
+        "Mean difference of the two maps' log-moduli: "
+        f"{figures['mean_difference_of_log_youngs']:.3f}.",
+        "",
+    ]
+
+
+def _seconds(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
+
+
+def _millimetres(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{value:.2f}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,260 @@
+"""An inversion to which presses are added: each time from the map and the weight of the last one.
+
+What costs the most in a first inversion is done once. The bodies and the patterns of their
+equations are kept. A press's error of the mesh is estimated when it comes, at the uniform modulus
+that fits this press best (`invert` takes the one that fits all presses, for each anew): the error
+hardly depends on the map, so it need not be estimated again. The prior's weight, whose search from
+far above takes most of the iterations, begins where the last inversion had left it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse.invert import (
+    INTERRUPTED,
+    START_MPA,
+    Settings,
+    combine,
+    make_problem,
+    result_of,
+    run_to_end,
+)
+from tactorch.inverse.model_error import ModelError, chosen, corrected, discretisation_error
+from tactorch.inverse.monitor import Monitor
+from tactorch.inverse.objective import Objective, Point
+from tactorch.inverse.optimizers import GaussNewton, NewtonCG, make_optimizer
+from tactorch.inverse.optimizers.weight import carried
+from tactorch.inverse.problem import body_of
+from tactorch.inverse.reconstruction import Reconstruction
+from tactorch.inverse.starts import Start, homogeneous, start_map
+from tactorch.inverse.uniform import uniform_fit
+from tactorch.recording import Press, Recording
+
+_WEIGHT = ("weight", "first_weight", "ended")
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """The map of all presses so far.
+
+    Attributes:
+        result: The reconstruction; its history and seconds are those of this update.
+        point: The point of the objective where it ended.
+        weight: Of the prior there.
+        settled: Whether the optimizer came to its own end, and not to the limit of an update.
+    """
+
+    result: Reconstruction
+    point: Point
+    weight: float
+    settled: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """What one update leaves to the next."""
+
+    presses: tuple[Press, ...] = ()
+    errors: tuple[tuple[Float[np.ndarray, " _"], float], ...] = ()  # offset and deviation, mm
+    youngs: Float[np.ndarray, " m"] | None = None  # MPa
+    weight: Mapping[str, float] = field(default_factory=dict)
+
+
+class GrowingInversion:
+    """Inverts presses on one object as they come.
+
+    Args:
+        about: The object: mesh, material, and what else a recording has but for its presses.
+        settings: Of the inversions. Nuisance parameters are not for it.
+        start_mpa: Where the first one starts.
+        most_iterations: Of one update: it bounds its time, and the next update goes on from there.
+    """
+
+    def __init__(
+        self,
+        about: Recording,
+        settings: Settings | None = None,
+        *,
+        start_mpa: Start = START_MPA,
+        most_iterations: int = 8,
+    ) -> None:
+        """Set up the bodies.
+
+        Raises:
+            ConfigError: a setting cannot be used.
+        """
+        self._settings = settings or Settings()
+        self._about, self._start = about, start_mpa
+        self._optimizer = _optimizer_of(self._settings, most_iterations)
+        self._limit = most_iterations
+        element, solver, newton = (
+            self._settings.element,
+            self._settings.solver,
+            self._settings.newton,
+        )
+        self._corrects = chosen(self._settings.model_error, about, element) != "none"
+        self._body = body_of(about, element, solver, newton)
+        self._finer = body_of(about, "tet10", solver, newton) if self._corrects else None
+        self._state = _State()
+
+    @property
+    def presses(self) -> tuple[Press, ...]:
+        """All presses so far."""
+        return self._state.presses
+
+    @property
+    def recording(self) -> Recording:
+        """The object with all presses so far.
+
+        Raises:
+            RecordingError: there is none yet.
+        """
+        return self._with(self._state.presses)
+
+    def add(self, presses: Sequence[Press]) -> Grown:
+        """Invert all presses so far and these, from the map before.
+
+        Where this fails, or is interrupted, everything is as before.
+
+        Raises:
+            RecordingError: a press does not fit the object.
+            ConvergenceError: no uniform map carries a press, nor does the map before.
+            KeyboardInterrupt: Ctrl-C.
+        """
+        before = self._state
+        errors = before.errors + tuple(self._error(press) for press in presses)
+        every = (*before.presses, *presses)
+        first = len(before.presses) or len(every)
+        weight = carried(dict(before.weight), len(every) / first)
+        return self._invert(every, errors, weight, self._limit)
+
+    def settle(self, most_iterations: int = 60) -> Grown:
+        """Go on with the presses that there are until the optimizer comes to its own end.
+
+        Raises:
+            RecordingError: there is no press yet.
+            KeyboardInterrupt: Ctrl-C; everything is as before.
+        """
+        now = self._state
+        weight = carried(dict(now.weight), 1.0)
+        return self._invert(now.presses, now.errors, weight, most_iterations)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return what `restore` needs beside the presses, as arrays."""
+        now = self._state
+        assert now.youngs is not None
+        offsets = [offset for offset, _ in now.errors]
+        return {
+            "youngs": now.youngs,
+            "weight": np.array([now.weight.get(name, np.nan) for name in _WEIGHT]),
+            "offsets": np.concatenate(offsets) if offsets else np.zeros(0),
+            "counts": np.array([len(offset) for offset in offsets], dtype=np.int64),
+            "deviations": np.array([deviation for _, deviation in now.errors]),
+        }
+
+    def restore(self, presses: Sequence[Press], state: Mapping[str, np.ndarray]) -> Point:
+        """Go on where `state` was taken, with the presses that there were; returns that point.
+
+        Raises:
+            ConfigError: the state is of other presses, or of another mesh.
+            ConvergenceError: the presses have no equilibrium at the map.
+        """
+        youngs, counts = state["youngs"], state["counts"]
+        m, n = self._about.mesh.n_tets, len(presses)
+        fits = youngs.shape == (m,) and len(counts) == len(state["deviations"])
+        if not fits or len(counts) != n:
+            raise ConfigError(
+                f"the state is of {len(youngs)} elements and {len(counts)} presses, not of {m} and "
+                f"{n}; start anew."
+            )
+        offsets = np.split(state["offsets"], np.cumsum(counts)[:-1]) if n else []
+        errors = tuple(zip(offsets, (float(d) for d in state["deviations"]), strict=True))
+        known = dict(zip(_WEIGHT, map(float, state["weight"]), strict=True))
+        weight = {} if np.isnan(known["weight"]) else known
+        self._state = _State(tuple(presses), errors, youngs, weight)
+        objective = self._objective(self._state.presses, errors)
+        return objective.at(objective.start(youngs))
+
+    def _with(self, presses: Sequence[Press]) -> Recording:
+        # Magnitudes are checked where presses are read: one by itself may be small.
+        return replace(self._about, presses=tuple(presses), check_units=False)
+
+    def _error(self, press: Press) -> tuple[np.ndarray, float]:
+        """What the mesh gets wrong of one press: offset and deviation, mm."""
+        problem = make_problem(self._with([press]), self._settings, self._body)
+        if not self._corrects:
+            return np.zeros(problem.n_data), 0.0
+        fit = uniform_fit(problem, self._settings.bounds)
+        found = discretisation_error(
+            problem, fit.youngs_mpa, left=self._settings.model_error_left, finer=self._finer
+        )
+        return found.offset[0], found.deviation[0]
+
+    def _objective(
+        self, presses: Sequence[Press], errors: Sequence[tuple[np.ndarray, float]]
+    ) -> Objective:
+        problem = make_problem(self._with(presses), self._settings, self._body)
+        if self._corrects:
+            corrected(problem, ModelError([e[0] for e in errors], [e[1] for e in errors]))
+        return combine(problem, self._settings)
+
+    def _invert(
+        self,
+        presses: tuple[Press, ...],
+        errors: tuple[tuple[np.ndarray, float], ...],
+        weight: dict[str, float],
+        most: int,
+    ) -> Grown:
+        objective = self._objective(presses, errors)
+        optimizer = replace(self._optimizer, max_iterations=most)
+        monitor, reason = self._run(objective, optimizer, weight)
+        if reason == INTERRUPTED:
+            raise KeyboardInterrupt
+        assert monitor.point is not None
+        found = monitor.state
+        kept = {name: found[name] for name in _WEIGHT} if "weight" in found else {}
+        self._state = _State(presses, errors, monitor.point.youngs, kept)
+        recording = objective.problem.recording
+        result = result_of(recording, self._settings, optimizer, objective, monitor, reason)
+        last = float(monitor.history[-1].get("weight", 0.0))
+        return Grown(result, monitor.point, last, not reason.endswith("limit reached"))
+
+    def _run(
+        self, objective: Objective, optimizer: GaussNewton | NewtonCG, weight: dict[str, float]
+    ) -> tuple[Monitor, str]:
+        """Run from the map before, or from a uniform one that carries all presses."""
+        bounds, before = self._settings.bounds, self._state.youngs
+        starts: list[Any] = [self._start if before is None else before, homogeneous]
+        for start in starts:
+            monitor = Monitor(max_seconds=self._settings.max_seconds, state=dict(weight))
+            x = objective.start(start_map(start, objective.problem, bounds))
+            try:
+                return monitor, run_to_end(optimizer, objective, x, monitor)
+            except ConvergenceError:
+                if start is homogeneous:
+                    raise
+                weight = {}
+        raise AssertionError  # the last start returns or raises
+
+
+def _optimizer_of(settings: Settings, most_iterations: int) -> GaussNewton | NewtonCG:
+    if settings.unknowns.size:
+        raise ConfigError(
+            "unknowns: a map that grows press by press does not know nuisance parameters; estimate "
+            "them from a recording first (tactorch invert), and give unknowns=none here."
+        )
+    if most_iterations < 1:
+        raise ConfigError(f"most_iterations={most_iterations}: give at least 1.")
+    found = settings.optimizer
+    found = make_optimizer(found) if isinstance(found, str) else found
+    if not isinstance(found, GaussNewton | NewtonCG):
+        raise ConfigError(
+            f"optimizer={found.name} starts anew with every press; choose gauss_newton, or "
+            "newton_cg past some ten thousand elements."
+        )
+    return found

@@ -1,0 +1,168 @@
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError, ConvergenceError, RecordingError
+from tactorch.inverse import (
+    GaussNewton,
+    GrowingInversion,
+    InverseProblem,
+    NewtonCG,
+    Settings,
+    Unknowns,
+    invert,
+)
+from tactorch.inverse.optimizers.weight import carried
+from tactorch.mesh import box_mesh
+from tactorch.metrics import scores
+from tactorch.phantoms import make_phantom
+from tactorch.recording import Recording
+from tactorch.simulation import PressPlan, simulate
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Recording:
+    """Six presses on a cube of 320 tetrahedra, from a finer mesh, with noise."""
+    ball = make_phantom("cube_sphere", radius=0.3)
+    return simulate(
+        ball,
+        PressPlan(("z+", "x+", "y-"), (0.01, 0.02)),
+        mesh=box_mesh(10.0, 4, tets_per_cell=5),
+        fine_mesh=box_mesh(10.0, 5, tets_per_cell=5),
+        snr_db=40,
+        samples=4,
+    )
+
+
+@pytest.fixture(scope="module")
+def grown(noisy: Recording) -> tuple[GrowingInversion, list[Any]]:
+    growing = GrowingInversion(noisy, most_iterations=6)
+    return growing, [growing.add([press]) for press in noisy.presses]
+
+
+def test_after_the_last_press_the_map_is_as_good_as_that_of_a_whole_inversion(
+    noisy: Recording, grown: tuple[GrowingInversion, list[Any]]
+) -> None:
+    growing, updates = grown
+    whole = invert(noisy)
+    got, wanted = (
+        scores(noisy.mesh, youngs, noisy.truth)
+        for youngs in (updates[-1].result.youngs, whole.youngs)
+    )
+    assert got["pearson"] > wanted["pearson"] - 0.05
+    assert got["ssim"] > wanted["ssim"] - 0.1
+    assert updates[-1].result.history[-1]["chi2"] < 1.02
+    assert np.abs(np.log(updates[-1].result.youngs / whole.youngs)).mean() < 0.15
+    # Of two weights that fit the data to their noise the whole one's search ends nearby.
+    assert 0.3 < updates[-1].weight / whole.history[-1]["weight"] < 3.0
+    assert growing.recording.presses == noisy.presses
+
+
+def test_an_update_takes_no_more_iterations_than_it_may(
+    noisy: Recording, grown: tuple[GrowingInversion, list[Any]]
+) -> None:
+    assert max(found.result.iterations for found in grown[1]) <= 6
+    assert invert(noisy).iterations > 6
+
+
+def test_the_error_of_the_mesh_is_estimated_once_a_press(
+    noisy: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts: list[int] = []
+    original = InverseProblem.evaluate
+
+    def evaluate(self: InverseProblem, *arguments: Any, **others: Any) -> Any:
+        if self.body.discretisation.element.name == "tet10":
+            counts.append(len(self.recording.presses))
+        return original(self, *arguments, **others)
+
+    monkeypatch.setattr(InverseProblem, "evaluate", evaluate)
+    growing = GrowingInversion(noisy, most_iterations=1)
+    for press in noisy.presses[:3]:
+        growing.add([press])
+    assert counts == [1, 1, 1]
+
+
+def test_a_restored_one_goes_on_as_if_nothing_had_been(noisy: Recording) -> None:
+    one = GrowingInversion(noisy, most_iterations=3)
+    one.add(noisy.presses[:2])
+    two = GrowingInversion(noisy, most_iterations=3)
+    point = two.restore(noisy.presses[:2], one.state())
+    np.testing.assert_allclose(point.youngs, one.state()["youngs"], rtol=1e-12)
+    a, b = (growing.add(noisy.presses[2:4]) for growing in (one, two))
+    np.testing.assert_allclose(a.result.youngs, b.result.youngs, rtol=1e-9)
+    assert a.weight == b.weight
+
+
+def test_what_fails_changes_nothing(
+    noisy: Recording, fail_evaluation: Callable[[int, BaseException], None]
+) -> None:
+    growing = GrowingInversion(noisy, most_iterations=2)
+    growing.add(noisy.presses[:1])
+    before = growing.state()
+    with pytest.raises(RecordingError, match="nodes"):
+        growing.add([replace_nodes(noisy.presses[1])])
+    heavy = replace(noisy.presses[1], forces=1e4 * noisy.presses[1].forces)
+    with pytest.raises(ConvergenceError):
+        growing.add([heavy])
+    fail_evaluation(8, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        growing.add([noisy.presses[1]])
+    assert len(growing.presses) == 1
+    for name, values in growing.state().items():
+        np.testing.assert_array_equal(values, before[name])
+
+
+def replace_nodes(press: Any) -> Any:
+    """The press over one node less."""
+    names = ("forces", "observed", "displacement", "springs", "fixed", "prescribed")
+    return replace(press, **{name: getattr(press, name)[1:] for name in names})
+
+
+def test_settling_ends_where_the_optimizer_does(noisy: Recording) -> None:
+    growing = GrowingInversion(noisy, most_iterations=1)
+    assert not growing.add(noisy.presses[:2]).settled
+    assert growing.settle().settled
+
+
+def test_a_weight_without_end_is_not_carried_on() -> None:
+    state = {"weight": 1e18, "first_weight": 2.0, "ended": 1.0}
+    assert carried(state, 1.5) == {"weight": 300.0, "first_weight": 3.0, "ended": 1.0}
+    assert carried({**state, "weight": 4.0}, 1.5)["weight"] == 4.0
+    assert carried({}, 2.0) == {}
+    assert carried({**state, "ended": 2.0}, 2.0) == {}  # the prior was exhausted
+
+
+def test_newton_cg_and_data_of_the_same_model_go_too(recording: Recording) -> None:
+    growing = GrowingInversion(recording, Settings(optimizer=NewtonCG(), model_error="none"))
+    for press in recording.presses:
+        found = growing.add([press])
+    assert found.result.history[-1]["chi2"] < found.result.history[0]["chi2"] * 1.01
+    again = GrowingInversion(recording, Settings(optimizer=NewtonCG(), model_error="none"))
+    point = again.restore(recording.presses, growing.state())
+    np.testing.assert_allclose(point.youngs, found.result.youngs, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("settings", "most", "words"),
+    [
+        (Settings(unknowns=Unknowns(poisson=0.02)), 3, "unknowns"),
+        (Settings(optimizer="tnc"), 3, "optimizer=tnc"),
+        (Settings(optimizer=GaussNewton()), 0, "most_iterations=0"),
+    ],
+)
+def test_settings_that_it_cannot_use_are_refused(
+    recording: Recording, settings: Settings, most: int, words: str
+) -> None:
+    with pytest.raises(ConfigError, match=words):
+        GrowingInversion(recording, settings, most_iterations=most)
+
+
+def test_a_state_of_other_presses_is_refused(noisy: Recording) -> None:
+    growing = GrowingInversion(noisy, most_iterations=1)
+    growing.add(noisy.presses[:2])
+    with pytest.raises(ConfigError, match="start anew"):
+        GrowingInversion(noisy).restore(noisy.presses[:1], growing.state())

@@ -1,0 +1,44 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+
+from tactorch.mesh import TetMesh
+from tactorch.viz.live import live_figure, plot_live
+
+
+def test_the_next_press_is_drawn_where_it_is_and_the_inclusion_crossed(
+    cube: TetMesh, sphere_map: np.ndarray, tmp_path: Path
+) -> None:
+    pressed = np.zeros((cube.n_points, 3))
+    pressed[cube.points[:, 2] > cube.bounds[1, 2] - 1e-9, 2] = -1.0
+    low, high = cube.bounds
+    place = np.array([high[0], *(0.5 * (low + high))[1:]])
+    path = plot_live(
+        cube,
+        sphere_map,
+        tmp_path / "live.png",
+        pressed=pressed,
+        found_mm=cube.bounds.mean(axis=0),
+        next_mm=place,
+        inward=np.array([-1.0, 0.0, 0.0]),
+        radius_mm=2.0,
+    )
+    picture = imread(path)[..., :3]
+    marked = (np.abs(picture - to_rgb("#CC3399")).max(axis=-1) < 0.02).sum()
+    assert marked > 100
+    assert (np.abs(picture - to_rgb("#D55E00")).max(axis=-1) < 0.02).sum() > 200
+
+
+@pytest.mark.parametrize("following", [True, False])
+def test_without_a_suggestion_there_is_one_row(
+    cube: TetMesh, sphere_map: np.ndarray, following: bool
+) -> None:
+    place = cube.bounds[1] if following else None
+    inward = np.array([0.0, 0.0, -1.0]) if following else None
+    figure = live_figure(
+        cube, sphere_map, pressed=np.zeros((cube.n_points, 3)), next_mm=place, inward=inward
+    )
+    assert len([axes for axes in figure.axes if axes.images]) == (6 if following else 3)
