@@ -1,6 +1,7 @@
 """What a map of Young's modulus is good for: where a lump is, how deep, how sure, which shape.
 
-- `find_lumps`: the parts of a map that stand out, largest first.
+- `find_lumps`: the parts of a map that stand out, the most conspicuous first; `find_lump`: that
+  one alone.
 - `lay_under`: how deep a lump lies under what was pressed.
 - `finding_of`: lumps, depths and, with a posterior, how sure; as numbers and as text.
 - `tactorch.applications.recognition`: which of the shapes that a recognizer knows a map shows;
@@ -10,7 +11,7 @@
 from tactorch.applications.confidence import Confidence, confidence_of
 from tactorch.applications.depth import Depth, lay_under
 from tactorch.applications.finding import Finding, Lump, finding_of
-from tactorch.applications.lumps import find_lumps
+from tactorch.applications.lumps import find_lump, find_lumps
 
 __all__ = [
     "Confidence",
@@ -18,6 +19,7 @@ __all__ = [
     "Finding",
     "Lump",
     "confidence_of",
+    "find_lump",
     "find_lumps",
     "finding_of",
     "lay_under",

@@ -4,10 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import ndtr
 
+from tactorch.applications.lumps import around
 from tactorch.credibility import GaussianPosterior
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
+from tactorch.metrics.segment import Side
 
 #: Draws, and what the ends of a 90 % interval leave out on either side.
 DRAWS, _TAIL = 400, 0.05
@@ -25,13 +28,19 @@ class Confidence:
         contrast: Least and largest ratio of the moduli that 90 % of the draws hold; each is that
             of the geometric means over the volumes.
         center_deviation_mm: Standard deviation of the centre along x, y and z, (3,), mm.
-        resolution: How far the data decide the lump's moduli, 0 (the prior does) to 1.
     """
 
     probability: float
     contrast: tuple[float, float]
     center_deviation_mm: Float[np.ndarray, "3"]
-    resolution: float
+
+    def at_least(self, side: Side) -> float:
+        """Return how many times as stiff (or as soft) the lump is at least, with 95 %.
+
+        The upper end is not to be told like that: total variation draws a lump towards what
+        surrounds it, so that the true contrast is often beyond.
+        """
+        return self.contrast[0] if side == "stiff" else 1.0 / self.contrast[1]
 
 
 def confidence_of(
@@ -55,16 +64,15 @@ def confidence_of(
     x = np.clip(posterior.sample(rng, draws), *posterior.parameterization.limits)
     youngs = np.log(np.array([posterior.parameterization.youngs(row) for row in x]))
     sign = 1.0 if lump.side == "stiff" else -1.0
-    inside, near = lump.elements, _around(mesh, lump.elements)
+    inside, near = lump.elements, around(mesh, lump.elements)
     logs = _mean(mesh, youngs, inside) - _mean(mesh, youngs, ~near)
     ends = np.exp(np.quantile(logs, [_TAIL, 1.0 - _TAIL]))
     spread = float(logs.std())
-    chance = _normal_cdf(sign * float(logs.mean()) / spread) if spread > 0 else 1.0
+    chance = float(ndtr(sign * float(logs.mean()) / spread)) if spread > 0 else 1.0
     return Confidence(
         probability=chance,
         contrast=(float(ends[0]), float(ends[1])),
         center_deviation_mm=_centers(mesh, sign * youngs, near).std(axis=0),
-        resolution=float(_mean(mesh, posterior.resolution_diagonal()[None], inside)[0]),
     )
 
 
@@ -76,14 +84,6 @@ def _mean(
     return values @ weights / weights.sum()
 
 
-def _around(mesh: TetMesh, elements: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
-    """The elements and all that share a vertex with them; but never the whole body."""
-    nodes = np.zeros(mesh.n_points, dtype=bool)
-    nodes[mesh.tets[elements]] = True
-    near = nodes[mesh.tets].any(axis=1)
-    return elements if near.all() else near
-
-
 def _centers(
     mesh: TetMesh, signed: Float[np.ndarray, "n m"], near: Bool[np.ndarray, " m"]
 ) -> Float[np.ndarray, "n 3"]:
@@ -92,9 +92,3 @@ def _centers(
     excess = np.maximum(signed - background, 0.0) * (mesh.volumes * near)
     total = excess.sum(axis=1, keepdims=True)
     return excess @ mesh.centroids / np.maximum(total, 1e-300)
-
-
-def _normal_cdf(z: float) -> float:
-    from scipy.special import ndtr
-
-    return float(ndtr(z))

@@ -13,11 +13,11 @@ from tactorch.applications.lumps import find_lumps
 from tactorch.credibility import GaussianPosterior
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
+from tactorch.metrics.segment import Side
 from tactorch.recording import Recording
 
 #: Chances up to which a lump is called likely, and below which it is not believed.
 _SURE, _DOUBTFUL = 0.99, 0.9
-_UNDECIDED = 0.1  # resolution below which the prior, not the data, has decided
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,6 @@ class Lump:
                 "probability": sure.probability,
                 "contrast_90": list(sure.contrast),
                 "center_deviation_mm": [float(x) for x in sure.center_deviation_mm],
-                "resolution": sure.resolution,
             }
         return values
 
@@ -157,17 +156,15 @@ def _extent(mesh: TetMesh, found: Inclusion) -> Float[np.ndarray, "3"]:
     return 2.0 * np.sqrt(5.0 * moments)
 
 
-def _certainty(sure: Confidence, side: str) -> str:
-    low, high = sure.contrast if side == "stiff" else (1 / sure.contrast[1], 1 / sure.contrast[0])
+def _certainty(sure: Confidence, side: Side) -> str:
     deviation = float(np.linalg.norm(sure.center_deviation_mm))
     said = (
-        f"By noise and prior it is there with {_percent(sure.probability)}, {low:.2g} to {high:.2g}"
-        f" times (90 %), its centre known to {deviation:.2g} mm."
+        f"By noise and prior it is there with {_percent(sure.probability)}, at least"
+        f" {sure.at_least(side):.2g} times as {side} (95 %), its centre known to"
+        f" {deviation:.2g} mm."
     )
     if sure.probability < _DOUBTFUL:
         return f"{said} Do not believe it without more presses."
-    if sure.resolution < _UNDECIDED:
-        return f"{said} The prior has decided much of it; press nearer to it."
     return said if sure.probability >= _SURE else f"{said} More presses would settle it."
 
 

@@ -73,6 +73,11 @@ def find_lumps(
     return [lump for lump in ordered if _strength(lump) > _FAINT * _strength(ordered[0])]
 
 
+def find_lump(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> Inclusion | None:
+    """Find the most conspicuous of `find_lumps`; None where nothing stands out."""
+    return next(iter(find_lumps(mesh, youngs, most=1)), None)
+
+
 def threshold(mesh: TetMesh, youngs: Float[np.ndarray, " m"], side: Side) -> Bool[np.ndarray, " m"]:
     """Return the elements that stand out on one side; none where nothing does."""
     sign = 1.0 if side == "stiff" else -1.0
@@ -123,12 +128,13 @@ def _regions(
 ) -> list[Inclusion]:
     """The face-connected parts of a mask that are large enough."""
     found, least = [], least_share * float(mesh.volumes.sum())
+    sign = 1.0 if side == "stiff" else -1.0
     for elements in _parts(mesh, mask):
         volume = float(mesh.volumes[elements].sum())
         if volume >= least:
             found.append(
                 Inclusion(
-                    center_mm=volume_mean(mesh, mesh.centroids, elements),
+                    center_mm=_center(mesh, sign * np.log(youngs / background), elements),
                     volume_mm3=volume,
                     equivalent_radius_mm=float(np.cbrt(3 * volume / (4 * np.pi))),
                     mean_mpa=float(volume_mean(mesh, youngs, elements)),
@@ -138,6 +144,26 @@ def _regions(
                 )
             )
     return found
+
+
+def _center(
+    mesh: TetMesh, above: Float[np.ndarray, " m"], elements: Bool[np.ndarray, " m"]
+) -> Float[np.ndarray, "3"]:
+    """Centroid of a part and what touches it, by how far each element stands out.
+
+    So elements that the boundary cuts count for what is within, and the centre does not jump by
+    half an element where one passes the threshold.
+    """
+    weights = np.maximum(above, 0.0) * mesh.volumes * around(mesh, elements)
+    return weights @ mesh.centroids / weights.sum()
+
+
+def around(mesh: TetMesh, elements: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+    """Return the elements and all that share a vertex with them; but never the whole body."""
+    nodes = np.zeros(mesh.n_points, dtype=bool)
+    nodes[mesh.tets[elements]] = True
+    near = nodes[mesh.tets].any(axis=1)
+    return elements if near.all() else near
 
 
 def _parts(mesh: TetMesh, mask: Bool[np.ndarray, " m"]) -> list[Bool[np.ndarray, " m"]]:

@@ -120,7 +120,7 @@ _NAMES_OF: dict[Kind, str] = {
         max_trials workers max_epochs splits hidden layers voxels batch split patience
         width encoded cells held_out folds rounds reference_frames most_frames pictures
         least_frames divisions tnc_evaluations places epochs candidates
-        most_at_once most_iterations max_presses
+        most_at_once most_iterations max_presses most
     """,
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor
@@ -129,7 +129,7 @@ _NAMES_OF: dict[Kind, str] = {
     """,
     _PATH: """
         path out recording run run_dir resume folder weights
-        sensor images reference labels calibration frames poses replay
+        sensor images reference labels calibration frames poses replay recognizer
     """,
     _POINT: "center size radii axis size_mm origin_mm",
     _FLAG: "plots check_units retry_failed card augment video backward uncertainty",
@@ -154,7 +154,7 @@ _OPTIONAL = """
     patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume
     unknowns.poisson force_scale rest_scale translation_mm rotation_rad
     edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
-    dataset.presses.load dataset.poisson weights
+    dataset.presses.load dataset.poisson weights recognizer
     reference labels mm_per_px marker_diameter_px held_out folds most_frames object.depth_mm
     idle_seconds max_presses replay suggest.radius_mm
 """

@@ -13,6 +13,7 @@ VERBS = {
     "import": "turn files of others into a recording",
     "invert": "reconstruct the map of Young's modulus from a recording",
     "live": "follow a recording that grows: the map after each press, and where to press next",
+    "find": "what a map shows: lumps, how deep, how sure, of which shape",
     "evaluate": "score a reconstruction against the truth",
     "report": "one HTML file that shows what a run has found, or several side by side",
     "generate": "make a dataset of simulated presses on random objects",
@@ -36,7 +37,7 @@ GROUPS = {
     },
 }
 #: Verbs whose first argument may be a value alone, and the setting that it is.
-POSITIONAL = {"reproduce": "exhibit"}
+POSITIONAL = {"find": "run", "reproduce": "exhibit"}
 #: Verbs that are no Hydra apps: they have no file of settings.
 PLAIN = ("doctor", "completion")
 #: All that can be given settings, as typed.
@@ -74,7 +75,9 @@ def _dispatch(arguments: list[str] | None) -> None:
 
     verb, settings = given[0], given[1:]
     if verb in POSITIONAL and settings and settings[0][:1] != "-" and "=" not in settings[0]:
-        settings[0] = f"{POSITIONAL[verb]}={settings[0]}"
+        from tactorch.cli.positional import quoted
+
+        settings[0] = f"{POSITIONAL[verb]}={quoted(settings[0])}"
     if verb not in VERBS:
         fail(_no_command(verb))
     if verb == "report":

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.applications import find_lump
 from tactorch.cli.logs import tell
 from tactorch.cli.settings import log
 from tactorch.cli.tables import Table
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
 from tactorch.inverse import NuisanceEstimate, Reconstruction
-from tactorch.metrics import Inclusion, find_inclusion, scores
+from tactorch.metrics import Inclusion, scores
 from tactorch.recording import Recording
 
 History = Sequence[Mapping[str, Any]]
@@ -85,7 +86,7 @@ def write_outputs(
     """Write map, pictures, summary and text; print the text; returns the summary."""
     reconstruction.save(out / "reconstruction.h5")
     reconstruction.write_vtu(out / "reconstruction.vtu", recording.truth)
-    inclusion = find_inclusion(recording.mesh, reconstruction.youngs)
+    inclusion = find_lump(recording.mesh, reconstruction.youngs)
     summary = summarise(recording, reconstruction, inclusion, source)
     write_json(out / "summary.json", summary)
     maps = {"reconstruction": reconstruction.youngs}
@@ -172,7 +173,7 @@ def describe(
             " noise that is stated: give noise.mm larger, or estimate what is wrong (unknowns)."
         )
     if recording.truth is not None:
-        true = find_inclusion(recording.mesh, recording.truth)
+        true = find_lump(recording.mesh, recording.truth)
         if true is not None and inclusion is not None:
             lines.append("In truth: " + finding(true, float(np.median(recording.truth))))
     return "\n".join((*lines, *(f"\n{table.text()}" for table in tables)))

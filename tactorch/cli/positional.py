@@ -9,13 +9,13 @@ def with_runs(settings: Sequence[str]) -> list[str]:
     while count < len(settings) and "=" not in settings[count] and settings[count][:1] != "-":
         count += 1
     bare, rest = settings[:count], list(settings[count:])
-    named = [f"run={_quoted(path)}" for path in bare[:1]]
+    named = [f"run={quoted(path)}" for path in bare[:1]]
     if len(bare) > 1:
-        named.append(f"compare=[{','.join(map(_quoted, bare[1:]))}]")
+        named.append(f"compare=[{','.join(map(quoted, bare[1:]))}]")
     return [*named, *rest]
 
 
-def _quoted(path: str) -> str:
+def quoted(path: str) -> str:
     """Return a path as Hydra takes any text."""
     escaped = path.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"

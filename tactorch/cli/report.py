@@ -1,17 +1,14 @@
 """`tactorch report`."""
 
-from dataclasses import replace
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
+from omegaconf import DictConfig
 
 from tactorch.cli.progress import progress
-from tactorch.cli.settings import inversion_of, log, plain, start_of
-from tactorch.errors import ConfigError, TactorchError
-from tactorch.plain import plain as plain_values
-from tactorch.viz.report import Run, is_complete, load_run, names_of, write_report
+from tactorch.cli.runs import with_settings
+from tactorch.cli.settings import log, plain
+from tactorch.errors import ConfigError
+from tactorch.viz.report import load_run, names_of, write_report
 
 
 def run(cfg: DictConfig) -> Path:
@@ -36,7 +33,7 @@ def run(cfg: DictConfig) -> Path:
                 one.name,
                 one.missing,
             )
-    runs = [_with_settings(one) for one in runs]
+    runs = [with_settings(one) for one in runs]
     seen = [one for one in runs if one.recording is not None]
     if cfg.uncertainty and seen:
         log.info(
@@ -56,21 +53,3 @@ def run(cfg: DictConfig) -> Path:
         write_report(runs, out, uncertainty=cfg.uncertainty, colours=str(cfg.colours), tell=told)
     log.info("report: %s (%.1f MB)", out, out.stat().st_size / 1e6)
     return out
-
-
-def _with_settings(run: Run) -> Run:
-    """Complete a run whose prior was about a surrogate's map, by foretelling that map again."""
-    path = run.folder / ".hydra" / "config.yaml"
-    if is_complete(run.found.config) or run.recording is None or not path.is_file():
-        return run
-    try:
-        cfg = OmegaConf.load(path)
-        assert isinstance(cfg, DictConfig)
-        settings = start_of(cfg, inversion_of(cfg), run.recording)[1]
-    except (OmegaConfBaseException, TactorchError, YAMLError) as error:
-        log.warning("%s: the settings in '%s' cannot be used (%s)", run.name, path, error)
-        return run
-    if plain_values(settings.prior) != run.found.config["settings"]["prior"]:
-        log.warning("%s: the surrogate foretells another map than it did for this run", run.name)
-        return run
-    return replace(run, settings=settings)

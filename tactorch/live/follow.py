@@ -9,12 +9,13 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from tactorch.applications import find_lump
 from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
 from tactorch.inverse import START_MPA, GrowingInversion, Grown, Settings, Start
 from tactorch.live.source import Arrival, Source
 from tactorch.live.store import RESULT, Store, history_of
 from tactorch.live.suggest import Suggester, Suggestion
-from tactorch.metrics import Inclusion, find_inclusion
+from tactorch.metrics import Inclusion
 from tactorch.plain import plain
 from tactorch.recording import Recording
 
@@ -269,7 +270,7 @@ class Follower:
         growing = self._growing
         assert growing is not None
         result, recording = found.result, growing.recording
-        inclusion = find_inclusion(recording.mesh, result.youngs)
+        inclusion = find_lump(recording.mesh, result.youngs)
         entry = {
             "press": len(self._done),
             "names": names,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from tactorch.applications import Confidence, confidence_of, find_lump
 from tactorch.credibility import credibility
 from tactorch.credibility.trust import posterior_at
 from tactorch.errors import TactorchError
@@ -35,6 +36,7 @@ class Belief:
         resolution: Share of the data in each modulus: near 1 they decide, near 0 the prior, (m,).
         at_bound: Where the map lies at a bound of the moduli, which cuts the interval off, (m,).
         kind: Class of the posterior.
+        sure: Of what stands out of the map; None where nothing does.
     """
 
     credibility: Float[np.ndarray, " m"]
@@ -43,6 +45,7 @@ class Belief:
     resolution: Float[np.ndarray, " m"]
     at_bound: Bool[np.ndarray, " m"]
     kind: str
+    sure: Confidence | None = None
 
     @property
     def spread(self) -> Float[np.ndarray, " m"]:
@@ -128,7 +131,9 @@ def _believed(run: Run, recording: Recording, tell: Tell) -> tuple[Belief, list[
     lower, upper = posterior.parameterization.limits
     edge = _AT_BOUND * (upper - lower)
     at_bound = (point.elements < lower + edge) | (point.elements > upper - edge)
-    belief = Belief(felt, low, high, resolution, at_bound, type(posterior).__name__)
+    lump = find_lump(recording.mesh, run.found.youngs)
+    sure = None if lump is None else confidence_of(recording.mesh, lump, posterior)
+    belief = Belief(felt, low, high, resolution, at_bound, type(posterior).__name__, sure)
     return belief, _fits(recording, point)
 
 

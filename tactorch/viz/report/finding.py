@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tactorch.metrics import Inclusion, find_inclusion
+from tactorch.applications import Confidence, find_lump
+from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 from tactorch.viz.report.belief import Judgement
 from tactorch.viz.report.runs import Run
@@ -53,7 +54,7 @@ class Finding:
 def finding(run: Run, judged: Judgement) -> Finding:
     """Say what a run has found and how far to believe it."""
     mesh = run.found.mesh
-    inclusion = find_inclusion(mesh, run.found.youngs)
+    inclusion = find_lump(mesh, run.found.youngs)
     fit = math.sqrt(float(run.summary.get("chi2", math.nan)))
     fitted = Fact(
         "Fit", f"{fit:.2g} SD", "of the displacements' noise; near 1 or less is a good fit"
@@ -107,25 +108,26 @@ def _facts(run: Run, judged: Judgement, inclusion: Inclusion) -> list[Fact]:
     ]
     if judged.belief is None:
         return [*facts, Fact("How sure", "not told", "the uncertainty was not computed")]
-    share = _apart(run, inclusion, judged.belief.low, judged.belief.high)
+    if judged.belief.sure is None:
+        return [*facts, Fact("How sure", "not told", "the uncertainty was not computed")]
+    return [*facts, _sureness(inclusion, judged.belief.sure)]
+
+
+def _sureness(inclusion: Inclusion, sure: Confidence) -> Fact:
+    chance = 100 * sure.probability
     kind = "stiffer" if inclusion.side == "stiff" else "softer"
-    note = (
-        f"of its volume is {kind} than its surroundings with 95 % confidence, each part by itself"
+    apart = float(np.linalg.norm(sure.center_deviation_mm))
+    return Fact(
+        "How sure",
+        "over 99.9 %" if chance > 99.9 else f"{chance:.3g} %",
+        f"that it is {kind} than what surrounds it, by noise and prior: at least"
+        f" {sure.at_least(inclusion.side):.2g} times (95 %); its centre is known to {apart:.2g} mm",
     )
-    return [*facts, Fact("How sure", f"{100 * share:.0f} %", note)]
 
 
 def _mpa(value: float) -> str:
     """Two digits, also where the second is a 0."""
     return f"{value:#.2g}".rstrip(".") + " MPa"
-
-
-def _apart(run: Run, inclusion: Inclusion, low: np.ndarray, high: np.ndarray) -> float:
-    """Share of an inclusion's volume whose interval leaves the background out."""
-    there, volumes = inclusion.elements, run.found.mesh.volumes
-    level = inclusion.background_mpa
-    apart = low > level if inclusion.side == "stiff" else high < level
-    return float(volumes[there & apart].sum() / volumes[there].sum())
 
 
 def _depth(run: Run, inclusion: Inclusion) -> tuple[float, str]:

@@ -64,10 +64,11 @@ def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
     x, _, z = told.inclusion.center_mm
     assert told.facts[0].value == f"{min(10 - x, 10 - z):.1f} mm deep"
     sure = next(fact for fact in told.facts if fact.label == "How sure")
-    there, volumes = told.inclusion.elements, run.found.mesh.volumes
     assert judged.belief is not None
-    above = there & (judged.belief.low > told.inclusion.background_mpa)
-    assert sure.value == f"{100 * volumes[above].sum() / volumes[there].sum():.0f} %"
+    stated = judged.belief.sure
+    assert stated is not None
+    assert sure.value == "over 99.9 %" or sure.value == f"{100 * stated.probability:.3g} %"
+    assert f"at least {stated.contrast[0]:.2g} times" in sure.note
 
 
 def test_an_alarm_stands_before_the_finding(run_folder: Path, tmp_path: Path) -> None:
