@@ -63,7 +63,12 @@ def find_lumps(
     sides: tuple[Side, ...] = ("stiff", "soft") if side is None else (side,)
     outstanding = {kind: threshold(mesh, youngs, kind) for kind in sides}
     plain = ~np.any(list(outstanding.values()), axis=0)
-    background = float(volume_mean(mesh, youngs, plain))
+    # A map without a level of its own, such as noise, may be stiff here and soft there alone.
+    background = (
+        float(volume_mean(mesh, youngs, plain))
+        if plain.any()
+        else weighted_median(youngs, mesh.volumes)
+    )
     found = [
         lump
         for kind, mask in outstanding.items()

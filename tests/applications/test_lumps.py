@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tactorch.applications import find_lumps, finding_of, lay_under
 from tactorch.errors import ConfigError, MeshError
@@ -72,6 +74,35 @@ def test_specks_are_left_out():
 def test_nothing_is_found_in_a_uniform_body():
     assert find_lumps(MESH, np.full(MESH.n_tets, 0.2)) == []
     assert "No lump" in finding_of(recording(), np.full(MESH.n_tets, 0.2)).text()
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 10_000),
+    spread=st.floats(0.0, 4.0),
+    kept=st.sampled_from([1, 2, 50, MESH.n_tets]),
+    level=st.floats(1e-3, 1e2),
+)
+def test_whatever_the_map_the_lumps_are_parts_that_stand_out(seed, spread, kept, level):
+    rng = np.random.default_rng(seed)
+    logs = spread * rng.standard_normal(MESH.n_tets)
+    logs[rng.permutation(MESH.n_tets)[kept:]] = 0.0
+    youngs = level * np.exp(logs)
+    lumps = find_lumps(MESH, youngs)
+    assert len(lumps) <= 5
+    taken = np.zeros(MESH.n_tets)
+    for lump in lumps:
+        taken += lump.elements
+        assert (lump.contrast > 1) == (lump.side == "stiff")
+        assert np.all(lump.center_mm >= 0)
+        assert np.all(lump.center_mm <= 10)
+        assert lump.volume_mm3 == pytest.approx(MESH.volumes[lump.elements].sum())
+    assert taken.max(initial=0) <= 1
+    # Another unit of the modulus changes nothing but the moduli.
+    again = find_lumps(MESH, 3.0 * youngs)
+    assert [np.flatnonzero(a.elements).tolist() for a in again] == [
+        np.flatnonzero(b.elements).tolist() for b in lumps
+    ]
 
 
 def test_bad_input_is_refused():

@@ -715,7 +715,7 @@ def test_killed_while_saving_leaves_the_old_file_whole(
 ) -> None:
     before = recording.read_bytes()
     die = "lambda *_: os.kill(os.getpid(), signal.SIGKILL)"
-    where = {"write": "storage._write_press", "rename": "files.os.replace"}[moment]
+    where = {"write": "storage.write_press", "rename": "files.os.replace"}[moment]
     code = (
         "import os, signal, sys\n"
         "import tactorch.files as files, tactorch.recording.storage as storage\n"

@@ -9,6 +9,19 @@ import pytest
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two presses from above, which leave places to press next beside what it stands on."""
+    from tactorch import PressPlan, make_phantom, simulate
+    from tactorch.mesh import box_mesh
+
+    plan = PressPlan(("z+",), (0.005, 0.01))
+    path = tmp_path_factory.mktemp("live") / "case.h5"
+    simulate(make_phantom("cube_sphere", radius=0.3), plan, mesh=box_mesh(10.0, 3)).save(path)
+    return path
+
+
 QUICK = ("pause_seconds=0", "poll_seconds=0.01", "most_iterations=2", "suggest.candidates=4")
 
 
