@@ -31,18 +31,11 @@ from typing import Any
 import numpy as np
 from machine import describe_machine
 
-from tactorch.credibility import credibility, layer_profile
-from tactorch.inverse import InverseProblem
 from tactorch.mesh import TetMesh, box_mesh
-from tactorch.phantoms import make_phantom
-from tactorch.recording import MaterialSpec
-from tactorch.simulation import PressPlan, simulate
+from tactorch.reproduce.credibility import PRESSURES_MPA, YOUNGS_MPA, metric, profile
 from tactorch.viz.credibility import plot_depths
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
-YOUNGS_MPA = (5.0, 7.5, 10.0)
-PRESSURES_MPA = (0.06, 0.10, 0.14)
-POISSON = 0.45
 
 Key = tuple[float, float]  # Young's modulus, pressure; MPa
 
@@ -69,24 +62,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.out is not None:
         _write(options.out, lines, report, mesh, maps, profiles)
     print(json.dumps(report))
-
-
-def metric(mesh: TetMesh, youngs_mpa: float, pressure_mpa: float) -> np.ndarray:
-    """Return L of each element of the homogeneous cube, mm/MPa."""
-    side = float(mesh.bounds[1, 2])
-    recording = simulate(
-        make_phantom("uniform_cube", side_mm=side, youngs_mpa=youngs_mpa),
-        PressPlan(("z+",), (pressure_mpa,)),
-        mesh=mesh,
-        material=MaterialSpec("neo_hookean", POISSON),
-    )
-    evaluation = InverseProblem(recording).evaluate(np.full(mesh.n_tets, youngs_mpa))
-    return credibility(evaluation).values
-
-
-def profile(mesh: TetMesh, values: np.ndarray, layers: int) -> np.ndarray:
-    """Return the sum of a metric over each layer, the top one first."""
-    return layer_profile(mesh, values / mesh.volumes, 2, layers)[1][::-1]
 
 
 def trends(profiles: dict[Key, np.ndarray]) -> dict[str, Any]:

@@ -79,18 +79,21 @@ CELLS = {
 }
 
 
+def plan_of(cell: Cell) -> PressPlan:
+    """Return the presses of one cell."""
+    faces = SIDES[: cell.sides]
+    return PressPlan.ramp(faces=faces, p_max_mpa=cell.p_max_kpa * _KPA, steps=cell.frames)
+
+
 def record(
     model: str, cell: Cell, *, same_mesh: bool, relative_edge_length: float = 0.1
 ) -> Recording:
     """Simulate the presses of one cell."""
     phantom = make_phantom(MODELS[model])
-    plan = PressPlan.ramp(
-        faces=SIDES[: cell.sides], p_max_mpa=cell.p_max_kpa * _KPA, steps=cell.frames
-    )
     fine = _FINER * relative_edge_length
     return simulate(
         phantom,
-        plan,
+        plan_of(cell),
         material=MATERIAL,
         mesh=phantom.mesh(relative_edge_length=relative_edge_length),
         fine_mesh=None if same_mesh else phantom.mesh(relative_edge_length=fine),
