@@ -68,7 +68,8 @@ def typed(line: str) -> list[str]:
 
 
 def _candidates(before: Sequence[str], current: str) -> Iterator[Candidate]:
-    from tactorch.cli.main import COMMANDS, GROUPS, POSITIONAL, VERBS
+    from tactorch.cli.main import COMMANDS, GROUPS, VERBS
+    from tactorch.cli.positional import POSITIONAL
 
     if not before:
         yield from (Candidate(*pair) for pair in VERBS.items())
@@ -88,7 +89,7 @@ def _candidates(before: Sequence[str], current: str) -> Iterator[Candidate]:
         yield from _settings(f"{verb} {given[0]}", given[1:], current)
     elif verb in COMMANDS:
         if verb in POSITIONAL and not given and "=" not in current:
-            yield from _values(Catalog(verb), given, POSITIONAL[verb], current)
+            yield from _values(Catalog(verb), given, POSITIONAL[verb].first, current)
         yield from _settings(verb, given, current)
 
 

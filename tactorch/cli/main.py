@@ -36,8 +36,6 @@ GROUPS = {
         "record": "frames and poses of a session into a recording, to invert",
     },
 }
-#: Verbs whose first argument may be a value alone, and the setting that it is.
-POSITIONAL = {"find": "run", "reproduce": "exhibit"}
 #: Verbs that are no Hydra apps: they have no file of settings.
 PLAIN = ("doctor", "completion")
 #: All that can be given settings, as typed.
@@ -72,22 +70,15 @@ def _dispatch(arguments: list[str] | None) -> None:
         print("  ".join(f"{name} {version}" for name, version in versions().items()))
         return
     from tactorch.cli.app import fail, run_app
+    from tactorch.cli.positional import named
 
     verb, settings = given[0], given[1:]
-    if verb in POSITIONAL and settings and settings[0][:1] != "-" and "=" not in settings[0]:
-        from tactorch.cli.positional import quoted
-
-        settings[0] = f"{POSITIONAL[verb]}={quoted(settings[0])}"
     if verb not in VERBS:
         fail(_no_command(verb))
-    if verb == "report":
-        from tactorch.cli.positional import with_runs
-
-        settings = with_runs(settings)
     if verb in PLAIN:
         _run_plain(verb, settings)
     elif verb not in GROUPS:
-        run_app(verb, settings)
+        run_app(verb, named(verb, settings))
     elif not settings or settings[0] in _HELP:
         print(_usage_of(verb))
     elif settings[0] in GROUPS[verb]:

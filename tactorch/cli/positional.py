@@ -1,21 +1,46 @@
-"""Runs that are named without KEY=, as in `tactorch report runs/a runs/b`."""
+"""Values that are given without KEY=, as in `tactorch report runs/a runs/b`."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 
-def with_runs(settings: Sequence[str]) -> list[str]:
-    """Return settings in which bare paths in front have become `run=` and `compare=`."""
-    count = 0
-    while count < len(settings) and "=" not in settings[count] and settings[count][:1] != "-":
+class Place(NamedTuple):
+    """What bare values in front of a command's settings are: the first, and a list of others."""
+
+    first: str
+    others: str = ""
+
+
+POSITIONAL = {
+    "find": Place("run"),
+    "report": Place("run", "compare"),
+    "reproduce": Place("exhibit"),
+}
+
+
+def named(verb: str, settings: Sequence[str]) -> list[str]:
+    """Return the settings with those in front that lack a key under the key that they belong to.
+
+    Where a command takes no more of them, they stay as they are, and are complained of as such.
+    """
+    if verb not in POSITIONAL:
+        return list(settings)
+    place, count = POSITIONAL[verb], 0
+    most = len(settings) if place.others else 1
+    while count < min(most, len(settings)) and _is_bare(settings[count]):
         count += 1
     bare, rest = settings[:count], list(settings[count:])
-    named = [f"run={quoted(path)}" for path in bare[:1]]
+    found = [f"{place.first}={_quoted(value)}" for value in bare[:1]]
     if len(bare) > 1:
-        named.append(f"compare=[{','.join(map(quoted, bare[1:]))}]")
-    return [*named, *rest]
+        found.append(f"{place.others}=[{','.join(map(_quoted, bare[1:]))}]")
+    return [*found, *rest]
 
 
-def quoted(path: str) -> str:
+def _is_bare(word: str) -> bool:
+    return "=" not in word and word[:1] != "-"
+
+
+def _quoted(path: str) -> str:
     """Return a path as Hydra takes any text."""
     escaped = path.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"

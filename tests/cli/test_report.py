@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tactorch.cli.positional import with_runs
+from tactorch.cli.positional import named
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,13 @@ from tactorch.cli.positional import with_runs
     ],
 )
 def test_bare_paths_become_settings(given: list[str], taken: list[str]) -> None:
-    assert with_runs(given) == taken
+    assert named("report", given) == taken
+
+
+def test_commands_that_take_one_value_alone_take_no_more() -> None:
+    assert named("reproduce", ["table1", "size=full"]) == ["exhibit='table1'", "size=full"]
+    assert named("find", ["a", "b"]) == ["run='a'", "b"]
+    assert named("invert", ["a.h5"]) == ["a.h5"]
 
 
 def test_a_run_is_told_in_a_file_beside_it(tactorch: Any, finished_run: Path) -> None:

@@ -17,6 +17,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from tactorch.cli.catalog import Catalog, app_name, conf_folder
 from tactorch.cli.kinds import check_settings
 from tactorch.cli.main import COMMANDS, VERBS
+from tactorch.cli.positional import named
 
 from .blocks import DOCS, LANGUAGES, README, ROOT, Block, blocks, commands, pages
 
@@ -138,7 +139,8 @@ def check_tactorch(words: list[str]) -> None:
     assert verb in (*COMMANDS, *VERBS), f"tactorch {verb}"
     if verb not in COMMANDS:
         return
-    given = [word for word in words[len(verb.split()) :] if word not in ("-m", "--help")]
+    typed = named(verb, words[len(verb.split()) :])
+    given = [word for word in typed if word not in ("-m", "--help")]
     for settings in zip(*combinations(given), strict=True):
         cfg = compose(app_name(verb), list(settings))
         if any(word.startswith("resume=") for word in settings):
