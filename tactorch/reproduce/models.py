@@ -109,12 +109,13 @@ def _figures(
 
 def table1(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path) -> str:
     """Write Table I: the paper, its method here, and ours."""
-    heads = ["s / iteration: paper", "TNC here"]
+    heads = ["s / iteration: paper", "s / iteration: TNC"]
     for count in COUNTS:
-        heads += [f"SSIM at {count}: paper", "TNC here"]
-    heads += ["s to the paper's SSIM: TNC here", "ours", "ratio", "SSIM at the end: ours", "s"]
+        heads += [f"SSIM at {count}: paper", f"SSIM at {count}: TNC"]
+    heads += ["s to the paper's SSIM: TNC", "s to the paper's SSIM: ours", "ratio"]
+    heads += ["SSIM at the end: ours", "s to the end: ours"]
     table = Table(
-        ["model", "elements: paper", "here", *heads],
+        ["model", "elements: paper", "elements: here", *heads],
         [None, None, None, 2, 3, *[4] * 6, 1, 2, 0, 4, 1],
     )
     for name, outcome in outcomes.items():
@@ -172,6 +173,8 @@ def fig5(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path)
 def _maps(exhibit: str, names: Sequence[str], outcomes: Mapping[str, Outcome], out: Path) -> str:
     table = Table(["model", "method", *SCORES, "position error, mm"], [None, None, 4, 4, 2, 4, 2])
     rows: list[list[Panel]] = [[], [], []]
+    truths = np.concatenate([outcomes[name].arrays["truth"] for name in names] or [np.ones(1)])
+    limits = (float(truths.min()), float(truths.max()))
     for name in names:
         outcome = outcomes[name]
         mesh, arrays = stored_mesh(outcome.arrays), outcome.arrays
@@ -181,7 +184,6 @@ def _maps(exhibit: str, names: Sequence[str], outcomes: Mapping[str, Outcome], o
             table.add(
                 name, "ours" if method == "ours" else "TNC", *marks, found["position_error_mm"]
             )
-        limits = (float(arrays["truth"].min()), float(arrays["truth"].max()))
         rows[0].append(Panel(mesh, arrays["truth"], limits, title=f"({name[1]})"))
         for line, method in zip(rows[1:], _METHODS, strict=True):
             similar = outcome.figures[method]["scores"]["ssim"]

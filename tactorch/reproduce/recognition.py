@@ -31,10 +31,9 @@ _ALIKE, _NAMED = "similarity", "recognizer"
 def cases(options: Mapping[str, Any]) -> list[Case]:
     """Two: the truths, and the network."""
     edge = options["relative_edge_length"]
-    network = {k: v for k, v in options.items() if k != "relative_edge_length"}
     return [
         Case("recognition", _ALIKE, {"relative_edge_length": edge}),
-        Case("recognition", _NAMED, network),
+        Case("recognition", _NAMED, options),
     ]
 
 
@@ -53,11 +52,14 @@ def _alike(settings: Mapping[str, Any]) -> Outcome:
 
 def _recognizer(settings: Mapping[str, Any], scratch: Path) -> Outcome:
     data, run, judged = (scratch / name for name in ("data", "run", "judged"))
+    edge = settings["relative_edge_length"]
     _command(
         "generate",
         "dataset=recognition",
         f"dataset.count={settings['count']}",
         f"dataset.reconstruct={str(settings['reconstruct']).lower()}",
+        f"dataset.sizes.relative_edge_length={edge}",
+        f"dataset.sizes.fine_relative={edge / 2}",
         "card=false",
         f"out={data}",
         f"run_dir={scratch / 'generate'}",
