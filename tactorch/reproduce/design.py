@@ -220,7 +220,11 @@ def fig8(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path)
                 outcome = _found(outcomes, options, model, CELLS[name])[0]
                 if outcome is not None:
                     cell = CELLS[name]
-                    label = f"{cell.p_max_kpa:g} kPa" if name[0] == "p" else f"{cell.frames} frames"
+                    label = (
+                        f"{cell.p_max_kpa:g} kPa"
+                        if name[0] == "p"
+                        else f"{cell.frames} frame{'s' if cell.frames > 1 else ''}"
+                    )
                     curves[label] = _layers(outcome, options["layers"])
                     table.add(model, name, *curves[label].tolist())
             panels[f"{model}: {group}"] = curves

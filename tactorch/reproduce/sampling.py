@@ -115,7 +115,7 @@ def _panels(outcome: Outcome) -> list[Panel]:
                 mesh,
                 arrays["youngs"][count - 1],
                 limits,
-                title=f"{count} presses",
+                title=f"{count} press{'es' if count > 1 else ''}",
                 caption=f"r {similar:.2f}",
                 marks_mm=arrays["centers"][:count],
             )

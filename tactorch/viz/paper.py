@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +16,8 @@ from tactorch.viz.sampling import slice_body
 from tactorch.viz.slices import LABEL
 
 _PIXELS, _INCHES = 90, 1.55
-_BLUE, _ORANGE = "#0072B2", "#D55E00"  # told apart without red or green
+_BLUE, _ORANGE = "#0072B2", "#D55E00"  # told apart by those who do not see red from green
+_LINES = ((_BLUE, "-"), (_ORANGE, "--"), ("#009E73", "-."), ("black", ":"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,8 @@ def plot_panels(rows: Sequence[Sequence[Panel]], names: Sequence[str], path: str
         line[0].set_ylabel(name, fontsize=9)
     limits = {panel.limits for row in rows for panel in row}
     if len(limits) == 1:
-        figure.colorbar(grid[0, 0].images[0], ax=grid, label=LABEL, aspect=40, pad=0.02)
+        kept = [axes for line, row in zip(grid, rows, strict=True) for axes in line[: len(row)]]
+        figure.colorbar(kept[0].images[0], ax=kept, label=LABEL, aspect=40, pad=0.02)
     return save_figure(figure, path)
 
 
@@ -167,11 +168,11 @@ def plot_curves(
     rows = -(-len(panels) // columns)
     figure = new_figure(3.6 * columns, 2.9 * rows)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    styles: tuple[Any, ...] = ("-", "--", "-.", ":")
     for axes, (title, curves) in zip(grid.ravel(), panels.items(), strict=False):
         for i, (name, values) in enumerate(curves.items()):
             depths = (np.arange(len(values)) + 0.5) / len(values)
-            axes.plot(depths, values, styles[i % 4], marker="o", markersize=2.5, label=name)
+            colour, style = _LINES[i % len(_LINES)]
+            axes.plot(depths, values, style, color=colour, marker="o", markersize=2.5, label=name)
         axes.set_title(title, fontsize=9)
         axes.grid(True, alpha=0.3)
         axes.legend(frameon=False, fontsize=7)
