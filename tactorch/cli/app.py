@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from tactorch.cli.catalog import PACKAGE, Catalog, app_name, conf_folder
 from tactorch.cli.logs import to_log_file
-from tactorch.cli.main import INTERRUPTED
+from tactorch.cli.status import INTERRUPTED, WRONG
 from tactorch.cli.tables import is_rich
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 # What is no name in Python.
 _MODULES = {"import": "import_", "evaluate-model": "evaluate_model"}
 _DEBUG = "HYDRA_FULL_ERROR"
-#: Exit status where the input is wrong.
-WRONG = 2
 
 
 def run_app(verb: str, given: Sequence[str]) -> None:

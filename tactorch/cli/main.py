@@ -4,9 +4,9 @@ import os
 import sys
 from importlib import import_module
 
+from tactorch.cli.status import INTERRUPTED
+
 _HELP = ("-h", "--help", "help")
-#: Exit status where Ctrl-C ended the run.
-INTERRUPTED = 130
 
 VERBS = {
     "simulate": "press a phantom and record how its surface moves",
