@@ -40,14 +40,9 @@ class Lump:
         """Return plain values: mm, MPa, mm^3."""
         found, depth, sure = self.inclusion, self.depth, self.confidence
         values: dict[str, Any] = {
-            "side": found.side,
-            "center_mm": [float(x) for x in found.center_mm],
+            **found.plain(),
+            "contrast": float(found.contrast),
             "size_mm": [float(x) for x in self.size_mm],
-            "volume_mm3": found.volume_mm3,
-            "equivalent_radius_mm": found.equivalent_radius_mm,
-            "mean_mpa": found.mean_mpa,
-            "background_mpa": found.background_mpa,
-            "contrast": found.contrast,
         }
         if depth is not None:
             values |= {

@@ -120,7 +120,7 @@ def summarise(
         "presses": len(recording.presses),
         "youngs_median_mpa": float(np.median(reconstruction.youngs)),
         "volume_at_bounds": _at_bounds(recording, reconstruction),
-        "inclusion": None if inclusion is None else _inclusion(inclusion),
+        "inclusion": None if inclusion is None else inclusion.plain(),
         "nuisance": {name: found.plain() for name, found in reconstruction.nuisance.items()},
     }
     if recording.truth is not None:
@@ -137,17 +137,6 @@ def _at_bounds(recording: Recording, found: Reconstruction) -> float:
     there = (found.youngs < 1.01 * bounds["lower"]) | (found.youngs > 0.99 * bounds["upper"])
     volumes = recording.mesh.volumes
     return float(volumes[there].sum() / volumes.sum())
-
-
-def _inclusion(inclusion: Inclusion) -> dict[str, Any]:
-    return {
-        "side": inclusion.side,
-        "center_mm": [float(x) for x in inclusion.center_mm],
-        "volume_mm3": float(inclusion.volume_mm3),
-        "equivalent_radius_mm": float(inclusion.equivalent_radius_mm),
-        "mean_mpa": float(inclusion.mean_mpa),
-        "background_mpa": float(inclusion.background_mpa),
-    }
 
 
 def describe(

@@ -281,7 +281,7 @@ class Follower:
             "chi2": float(result.history[-1]["chi2"]),
             "weight": found.weight,
             "youngs_median_mpa": float(np.median(result.youngs)),
-            "inclusion": None if inclusion is None else inclusion_values(inclusion),
+            "inclusion": None if inclusion is None else inclusion.plain(),
         }
         self._history.append(entry)
         self._store.save(growing.state(), self._done, self._history)
@@ -299,17 +299,6 @@ class Follower:
         self._store.write_history(self._history)
         self._seen = Seen(seen.recording, seen.found, seen.inclusion, seen.entry, made)
         self._view.suggested(self._seen)
-
-
-def inclusion_values(inclusion: Inclusion) -> dict[str, Any]:
-    """Return what a history holds of an inclusion, mm and MPa."""
-    return {
-        "side": inclusion.side,
-        "center_mm": [float(x) for x in inclusion.center_mm],
-        "equivalent_radius_mm": float(inclusion.equivalent_radius_mm),
-        "mean_mpa": float(inclusion.mean_mpa),
-        "background_mpa": float(inclusion.background_mpa),
-    }
 
 
 def suggestion_values(made: Suggestion, seen: Seen) -> dict[str, Any]:

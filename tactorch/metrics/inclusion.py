@@ -1,6 +1,7 @@
 """Finding the inclusion in a map, without knowing the truth."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -38,6 +39,17 @@ class Inclusion:
     def contrast(self) -> float:
         """Modulus of the inclusion over that of the background."""
         return self.mean_mpa / self.background_mpa
+
+    def plain(self) -> dict[str, Any]:
+        """Return all but the elements as plain values, mm and MPa."""
+        return {
+            "side": self.side,
+            "center_mm": [float(x) for x in self.center_mm],
+            "volume_mm3": float(self.volume_mm3),
+            "equivalent_radius_mm": float(self.equivalent_radius_mm),
+            "mean_mpa": float(self.mean_mpa),
+            "background_mpa": float(self.background_mpa),
+        }
 
 
 def find_inclusion(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> Inclusion | None:

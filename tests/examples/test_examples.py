@@ -43,8 +43,8 @@ def check_page(name: str, printed: str) -> None:
     told = re.search(pattern, PAGE.read_text(), flags=re.DOTALL)
     assert told is not None, f"{PAGE} does not show what examples/{name}.py prints"
     assert NUMBER.sub("#", printed) == NUMBER.sub("#", told[1])
-    for now, then in zip(numbers(printed), numbers(told[1]), strict=True):
-        assert now == pytest.approx(then, rel=0.15, abs=0.02)
+    for value, shown in zip(numbers(printed), numbers(told[1]), strict=True):
+        assert value == pytest.approx(shown, rel=0.15, abs=0.02)
 
 
 def numbers(text: str) -> list[float]:
