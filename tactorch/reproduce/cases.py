@@ -134,6 +134,8 @@ def _make(case: Case, folder: Path) -> tuple[Case, str]:
         outcome.save(folder / case.study / f"{case.key}.npz")
     except TactorchError as error:
         return case, " ".join(str(error).split())
+    except Exception as error:  # one bad case must not end the rest
+        return case, f"{type(error).__name__}: {' '.join(str(error).split())}"
     for path in sorted(scratch.rglob("*"), reverse=True) if scratch.is_dir() else ():
         path.rmdir() if path.is_dir() else path.unlink()
     if scratch.is_dir():

@@ -24,6 +24,8 @@ class Study(ModuleType):
         (scratch / "half").write_text("what a kill would leave")
         if case.name == "bad" and not self.mended:
             raise ConfigError("this one\ncannot be made")
+        if case.name == "worse":
+            raise RuntimeError("nobody foresaw this")
         return Outcome({"double": 2 * case.settings["x"]}, {"row": np.arange(3.0)})
 
 
@@ -75,6 +77,12 @@ def test_a_case_that_fails_hinders_no_other_and_is_tried_again(study, tmp_path):
     assert failed == {}
     assert study.made == ["a", "bad", "c", "bad"]
     assert not list(tmp_path.rglob("half"))
+
+
+def test_errors_that_nobody_foresaw_hinder_no_other_case(study, tmp_path):
+    found, failed, _ = run(cases(worse=1, a=2), tmp_path)
+    assert failed == {"worse": "RuntimeError: nobody foresaw this"}
+    assert set(found) == {"a"}
 
 
 def test_damaged_outcomes_are_named(study, tmp_path):
