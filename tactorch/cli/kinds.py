@@ -83,7 +83,7 @@ _DEVICES = Kind("a whole number or auto", lambda v: v == "auto" or _is_whole(v))
 _WHOLE_NAMES: dict[Kind, str] = {
     _WHOLE: """
         dataset.count dataset.views dataset.shard phantom.count data.frames
-        size.models.patches size.recognition.count size.sampling.presses
+        size.models.patches size.models.patch_steps size.recognition.count size.sampling.presses
     """,
     _OFFSET: "phantom.offset mm_per_px",
     _MODULI: "phantom.youngs_mpa",

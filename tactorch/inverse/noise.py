@@ -40,18 +40,24 @@ class NoiseModel:
     def deviations(self, recording: Recording) -> list[float]:
         """Return the standard deviation of each press's displacements, mm."""
         floor = self.relative * signal_rms(recording.presses)
-        default = floor if recording.unloaded is None else unloaded_noise(recording.unloaded)
-        return [max(self._stated(press, default), floor) for press in recording.presses]
+        return [max(known, floor) for known in self._known(recording, floor)]
 
     def assumed(self, recording: Recording) -> bool:
         """Say whether the noise of some press is assumed, for want of a statement."""
         known = self.mm is not None or recording.unloaded is not None
         return not known and any(press.noise_mm is None for press in recording.presses)
 
-    def _stated(self, press: Press, default: float) -> float:
+    def floored(self, recording: Recording) -> bool:
+        """Say whether the noise of some press may be less than what it is taken to be."""
+        floor = self.relative * signal_rms(recording.presses)
+        return any(known <= floor for known in self._known(recording, floor))
+
+    def _known(self, recording: Recording, floor: float) -> list[float]:
+        """Each press's deviation before the floor, mm."""
         if self.mm is not None:
-            return self.mm
-        return default if press.noise_mm is None else press.noise_mm
+            return [self.mm] * len(recording.presses)
+        default = floor if recording.unloaded is None else unloaded_noise(recording.unloaded)
+        return [default if p.noise_mm is None else p.noise_mm for p in recording.presses]
 
 
 def unloaded_noise(frames: Float[np.ndarray, "frames n 3"]) -> float:

@@ -33,8 +33,8 @@ def pressed(settings: Mapping[str, Any]) -> Recording:
 
     Args:
         settings: `phantom` (its name), `relative_edge_length` of the mesh, `p_max_mpa` (the
-            highest pressure), `steps`; `patches` and `sensor_mm` (number and radius) on curved
-            bodies.
+            highest pressure), `steps`; on curved bodies `patches`, `patch_steps` and `sensor_mm`
+            (number, steps of the pressure on each, and radius).
     """
     phantom = make_phantom(settings["phantom"])
     mesh = phantom.mesh(relative_edge_length=settings["relative_edge_length"])
@@ -74,8 +74,9 @@ def _pressed_by_sensor(
 ) -> Recording:
     patches = places(mesh, settings["sensor_mm"], settings["patches"])
     presses = []
-    for step in range(settings["steps"]):
-        pressure = settings["p_max_mpa"] * (step + 1) / settings["steps"]
+    steps = settings["patch_steps"]
+    for step in range(steps):
+        pressure = settings["p_max_mpa"] * (step + 1) / steps
         presser = sensor_on(mesh, truth, pressure)
         presses += [replace(presser.press(patch), step=step) for patch in patches]
     return Recording(

@@ -235,6 +235,10 @@ def test_stated_noise_is_taken_above_the_floor(make_tiny: Make) -> None:
     np.testing.assert_allclose(NoiseModel(relative=0.5).deviations(recording), 5000 * floor)
     assert NoiseModel(mm=0.25).deviations(recording) == [0.25] * 2
     assert not NoiseModel().assumed(recording)
+    assert NoiseModel().floored(recording)
+    assert not NoiseModel(relative=1e-9).floored(make_tiny(snr_db=40.0))
+    assert not NoiseModel(mm=0.25).floored(recording)
+    assert NoiseModel(mm=1e-9).floored(recording)
 
 
 def test_unstated_noise_is_assumed_and_said_so(recording: Recording) -> None:
@@ -242,6 +246,7 @@ def test_unstated_noise_is_assumed_and_said_so(recording: Recording) -> None:
     rms = np.sqrt(np.mean(values**2))
     np.testing.assert_allclose(NoiseModel(relative=0.01).deviations(recording), 0.01 * rms)
     assert NoiseModel().assumed(recording)
+    assert NoiseModel().floored(recording)
     assert not NoiseModel(mm=0.1).assumed(recording)
 
 
@@ -255,6 +260,7 @@ def test_unloaded_frames_tell_the_noise(recording: Recording) -> None:
     shown = replace(recording, unloaded=frames)
     np.testing.assert_allclose(NoiseModel().deviations(shown), 0.01, rtol=0.12)
     assert not NoiseModel().assumed(shown)
+    assert not NoiseModel().floored(shown)
     assert NoiseModel(mm=0.25).deviations(shown) == [0.25] * 2
     stated = with_press(shown, 0, noise_mm=0.03)
     assert NoiseModel().deviations(stated)[0] == 0.03

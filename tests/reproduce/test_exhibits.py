@@ -22,6 +22,7 @@ TINY = {
         "p_max_mpa": 0.02,
         "steps": 1,
         "patches": 2,
+        "patch_steps": 1,
         "sensor_mm": 3.0,
         "tnc_evaluations": 3,
     },

@@ -131,12 +131,12 @@ class Cooling:
 
         The weight rises until the converged map misfits, then is bisected; no more than a few
         rounds. A map need not converge where the misfit's course tells its end (Aitken, 1926), and
-        the first few not where the data are far overfitted. Where the noise is only assumed, a
-        smaller misfit is no overfit; nor is it where it is no smaller than the noise alone, for the
-        model's error beside it may be less than was allowed for.
+        the first few not where the data are far overfitted. Where the noise may be less than it is
+        taken to be, a smaller misfit is no overfit; nor is it where it is no smaller than the noise
+        alone, for the model's error beside it may be less than was allowed for.
         """
         problem, chi2 = point.objective.problem, point.evaluation.chi2
-        if problem.noise.assumed(problem.recording):
+        if problem.noise.floored(problem.recording):
             return False
         if self.ended != _FITTED or self.rule != "discrepancy" or self.rounds >= _ROUNDS:
             return False
