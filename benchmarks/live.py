@@ -11,9 +11,10 @@ finer mesh of quadratic elements with 40 dB of noise:
 A press is appended to the recording when the run waits for one. Counted from there: `map` until
 the map is there, saved and told (`processor`: the time of this process alone, on all cores, which
 other work on the machine lengthens less); `picture` until live.png and live.html show it; `next`
-until the next place is known and shown too. Below, the map after the last press beside a whole
-inversion of the same recording from 0.2 MPa (`invert`), and what `invert` takes from the last map:
-without what is kept from press to press. Nothing reads the truth but the scores. The last line
+until the next place is known and shown too. An update has a limit of time; a row `at rest` is of
+the map settled after it, while no other press waits. Below, the map after the last press beside a
+whole inversion of the same recording from 0.2 MPa (`invert`), and what `invert` takes from the last
+map: without what is kept from press to press. Nothing reads the truth but the scores. The last line
 printed is one JSON object.
 """
 
@@ -130,7 +131,8 @@ class Robot(Screen):
     def suggested(self, seen: Seen) -> None:
         """Note how long that took."""
         super().suggested(seen)
-        self.rows[-1]["next_s"] = time.perf_counter() - self._began
+        press = next(row for row in reversed(self.rows) if not row["at_rest"])
+        press["next_s"] = time.perf_counter() - self._began
 
 
 def session(name: str, rule: str) -> dict[str, Any]:

@@ -112,7 +112,7 @@ _NAMES_OF: dict[Kind, str] = {
         patch_share prior_share dropout learning_rate weight_decay gradient_clip max_minutes
         brightness ball_radius_mm marker_diameter_px magnify edge_mm around_mm least_mm steep
         reach_mm depth_mm sensor_mm load
-        poll_seconds patience_seconds idle_seconds pause_seconds
+        poll_seconds patience_seconds update_seconds idle_seconds pause_seconds
     """,
     _MODULUS: "start_mpa",
     _WHOLE: """
@@ -156,7 +156,7 @@ _OPTIONAL = """
     edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
     dataset.presses.load dataset.poisson weights recognizer
     reference labels mm_per_px marker_diameter_px held_out folds most_frames object.depth_mm
-    idle_seconds max_presses replay suggest.radius_mm
+    idle_seconds update_seconds max_presses replay suggest.radius_mm
 """
 OPTIONAL = frozenset(_OPTIONAL.split())
 

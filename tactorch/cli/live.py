@@ -18,7 +18,10 @@ from tactorch.inverse import Start, homogeneous
 from tactorch.live import Ended, Follower, FollowOptions, Source, Suggester, SuggestOptions, replay
 from tactorch.recording import Recording
 
-_OPTIONS = ("poll_seconds", "most_at_once", "most_iterations", "max_presses", "idle_seconds")
+_OPTIONS = (
+    "poll_seconds", "most_at_once", "most_iterations", "update_seconds", "max_presses",
+    "idle_seconds",
+)  # fmt: skip
 
 
 def run(cfg: DictConfig) -> Ended:

@@ -7,9 +7,10 @@ hardly depends on the map, so it need not be estimated again. The prior's weight
 far above takes most of the iterations, begins where the last inversion had left it.
 """
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -36,6 +37,7 @@ from tactorch.inverse.uniform import uniform_fit
 from tactorch.recording import Press, Recording
 
 _WEIGHT = ("weight", "first_weight", "ended")
+Enough: TypeAlias = Callable[[list[dict[str, Any]]], bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,9 @@ class GrowingInversion:
         about: The object: mesh, material, and what else a recording has but for its presses.
         settings: Of the inversions. Nuisance parameters are not for it.
         start_mpa: Where the first one starts.
-        most_iterations: Of one update: it bounds its time, and the next update goes on from there.
+        most_iterations: Of one update; the next one goes on from there.
+        most_seconds: Of one update. It ends before the iteration that would take it beyond, but
+            makes one at the least.
     """
 
     def __init__(
@@ -82,6 +86,7 @@ class GrowingInversion:
         *,
         start_mpa: Start = START_MPA,
         most_iterations: int = 8,
+        most_seconds: float | None = None,
     ) -> None:
         """Set up the bodies.
 
@@ -91,7 +96,7 @@ class GrowingInversion:
         self._settings = settings or Settings()
         self._about, self._start = about, start_mpa
         self._optimizer = _optimizer_of(self._settings, most_iterations)
-        self._limit = most_iterations
+        self._limit, self._most_seconds = most_iterations, most_seconds
         element, solver, newton = (
             self._settings.element,
             self._settings.solver,
@@ -126,15 +131,23 @@ class GrowingInversion:
             ConvergenceError: no uniform map carries a press, nor does the map before.
             KeyboardInterrupt: Ctrl-C.
         """
-        before = self._state
+        began, before = time.perf_counter(), self._state
         errors = before.errors + tuple(self._error(press) for press in presses)
         every = (*before.presses, *presses)
         first = len(before.presses) or len(every)
         weight = carried(dict(before.weight), len(every) / first)
-        return self._invert(every, errors, weight, self._limit)
+        until = None if self._most_seconds is None else began + self._most_seconds
+        enough = None if until is None else _before(until)
+        return self._invert(every, errors, weight, self._limit, enough)
 
-    def settle(self, most_iterations: int = 60) -> Grown:
+    def settle(
+        self, most_iterations: int = 60, *, stop: Callable[[], bool] = lambda: False
+    ) -> Grown:
         """Go on with the presses that there are until the optimizer comes to its own end.
+
+        Args:
+            most_iterations: At which it ends.
+            stop: Asked after each iteration whether to end there.
 
         Raises:
             RecordingError: there is no press yet.
@@ -142,7 +155,8 @@ class GrowingInversion:
         """
         now = self._state
         weight = carried(dict(now.weight), 1.0)
-        return self._invert(now.presses, now.errors, weight, most_iterations)
+        enough = _stopped(stop)
+        return self._invert(now.presses, now.errors, weight, most_iterations, enough)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what `restore` needs beside the presses, as arrays."""
@@ -209,10 +223,11 @@ class GrowingInversion:
         errors: tuple[tuple[np.ndarray, float], ...],
         weight: dict[str, float],
         most: int,
+        enough: Enough | None,
     ) -> Grown:
         objective = self._objective(presses, errors)
         optimizer = replace(self._optimizer, max_iterations=most)
-        monitor, reason = self._run(objective, optimizer, weight)
+        monitor, reason = self._run(objective, optimizer, weight, enough)
         if reason == INTERRUPTED:
             raise KeyboardInterrupt
         assert monitor.point is not None
@@ -225,13 +240,18 @@ class GrowingInversion:
         return Grown(result, monitor.point, last, not reason.endswith("limit reached"))
 
     def _run(
-        self, objective: Objective, optimizer: GaussNewton | NewtonCG, weight: dict[str, float]
+        self,
+        objective: Objective,
+        optimizer: GaussNewton | NewtonCG,
+        weight: dict[str, float],
+        enough: Enough | None,
     ) -> tuple[Monitor, str]:
         """Run from the map before, or from a uniform one that carries all presses."""
         bounds, before = self._settings.bounds, self._state.youngs
         starts: list[Any] = [self._start if before is None else before, homogeneous]
         for start in starts:
-            monitor = Monitor(max_seconds=self._settings.max_seconds, state=dict(weight))
+            limit = self._settings.max_seconds
+            monitor = Monitor(max_seconds=limit, state=dict(weight), enough=enough)
             x = objective.start(start_map(start, objective.problem, bounds))
             try:
                 return monitor, run_to_end(optimizer, objective, x, monitor)
@@ -240,6 +260,22 @@ class GrowingInversion:
                     raise
                 weight = {}
         raise AssertionError  # the last start returns or raises
+
+
+def _before(until: float) -> Enough:
+    """Enough is where an iteration as long as the last one would end after `until`."""
+
+    def enough(history: list[dict[str, Any]]) -> bool:
+        if len(history) < 2:  # the first record is of the map before
+            return False
+        last = history[-1]["seconds"] - history[-2]["seconds"]
+        return time.perf_counter() + last > until
+
+    return enough
+
+
+def _stopped(stop: Callable[[], bool]) -> Enough:
+    return lambda history: len(history) > 1 and stop()
 
 
 def _optimizer_of(settings: Settings, most_iterations: int) -> GaussNewton | NewtonCG:

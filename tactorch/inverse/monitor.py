@@ -32,6 +32,7 @@ class Monitor:
         checkpoint: File to save the state to, or None.
         on_record: Called with each record of the history (a progress bar, say).
         on_iteration: Called with each record and its map, MPa.
+        enough: Asked after each record, with all of them, whether to end there.
         history: Per iteration: iteration, evaluations, seconds, misfit (mm^2, eq. 7), chi2 (mean
             squared residual in standard deviations), objective, weight of the prior, step
             (largest change of a parameter), damping.
@@ -45,6 +46,7 @@ class Monitor:
     checkpoint: Path | None = None
     on_record: Callable[[dict[str, Any]], None] | None = None
     on_iteration: Callable[[dict[str, Any], np.ndarray], None] | None = None
+    enough: Callable[[list[dict[str, Any]]], bool] | None = None
     history: list[dict[str, Any]] = field(default_factory=list)
     state: dict[str, float] = field(default_factory=dict)
     identity: dict[str, str] = field(default_factory=dict)
@@ -75,10 +77,12 @@ class Monitor:
         """Take `point` as the best so far.
 
         Raises:
-            OutOfTime: the time limit is reached.
+            OutOfTime: the time limit is reached, or this was enough.
         """
         self.keep(point, **record)
         self.check_time()
+        if self.enough is not None and self.enough(self.history):
+            raise OutOfTime
 
     def keep(self, point: Point, **record: float) -> None:
         """Take `point` as the best so far, in time or not."""

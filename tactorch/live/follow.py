@@ -29,7 +29,9 @@ class FollowOptions:
     Attributes:
         poll_seconds: Between looks for new presses.
         most_at_once: Presses that are taken in one update where several wait.
-        most_iterations: Of one update; the next one goes on from there.
+        most_iterations: Of one update. While no press waits, the map is settled beyond that.
+        update_seconds: Of one update, which ends before the iteration that would take it beyond
+            (and makes one at the least); None for no limit.
         max_presses: After which the run ends; None for no end.
         idle_seconds: Without a new press after which the run ends; None for no end.
     """
@@ -37,6 +39,7 @@ class FollowOptions:
     poll_seconds: float = 0.2
     most_at_once: int = 4
     most_iterations: int = 6
+    update_seconds: float | None = 2.2
     max_presses: int | None = None
     idle_seconds: float | None = None
 
@@ -45,7 +48,7 @@ class FollowOptions:
         for name in ("poll_seconds", "most_at_once", "most_iterations"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name}={getattr(self, name)} must be above 0.")
-        for name in ("max_presses", "idle_seconds"):
+        for name in ("update_seconds", "max_presses", "idle_seconds"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ConfigError(f"{name}={value}: give a number above 0, or null for no end.")
@@ -157,7 +160,7 @@ class Follower:
         try:
             self._continue()
             reason = self._follow()
-            self._settle()
+            self._rest()
         except KeyboardInterrupt:
             if self._seen is None and not self._history:
                 raise
@@ -176,6 +179,7 @@ class Follower:
                 count = min(options.most_at_once, len(self._waiting), left or len(self._waiting))
                 batch, self._waiting = self._waiting[:count], self._waiting[count:]
                 self._update(batch)
+                self._rest()
                 last = time.monotonic()
                 continue
             idle = time.monotonic() - last
@@ -232,6 +236,7 @@ class Follower:
             self._source.about,
             self._settings,
             most_iterations=self._options.most_iterations,
+            most_seconds=self._options.update_seconds,
             start_mpa=self._start,
         )
 
@@ -255,15 +260,30 @@ class Follower:
         names = [one.key for one in batch]
         self._show(found, names, time.perf_counter() - began)
 
+    def _rest(self) -> None:
+        """Settle the map and suggest a place, unless a press has come that waits."""
+        if not self._pressed():
+            self._settle()
+        seen = self._seen
+        if seen is not None and seen.suggestion is None and not self._pressed():
+            self._suggest(seen)
+
+    def _pressed(self) -> bool:
+        """Whether a press waits that is to be taken."""
+        if _left(self._options.max_presses, len(self._done)) == 0:
+            return False
+        self._look()
+        return bool(self._waiting)
+
     def _settle(self) -> None:
-        """Where the last update had not come to its end, go on to it."""
+        """Where the last update had not come to its end, go on to it while no press comes."""
         growing, seen = self._growing, self._seen
         if growing is None or (seen is not None and seen.found.settled):
             return
         if seen is None and self._history and self._history[-1]["settled"]:
             return
         began = time.perf_counter()
-        found = growing.settle()
+        found = growing.settle(stop=self._pressed)
         self._show(found, [], time.perf_counter() - began)
 
     def _show(self, found: Grown, names: list[str], seconds: float) -> None:
@@ -288,10 +308,6 @@ class Follower:
         result.save(self._folder / RESULT)
         self._seen = Seen(recording, found, inclusion, entry)
         self._view.updated(self._seen)
-        self._look()
-        full = _left(self._options.max_presses, len(self._done)) == 0
-        if full or not self._waiting:  # who does not wait for the suggestion needs none
-            self._suggest(self._seen)
 
     def _suggest(self, seen: Seen) -> None:
         made = self._suggester.suggest(seen.found.point, seen.found.weight)

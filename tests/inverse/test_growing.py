@@ -166,3 +166,19 @@ def test_a_state_of_other_presses_is_refused(noisy: Recording) -> None:
     growing.add(noisy.presses[:2])
     with pytest.raises(ConfigError, match="start anew"):
         GrowingInversion(noisy).restore(noisy.presses[:1], growing.state())
+
+
+def test_settling_can_be_broken_off_and_goes_on(noisy: Recording) -> None:
+    growing = GrowingInversion(noisy, most_iterations=1)
+    growing.add(noisy.presses[:2])
+    broken = growing.settle(stop=lambda: True)
+    assert (broken.result.iterations, broken.settled) == (1, False)
+    assert growing.settle().settled
+
+
+def test_an_update_in_no_time_makes_one_iteration(noisy: Recording) -> None:
+    growing = GrowingInversion(noisy, most_iterations=5, most_seconds=1e-9)
+    found = growing.add(noisy.presses[:1])
+    assert (found.result.iterations, found.settled) == (1, False)
+    patient = GrowingInversion(noisy, most_iterations=5, most_seconds=1e9)
+    assert patient.add(noisy.presses[:1]).result.iterations == 5

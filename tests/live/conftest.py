@@ -76,6 +76,7 @@ def _follow(
     """Follow until nothing comes any more, one press at a time."""
     settings = Settings()
     usual = {"idle_seconds": 0.05, "poll_seconds": 0.01, "most_at_once": 1, "most_iterations": 3}
+    usual["update_seconds"] = None
     source = Source(path, patience_seconds=patience, tell=view.told)
     return Follower(
         source,

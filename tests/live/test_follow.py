@@ -154,6 +154,18 @@ def test_presses_that_wait_are_taken_together_and_no_suggestion_holds_them_up(
     assert view.suggestions[0].entry["press"] == 4
 
 
+def test_an_update_ends_in_time_and_the_map_settles_while_no_press_waits(
+    path: Path, whole: Recording, tmp_path: Path, view: Any, follow: Callable[..., Any]
+) -> None:
+    whole.save(path)
+    run = tmp_path / "run"
+    follow(path, run, view, most_iterations=30, update_seconds=1e-6, rule="largest_uncertainty")
+    told = [(e["press"], bool(e["names"]), e["settled"]) for e in lines(run)]
+    assert told == [(n, True, False) for n in (1, 2, 3, 4)] + [(4, False, True)]
+    assert [e["iterations"] for e in lines(run)][:4] == [1] * 4
+    assert [seen.entry["names"] for seen in view.suggestions] == [[]]
+
+
 @pytest.mark.parametrize("rule", ["expected_error", "largest_uncertainty"])
 def test_the_next_press_is_suggested_on_the_free_surface(
     path: Path, whole: Recording, tmp_path: Path, view: Any, rule: str, follow: Callable[..., Any]
@@ -171,7 +183,7 @@ def test_the_next_press_is_suggested_on_the_free_surface(
     assert ((inside > low - 1e-9) & (inside < high + 1e-9)).all()
     assert np.abs(inward).max() > 0.85  # neither an edge nor a corner
     assert (seen.entry["deviation"] is not None) == (rule == "expected_error")
-    assert lines(tmp_path / "run")[0]["next"] == place
+    assert lines(tmp_path / "run")[-1]["next"] == place
 
 
 def test_where_no_place_can_be_suggested_it_says_why(
@@ -205,7 +217,7 @@ def test_control_c_ends_a_run_with_what_it_has(
     monkeypatch.setattr(view, "waiting", waiting)
     ended = follow(path, tmp_path / "run", view, idle_seconds=None)
     assert ended.interrupted
-    assert len(ended.history) == 1
+    assert [entry["settled"] for entry in ended.history] == [False, True]
     with pytest.raises(KeyboardInterrupt):
         follow(tmp_path / "never.h5", tmp_path / "other", view, idle_seconds=None)
 
@@ -230,6 +242,7 @@ def test_a_replay_goes_on_where_it_was_and_can_be_stopped(path: Path, whole: Rec
         ({"most_at_once": 0}, "most_at_once=0"),
         ({"most_iterations": 0}, "most_iterations=0"),
         ({"max_presses": 0}, "max_presses=0"),
+        ({"update_seconds": 0.0}, "update_seconds=0.0"),
         ({"idle_seconds": -1.0}, "idle_seconds=-1.0"),
     ],
 )
