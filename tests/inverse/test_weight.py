@@ -33,6 +33,22 @@ def test_weight_falls_fast_then_slowly_then_ends(point: Point) -> None:
     assert cooling.weight == last
 
 
+def test_the_weight_leaps_only_far_from_the_data_and_where_steps_do_as_foretold(
+    point: Point,
+) -> None:
+    def factor(chi2: float, gain: float) -> float:
+        cooling = Cooling.start(point, None, {})
+        first = cooling.weight
+        cooling.lower(chi2, gain)
+        return cooling.weight / first
+
+    usual = factor(1e4, 0.0)
+    assert factor(1e4, 1.0) < usual
+    assert factor(1e4, 0.5) == usual
+    assert factor(50.0, 1.0) == usual
+    assert factor(5.0, 1.0) > usual
+
+
 def test_an_exhausted_prior_says_that_the_noise_is_larger(point: Point) -> None:
     cooling = Cooling.start(point, None, {})
     for _ in range(200):

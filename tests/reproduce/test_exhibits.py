@@ -24,6 +24,7 @@ TINY = {
         "patches": 2,
         "patch_steps": 1,
         "sensor_mm": 3.0,
+        "noise_relative": 1e-5,
         "tnc_evaluations": 3,
     },
     "design": {"meshes": ["same"], "relative_edge_length": 0.35, "layers": 4},

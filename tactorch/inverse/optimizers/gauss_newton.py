@@ -87,11 +87,11 @@ class GaussNewton:
             trial = self._step(point, weight, damping, not settled, monitor)
             if trial is None:
                 return "no step lowers the objective any more"
-            after, damping = trial
+            after, damping, gain = trial
             step = float(np.abs(after.x - point.x).max())
             fall = point.value(weight) - after.value(weight)
             point = after
-            cooling.follow(point)
+            cooling.follow(point, gain)
             still = settled and fall <= self.tolerance * point.value(weight)
             done = not cooling.retry(point, converged=still) and still
             self._report(monitor, point, cooling, weight, damping, step)
@@ -111,8 +111,8 @@ class GaussNewton:
 
     def _step(
         self, point: Point, weight: float, damping: float, cooling: bool, monitor: Monitor
-    ) -> tuple[Point, float] | None:
-        """Try steps, damping more each time, until one is good enough."""
+    ) -> tuple[Point, float, float] | None:
+        """Try steps, damping more each time, until one is good enough; its damping and its gain."""
         limits = point.objective.limits
         gradient = point.jacobian.T @ point.evaluation.residuals + point.prior_gradient(weight)
         free = projected_gradient(point.x, gradient, limits) != 0.0
@@ -129,7 +129,7 @@ class GaussNewton:
                     ratio = self._gain(point, trial, gradient, weight)
                     lead = trial.evaluation.chi2 / point.evaluation.chi2
                     if ratio > 0 or (cooling and lead < _LEEWAY):
-                        return trial, _next_damping(damping, ratio)
+                        return trial, _next_damping(damping, ratio), ratio
             damping = 10.0 * max(damping, _LEAST_RAISED)
             monitor.check_time()
         return None

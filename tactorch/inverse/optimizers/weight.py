@@ -13,8 +13,10 @@ from tactorch.inverse.objective import Point
 from tactorch.inverse.optimizers.spectrum import Spectrum
 from tactorch.inverse.optimizers.weight_rules import RULES
 
-_FAST, _SLOW = 1.0 / 3.0, 0.6
-_NEAR = 10.0  # mean squared residual below which the weight is lowered slowly
+_LEAP, _FAST, _SLOW = 0.1, 1.0 / 3.0, 0.6
+# Mean squared residuals: below, the weight is lowered slowly; above, in leaps, where the last step
+# fell nearly as far as was foretold.
+_NEAR, _FAR, _FORETOLD = 10.0, 100.0, 0.75
 _EXHAUSTED = 1e-12
 _UNSTOPPED = ""
 _FITTED = "the data are fitted to their noise"
@@ -107,11 +109,16 @@ class Cooling:
             "weight_before": self.before,
         }
 
-    def follow(self, point: Point) -> None:
-        """Take the next weight by the rule, after a step to `point`."""
+    def follow(self, point: Point, gain: float = 0.0) -> None:
+        """Take the next weight by the rule, after a step to `point`.
+
+        Args:
+            point: Where the step has led.
+            gain: Fall of the objective over the fall that was foretold.
+        """
         chi2 = point.evaluation.chi2
         if self.rule == "discrepancy":
-            self.lower(chi2)
+            self.lower(chi2, gain)
             return
         if self.fixed or self.ended:
             return
@@ -170,8 +177,8 @@ class Cooling:
         over = max(chi2, end) < least / _BEYOND
         return over or min(chi2, end) > _MISFITTED * _BEYOND
 
-    def lower(self, chi2: float) -> None:
-        """Lower the weight, unless it was given, has ended or ends now."""
+    def lower(self, chi2: float, gain: float = 0.0) -> None:
+        """Lower the weight, unless it was given, has ended or ends now; see `follow`."""
         if self.fixed:
             return
         if chi2 <= 1.0:
@@ -180,6 +187,8 @@ class Cooling:
             return
         elif self.weight < _EXHAUSTED * self.first:
             self.ended = _UNFITTED
+        elif chi2 > _FAR and gain >= _FORETOLD:
+            self.weight *= _LEAP
         else:
             self.weight *= _FAST if chi2 > _NEAR else _SLOW
 
