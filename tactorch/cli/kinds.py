@@ -104,7 +104,8 @@ _NAMES_OF: dict[Kind, str] = {
     _NUMBER: """
         lower upper relative mm max_seconds snr_db weight edge tolerance damping forcing ftol gtol
         poisson lame_factor noise_mm round_rest_m p_max_mpa spring_n_per_mm patch_radius_mm
-        relative_edge_length noise_relative edge_length_mm fine_edge_length_mm fine_relative
+        relative_edge_length edge_length_mm fine_edge_length_mm fine_relative
+        noise_relative tnc_patience
         force_scale rest_scale translation_mm rotation_rad level_mpa length_mm deviation
         model_error_left tikhonov smoothness total_variation log_jumps sparsity binary_well matern
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa

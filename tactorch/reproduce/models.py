@@ -2,11 +2,14 @@
 
 Both start from 0.2 MPa everywhere, one after the other in one process of one thread, with the
 same exact presses on the same mesh. Each thing that the paper calls an iteration of TNC is a
-solve of all presses here (`maxfun`). No mesh follows an inclusion. Ours are the default settings,
+solve of all presses here (`maxfun`); where it has not reached the paper's similarity after all of
+them it may go on until it has had so many times (`tnc_patience`) as long as ours took to get there.
+No mesh follows an inclusion. Ours are the default settings,
 but that they are told how exact the data are; TNC believes its data wholly.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +40,7 @@ MODELS = {
 SCORES = {"s": "normalised_correlation", "SSIM": "ssim", "PSNR": "psnr", "RMSE": "rmse_mpa"}
 COUNTS = (100, 500, 2500)
 _METHODS = ("ours", "tnc")
+_ENDLESS = 10**6
 
 
 def cases(options: Mapping[str, Any]) -> list[Case]:
@@ -55,14 +59,8 @@ def work(case: Case, scratch: Path) -> Outcome:
     warm_up(recording)
     default = Settings(model_error="none", noise=NoiseModel(relative=settings["noise_relative"]))
     ours = watched(recording, default, scratch / "ours")
-    paper = Settings(
-        optimizer=TNC(max_evaluations=settings["tnc_evaluations"]),
-        parameterization="scaled",
-        regularization="none",
-        model_error="none",
-    )
-    tnc = watched(recording, paper, scratch / "tnc")
     target = row("table1", settings["model"])["ssim_2500"]
+    tnc = _truncated_newton(recording, settings, target, ours, scratch / "tnc")
     truth = recording.truth
     assert truth is not None
     return Outcome(
@@ -80,6 +78,27 @@ def work(case: Case, scratch: Path) -> Outcome:
             "tnc": tnc.found.youngs,
         },
     )
+
+
+def _truncated_newton(
+    recording: Recording, settings: Mapping[str, Any], target: float, ours: Watched, scratch: Path
+) -> Watched:
+    """The paper's method, for its number of solves; and on, until it has had time enough."""
+    paper = Settings(
+        optimizer=TNC(max_evaluations=settings["tnc_evaluations"]),
+        parameterization="scaled",
+        regularization="none",
+        model_error="none",
+    )
+    found = watched(recording, paper, scratch)
+    there = ours.first_at(target)
+    if there is None or found.first_at(target) is not None or not found.limited:
+        return found
+    enough = settings["tnc_patience"] * there.seconds
+    if found.seconds >= enough:
+        return found
+    endless = replace(paper, optimizer=TNC(max_evaluations=_ENDLESS), max_seconds=enough)
+    return watched(recording, endless, scratch)
 
 
 def _recording(settings: Mapping[str, Any], scratch: Path) -> Recording:
@@ -130,7 +149,7 @@ def table1(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Pat
     bounds = [name for name, o in outcomes.items() if _ratio(o.figures)[1]]
     if bounds:
         lines.append(
-            f"In {', '.join(bounds)} TNC did not reach the paper's SSIM in the iterations given;"
+            f"In {', '.join(bounds)} TNC did not reach the paper's SSIM in the time given;"
             " its whole time stands for it, and the ratio is a lower bound."
         )
     never = [name for name, o in outcomes.items() if o.figures["ours"]["to_target"] is None]

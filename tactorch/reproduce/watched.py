@@ -13,6 +13,8 @@ from tactorch.metrics import ssim
 from tactorch.recording import Recording
 from tactorch.reproduce.objects import START_MPA
 
+_NEARLY = 0.98
+
 
 @dataclass(frozen=True)
 class Moment:
@@ -41,12 +43,19 @@ class Watched:
         """Of all of it."""
         return self.way[-1].seconds
 
+    @property
+    def limited(self) -> bool:
+        """Whether it was a limit of time or number that ended it."""
+        return self.found.stop_reason.endswith("limit reached")
+
     def ssim_after(self, evaluations: int) -> float | None:
-        """Similarity after so many solves; None where it has not made that many, nor ended."""
+        """Similarity after so many solves; None where it has not made that many, nor ended.
+
+        An iterate takes several solves, so a limit is reached when the next would go beyond.
+        """
         past = [m for m in self.way if m.evaluations <= evaluations]
-        short = self.way[-1].evaluations < evaluations
-        limited = self.found.stop_reason.endswith("limit reached")
-        return None if not past or (short and limited) else past[-1].ssim
+        short = self.way[-1].evaluations < _NEARLY * evaluations
+        return None if not past or (short and self.limited) else past[-1].ssim
 
     def first_at(self, level: float) -> Moment | None:
         """When its map was first as similar; None where it never was."""

@@ -26,6 +26,7 @@ TINY = {
         "sensor_mm": 3.0,
         "noise_relative": 1e-5,
         "tnc_evaluations": 3,
+        "tnc_patience": 2,
     },
     "design": {"meshes": ["same"], "relative_edge_length": 0.35, "layers": 4},
     "sizes": {"relative_edge_length": _COARSE, "steps": 1, "snr_db": 40.0},

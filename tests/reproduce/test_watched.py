@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tactorch.inverse import TNC, Settings
+from tactorch.reproduce import models
 from tactorch.reproduce.objects import pressed
 from tactorch.reproduce.watched import Moment, Watched, watched
 
@@ -56,3 +57,22 @@ def test_levels_and_counts_are_found_on_the_way(recording, tmp_path):
     assert limited.first_at(0.9) is None
     ended = Watched(dataclasses.replace(run.found, stop_reason="a local minimum"), way)
     assert ended.ssim_after(500) == 0.5
+
+
+def test_truncated_newton_goes_on_until_it_has_had_time_enough(recording, tmp_path):
+    ours = watched(recording, Settings(model_error="none"), tmp_path / "ours")
+    best = max(moment.ssim for moment in ours.way)
+    given = {"tnc_evaluations": 4, "tnc_patience": 0}
+
+    def after(target, patience, name):
+        allowed = {**given, "tnc_patience": patience}
+        return models._truncated_newton(recording, allowed, target, ours, tmp_path / name)
+
+    short = after(best, 0, "tnc")
+    assert short.way[-1].evaluations <= 4
+    longer = after(
+        best, 8 * short.seconds / ours.first_at(best).seconds, "tnc"
+    )  # goes on from there
+    assert longer.way[: len(short.way)] == short.way
+    assert longer.way[-1].evaluations > 4
+    assert after(2.0, 1e6, "never").way[-1].evaluations <= 4  # where ours is never either
