@@ -60,13 +60,20 @@ class Patch:
 
     def _inside(self, mesh: TetMesh, weights: Float[np.ndarray, "q 3"]) -> Bool[np.ndarray, "k q"]:
         """Which inner points of each triangle are pressed."""
+        reach = 1.5 * self.radius_mm
         corners = mesh.points[mesh.surface.triangles]
-        offsets = np.einsum("qc,kcd->kqd", weights, corners) - self.center
+        middles = corners.mean(axis=1)
+        sizes = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+        # Most triangles are too far off for any of their points to count.
+        gaps = np.linalg.norm(middles - self.center, axis=1)
+        near = gaps <= np.hypot(self.radius_mm, reach) + sizes
+        near &= self._facing(mesh) > 0
+        offsets = np.einsum("qc,kcd->kqd", weights, corners[near]) - self.center
         along = offsets @ self.inward
         across = np.linalg.norm(offsets - along[..., None] * self.inward, axis=2)
-        reach = 1.5 * self.radius_mm
-        near = (across <= self.radius_mm) & (np.abs(along) <= reach)
-        return near & (self._facing(mesh) > 0)[:, None]
+        inside = np.zeros((len(corners), len(weights)), dtype=bool)
+        inside[near] = (across <= self.radius_mm) & (np.abs(along) <= reach)
+        return inside
 
 
 def candidate_patches(

@@ -43,10 +43,12 @@ class VariationalPosterior(LaplacePosterior):
 
     Attributes:
         weight: Weight of total variation that the data and the map speak for.
+        sizes: Root mean square of the jump of log-moduli across each face.
         iterations: How many it took.
     """
 
     weight: float
+    sizes: Float[np.ndarray, " faces"]
     iterations: int
 
 
@@ -102,6 +104,8 @@ def variational_posterior(
     point: Point,
     weight: float,
     *,
+    sizes: Float[np.ndarray, " faces"] | None = None,
+    tolerance: float = _TOLERANCE,
     most_iterations: int = _MOST,
 ) -> VariationalPosterior:
     """Take the posterior under total variation near a solution; linear in the data there.
@@ -111,6 +115,8 @@ def variational_posterior(
     Args:
         point: The solution.
         weight: Weight of the prior there: the start of the iteration, no more.
+        sizes: Of the jumps where the iteration starts; by default those of the map.
+        tolerance: Largest relative change of the weight and of the sizes at which it ends.
         most_iterations: After so many it is taken as it is.
 
     Raises:
@@ -126,7 +132,8 @@ def variational_posterior(
     if not weight > 0:
         raise ConfigError(f"weight={weight} of the prior must be above 0.")
     parts = _Jumps.at(point)
-    sizes = np.maximum(np.abs(parts.now), getattr(prior, "edge", 0.0))
+    if sizes is None:
+        sizes = np.maximum(np.abs(parts.now), getattr(prior, "edge", 0.0))
     hessian, iterations = point.jacobian.T @ point.jacobian, 0
     while iterations < most_iterations:
         iterations += 1
@@ -135,7 +142,7 @@ def variational_posterior(
         sizes = parts.sizes(step, torch.cholesky_inverse(factor.lower).numpy())
         weight = parts.weight(sizes)
         moved = max(np.abs(np.log(sizes / before[0])).max(), abs(np.log(weight / before[1])))
-        if moved < _TOLERANCE:
+        if moved < tolerance:
             break
     factor, step = _solve(point, parts, hessian, weight * parts.areas / sizes)
     return VariationalPosterior(
@@ -144,6 +151,7 @@ def variational_posterior(
         factor=factor,
         parameterization=point.objective.parameterization,
         weight=weight,
+        sizes=sizes,
         iterations=iterations,
     )
 

@@ -18,7 +18,7 @@ from tactorch.credibility.foretold import credibilities, foretold
 from tactorch.credibility.gaussian import GaussianPosterior
 from tactorch.credibility.posterior import LaplacePosterior
 from tactorch.credibility.rules import ExpectedError, LargestUncertainty, Situation
-from tactorch.credibility.variational import variational_posterior
+from tactorch.credibility.variational import VariationalPosterior, variational_posterior
 from tactorch.errors import ConfigError
 from tactorch.inverse import Point, Settings
 from tactorch.mesh import TetMesh
@@ -27,7 +27,8 @@ from tactorch.recording import Press
 RULES = ("auto", "expected_error", "largest_uncertainty", "none")
 # Elements up to which a dense posterior takes seconds.
 _DENSE = 4_000
-_ROUNDS = 12  # of the posterior, most of which settle in ten
+# Of the posterior: it need not be exact to compare places by it, and begins at the last one.
+_ROUNDS, _TOLERANCE = 12, 0.1
 _SQUARE = 0.85  # how squarely a place faces the sensor; an edge of a cube has 0.71
 _LARGEST_SHARE = 0.25  # of the object's least extent, of a sensor whose size is not given
 
@@ -86,6 +87,7 @@ class Suggester:
         self.options = options or SuggestOptions()
         self._settings = settings
         self._places: tuple[bytes, list[Patch] | str] = (b"", "")
+        self._before: VariationalPosterior | None = None
 
     def suggest(self, point: Point, weight: float) -> Suggestion:
         """Suggest the next place.
@@ -119,7 +121,15 @@ class Suggester:
     def _posterior(self, point: Point, weight: float) -> GaussianPosterior:
         if point.objective.prior.name != "total_variation" or not weight > 0:
             return LaplacePosterior.at(point, weight)
-        return variational_posterior(point, weight, most_iterations=_ROUNDS)
+        before = self._before
+        if before is None or len(before.mean) != len(point.elements):
+            first, sizes = weight, None
+        else:
+            first, sizes = before.weight, before.sizes
+        self._before = variational_posterior(
+            point, first, sizes=sizes, tolerance=_TOLERANCE, most_iterations=_ROUNDS
+        )
+        return self._before
 
     def _choose(
         self, rule: str, point: Point, posterior: GaussianPosterior | None
@@ -205,8 +215,9 @@ def _pressure_mpa(mesh: TetMesh, presses: Sequence[Press]) -> float:
 
 def _plan(last: Press, place: Patch, mesh: TetMesh, pressure_mpa: float) -> Press:
     """A press there, held as the last one and seen where it loads."""
-    forces = pressure_mpa * place.forces(mesh)
-    seen = np.repeat(np.any(place.forces(mesh) != 0.0, axis=1)[:, None], 3, axis=1)
+    unit = place.forces(mesh)
+    forces = pressure_mpa * unit
+    seen = np.repeat(np.any(unit != 0.0, axis=1)[:, None], 3, axis=1)
     return replace(
         last,
         forces=forces,

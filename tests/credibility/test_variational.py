@@ -113,3 +113,11 @@ def test_refusals(point: Point) -> None:
     smooth = make_regularizer("smoothness", point.objective.problem.recording.mesh)
     with pytest.raises(ConfigError, match="regularization=smoothness"):
         variational_posterior(replace(point.objective, prior=smooth).at(point.x), 1.0)
+
+
+def test_a_start_at_the_last_sizes_settles_at_once(point: Point) -> None:
+    found = variational_posterior(point, 1.0)
+    again = variational_posterior(point, found.weight, sizes=found.sizes)
+    assert again.iterations == 1 < found.iterations
+    np.testing.assert_allclose(again.deviation(), found.deviation(), rtol=0.02)
+    assert variational_posterior(point, 1.0, tolerance=0.5).iterations < found.iterations
