@@ -310,7 +310,9 @@ class Follower:
         self._view.updated(self._seen)
 
     def _suggest(self, seen: Seen) -> None:
-        made = self._suggester.suggest(seen.found.point, seen.found.weight)
+        made = self._suggester.suggest(seen.found.point, seen.found.weight, self._pressed)
+        if made is None:
+            return
         seen.entry.update(suggestion_values(made, seen))
         self._store.write_history(self._history)
         self._seen = Seen(seen.recording, seen.found, seen.inclusion, seen.entry, made)

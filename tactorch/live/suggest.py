@@ -6,7 +6,7 @@ last press.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,12 +89,15 @@ class Suggester:
         self._places: tuple[bytes, list[Patch] | str] = (b"", "")
         self._before: VariationalPosterior | None = None
 
-    def suggest(self, point: Point, weight: float) -> Suggestion:
-        """Suggest the next place.
+    def suggest(
+        self, point: Point, weight: float, stop: Callable[[], bool] = lambda: False
+    ) -> Suggestion | None:
+        """Suggest the next place; None where it was stopped.
 
         Args:
             point: Where the inversion of all presses so far has ended.
             weight: Of the prior there.
+            stop: Asked between the parts of the work whether to leave the rest.
         """
         began = time.perf_counter()
         presses = point.objective.problem.recording.presses
@@ -104,6 +107,8 @@ class Suggester:
         try:
             if rule == "expected_error":
                 posterior = self._posterior(point, weight)
+            if stop():
+                return None
             if rule != "none":
                 patch, why_not = self._choose(rule, point, posterior)
         except ConfigError as error:

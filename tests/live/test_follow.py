@@ -186,6 +186,29 @@ def test_the_next_press_is_suggested_on_the_free_surface(
     assert lines(tmp_path / "run")[-1]["next"] == place
 
 
+def test_a_press_that_comes_meanwhile_stops_the_suggestion(
+    path: Path,
+    whole: Recording,
+    tmp_path: Path,
+    view: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    follow: Callable[..., Any],
+) -> None:
+    from tactorch.live import Suggester
+
+    whole.select([0]).save(path)
+    posterior = Suggester._posterior
+
+    def pressed_meanwhile(self: Suggester, point: Any, weight: float) -> Any:
+        if len(Recording.load(path).presses) == 1:
+            append_press(path, whole.presses[1])
+        return posterior(self, point, weight)
+
+    monkeypatch.setattr(Suggester, "_posterior", pressed_meanwhile)
+    follow(path, tmp_path / "run", view, rule="expected_error", most_iterations=30)
+    assert [seen.entry["press"] for seen in view.suggestions] == [2]
+
+
 def test_where_no_place_can_be_suggested_it_says_why(
     path: Path, whole: Recording, tmp_path: Path, view: Any
 ) -> None:
