@@ -10,6 +10,7 @@ import pytest
 
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.reproduce import EXHIBITS, depths, make, sizes
+from tactorch.reproduce.cases import Outcome
 from tactorch.reproduce.depths import nearest
 from tactorch.reproduce.studies import TITLES, cases_of, study_of
 
@@ -118,6 +119,16 @@ def test_depths_are_told(out, monkeypatch):
     assert "depth told right, of seven | 0.9500" in text
     off = [abs(float(r["estimate, mm"]) - float(r["true depth, mm"])) for r in table]
     assert max(off) < 1.0
+    for depth, error in zip((3, 6), off, strict=True):
+        (line,) = [one for one in text.splitlines() if one.startswith(f"| {depth} | 1 |")]
+        assert f"| {error:.2f} |" in line
+
+
+def test_depths_without_any_lump_are_told_of(tmp_path):
+    case = Outcome({"depth_mm": None, "off_mm": None, "radius_mm": None, "seconds": 1.0})
+    text = depths.fig10({"2mm-00": case}, {"places": 1}, tmp_path)
+    assert "| no lump found |  | 1 |" in text
+    assert "depth told right, of seven | 0.9500 | 0.0000" in text
 
 
 @pytest.mark.parametrize(("depth", "told"), [(2.49, 2.0), (2.51, 3.0), (9.9, 8.0), (-1.0, 2.0)])
