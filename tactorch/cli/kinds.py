@@ -133,7 +133,7 @@ _NAMES_OF: dict[Kind, str] = {
         sensor images reference labels calibration frames poses replay recognizer
     """,
     _POINT: "center size radii axis size_mm origin_mm",
-    _FLAG: "plots check_units retry_failed card augment video backward uncertainty",
+    _FLAG: "plots check_units as_they_end retry_failed card augment video backward uncertainty",
     _RECONSTRUCT: "reconstruct",
     _PRIOR_MEAN: "prior_mean",
     _PATHS: "compare",

@@ -63,6 +63,28 @@ def test_a_session_becomes_a_recording(
         assert (run / name).is_file()
 
 
+def test_a_recording_grows_as_contacts_end(
+    tactorch: Any, made: Path, calibration: Path, tmp_path: Path
+) -> None:
+    run, out = tmp_path / "run", tmp_path / "session.h5"
+    poses(Path("poses.csv"))
+    growing = settings(made, calibration, run, "held_side=z-", f"out={out}", "as_they_end=true")
+    done = tactorch(*growing)
+    assert done.status == 0, done.err
+    recording = Recording.load(out)
+    assert [press.name for press in recording.presses] == ["contact 1, 2.png", "contact 1, 3.png"]
+    assert recording.provenance["sensor"] == "drawn"
+    assert "contact 1: 2 presses up to" in done.out + done.err
+    quick = ("max_presses=2", "plots=false", "suggest.rule=none", f"run_dir={tmp_path / 'live'}")
+    followed = tactorch("live", f"recording={out}", *quick)
+    assert followed.status == 0, followed.err
+    assert (tmp_path / "live" / "reconstruction.h5").is_file()
+    again = tactorch(*growing)
+    assert again.status != 0
+    assert "session.h5 is there already" in again.err
+    assert len(Recording.load(out).presses) == 2
+
+
 @pytest.mark.slow
 def test_an_object_of_unknown_shape(
     tactorch: Any, made: Path, calibration: Path, tmp_path: Path

@@ -4,6 +4,7 @@ The gel's motion is that of one simulation of gel and cube, so its presses are k
 """
 
 import logging
+from collections.abc import Iterator
 from functools import cache
 from types import SimpleNamespace
 
@@ -19,7 +20,13 @@ from tactorch.sensor.depth import Height
 from tactorch.sensor.description import GelLayer, SensorDescription
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.gel import Contact, GelModel
-from tactorch.sensor.recorder import Hold, RecordOptions, VirtualCube, record
+from tactorch.sensor.recorder import (
+    Hold,
+    RecordOptions,
+    VirtualCube,
+    contacts_as_they_end,
+    record,
+)
 from tactorch.sensor.recorder.first_touch import by_depth, by_shape, face_points, gap_mm
 from tactorch.sensor.recorder.hold import far_nodes
 from tactorch.sensor.recorder.session import watch
@@ -122,6 +129,45 @@ def test_presses_are_those_that_were_made(pairs: dict[float, Pair], poses: Poses
     assert [row["frame"] for row in notes["presses"]] == [p.name[-7:] for p in presses]
     assert notes["presses"][1]["depth_mm"] == pytest.approx(0.4)
     assert notes["presses"][1]["force_n"] == pytest.approx(pairs[0.4].on_cube.sum(axis=0), abs=1e-6)
+
+
+def test_contacts_come_as_they_end_and_are_those_of_the_whole_session(
+    pairs: dict[float, Pair], poses: Poses
+) -> None:
+    cube, options = pairs[0.2].cube, RecordOptions(steps=2)
+    whole = record(frames(), Chain(pairs), poses, cube, SPEC, options).recording.presses
+    seen: list[int] = []
+
+    def coming() -> Iterator[Frame]:
+        for frame in frames():
+            seen.append(frame.index)
+            yield frame
+
+    late = iter([Poses(poses.time_s[:3], poses.T_object_sensor[:3]), poses, poses])
+    grown = contacts_as_they_end(coming(), Chain(pairs), lambda: next(late), cube, SPEC, options)
+    first = next(grown)
+    assert seen == list(range(7))  # frame 6 is the first one without contact again
+    second = next(grown)
+    assert next(grown, None) is None
+    assert next(late, None) is None
+    for one, other in zip((*first.presses, *second.presses), whole, strict=True):
+        assert (one.name, one.step) == (other.name, other.step)
+        np.testing.assert_array_equal(one.displacement, other.displacement)
+        np.testing.assert_array_equal(one.forces, other.forces)
+
+
+def test_a_contact_whose_poses_stay_away_is_passed_over(
+    pairs: dict[float, Pair], poses: Poses, caplog: pytest.LogCaptureFixture
+) -> None:
+    short = Poses(poses.time_s[:8], poses.T_object_sensor[:8])
+    cube, options = pairs[0.2].cube, RecordOptions(steps=1)
+    found = list(
+        contacts_as_they_end(
+            frames(), Chain(pairs), lambda: short, cube, SPEC, options, patience_seconds=0.0
+        )
+    )
+    assert [p.name for one in found for p in one.presses] == ["contact 1, 004.png"]
+    assert "Contact 2 is passed over: 2 of 2 frames have no pose" in caplog.text
 
 
 def test_steps_are_even_in_depth(pairs: dict[float, Pair], poses: Poses) -> None:

@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 from tactorch.cli.progress import Tell, progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.given import calibrated, reference_of
+from tactorch.cli.sensor.growing import grow
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.sensor.tables import write_table
 from tactorch.cli.settings import folder, log, made, material_of, plain
@@ -18,7 +19,14 @@ from tactorch.mesh import TetMesh, box_mesh, read_mesh
 from tactorch.sensor.chain import ChainOptions, SensorChain
 from tactorch.sensor.contact import Touching, read_poses
 from tactorch.sensor.gel import GelModel
-from tactorch.sensor.recorder import Hold, Recorded, RecordOptions, VirtualCube, record
+from tactorch.sensor.recorder import (
+    Hold,
+    Recorded,
+    RecordOptions,
+    VirtualCube,
+    contacts_as_they_end,
+    record,
+)
 from tactorch.viz.presses import plot_presses
 from tactorch.viz.session import plot_session
 
@@ -35,12 +43,20 @@ def run(cfg: DictConfig) -> Path:
     out = place / _RECORDING if cfg.out is None else Path(str(cfg.out))
     target, options, material = object_of(cfg), options_of(cfg), material_of(cfg)
     sensor, calibration = calibrated(cfg)
-    reference, poses = reference_of(cfg, sensor), read_poses(str(cfg.poses))
-    frames = FrameSequence(cfg, sensor, reference)
+    reference = reference_of(cfg, sensor)
+    frames = FrameSequence(cfg, sensor, reference, once=cfg.as_they_end)
     model = GelModel(sensor.gel, cfg.edge_mm, cfg.layers, cfg.element)
     limits = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.least_mm, cfg.steep)
     chain = SensorChain(sensor, calibration, reference, model, limits)
     facts = {"settings": plain(cfg), "calibration": calibration.facts}
+    if cfg.as_they_end:
+        return grow(
+            contacts_as_they_end(
+                frames, chain, lambda: read_poses(str(cfg.poses)), target, material, options,
+                provenance=facts,
+            ), out,
+        )  # fmt: skip
+    poses = read_poses(str(cfg.poses))
     with _Stages(frames) as tell:
         found = record(
             frames, chain, poses, target, material, options, provenance=facts, progress=tell

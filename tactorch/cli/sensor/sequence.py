@@ -28,24 +28,35 @@ class FrameSequence:
         cfg: Settings with `frames` and `most_frames`.
         sensor: What they were taken with.
         reference: The gel without contact.
+        once: Whether they are gone over once; then a camera may go on without end.
 
     Raises:
         ConfigError: A camera, which never ends, without `most_frames`.
         FileError: There is nothing to read.
     """
 
-    def __init__(self, cfg: DictConfig, sensor: SensorDescription, reference: Image) -> None:
+    def __init__(
+        self,
+        cfg: DictConfig,
+        sensor: SensorDescription,
+        reference: Image,
+        *,
+        once: bool = False,
+    ) -> None:
+        self._once = once
         self.source, self.most = source_of(cfg.frames), cfg.most_frames
         self.sensor, self.reference = sensor, reference
         if self.most is not None and self.most < 1:
             raise ConfigError(f"most_frames={self.most} must be at least 1, or null.")
-        if isinstance(self.source, int) and self.most is None:
+        if isinstance(self.source, int) and self.most is None and not once:
             raise ConfigError(f"frames={self.source} is a camera; give most_frames too.")
         self._kept: list[Frame] | None = None
         self._first = self._read()  # what is not there is told at once
 
     def __iter__(self) -> Iterator[Frame]:
         """Go over the frames from the first."""
+        if self._once:
+            return self._first
         if not isinstance(self.source, int):
             return self._read()
         return self._camera() if self._kept is None else iter(self._kept)

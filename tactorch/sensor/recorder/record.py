@@ -5,16 +5,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.sensor.chain import SensorChain
-from tactorch.sensor.contact import Poses, Touching, press_of
+from tactorch.sensor.contact import Poses
 from tactorch.sensor.frames import Frame
-from tactorch.sensor.recorder.first_touch import by_depth, by_shape
+from tactorch.sensor.recorder.maker import Maker, noise_of, region_of
 from tactorch.sensor.recorder.options import RecordOptions
 from tactorch.sensor.recorder.region import VirtualCube
 from tactorch.sensor.recorder.session import Episode, Session, watch
@@ -82,10 +79,10 @@ def record(
     mesh = (
         target
         if isinstance(target, TetMesh)
-        else _region(target, session.contacts[0], poses, chain.model.points[:, :2])
+        else region_of(target, session.contacts[0], poses, chain.model.points[:, :2])
     )
     virtual = not isinstance(target, TetMesh)
-    maker = _Maker(chain, poses, mesh, options, virtual, _noise_mm(session, chain, options))
+    maker = Maker(chain, poses, mesh, options, virtual, noise_of(session, chain, options))
     chosen = [(i, one, one.chosen(options.steps)) for i, one in enumerate(session.contacts)]
     total, presses, rows, passed_over = sum(len(c) for _, _, c in chosen), [], [], {}
     for i, touch, frames_of in chosen:
@@ -113,39 +110,6 @@ def record(
     return Recorded(recording, rows, session, passed_over)
 
 
-@dataclass(frozen=True, eq=False)
-class _Maker:
-    """Makes presses of the frames of contacts."""
-
-    chain: SensorChain
-    poses: Poses
-    mesh: TetMesh
-    options: RecordOptions
-    virtual: bool
-    noise_mm: float
-
-    def first(self, touch: Episode) -> Float[np.ndarray, "4 4"]:
-        """Pose of first touch."""
-        if self.virtual or self.options.first_touch == "depth":
-            return _first_by_depth(touch, self.poses)
-        gel = self.chain.sensor.gel
-        return by_shape(self.poses, touch.free_s, touch.times_s[0], self.mesh, gel)
-
-    def press(
-        self, touch: Episode, index: int, first: Float[np.ndarray, "4 4"], step: int, name: str
-    ) -> Press:
-        look = touch.looks[index]
-        contact = self.chain.contact(look)
-        assert contact is not None
-        pose = self.poses.at([touch.times_s[index]])[0]
-        usual = Touching(untouched="sensor" if self.virtual else "unseen")
-        return press_of(
-            contact, pose, first, self.mesh, look.touched,
-            touching=self.options.touching or usual, noise_mm=self.noise_mm, step=step, name=name,
-            **self.options.hold.on(self.mesh, pose[:3, 2]),
-        )  # fmt: skip
-
-
 def _require_contact(session: Session, chain: SensorChain) -> None:
     if session.contacts:
         return
@@ -158,24 +122,6 @@ def _require_contact(session: Session, chain: SensorChain) -> None:
         f" {float(chain.options.steep):g} (steep)."
         " Is the reference without contact, and is the calibration of this sensor?"
     )
-
-
-def _first_by_depth(touch: Episode, poses: Poses) -> Float[np.ndarray, "4 4"]:
-    return by_depth(poses, touch.free_s, np.array(touch.times_s), np.array(touch.depths_mm))
-
-
-def _region(
-    target: VirtualCube, touch: Episode, poses: Poses, places_mm: Float[np.ndarray, "k 2"]
-) -> TetMesh:
-    """Mesh the region under a contact, about the middle of what is touched where it is deepest."""
-    look = touch.looks[int(np.argmax(touch.depths_mm))]
-    return target.under(_first_by_depth(touch, poses), places_mm[look.touched].mean(axis=0))
-
-
-def _noise_mm(session: Session, chain: SensorChain, options: RecordOptions) -> float:
-    if options.noise_mm is not None:
-        return float(options.noise_mm)
-    return max(float(chain.options.noise_mm), session.noise_mm or 0.0)
 
 
 def _row(contact: int, touch: Episode, index: int, press: Press) -> dict[str, Any]:

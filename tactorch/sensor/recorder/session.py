@@ -115,32 +115,68 @@ def watch(
     Raises:
         ConfigError: A frame has no time, or another size than the reference.
     """
-    found, squares, free_s = Session(), [], None
-    now: Episode | None = None
-    episodes: list[Episode] = []
+    seen = Watch(chain, least_frames)
     for frame in frames:
-        depth_mm, steepest, number = float("nan"), float("nan"), None
+        seen.see(frame)
+        progress(len(seen.glances))
+    return seen.session()
+
+
+@dataclass(eq=False)
+class Watch:
+    """Follows the markers frame by frame.
+
+    Attributes:
+        chain: The calibrated sensor.
+        least_frames: Contacts of fewer are passed over.
+        glances: What is kept of each frame so far.
+    """
+
+    chain: SensorChain
+    least_frames: int = 1
+    glances: list[Glance] = field(default_factory=list)
+    _episodes: list[Episode] = field(default_factory=list)
+    _squares: list[np.ndarray] = field(default_factory=list)
+    _now: Episode | None = None
+    _free_s: float | None = None
+
+    def see(self, frame: Frame) -> Episode | None:
+        """Take the next frame; returns the contact of enough frames that has ended with it.
+
+        Raises:
+            ConfigError: The frame has no time, or another size than the reference.
+        """
+        depth_mm, steepest, number, ended = float("nan"), float("nan"), None, None
         if frame.image is not None and frame.sound:
-            time_s, look = _time(frame), chain.deformed(frame)
+            time_s, look = _time(frame), self.chain.deformed(frame)
             if look.height is not None:
                 depth_mm, steepest = -float(look.height.height_mm.min()), look.height.steepest
             if look.moved is None:
-                squares.append(_squared(chain, look))
-                now, free_s = None, time_s
+                self._squares.append(_squared(self.chain, look))
+                ended, self._free_s = self.end(), time_s
             else:
-                if now is None:
-                    now = Episode(free_s)
-                    episodes.append(now)
-                number = len(episodes) - 1
-                now.add(look, time_s, depth_mm)
-        found.glances.append(
+                if self._now is None:
+                    self._now = Episode(self._free_s)
+                    self._episodes.append(self._now)
+                number = len(self._episodes) - 1
+                self._now.add(look, time_s, depth_mm)
+        self.glances.append(
             Glance(frame.name, frame.time_s, depth_mm, steepest, number, frame.fault)
         )
-        progress(len(found.glances))
-    _keep(found, episodes, least_frames)
-    if squares:
-        found.noise_mm = float(np.sqrt(np.nanmean(np.concatenate(squares))))
-    return found
+        return ended
+
+    def end(self) -> Episode | None:
+        """End the contact that there is; returns it if it has frames enough."""
+        now, self._now = self._now, None
+        return None if now is None or len(now.looks) < self.least_frames else now
+
+    def session(self) -> Session:
+        """Return what the frames so far show."""
+        found = Session(list(self.glances))
+        _keep(found, self._episodes, self.least_frames)
+        if self._squares:
+            found.noise_mm = float(np.sqrt(np.nanmean(np.concatenate(self._squares))))
+        return found
 
 
 def _keep(found: Session, episodes: list[Episode], least_frames: int) -> None:

@@ -1,0 +1,115 @@
+"""A session that goes on: each contact becomes presses as soon as it has ended."""
+
+import logging
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from tactorch.errors import ConfigError, ConvergenceError, FileError
+from tactorch.mesh import TetMesh
+from tactorch.recording import MaterialSpec, Press, Recording
+from tactorch.sensor.chain import SensorChain
+from tactorch.sensor.contact import Poses
+from tactorch.sensor.frames import Frame
+from tactorch.sensor.recorder.maker import Maker, noise_of, region_of
+from tactorch.sensor.recorder.options import RecordOptions
+from tactorch.sensor.recorder.region import VirtualCube
+from tactorch.sensor.recorder.session import Episode, Watch
+from tactorch.versions import versions
+
+_log = logging.getLogger(__name__)
+_PAUSE_S = 0.1  # between looks for poses that are late
+
+
+def contacts_as_they_end(
+    frames: Iterable[Frame],
+    chain: SensorChain,
+    read_poses: Callable[[], Poses],
+    target: TetMesh | VirtualCube,
+    material: MaterialSpec,
+    options: RecordOptions | None = None,
+    *,
+    provenance: dict[str, Any] | None = None,
+    patience_seconds: float = 5.0,
+) -> Iterator[Recording]:
+    """Yield the presses of each contact, as a recording of its own, once a frame without follows.
+
+    They are those that `record` makes of the whole session, but for the noise that frames show,
+    which is that of the frames so far. A contact that cannot be used is told and passed over.
+
+    Args:
+        frames: As they come, with times.
+        chain: The calibrated sensor.
+        read_poses: Returns T_object_sensor over the same clock, as far as it is known by now.
+        target: The object at rest in the object's frame, mm; or a virtual cube, which is laid under
+            the first contact.
+        material: Of the object, but for Young's modulus.
+        options: How frames become presses.
+        provenance: What else to note beside what is noted anyway.
+        patience_seconds: For poses that are late.
+
+    Raises:
+        ConfigError: A frame has no time, or another size than the reference.
+    """
+    options = options or RecordOptions()
+    watch, count = Watch(chain, options.least_frames), 0
+    facts = {"sensor": chain.sensor.name, "versions": versions(), **(provenance or {})}
+    mesh = target if isinstance(target, TetMesh) else None
+    for touch in _ended(frames, watch):
+        count += 1
+        try:
+            poses = _poses(touch, read_poses, patience_seconds)
+            if mesh is None:
+                assert isinstance(target, VirtualCube)
+                mesh = region_of(target, touch, poses, chain.model.points[:, :2])
+            noise_mm = noise_of(watch.session(), chain, options)
+            maker = Maker(chain, poses, mesh, options, isinstance(target, VirtualCube), noise_mm)
+            presses = tuple(_presses(maker, touch, count))
+        except (ConfigError, FileError) as error:
+            _log.warning("Contact %d is passed over: %s", count, error)
+            continue
+        if presses:
+            yield Recording(mesh, presses, material, provenance=facts, check_units=False)
+
+
+def _ended(frames: Iterable[Frame], watch: Watch) -> Iterator[Episode]:
+    for frame in frames:
+        touch = watch.see(frame)
+        if touch is not None:
+            yield touch
+    last = watch.end()
+    if last is not None:
+        yield last
+
+
+def _poses(touch: Episode, read: Callable[[], Poses], patience_seconds: float) -> Poses:
+    """The poses of a contact's frames, which may be late, or half written.
+
+    Raises:
+        ConfigError: They stay away.
+        FileError: They cannot be read.
+    """
+    until = time.monotonic() + patience_seconds
+    while True:
+        try:
+            poses = read()
+            poses.at(touch.times_s)
+            return poses
+        except (ConfigError, FileError):
+            if time.monotonic() >= until:
+                raise
+        time.sleep(_PAUSE_S)
+
+
+def _presses(maker: Maker, touch: Episode, number: int) -> Iterator[Press]:
+    """The presses of a contact; frames that become none are told."""
+    first, step = maker.first(touch), 0
+    for index in touch.chosen(maker.options.steps):
+        name = touch.looks[index].frame.name
+        try:
+            press = maker.press(touch, index, first, step, f"contact {number}, {name}")
+        except (ConfigError, ConvergenceError) as error:
+            _log.warning("Frame '%s' becomes no press: %s", name, error)
+        else:
+            step += 1
+            yield press
