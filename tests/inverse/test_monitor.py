@@ -81,8 +81,11 @@ def test_an_interrupted_run_goes_on(
     limit = {"max_evaluations": 40} if name == "tnc" else {"max_iterations": 10}
     second = invert(noisy, Settings(optimizer=make_optimizer(name, **limit)), resume=path)
     assert second.history[: len(first.history)] == first.history
-    # The objective: with a prior that rules at first, the misfit alone may rise for a while.
-    assert second.history[-1]["objective"] < first.history[-1]["objective"]
+    if second.history[-1]["weight"] == first.history[-1]["weight"]:
+        assert second.history[-1]["objective"] < first.history[-1]["objective"]
+    else:  # objectives of different weights cannot be compared: it is the unbroken run's way
+        whole = invert(noisy, Settings(optimizer=make_optimizer(name, **limit)))
+        np.testing.assert_allclose(second.youngs, whole.youngs, rtol=1e-6)
     assert [e["iteration"] for e in second.history] == list(range(len(second.history)))
     spent = second.history[-1]["evaluations"]
     assert spent > first.history[-1]["evaluations"]
