@@ -1,11 +1,12 @@
-"""A stiff lesion in a real breast: the fine DigiBreast mesh (Deng et al., 2015), for `scale.py`.
+"""A simulated stiff lesion in the anatomy of a breast, for `scale.py`: the fine DigiBreast mesh.
 
-A breast as it lies compressed for mammography, 226 x 131 x 31 mm. Young's modulus goes from 0.02
-(fat) to 0.05 MPa (gland) with the glandularity of the data set, and is 0.3 MPa in a ball of 8 mm
-radius about the data set's fibroglandular lesion centroid, 15 mm below the upper face; the figures
-are those of Krouskop et al. (1998) for tissue under 20 % compression, rounded. The chest wall is
-held, the lower face rests on a plate, and twelve soft fingers of 15 mm radius press on the upper
-face, one after the other; only the nodes under the finger are observed, with 1 % noise.
+A breast (Deng et al., 2015) as it lies compressed for mammography, 226 x 131 x 31 mm. Young's
+modulus goes from 0.02 (fat) to 0.05 MPa (gland) with the glandularity of the data set, and is 0.3
+MPa in a ball of 8 mm radius about the data set's fibroglandular lesion centroid, 15 mm below the
+upper face; the figures are those of Krouskop et al. (1998) for tissue under 20 % compression,
+rounded. The chest wall is held, the lower face rests on a plate, and twelve soft fingers of 15 mm
+radius press on the upper face, one after the other; only the nodes under the finger are observed,
+with 1 % noise.
 
 No inverse crime: the presses are computed with quadratic elements (eight times the unknowns) on
 another mesh of the same surface, the data set's with its interior nodes moved at random by about a

@@ -7,7 +7,7 @@ one.
 
 import numpy as np
 
-from tactorch import PressPlan, find_inclusion, invert, make_phantom, scores, simulate
+from tactorch import PressPlan, find_lump, invert, make_phantom, scores, simulate
 
 
 def main() -> dict[str, float]:
@@ -22,7 +22,7 @@ def main() -> dict[str, float]:
         snr_db=40,
     )
     result = invert(recording)
-    inclusion = find_inclusion(recording.mesh, result.youngs)
+    inclusion = find_lump(recording.mesh, result.youngs)
     assert inclusion is not None, "nothing stands out of the map"
     score = scores(recording.mesh, result.youngs, recording.truth)
     off = np.linalg.norm(inclusion.center_mm - [5.0, 5.0, 6.5])

@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from tactorch.applications import find_lump, finding_of
     from tactorch.fem import SoftBody, Supports, make_material
     from tactorch.importers import import_published
     from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from tactorch.simulation import PressPlan, simulate
 
 _HOMES = {
+    "tactorch.applications": ("find_lump", "finding_of"),
     "tactorch.fem": ("SoftBody", "Supports", "make_material"),
     "tactorch.importers": ("import_published",),
     "tactorch.inverse": ("GaussNewton", "Reconstruction", "Settings", "invert"),
@@ -42,6 +44,8 @@ __all__ = [
     "Supports",
     "TetMesh",
     "find_inclusion",
+    "find_lump",
+    "finding_of",
     "import_published",
     "invert",
     "make_material",

@@ -70,7 +70,7 @@ FIRST = (
     "Recording", "Press", "Phantom", "make_phantom", "simulate", "PressPlan", "invert", "Settings",
     "Reconstruction", "posterior_of", "sample", "SoftBody", "Supports", "make_material", "TetMesh",
     "read_mesh", "tetrahedralize", "SensorDescription", "load_sensor", "SensorChain", "record",
-    "scores", "find_inclusion", "TactorchError",
+    "scores", "find_lump", "find_inclusion", "TactorchError",
 )  # fmt: skip
 
 

@@ -126,7 +126,7 @@ _NAMES_OF: dict[Kind, str] = {
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor
         scheduler accelerator strategy precision part map
-        first_touch untouched held_side held_by unit exhibit colours rule
+        first_touch untouched poses_clock held_side held_by unit exhibit colours rule
     """,
     _PATH: """
         path out recording run run_dir resume folder weights

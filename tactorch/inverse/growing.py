@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse.invert import (
     INTERRUPTED,
     START_MPA,
@@ -24,6 +24,7 @@ from tactorch.inverse.invert import (
     make_problem,
     result_of,
     run_to_end,
+    tell_assumed_noise,
 )
 from tactorch.inverse.model_error import ModelError, chosen, corrected, discretisation_error
 from tactorch.inverse.monitor import Monitor
@@ -127,11 +128,12 @@ class GrowingInversion:
         Where this fails, or is interrupted, everything is as before.
 
         Raises:
-            RecordingError: a press does not fit the object.
+            RecordingError: a press does not fit the object, or moved nothing.
             ConvergenceError: no uniform map carries a press, nor does the map before.
             KeyboardInterrupt: Ctrl-C.
         """
         began, before = time.perf_counter(), self._state
+        self._check(presses)
         errors = before.errors + tuple(self._error(press) for press in presses)
         every = (*before.presses, *presses)
         first = len(before.presses) or len(every)
@@ -197,6 +199,18 @@ class GrowingInversion:
     def _with(self, presses: Sequence[Press]) -> Recording:
         # Magnitudes are checked where presses are read: one by itself may be small.
         return replace(self._about, presses=tuple(presses), check_units=False)
+
+    def _check(self, presses: Sequence[Press]) -> None:
+        for number, press in enumerate(presses, start=len(self._state.presses) + 1):
+            press.validate(self._about.mesh.n_points)
+            if not press.displacement[press.data].any():
+                label = f"press {number}" + (f" ('{press.name}')" if press.name else "")
+                raise RecordingError(
+                    f"{label}: all its observed displacements are zero, so it says nothing of the "
+                    "object; leave it out, or give what moved."
+                )
+        if not self._state.presses:
+            tell_assumed_noise(self._settings.noise, self._with(presses))
 
     def _error(self, press: Press) -> tuple[np.ndarray, float]:
         """What the mesh gets wrong of one press: offset and deviation, mm."""

@@ -136,12 +136,7 @@ def invert(
     if x is None:
         first = start_map(start_mpa, objective.problem, settings.bounds)
         x = objective.start(first)
-    if settings.noise.assumed(recording):
-        _log.warning(
-            "The recording does not state its noise; %.2g of the signal is assumed "
-            "(noise.relative). Too small a value overfits.",
-            settings.noise.relative,
-        )
+    tell_assumed_noise(settings.noise, recording)
     reason = monitor.ended
     if not reason:
         with progress(optimizer.name, show_progress) as update:
@@ -150,6 +145,16 @@ def invert(
         monitor.save()
     found = result_of(recording, settings, optimizer, objective, monitor, reason)
     return replace(found, config={"start_mpa": _described(start_mpa), **found.config})
+
+
+def tell_assumed_noise(noise: NoiseModel, recording: Recording) -> None:
+    """Warn where the noise is assumed, for want of a statement."""
+    if noise.assumed(recording):
+        _log.warning(
+            "The recording does not state its noise; %.2g of the signal is assumed "
+            "(noise.relative). Too small a value overfits.",
+            noise.relative,
+        )
 
 
 def make_objective(recording: Recording, settings: Settings) -> Objective:

@@ -17,6 +17,7 @@ from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.uniform import uniform_fit
 
 _log = logging.getLogger(__name__)
+_ROUNDED = 1e-9  # share of a bound by which a map that lies on it may miss it
 Start: TypeAlias = float | np.ndarray | Callable[[InverseProblem, Bounds], np.ndarray]
 
 
@@ -127,9 +128,11 @@ def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np
     values = np.asarray(found, dtype=np.float64)
     if values.ndim and values.shape != (m,):
         raise ConfigError(f"start_mpa has shape {values.shape}; expected one modulus or ({m},).")
-    if not np.all((values >= bounds.lower) & (values <= bounds.upper)):
+    low, high = bounds.lower * (1 - _ROUNDED), bounds.upper * (1 + _ROUNDED)
+    if not np.all((values >= low) & (values <= high)):
         raise ConfigError(
             f"start_mpa spans {values.min():g} to {values.max():g} MPa, outside the bounds "
             f"[{bounds.lower:g}, {bounds.upper:g}] MPa; start inside, or widen them."
         )
+    values = np.clip(values, bounds.lower, bounds.upper)
     return np.full(m, float(values)) if values.ndim == 0 else values

@@ -159,6 +159,7 @@ class Follower:
         """
         try:
             self._continue()
+            self._rest()  # which a run that was killed may not have come to
             reason = self._follow()
             self._rest()
         except KeyboardInterrupt:
@@ -280,7 +281,8 @@ class Follower:
         growing, seen = self._growing, self._seen
         if growing is None or (seen is not None and seen.found.settled):
             return
-        if seen is None and self._history and self._history[-1]["settled"]:
+        last = self._history[-1]
+        if seen is None and last["settled"] and "next" in last:
             return
         began = time.perf_counter()
         found = growing.settle(stop=self._pressed)
@@ -314,7 +316,8 @@ class Follower:
         if made is None:
             return
         seen.entry.update(suggestion_values(made, seen))
-        self._store.write_history(self._history)
+        assert self._growing is not None
+        self._store.save(self._growing.state(), self._done, self._history)
         self._seen = Seen(seen.recording, seen.found, seen.inclusion, seen.entry, made)
         self._view.suggested(self._seen)
 

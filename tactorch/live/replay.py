@@ -5,8 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, RecordingError
 from tactorch.recording import Recording, append_press
+from tactorch.recording.growing import digest
 
 
 def replay(
@@ -29,12 +30,13 @@ def replay(
 
     Raises:
         ConfigError: the pause is negative.
-        TactorchError: the target is of something else, or cannot be written.
+        RecordingError: the target is of another recording.
+        FileError: the target cannot be written.
     """
     if not pause_seconds >= 0:
         raise ConfigError(f"pause_seconds={pause_seconds}: give a time of at least 0 s.")
     target, stop = Path(target), stop or Event()
-    done = len(Recording.load(target, check_units=False).presses) if target.exists() else 0
+    done = _played(recording, target) if target.exists() else 0
     for index in range(done, len(recording.presses)):
         if index > done and stop.wait(pause_seconds):
             return index
@@ -44,3 +46,21 @@ def replay(
             append_press(target, recording.presses[index])
         told(index + 1)
     return len(recording.presses)
+
+
+def _played(recording: Recording, target: Path) -> int:
+    """How many presses the target holds already, which are those of the recording."""
+    there = Recording.load(target, check_units=False)
+    same = there.mesh.content_hash() == recording.mesh.content_hash()
+    pairs = zip(there.presses, recording.presses, strict=False)
+    if (
+        not same
+        or there.material != recording.material
+        or len(there.presses) > len(recording.presses)
+        or any(digest(one) != digest(other) for one, other in pairs)
+    ):
+        raise RecordingError(
+            f"'{target}' holds presses of another recording than the one to be replayed; choose "
+            "another run_dir for it."
+        )
+    return len(there.presses)

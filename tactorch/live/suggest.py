@@ -86,7 +86,7 @@ class Suggester:
         """Take the settings of the inversions."""
         self.options = options or SuggestOptions()
         self._settings = settings
-        self._places: tuple[bytes, list[Patch] | str] = (b"", "")
+        self._places: tuple[tuple[bytes, float], list[Patch] | str] = ((b"", 0.0), "")
         self._before: VariationalPosterior | None = None
 
     def suggest(
@@ -173,7 +173,7 @@ class Suggester:
             ConfigError: there is none.
         """
         held = np.any([press.held.any(axis=1) for press in presses], axis=0)
-        key = held.tobytes()
+        key = held.tobytes(), float(radius_mm)
         if self._places[0] != key:
             try:
                 found = candidate_patches(

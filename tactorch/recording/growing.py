@@ -125,6 +125,14 @@ def _check_same(reader: Reader, known: Recording) -> None:
             f"recording '{reader.source}' has another material than the presses before: "
             f"{material}, not {known.material}. Start another run for it."
         )
+    weights = {"density": (reader.density(), known.density)}
+    weights |= {"gravity": (reader.gravity().tolist(), known.gravity.tolist())}
+    for name, (value, before) in weights.items():
+        if value != before:
+            raise OtherObjectError(
+                f"recording '{reader.source}' has {name}={value}, the presses before {before}: "
+                "weight is the same for all presses of a run. Start another run for it."
+            )
 
 
 def _joined(reader: Reader, about: Recording | None, press: Press, check_units: bool) -> Recording:

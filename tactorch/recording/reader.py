@@ -50,8 +50,6 @@ class Reader:
         }
         n = mesh.n_points
         unloaded = self._array("unloaded", "f", (None, n, 3)) if "unloaded" in self.file else None
-        density = self._attribute("/", "density", float) if "density" in self.file.attrs else None
-        gravity = self._array("gravity", "f", (3,))
         try:
             return Recording(
                 mesh,
@@ -59,8 +57,8 @@ class Reader:
                 material,
                 **moduli,
                 provenance=provenance,
-                density=density,
-                gravity=gravity,
+                density=self.density(),
+                gravity=self.gravity(),
                 unloaded=unloaded,
                 check_units=check_units,
             )
@@ -105,6 +103,14 @@ class Reader:
             return MaterialSpec(name, poisson, self._json("material/parameters", text))
         except RecordingError as error:
             raise self._error(f"'material' is not sound: {error}") from error
+
+    def density(self) -> float | None:
+        """Read the mass density, tonne/mm^3; None where weight plays no part."""
+        return self._attribute("/", "density", float) if "density" in self.file.attrs else None
+
+    def gravity(self) -> np.ndarray:
+        """Read the acceleration of gravity, mm/s^2."""
+        return self._array("gravity", "f", (3,))
 
     def count(self) -> int:
         """Return how many presses there are, of a file that is a recording."""

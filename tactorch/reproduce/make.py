@@ -55,7 +55,13 @@ def make(
         for exhibit in (one for one in wanted if study_of(one) == study):
             if not found:
                 continue
-            text = writer_of(exhibit)(found, options, out)
+            try:
+                text = writer_of(exhibit)(found, options, out)
+            except Exception as error:  # an exhibit may be nothing without a case that failed
+                if not bad:
+                    raise
+                _log.warning("%s is not made without the cases that failed: %r", exhibit, error)
+                continue
             written.append(_write(out / f"{exhibit}.md", exhibit, study, text, list(bad)))
     _write_index(out)
     if failed:

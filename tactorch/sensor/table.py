@@ -1,7 +1,7 @@
 """Tables in CSV files that people and other programs write: read, or refused by line and column."""
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,6 +49,8 @@ def rows_of(
     what: str,
     columns: Sequence[str],
     also_called: Mapping[str, str] | None = None,
+    *,
+    growing: bool = False,
 ) -> Iterator[Row]:
     """Yield the lines of a CSV file that has some columns.
 
@@ -57,6 +59,7 @@ def rows_of(
         what: It is, for messages.
         columns: That it must have.
         also_called: Other people's names of columns, and ours.
+        growing: Whether somebody still writes it; then a last line without an end is left out.
 
     Raises:
         FileError: The file is missing, no text, or lacks a column.
@@ -65,7 +68,7 @@ def rows_of(
     try:
         # Spreadsheets begin files with a mark that is no part of the first column's name.
         with open(file, newline="", encoding="utf-8-sig") as text:
-            lines = csv.DictReader(text)
+            lines = csv.DictReader(_whole(text) if growing else text)
             header = [names.get(name, name).strip() for name in lines.fieldnames or []]
             missing = [name for name in columns if name not in header]
             if missing:
@@ -80,3 +83,7 @@ def rows_of(
         raise FileError(
             f"{what} '{path}' is no text that can be read ({error}); save it as CSV in UTF-8."
         ) from error
+
+
+def _whole(lines: Iterable[str]) -> Iterator[str]:
+    return (line for line in lines if line.endswith(("\n", "\r")))

@@ -1,13 +1,16 @@
 """`tactorch sensor record`, on the drawn session of `test_sensor`."""
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from tactorch.recording import Recording
+from tactorch.sensor.frames import camera
 
 from .test_sensor import calibration, given, made, table
 
@@ -18,8 +21,13 @@ HEADER = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"
 SMALL = ("edge_mm=1.2", "layers=3", "steps=2", "object.size_mm=[6,6,4]", "object.edge_mm=1")
 
 
-def poses(path: Path, heights: tuple[float, ...] = HEIGHTS_MM, turn: str = "0,1,0,0") -> Path:
-    rows = [f"{0.05 * i:.2f},3,3,{z},{turn}" for i, z in enumerate(heights)]
+def poses(
+    path: Path,
+    heights: tuple[float, ...] = HEIGHTS_MM,
+    turn: str = "0,1,0,0",
+    began_s: float = 0.0,
+) -> Path:
+    rows = [f"{began_s + 0.05 * i:.2f},3,3,{z},{turn}" for i, z in enumerate(heights)]
     path.write_text("\n".join([HEADER, *rows]) + "\n")
     return path
 
@@ -85,6 +93,67 @@ def test_a_recording_grows_as_contacts_end(
     assert len(Recording.load(out).presses) == 2
 
 
+class DrawnCamera:
+    """Gives the drawn frames, each 0.05 s after the one before, by a clock of its own."""
+
+    began_unix_s = 1_800_000_000.0
+
+    def __init__(self, folder: Path) -> None:
+        self.files, self.now_s = iter(sorted(folder.iterdir())), 100.0
+
+    def VideoCapture(self, number: int) -> "DrawnCamera":
+        assert number == 0
+        return self
+
+    def isOpened(self) -> bool:
+        return True
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        file = next(self.files, None)
+        image = None if file is None else cv2.imread(str(file))
+        self.now_s += 0.05 if self.started else 0.0
+        self.started = True
+        return image is not None, image
+
+    started = False
+
+    def release(self) -> None:
+        pass
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def time(self) -> float:
+        return self.began_unix_s + self.now_s - 100.0
+
+
+@pytest.mark.parametrize("as_they_end", [True, False])
+def test_a_camera_and_poses_by_unix_time(
+    tactorch: Any, made: Path, calibration: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, as_they_end: bool,
+) -> None:  # fmt: skip
+    folder, taken = tmp_path / "folder", tmp_path / "camera"
+    poses(Path("poses.csv"))
+    more = ("held_side=z-", "plots=false", "steps=1")
+    done = tactorch(*settings(made, calibration, folder, *more))
+    assert done.status == 0, done.err
+    drawn = DrawnCamera(made / "frames")
+    poses(Path("poses.csv"), began_s=drawn.began_unix_s)
+    monkeypatch.setattr(cv2, "VideoCapture", drawn.VideoCapture)
+    monkeypatch.setattr(camera, "time", drawn)
+    unix = ("frames=0", "most_frames=5", "poses_clock=unix", f"as_they_end={as_they_end}")
+    done = tactorch(*settings(made, calibration, taken, *more, *unix))
+    assert done.status == 0, done.err
+    (one,) = Recording.load(folder / "recording.h5").presses
+    (other,) = Recording.load(taken / "recording.h5").presses
+    assert other.name == "contact 1, camera 0 frame 3"
+    np.testing.assert_allclose(other.displacement, one.displacement, atol=1e-6)
+    np.testing.assert_allclose(other.forces, one.forces, atol=1e-6)
+
+
 @pytest.mark.slow
 def test_an_object_of_unknown_shape(
     tactorch: Any, made: Path, calibration: Path, tmp_path: Path
@@ -122,6 +191,8 @@ def test_an_object_of_unknown_shape(
         ("0,1,0,0", HEIGHTS_MM, ("held_side=under",), ("hold side='under'", "opposite")),
         ("0,1,0,0", HEIGHTS_MM, ("held_by=glue",), ("hold kind='glue'", "springs")),
         ("0,1,0,0", HEIGHTS_MM, ("first_touch=feel",), ("first_touch='feel'", "shape, depth")),
+        ("0,1,0,0", HEIGHTS_MM, ("poses_clock=sun",), ("poses_clock=sun", "frames, unix")),
+        ("0,1,0,0", HEIGHTS_MM, ("poses_clock=unix",), ("poses_clock=unix", "is no camera")),
         ("0,1,0,0", HEIGHTS_MM, ("untouched=gone",), ("untouched='gone'", "sensor")),
         ("0,1,0,0", HEIGHTS_MM, ("object.edge_mm=9",), ("object: edge_mm=9",)),
         ("0,1,0,0", HEIGHTS_MM, ("object=liver",), ("liver", "virtual_cube")),

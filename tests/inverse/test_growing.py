@@ -182,3 +182,33 @@ def test_an_update_in_no_time_makes_one_iteration(noisy: Recording) -> None:
     assert (found.result.iterations, found.settled) == (1, False)
     patient = GrowingInversion(noisy, most_iterations=5, most_seconds=1e9)
     assert patient.add(noisy.presses[:1]).result.iterations == 5
+
+
+def test_without_a_stated_noise_later_presses_are_fitted_as_well_as_the_first(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    mesh = box_mesh(10.0, 4, tets_per_cell=5)
+    plan = PressPlan(("z+", "x+"), (0.01,))
+    exact = simulate(make_phantom("cube_sphere", radius=0.3), plan, mesh=mesh)
+    growing = GrowingInversion(exact, most_iterations=40)
+    first = growing.add(exact.presses[:1]).result
+    assert first.history[-1]["chi2"] < 1.02
+    growing.add(exact.presses[1:])
+    last = growing.settle().result
+    assert last.stop_reason == "the data are fitted to their noise"
+    assert last.history[-1]["chi2"] < 1.02
+    assert caplog.text.count("does not state its noise") == 1
+
+
+def test_a_weight_that_another_rule_had_chosen_is_chosen_anew() -> None:
+    chosen = {"weight": 4.0, "first_weight": 2.0, "ended": 3.0}
+    assert carried(chosen, 1.5) == {"weight": 4.0, "first_weight": 3.0, "ended": 0.0}
+
+
+def test_a_press_that_moved_nothing_is_refused_by_name(noisy: Recording) -> None:
+    growing = GrowingInversion(noisy, most_iterations=1)
+    growing.add(noisy.presses[:1])
+    still = replace(noisy.presses[1], displacement=np.zeros_like(noisy.presses[1].displacement))
+    with pytest.raises(RecordingError, match=r"press 2.*displacements are zero"):
+        growing.add([still])
+    assert len(growing.presses) == 1

@@ -134,3 +134,14 @@ def test_what_is_free_beside_the_map_is_fitted_with_the_modulus(uniform: Recordi
     )
     assert beside == pytest.approx(0.37, rel=0.01)
     assert alone < 0.2
+
+
+def test_a_map_on_a_bound_may_miss_it_by_rounding(uniform: Recording):
+    problem, bounds = InverseProblem(uniform), Bounds(0.003, 100.0)
+    found = np.exp(np.log(np.full(problem.n_unknowns, [bounds.upper])))
+    found[0] = np.exp(np.log(bounds.lower))
+    assert found.max() > bounds.upper  # which is why
+    start = start_map(found, problem, bounds)
+    assert bounds.lower <= start.min() < start.max() <= bounds.upper
+    with pytest.raises(ConfigError, match="outside the bounds"):
+        start_map(found * (1 + 1e-6), problem, bounds)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactorch.inverse import Point, Settings, make_objective
+from tactorch.inverse import NoiseModel, Point, Settings, make_objective
 from tactorch.inverse.optimizers.weight import Cooling, ruling_weight
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
@@ -115,6 +115,20 @@ def test_an_overfitted_map_raises_the_weight_by_as_much_as_it_says(
     assert cooling.retry(fitted(3.0))  # too much: between the last two
     assert 20.0 < cooling.weight < 60.0
     assert not cooling.retry(fitted(0.97))
+
+
+def test_where_noise_may_be_less_a_weight_is_lowered_again_but_not_raised(
+    fitted: Callable[[float], Point], recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More presses may misfit at a weight at which the first ones had been fitted."""
+    cooling = Cooling(1.0, 30.0, False)
+    cooling.lower(0.5)
+    monkeypatch.setattr(NoiseModel, "floored", lambda *_: True)
+    assert not cooling.retry(fitted(0.01))
+    assert not cooling.retry(fitted(20.0), converged=False)
+    assert cooling.weight == 1.0
+    assert cooling.retry(fitted(20.0))
+    assert cooling.weight == pytest.approx(1.0 / 3.0)
 
 
 def test_a_misfit_of_the_noise_alone_is_no_overfit(fitted: Callable[[float], Point]) -> None:

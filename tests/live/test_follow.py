@@ -3,6 +3,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,33 @@ def test_a_run_that_had_ended_has_nothing_to_do(
     assert len(ended.history) == 1
 
 
+def test_a_run_that_was_killed_at_rest_settles_and_suggests_when_it_is_continued(
+    path: Path,
+    whole: Recording,
+    tmp_path: Path,
+    view: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    follow: Callable[..., Any],
+    new_view: Callable[[], Any],
+) -> None:
+    whole.select([0]).save(path)
+    run = tmp_path / "run"
+
+    def dying(self: GrowingInversion, **_: object) -> object:
+        (run / RESULT).unlink()  # as if killed before it was written, too
+        raise SystemExit
+
+    with monkeypatch.context() as patch:
+        patch.setattr(GrowingInversion, "settle", dying)
+        with pytest.raises(SystemExit):
+            follow(path, run, new_view())
+    assert [entry["settled"] for entry in lines(run)] == [False]
+    follow(path, run, view, rule="largest_uncertainty")
+    assert [entry["settled"] for entry in lines(run)] == [False, True]
+    assert len(view.suggestions) == 1
+    assert (run / RESULT).is_file()
+
+
 def test_a_run_is_not_continued_with_other_presses_or_settings(
     path: Path,
     whole: Recording,
@@ -132,8 +160,6 @@ def test_a_run_is_not_continued_with_other_presses_or_settings(
 def test_a_press_that_nothing_carries_is_passed_over(
     path: Path, whole: Recording, tmp_path: Path, view: Any, follow: Callable[..., Any]
 ) -> None:
-    from dataclasses import replace
-
     heavy = replace(whole.presses[1], forces=1e5 * whole.presses[1].forces)
     replace(whole, presses=(whole.presses[0], heavy, whole.presses[2]), check_units=False).save(
         path
@@ -142,6 +168,43 @@ def test_a_press_that_nothing_carries_is_passed_over(
     assert ended.seen is not None
     assert len(ended.seen.recording.presses) == 2
     assert view.notes[0].startswith("session.h5, press 2 is passed over")
+
+
+def test_a_press_that_moved_nothing_is_passed_over(
+    path: Path, whole: Recording, tmp_path: Path, view: Any, follow: Callable[..., Any]
+) -> None:
+    still = replace(whole.presses[1], displacement=np.zeros_like(whole.presses[1].displacement))
+    replace(whole, presses=(whole.presses[0], still, whole.presses[2]), check_units=False).save(
+        path
+    )
+    ended = follow(path, tmp_path / "run", view)
+    assert ended.seen is not None
+    assert len(ended.seen.recording.presses) == 2
+    assert "press 2 is passed over" in view.notes[0]
+    assert "displacements are zero" in view.notes[0]
+
+
+def test_the_size_of_suggested_places_follows_the_presses(whole: Recording) -> None:
+    from tactorch.live import Suggester
+    from tactorch.live.suggest import sensor_radius_mm
+
+    suggester, mesh = Suggester(Settings(), SuggestOptions(candidates=4)), whole.mesh
+    sizes = []
+    for presses in (whole.presses[:1], [narrow(whole)] * 2):
+        radius = sensor_radius_mm(mesh, presses)
+        places = suggester._candidates(mesh, presses, radius)
+        assert {place.radius_mm for place in places} == {radius}
+        sizes.append(radius)
+    assert sizes[1] < sizes[0]
+
+
+def narrow(whole: Recording) -> Any:
+    """The first press, loaded at one node alone."""
+    press = whole.presses[0]
+    forces = np.zeros_like(press.forces)
+    node = int(np.abs(press.forces[:, 2]).argmax())
+    forces[node] = press.forces[node]
+    return replace(press, forces=forces)
 
 
 def test_presses_that_wait_are_taken_together_and_no_suggestion_holds_them_up(
@@ -256,6 +319,10 @@ def test_a_replay_goes_on_where_it_was_and_can_be_stopped(path: Path, whole: Rec
     ]
     with pytest.raises(ConfigError, match="pause_seconds"):
         replay(whole, path, -1.0)
+    with pytest.raises(RecordingError, match=r"session\.h5' holds presses of another recording"):
+        replay(whole.select([1, 0, 2, 3]), path, 0.0)
+    with pytest.raises(RecordingError, match="another recording"):
+        replay(whole.select([0, 1]), path, 0.0)
 
 
 @pytest.mark.parametrize(

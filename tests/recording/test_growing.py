@@ -136,6 +136,17 @@ def test_another_object_is_refused(path: Path, record: Callable[..., Recording])
     mesh = box_mesh(11.0, 2)
     with pytest.raises(OtherObjectError, match="another object"):
         read_presses(path, known=record(mesh=mesh))
+    down, along = (
+        record(density=1e-9, gravity=np.array(g)) for g in ((0, 0, -9810.0), (0, -9810.0, 0))
+    )
+    along.save(path)
+    with pytest.raises(
+        OtherObjectError, match=r"gravity=\[0.0, -9810.0, 0.0\], the presses before"
+    ):
+        read_presses(path, known=down)
+    record(density=1.1e-9, gravity=np.array((0, 0, -9810.0))).save(path)
+    with pytest.raises(OtherObjectError, match=r"density=1.1e-09, the presses before 1e-09"):
+        read_presses(path, known=down)
 
 
 def test_a_file_that_is_cut_short_cannot_be_read(path: Path) -> None:

@@ -162,3 +162,22 @@ def test_failures_are_told_and_the_rest_is_written(tmp_path):
     with pytest.raises(TactorchError, match="models 5b"):
         make("table1", hard, tmp_path, workers=1, progress=_silent)
     assert not (tmp_path / "table1.md").exists()
+
+
+def test_an_exhibit_that_is_nothing_without_what_failed_ends_no_other(tmp_path, monkeypatch):
+    from tactorch.reproduce import credibility
+
+    work = credibility.work
+
+    def failing(case, scratch):
+        if case.name == next(iter(cases_of("credibility", TINY["credibility"]))).name:
+            raise ConfigError("no such cube")
+        return work(case, scratch)
+
+    monkeypatch.setattr(credibility, "work", failing)
+    with pytest.raises(TactorchError, match=r"1 cases failed: .*no such cube"):
+        make("fig3", TINY, tmp_path, workers=1, progress=_silent)
+    assert not (tmp_path / "fig3.md").exists()
+    assert len(list((tmp_path / "cases" / "credibility").glob("*.npz"))) == 8
+    monkeypatch.undo()
+    made("fig3", tmp_path)

@@ -96,6 +96,10 @@ def test_tables_of_poses(tmp_path: Path) -> None:
     path.write_text(head + "0,1,2,3,1,0,0,0\n0.5,1,2,2.5,0.70710678,0,0,0.70710678\n")
     found = read_poses(path)
     np.testing.assert_allclose(found.T_object_sensor[1], pose((0, 0, 90), (1, 2, 2.5)), atol=1e-7)
+    np.testing.assert_allclose(found.since(0.2).time_s, [-0.2, 0.3])
+    path.write_text(path.read_text() + "1,1,2,2.5,0.70710678,0,0,0.70")  # being written
+    assert len(read_poses(path, growing=True)) == 2
+    assert len(read_poses(path)) == 3
     for text, message in (
         ("time_s,x_mm\n0,1\n", "lacks the column y_mm"),
         (head + "0,1,2,a,1,0,0,0\n", "line 2: could not convert"),

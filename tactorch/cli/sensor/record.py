@@ -1,5 +1,6 @@
 """`tactorch sensor record`."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, cast
@@ -17,7 +18,7 @@ from tactorch.cli.settings import folder, log, made, material_of, plain
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh, box_mesh, read_mesh
 from tactorch.sensor.chain import ChainOptions, SensorChain
-from tactorch.sensor.contact import Touching, read_poses
+from tactorch.sensor.contact import Poses, Touching, read_poses
 from tactorch.sensor.gel import GelModel
 from tactorch.sensor.recorder import (
     Hold,
@@ -32,6 +33,7 @@ from tactorch.viz.session import plot_session
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
 _STEM = "record"
+_CLOCKS = ("frames", "unix")
 _HEADER = ("frame", "time_s", "depth_mm", "contact", "kept", "fault")
 _LABELS = {"frames": "following the gel", "presses": "finding forces"}
 
@@ -49,14 +51,15 @@ def run(cfg: DictConfig) -> Path:
     limits = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.least_mm, cfg.steep)
     chain = SensorChain(sensor, calibration, reference, model, limits)
     facts = {"settings": plain(cfg), "calibration": calibration.facts}
+    poses = poses_of(cfg, frames)
     if cfg.as_they_end:
         return grow(
             contacts_as_they_end(
-                frames, chain, lambda: read_poses(str(cfg.poses)), target, material, options,
-                provenance=facts,
+                frames, chain, poses, target, material, options, provenance=facts
             ), out,
         )  # fmt: skip
-    poses = read_poses(str(cfg.poses))
+    if not frames.is_camera:
+        poses()  # what is wrong with them is told at once
     with _Stages(frames) as tell:
         found = record(
             frames, chain, poses, target, material, options, provenance=facts, progress=tell
@@ -68,6 +71,27 @@ def run(cfg: DictConfig) -> Path:
         plot_presses(found.recording, place / _PRESSES)
     log.info("recording: %s", out)
     return out
+
+
+def poses_of(cfg: DictConfig, frames: FrameSequence) -> Callable[[], Poses]:
+    """Return what reads the poses, on the frames' clock.
+
+    Raises:
+        ConfigError: Their clock is unknown, or that of no camera.
+    """
+    if cfg.poses_clock not in _CLOCKS:
+        raise ConfigError(f"poses_clock={cfg.poses_clock}: choose one of {', '.join(_CLOCKS)}.")
+    if cfg.poses_clock == "unix" and not frames.is_camera:
+        raise ConfigError(
+            f"poses_clock=unix, but frames={cfg.frames} is no camera: when its frames were taken is"
+            " known since the first one alone; count the poses' time_s from there, too."
+        )
+
+    def read() -> Poses:
+        found = read_poses(str(cfg.poses), growing=cfg.as_they_end)
+        return found if cfg.poses_clock == "frames" else found.since(frames.zero_unix_s or 0.0)
+
+    return read
 
 
 class _Stages:

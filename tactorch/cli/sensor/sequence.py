@@ -2,9 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -51,6 +50,7 @@ class FrameSequence:
         if isinstance(self.source, int) and self.most is None and not once:
             raise ConfigError(f"frames={self.source} is a camera; give most_frames too.")
         self._kept: list[Frame] | None = None
+        self.zero_unix_s: float | None = None  # of a camera, once a frame came
         self._first = self._read()  # what is not there is told at once
 
     def __iter__(self) -> Iterator[Frame]:
@@ -60,6 +60,11 @@ class FrameSequence:
         if not isinstance(self.source, int):
             return self._read()
         return self._camera() if self._kept is None else iter(self._kept)
+
+    @property
+    def is_camera(self) -> bool:
+        """Whether frames are taken while they are gone over."""
+        return isinstance(self.source, int)
 
     @property
     def total(self) -> int:
@@ -78,7 +83,17 @@ class FrameSequence:
         return found if self.most is None else min(found, self.most)
 
     def _read(self) -> Iterator[Frame]:
-        return islice(read_frames(self.source, self.sensor, self.reference), self.most)
+        frames = read_frames(self.source, self.sensor, self.reference)
+        return self._passed(frames)
+
+    def _passed(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Frames up to `most`, after which a camera is let go; its clock is noted."""
+        for count, frame in enumerate(frames, start=1):
+            if self.zero_unix_s is None and None not in (frame.unix_s, frame.time_s):
+                self.zero_unix_s = cast(float, frame.unix_s) - cast(float, frame.time_s)
+            yield frame
+            if count == self.most:
+                return
 
     def _camera(self) -> Iterator[Frame]:
         kept = []

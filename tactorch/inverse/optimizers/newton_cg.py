@@ -3,7 +3,8 @@
 A product with J^T J costs two solves a press with factorisations that stand, so memory grows as the
 factors do, not as data times elements. The system is preconditioned by the prior, and the step need
 only be as good as the model is. Damping, bounds and the weight of the prior are those of
-`gauss_newton`. `hessian="true"` adds the second derivatives that Gauss-Newton leaves out.
+`gauss_newton`, but that the weight never leaps. `hessian="true"` adds the second derivatives that
+Gauss-Newton leaves out.
 """
 
 from dataclasses import dataclass, field

@@ -143,7 +143,8 @@ class Cooling:
         alone, for the model's error beside it may be less than was allowed for.
         """
         problem, chi2 = point.objective.problem, point.evaluation.chi2
-        if problem.noise.floored(problem.recording):
+        misfits = converged and chi2 > _MISFITTED
+        if not misfits and problem.noise.floored(problem.recording):
             return False
         if self.ended != _FITTED or self.rule != "discrepancy" or self.rounds >= _ROUNDS:
             return False
@@ -197,8 +198,9 @@ def carried(state: dict[str, float], growth: float) -> dict[str, float]:
     """Return the state of a weight from which to go on with more data; none where it is of no use.
 
     A weight that had fitted the data is kept, for the map to be fitted anew at it, and is lowered
-    or raised from there. Where the data told nothing it had risen without end: it begins no higher
-    than a hundred times one that rules over a uniform map.
+    or raised from there; one that another rule had chosen is chosen anew. Where the data told
+    nothing it had risen without end: it begins no higher than a hundred times one that rules over
+    a uniform map.
 
     Args:
         state: What `Cooling.state` has told, perhaps among other numbers.
@@ -210,7 +212,7 @@ def carried(state: dict[str, float], growth: float) -> dict[str, float]:
     return {
         "weight": min(state["weight"], _MOST_RAISED * ruling),
         "first_weight": ruling,
-        "ended": state["ended"],
+        "ended": 0.0 if state["ended"] == float(_REASONS.index(_CHOSEN)) else state["ended"],
     }
 
 

@@ -4,7 +4,7 @@ A pose turns points in the sensor's frame into the object's: p_object = R p_sens
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,10 @@ class Poses:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def since(self, start_s: float) -> "Poses":
+        """Return them with times counted from `start_s`."""
+        return replace(self, time_s=self.time_s - start_s)
 
     def at(self, times_s: Sequence[float] | Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 4 4"]:
         """Return the poses at times between those known: turned and moved evenly.
@@ -128,16 +132,20 @@ def turned(
     return vectors @ pose[:3, :3].T
 
 
-def read_poses(path: str | Path) -> Poses:
+def read_poses(path: str | Path, *, growing: bool = False) -> Poses:
     """Read poses from a CSV file, with places in mm and quaternions.
 
     Columns are time_s, x_mm, y_mm, z_mm, qw, qx, qy, qz.
+
+    Args:
+        path: The file.
+        growing: Whether lines are still added; then a last one without an end is left out.
 
     Raises:
         FileError: The file is missing or a line cannot be read.
         ConfigError: A pose cannot be used.
     """
-    rows = list(rows_of(path, "table of poses", _QUATERNION))
+    rows = list(rows_of(path, "table of poses", _QUATERNION, growing=growing))
     numbers = [[row.number(name) for name in _QUATERNION] for row in rows]
     table = np.array(numbers).reshape(-1, len(_QUATERNION))
     sizes = np.linalg.norm(table[:, 4:], axis=1)

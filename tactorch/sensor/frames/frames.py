@@ -31,6 +31,7 @@ class Frame:
         fault: What is wrong with it, or "".
         sound: Whether it can be measured on; one that saturates, or before which frames were
             dropped, can.
+        unix_s: When a camera gave it, seconds since 1970; None where unknown.
     """
 
     index: int
@@ -39,6 +40,7 @@ class Frame:
     time_s: float | None
     fault: str = ""
     sound: bool = True
+    unix_s: float | None = None
 
 
 def read_frames(
@@ -81,7 +83,8 @@ def read_frames(
             fault = fault or _dropped(raw.time_s, before_s, sensor.frame_rate_hz)
             before = image if image is not None else before
             before_s = raw.time_s
-            yield Frame(index, raw.name, image, _time(raw.time_s, index, sensor), fault, sound)
+            time_s = _time(raw.time_s, index, sensor)
+            yield Frame(index, raw.name, image, time_s, fault, sound, raw.unix_s)
 
     return run()
 

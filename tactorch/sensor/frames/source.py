@@ -5,7 +5,6 @@ Images are RGB, 8 bits a channel. A frame that cannot be read is told as such, a
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,29 +12,14 @@ import numpy as np
 
 from tactorch.errors import FileError
 from tactorch.files import require_file, require_folder
+from tactorch.sensor.frames.camera import camera_frames
+from tactorch.sensor.frames.raw import RawFrame
 from tactorch.sensor.image import Image
 
 #: A path of a folder, an image or a video, the number of a camera, or images themselves.
 SourceLike = str | Path | int | Iterable[np.ndarray]
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".mpg", ".mpeg")
-
-
-@dataclass(frozen=True, eq=False)
-class RawFrame:
-    """What a source gives.
-
-    Attributes:
-        name: Of the file, or of the place in the source; for messages.
-        image: RGB; None where it could not be read.
-        time_s: Since the first frame; None where unknown.
-        fault: Why it could not be read, or "".
-    """
-
-    name: str
-    image: Image | None
-    time_s: float | None = None
-    fault: str = ""
 
 
 def frames_of(source: SourceLike) -> Iterator[RawFrame]:
@@ -48,7 +32,7 @@ def frames_of(source: SourceLike) -> Iterator[RawFrame]:
         FileError: There is nothing to read.
     """
     if isinstance(source, int):
-        return _camera(source)
+        return camera_frames(source)
     if not isinstance(source, str | Path):
         return _given(source)
     path = Path(source)
@@ -122,9 +106,9 @@ def _decoded(capture: Any, path: Path) -> Iterator[RawFrame]:
             there, image = capture.read()
             if not there:
                 break
-            time = count / rate if rate > 0 else None
+            time_s = count / rate if rate > 0 else None
             yield RawFrame(
-                f"{path.name} frame {count}", cv2.cvtColor(image, cv2.COLOR_BGR2RGB), time
+                f"{path.name} frame {count}", cv2.cvtColor(image, cv2.COLOR_BGR2RGB), time_s
             )
             count += 1
     finally:
@@ -134,36 +118,6 @@ def _decoded(capture: Any, path: Path) -> Iterator[RawFrame]:
     for missing in range(count, told):
         fault = f"the video is cut short: {count} of {told} frames can be decoded"
         yield RawFrame(f"{path.name} frame {missing}", None, fault=fault)
-
-
-def _camera(number: int) -> Iterator[RawFrame]:
-    import time
-
-    import cv2
-
-    if number < 0:  # which OpenCV takes for any camera, and may crash on
-        raise FileError(f"camera {number} is none; cameras are numbered from 0.")
-    capture = cv2.VideoCapture(number)
-    if not capture.isOpened():
-        raise FileError(
-            f"camera {number} cannot be opened: it is not there, or another program has it."
-        )
-
-    def run() -> Iterator[RawFrame]:
-        start, count = time.monotonic(), 0
-        try:
-            while True:
-                there, image = capture.read()
-                name, now = f"camera {number} frame {count}", time.monotonic() - start
-                if there:
-                    yield RawFrame(name, cv2.cvtColor(image, cv2.COLOR_BGR2RGB), now)
-                else:
-                    yield RawFrame(name, None, now, "the camera gave no image")
-                count += 1
-        finally:
-            capture.release()
-
-    return run()
 
 
 def _given(images: Iterable[np.ndarray]) -> Iterator[RawFrame]:

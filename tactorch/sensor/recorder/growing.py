@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from tactorch.errors import ConfigError, ConvergenceError, FileError
+from tactorch.errors import ConfigError, FileError
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.sensor.chain import SensorChain
@@ -35,7 +35,8 @@ def contacts_as_they_end(
     """Yield the presses of each contact, as a recording of its own, once a frame without follows.
 
     They are those that `record` makes of the whole session, but for the noise that frames show,
-    which is that of the frames so far. A contact that cannot be used is told and passed over.
+    which is that of the frames so far. A contact that cannot be used is told and passed over, and
+    so are faulty frames.
 
     Args:
         frames: As they come, with times.
@@ -50,9 +51,10 @@ def contacts_as_they_end(
 
     Raises:
         ConfigError: A frame has no time, or another size than the reference.
+        FileError: A camera gives no image any more.
     """
     options = options or RecordOptions()
-    watch, count = Watch(chain, options.least_frames), 0
+    watch, count = Watch(chain, options.least_frames, keep=False), 0
     facts = {"sensor": chain.sensor.name, "versions": versions(), **(provenance or {})}
     mesh = target if isinstance(target, TetMesh) else None
     for touch in _ended(frames, watch):
@@ -62,18 +64,21 @@ def contacts_as_they_end(
             if mesh is None:
                 assert isinstance(target, VirtualCube)
                 mesh = region_of(target, touch, poses, chain.model.points[:, :2])
-            noise_mm = noise_of(watch.session(), chain, options)
+            noise_mm = noise_of(watch.noise_mm, chain, options)
             maker = Maker(chain, poses, mesh, options, isinstance(target, VirtualCube), noise_mm)
-            presses = tuple(_presses(maker, touch, count))
+            made = [press for _, press in maker.presses(touch, count)]
         except (ConfigError, FileError) as error:
             _log.warning("Contact %d is passed over: %s", count, error)
             continue
+        presses = tuple(press for press in made if isinstance(press, Press))
         if presses:
             yield Recording(mesh, presses, material, provenance=facts, check_units=False)
 
 
 def _ended(frames: Iterable[Frame], watch: Watch) -> Iterator[Episode]:
     for frame in frames:
+        if frame.fault:
+            _log.warning("%s: %s", frame.name, frame.fault)
         touch = watch.see(frame)
         if touch is not None:
             yield touch
@@ -99,17 +104,3 @@ def _poses(touch: Episode, read: Callable[[], Poses], patience_seconds: float) -
             if time.monotonic() >= until:
                 raise
         time.sleep(_PAUSE_S)
-
-
-def _presses(maker: Maker, touch: Episode, number: int) -> Iterator[Press]:
-    """The presses of a contact; frames that become none are told."""
-    first, step = maker.first(touch), 0
-    for index in touch.chosen(maker.options.steps):
-        name = touch.looks[index].frame.name
-        try:
-            press = maker.press(touch, index, first, step, f"contact {number}, {name}")
-        except (ConfigError, ConvergenceError) as error:
-            _log.warning("Frame '%s' becomes no press: %s", name, error)
-        else:
-            step += 1
-            yield press

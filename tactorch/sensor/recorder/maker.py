@@ -1,10 +1,13 @@
 """Presses of the frames of contacts: what recording a whole session and a growing one share."""
 
+import logging
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.mesh import TetMesh
 from tactorch.recording import Press
 from tactorch.sensor.chain import SensorChain
@@ -12,7 +15,9 @@ from tactorch.sensor.contact import Poses, Touching, press_of
 from tactorch.sensor.recorder.first_touch import by_depth, by_shape
 from tactorch.sensor.recorder.options import RecordOptions
 from tactorch.sensor.recorder.region import VirtualCube
-from tactorch.sensor.recorder.session import Episode, Session
+from tactorch.sensor.recorder.session import Episode
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +46,27 @@ class Maker:
             return _first_by_depth(touch, self.poses)
         gel = self.chain.sensor.gel
         return by_shape(self.poses, touch.free_s, touch.times_s[0], self.mesh, gel)
+
+    def presses(
+        self, touch: Episode, number: int
+    ) -> Iterator[tuple[int, Press | ConfigError | ConvergenceError]]:
+        """Yield the index of each frame that stands for a contact, and its press, or why none.
+
+        Args:
+            touch: The contact.
+            number: Its place among the contacts, from 1, for the presses' names.
+        """
+        first, step = self.first(touch), 0
+        for index in touch.chosen(self.options.steps):
+            name = touch.looks[index].frame.name
+            try:
+                press = self.press(touch, index, first, step, f"contact {number}, {name}")
+            except (ConfigError, ConvergenceError) as error:
+                _log.warning("Frame '%s' becomes no press: %s", name, error)
+                yield index, error
+            else:
+                step += 1
+                yield index, press
 
     def press(
         self, touch: Episode, index: int, first: Float[np.ndarray, "4 4"], step: int, name: str
@@ -75,8 +101,8 @@ def region_of(
     return target.under(_first_by_depth(touch, poses), places_mm[look.touched].mean(axis=0))
 
 
-def noise_of(session: Session, chain: SensorChain, options: RecordOptions) -> float:
+def noise_of(shown_mm: float | None, chain: SensorChain, options: RecordOptions) -> float:
     """Return the standard deviation of the displacements, mm: told, or shown and allowed for."""
     if options.noise_mm is not None:
         return float(options.noise_mm)
-    return max(float(chain.options.noise_mm), session.noise_mm or 0.0)
+    return max(float(chain.options.noise_mm), shown_mm or 0.0)

@@ -1,11 +1,10 @@
 """From frames and poses to a recording: contacts, first touch, forces, presses."""
 
-import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.sensor.chain import SensorChain
@@ -17,7 +16,6 @@ from tactorch.sensor.recorder.region import VirtualCube
 from tactorch.sensor.recorder.session import Episode, Session, watch
 from tactorch.versions import versions
 
-_log = logging.getLogger(__name__)
 Tell = Callable[[str, int, int | None], None]
 
 
@@ -42,7 +40,7 @@ class Recorded:
 def record(
     frames: Iterable[Frame],
     chain: SensorChain,
-    poses: Poses,
+    poses: Poses | Callable[[], Poses],
     target: TetMesh | VirtualCube,
     material: MaterialSpec,
     options: RecordOptions | None = None,
@@ -55,7 +53,8 @@ def record(
     Args:
         frames: Of the session, with times.
         chain: The calibrated sensor.
-        poses: T_object_sensor over the same clock.
+        poses: T_object_sensor over the same clock; or what returns them once all frames are
+            there.
         target: The object at rest in the object's frame, mm; or a virtual cube where its shape is
             not known.
         material: Of the object, but for Young's modulus.
@@ -75,6 +74,8 @@ def record(
         progress=lambda done: progress("frames", done, None),
     )  # fmt: skip
     _require_contact(session, chain)
+    if not isinstance(poses, Poses):
+        poses = poses()
     poses.at([time_s for touch in session.contacts for time_s in touch.times_s])  # all are known
     mesh = (
         target
@@ -82,22 +83,17 @@ def record(
         else region_of(target, session.contacts[0], poses, chain.model.points[:, :2])
     )
     virtual = not isinstance(target, TetMesh)
-    maker = Maker(chain, poses, mesh, options, virtual, noise_of(session, chain, options))
-    chosen = [(i, one, one.chosen(options.steps)) for i, one in enumerate(session.contacts)]
-    total, presses, rows, passed_over = sum(len(c) for _, _, c in chosen), [], [], {}
-    for i, touch, frames_of in chosen:
-        first, step = maker.first(touch), 0
-        for index in frames_of:
-            name = touch.looks[index].frame.name
-            try:
-                press = maker.press(touch, index, first, step, f"contact {i + 1}, {name}")
-            except (ConfigError, ConvergenceError) as error:
-                passed_over[name] = str(error)
-                _log.warning("Frame '%s' becomes no press: %s", name, error)
+    maker = Maker(chain, poses, mesh, options, virtual, noise_of(session.noise_mm, chain, options))
+    total = sum(len(touch.chosen(options.steps)) for touch in session.contacts)
+    presses: list[Press] = []
+    rows, passed_over = [], {}
+    for number, touch in enumerate(session.contacts, start=1):
+        for index, made in maker.presses(touch, number):
+            if isinstance(made, Press):
+                presses.append(made)
+                rows.append(_row(number, touch, index, made))
             else:
-                presses.append(press)
-                rows.append(_row(i + 1, touch, index, press))
-                step += 1
+                passed_over[touch.looks[index].frame.name] = str(made)
             progress("presses", len(presses) + len(passed_over), total)
     if not presses:
         first_name, reason = next(iter(passed_over.items()))

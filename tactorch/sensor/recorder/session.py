@@ -129,14 +129,16 @@ class Watch:
     Attributes:
         chain: The calibrated sensor.
         least_frames: Contacts of fewer are passed over.
+        keep: Whether frames and contacts are kept for `session`; one without end keeps neither.
         glances: What is kept of each frame so far.
     """
 
     chain: SensorChain
     least_frames: int = 1
+    keep: bool = True
     glances: list[Glance] = field(default_factory=list)
     _episodes: list[Episode] = field(default_factory=list)
-    _squares: list[np.ndarray] = field(default_factory=list)
+    _squares: tuple[float, int] = (0.0, 0)  # sum of markers' movements squared, mm^2, and count
     _now: Episode | None = None
     _free_s: float | None = None
 
@@ -152,17 +154,19 @@ class Watch:
             if look.height is not None:
                 depth_mm, steepest = -float(look.height.height_mm.min()), look.height.steepest
             if look.moved is None:
-                self._squares.append(_squared(self.chain, look))
+                self._add_noise(_squared(self.chain, look))
                 ended, self._free_s = self.end(), time_s
             else:
                 if self._now is None:
                     self._now = Episode(self._free_s)
-                    self._episodes.append(self._now)
+                    if self.keep:
+                        self._episodes.append(self._now)
                 number = len(self._episodes) - 1
                 self._now.add(look, time_s, depth_mm)
-        self.glances.append(
-            Glance(frame.name, frame.time_s, depth_mm, steepest, number, frame.fault)
-        )
+        if self.keep:
+            self.glances.append(
+                Glance(frame.name, frame.time_s, depth_mm, steepest, number, frame.fault)
+            )
         return ended
 
     def end(self) -> Episode | None:
@@ -174,9 +178,19 @@ class Watch:
         """Return what the frames so far show."""
         found = Session(list(self.glances))
         _keep(found, self._episodes, self.least_frames)
-        if self._squares:
-            found.noise_mm = float(np.sqrt(np.nanmean(np.concatenate(self._squares))))
+        found.noise_mm = self.noise_mm
         return found
+
+    @property
+    def noise_mm(self) -> float | None:
+        """As of `Session`, of the frames so far."""
+        total, count = self._squares
+        return float(np.sqrt(total / count)) if count else None
+
+    def _add_noise(self, squares: Float[np.ndarray, " _"]) -> None:
+        total, count = self._squares
+        known = squares[np.isfinite(squares)]
+        self._squares = total + float(known.sum()), count + len(known)
 
 
 def _keep(found: Session, episodes: list[Episode], least_frames: int) -> None:
