@@ -11,6 +11,7 @@ from tactorch.mesh import TetMesh
 from tactorch.recording import Press
 
 _NAMED = 0.95  # cosine of the angle up to which a direction is called by its side
+_CANCELLED = 0.1  # share of the forces that is left of their sum, below which nothing is pushed
 _AXES = "xyz"
 
 
@@ -57,7 +58,7 @@ def lay_under(
         elements: Its elements, (m,).
 
     Returns:
-        None where no press pushes.
+        None where no press pushes; one that grips, so that its forces cancel, does not.
 
     Raises:
         ConfigError: The region is empty.
@@ -78,8 +79,8 @@ def _under(
     total = press.forces.sum(axis=0)
     length = float(np.linalg.norm(total))
     touched = mesh.points[np.any(press.forces != 0, axis=1)]
-    if not length > 0 or not len(touched):
-        return None
+    if not length > _CANCELLED * np.linalg.norm(press.forces, axis=1).sum():
+        return None  # nothing is pushed, or it is gripped from opposite sides
     inward = total / length
     across = touched - center_mm
     across = across - (across @ inward)[:, None] * inward

@@ -9,7 +9,8 @@ from tactorch.cli.outputs import write_json
 from tactorch.cli.runs import with_settings
 from tactorch.cli.settings import log
 from tactorch.credibility import GaussianPosterior, posterior_of
-from tactorch.errors import FileError, TactorchError
+from tactorch.credibility.trust import UNCOMPUTABLE
+from tactorch.errors import FileError
 from tactorch.files import atomic_path
 from tactorch.recording import Recording
 from tactorch.viz.report import Run, load_run, settings_of
@@ -48,6 +49,7 @@ def _posterior(found: Run, recording: Recording) -> GaussianPosterior | None:
     try:
         settings = complete.settings or settings_of(complete.found.config)
         return posterior_of(recording, complete.found, settings)
-    except TactorchError as error:
-        log.warning("how sure it is cannot be told: %s", error)
+    except UNCOMPUTABLE as error:
+        reason = str(error) or "the memory does not suffice"
+        log.warning("how sure it is cannot be told: %s", reason)
         return None

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from tactorch.cli.outputs import RESULTS, histories_of, write_outputs
+from tactorch.cli.outputs import MADE_OF_RESULTS, RESULTS, histories_of, write_outputs
 from tactorch.cli.resume import CHECKPOINT, checkpoint_of
 from tactorch.cli.settings import folder, inversion_of, plain, start_of
 from tactorch.inverse import INTERRUPTED, Reconstruction, invert
@@ -44,7 +44,7 @@ def invert_recording(cfg: DictConfig, recording: Recording, source: Path) -> Rec
 
 def _clear(out: Path, resume: Path | None) -> None:
     """Remove what an earlier run left: a killed run must not seem to have its results."""
-    for name in (*RESULTS, CHECKPOINT):
+    for name in (*RESULTS, *MADE_OF_RESULTS, CHECKPOINT):
         stale = out / name
         if resume is None or resume.resolve() != stale.resolve():
             stale.unlink(missing_ok=True)

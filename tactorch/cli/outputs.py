@@ -31,6 +31,8 @@ RESULTS = (
     "summary.json",
     "summary.txt",
 )
+# What other commands make of these, and leave beside them.
+MADE_OF_RESULTS = ("finding.txt", "finding.json", "report.html")
 
 
 # Of the volume: with more at a bound a map is no more than where the search ran to.
@@ -170,10 +172,11 @@ def describe(
 
 def _estimate(name: str, found: NuisanceEstimate) -> str:
     pairs = zip(found.value, found.deviation, strict=True)
+    if not np.isfinite(found.deviation).any():
+        values = ", ".join(f"{value:.4g}" for value in found.value)
+        return f"Estimated beside the map: {name} {values} (how sure was not computed)."
     values = ", ".join(f"{value:.4g} +- {deviation:.2g}" for value, deviation in pairs)
-    told = (
-        "" if (found.deviation < 0.9 * found.prior_deviation).any() else " (the data tell little)"
-    )
+    told = "" if found.told else " (the data tell little)"
     return f"Estimated beside the map: {name} {values}{told}."
 
 

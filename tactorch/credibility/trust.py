@@ -4,9 +4,12 @@ from tactorch.credibility.gaussian import GaussianPosterior
 from tactorch.credibility.low_rank import LowRankPosterior
 from tactorch.credibility.posterior import LaplacePosterior
 from tactorch.credibility.variational import variational_posterior
+from tactorch.errors import TactorchError
 from tactorch.inverse import Point, Reconstruction, Settings, solution
 from tactorch.recording import Recording
 
+#: What may keep a posterior from being computed: of large problems NumPy, torch or ARPACK, too.
+UNCOMPUTABLE = (TactorchError, MemoryError, RuntimeError)
 VARIATIONAL, DENSE = 2_000, 12_000  # parameters up to which it takes seconds, or fits the memory
 
 

@@ -10,6 +10,7 @@ from tactorch.errors import ConvergenceError, TactorchError
 from tactorch.inverse.objective import Point
 from tactorch.linalg import DenseCholesky
 
+_TOLD = 0.9
 _DENSE = 12_000  # parameters up to which the normal matrix (1.2 GB) is formed
 
 
@@ -27,6 +28,11 @@ class NuisanceEstimate:
     value: Float[np.ndarray, " c"]
     deviation: Float[np.ndarray, " c"]
     prior_deviation: float
+
+    @property
+    def told(self) -> bool:
+        """Whether the data tell some component, to less than nine tenths of what was known."""
+        return bool((self.deviation < _TOLD * self.prior_deviation).any())
 
     def plain(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values."""

@@ -154,7 +154,8 @@ def table2(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Pat
     heads = [f"{name}: {who}" for name in shown for who in ("paper", *options["meshes"])]
     count = 1 + len(options["meshes"])
     digits = [2 if metric == "psnr" else 4 for metric in METRICS for _ in range(count)]
-    table = Table(["model", "cell", *heads, "position error, mm"], [None, None, *digits, 2])
+    place_head = f"position error, mm: {options['meshes'][0]}"
+    table = Table(["model", "cell", *heads, place_head], [None, None, *digits, 2])
     beaten = total = 0
     for model in MODELS:
         for name, cell in CELLS.items():

@@ -2,16 +2,19 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.applications import Confidence, confidence_of, find_lump
 from tactorch.credibility import credibility
-from tactorch.credibility.trust import posterior_at
+from tactorch.credibility.trust import UNCOMPUTABLE, posterior_at
 from tactorch.errors import TactorchError
-from tactorch.inverse import Point, Settings, solution
+from tactorch.inverse import NoiseModel, Point, Settings, solution
+from tactorch.inverse.nuisance.placed import Placing
+from tactorch.inverse.nuisance.values import Nuisance
 from tactorch.recording import Recording
 from tactorch.viz.report.runs import Run
 from tactorch.viz.report.settings import settings_of
@@ -21,7 +24,7 @@ LEVEL = 0.95
 Tell = Callable[[str, int, int], None]
 
 _STEPS = 4
-_AT_BOUND = 1e-3  # of the way from one bound to the other, in parameters
+_AT_BOUND = 0.01  # share of a bound within which a modulus lies at it
 _log = logging.getLogger("tactorch")
 
 
@@ -87,13 +90,14 @@ class Judgement:
         belief: Of each element; None where it was left out or could not be had.
         fits: Of each press; empty without a recording.
         missing: Why something is missing; empty where nothing is.
-        corrected: Whether the mesh's own error is taken off the residuals, as the inversion did.
+        corrected: Whether the mesh's own error is taken off the residuals, as the inversion did;
+            None where that takes no correction off.
     """
 
     belief: Belief | None
     fits: list[Fit]
     missing: str
-    corrected: bool
+    corrected: bool | None
 
 
 def judge(run: Run, *, uncertainty: bool = True, tell: Tell | None = None) -> Judgement:
@@ -110,14 +114,14 @@ def judge(run: Run, *, uncertainty: bool = True, tell: Tell | None = None) -> Ju
     if not uncertainty:
         return Judgement(None, _plain_fits(run, run.recording), "it was left out", False)
     try:
-        belief, fits = _believed(run, run.recording, tell or (lambda *_: None))
-    except TactorchError as error:
-        _log.warning("%s: no uncertainty: %s", run.name, error)
-        return Judgement(None, _plain_fits(run, run.recording), str(error), False)
-    return Judgement(belief, fits, "", True)
+        return _believed(run, run.recording, tell or (lambda *_: None))
+    except UNCOMPUTABLE as error:
+        reason = str(error) or "the memory does not suffice"
+        _log.warning("%s: no uncertainty: %s", run.name, reason)
+        return Judgement(None, _plain_fits(run, run.recording), reason, False)
 
 
-def _believed(run: Run, recording: Recording, tell: Tell) -> tuple[Belief, list[Fit]]:
+def _believed(run: Run, recording: Recording, tell: Tell) -> Judgement:
     tell("presses at the map", 0, _STEPS)
     point = solution(recording, run.found, run.settings or settings_of(run.found.config))
     tell("credibility", 1, _STEPS)
@@ -128,13 +132,16 @@ def _believed(run: Run, recording: Recording, tell: Tell) -> tuple[Belief, list[
     low, high = posterior.interval(LEVEL)
     resolution = np.clip(posterior.resolution_diagonal(), 0.0, 1.0)
     tell("done", _STEPS, _STEPS)
-    lower, upper = posterior.parameterization.limits
-    edge = _AT_BOUND * (upper - lower)
-    at_bound = (point.elements < lower + edge) | (point.elements > upper - edge)
+    bounds = posterior.parameterization.bounds
+    at_bound = (point.youngs < (1 + _AT_BOUND) * bounds.lower) | (
+        point.youngs > (1 - _AT_BOUND) * bounds.upper
+    )
+    at_bound |= low == high  # all of the interval lies beyond a bound
     lump = find_lump(recording.mesh, run.found.youngs)
     sure = None if lump is None else confidence_of(recording.mesh, lump, posterior)
     belief = Belief(felt, low, high, resolution, at_bound, type(posterior).__name__, sure)
-    return belief, _fits(recording, point)
+    corrected = None if point.objective.problem.model_deviation is None else True
+    return Judgement(belief, _fits(recording, point), "", corrected)
 
 
 def _fits(recording: Recording, point: Point) -> list[Fit]:
@@ -151,14 +158,33 @@ def _fits(recording: Recording, point: Point) -> list[Fit]:
 
 def _plain_fits(run: Run, recording: Recording) -> list[Fit]:
     """Residuals as they are without the corrections that take solving the presses again."""
-    try:
-        noise = settings_of(run.found.config).noise
-    except TactorchError:
-        noise = Settings().noise
+    placing, values = Placing(recording), _nuisance_of(run, recording)
+    deviations = _noise_of(run).deviations(recording)
     fits = []
-    for press, moved, deviation in zip(
-        recording.presses, run.found.displacements, noise.deviations(recording), strict=True
+    for i, (press, moved) in enumerate(
+        zip(recording.presses, run.found.displacements, strict=True)
     ):
-        residual = np.where(press.data, moved - press.displacement, np.nan)
-        fits.append(Fit(residual, residual / deviation))
+        weights = np.ones_like(press.forces) if press.weights is None else press.weights
+        counts = press.data & (weights > 0)
+        reported = placing.at(values, i).reported(moved)
+        residual = np.where(counts, reported - press.displacement, np.nan)
+        fits.append(Fit(residual, residual * weights / deviations[i]))
     return fits
+
+
+def _nuisance_of(run: Run, recording: Recording) -> Nuisance:
+    """The values that the run estimated, else those that the recording states."""
+    found: dict[str, Any] = {name: estimate.value for name, estimate in run.found.nuisance.items()}
+    for name in {"poisson", "force_scale"} & found.keys():
+        found[name] = float(found[name][0])
+    return replace(Nuisance.assumed(recording), **found)
+
+
+def _noise_of(run: Run) -> NoiseModel:
+    if run.settings is not None:
+        return run.settings.noise
+    told = run.found.config.get("settings", {}).get("noise", {})
+    try:
+        return NoiseModel(**told)
+    except (TypeError, TactorchError):  # of another version
+        return Settings().noise

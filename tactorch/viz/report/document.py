@@ -176,7 +176,7 @@ def _solid(count: int) -> str:
     views = "".join(
         '<div class="view"><canvas class="gl" tabindex="0" role="img"></canvas>'
         '<canvas class="overlay" aria-hidden="true"></canvas><img class="still" alt="">'
-        '<p class="none" hidden></p><p class="label"></p></div>'
+        '<p class="none" hidden></p><p class="label"></p><p class="paper"></p></div>'
         for _ in range(count)
     )
     return element("figure", element("div", views, class_="views") + _SOLID, class_="solid")
@@ -245,6 +245,7 @@ def _presses(told: Sequence[Told]) -> str:
     return f"""
 <div class="controls">{choice}<label>Press <select id="press"></select></label>
 <output id="press-out"></output></div>
+<p class="paper" id="press-told"></p>
 <div class="row">
   <figure><canvas id="scatter" role="img"></canvas>
     <figcaption>Each displacement of the touched surface: what the map foretells against what was

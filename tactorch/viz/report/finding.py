@@ -196,7 +196,9 @@ def _cautions(run: Run, judged: Judgement, inclusion: Inclusion | None, fit: flo
             " detail of the map is noise, and intervals are too narrow."
         )
     for name, estimate in found.nuisance.items():
-        if not (estimate.deviation < 0.9 * estimate.prior_deviation).any():
+        if not np.isfinite(estimate.deviation).any():
+            told.append(f"The estimate of {name}: how sure it is was not computed.")
+        elif not estimate.told:
             told.append(f"The estimate of {name}: the presses tell little of it.")
     return told
 

@@ -34,12 +34,12 @@ _Column = dict[str, float]
 def score_table(runs: Sequence[Run]) -> str:
     """Return scores against the truth, what they cost, the best of each marked."""
     columns = {run.name: _scores(run, run.found.youngs) | _cost(run) for run in runs}
-    same = _same_truth(runs)
+    same, one = _same_truth(runs), _one_reference(runs)
     for run in runs:
         recording = run.recording
         if recording is not None and recording.reference is not None:
-            name = "reference" if same else f"reference of {run.name}"
-            columns.setdefault(name, _scores(run, recording.reference))
+            name = "reference" if one else f"reference of {run.name}"
+            columns[name] = _scores(run, recording.reference)
     told = _SCORES | _COST
     names = [name for name in told if any(name in column for column in columns.values())]
     body = [[told[name][0], *(_number(c.get(name)) for c in columns.values())] for name in names]
@@ -63,6 +63,17 @@ def _same_truth(runs: Sequence[Run]) -> bool:
         (one.mesh.content_hash(), one.truth.tobytes()) for one in known if one.truth is not None
     }
     return len(told) <= 1
+
+
+def _one_reference(runs: Sequence[Run]) -> bool:
+    """Whether the runs' references are one and the same, and no run is called like it."""
+    known = [run.recording for run in runs if run.recording is not None]
+    told = {
+        (one.mesh.content_hash(), one.reference.tobytes())
+        for one in known
+        if one.reference is not None
+    }
+    return len(told) <= 1 and all(run.name != "reference" for run in runs)
 
 
 def _cost(run: Run) -> _Column:

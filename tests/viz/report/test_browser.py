@@ -162,10 +162,25 @@ def test_paper_gets_fixed_slices_and_a_still(report: Path, visit: Open) -> None:
     assert page.locator("img.still").is_visible()
     assert page.locator("img.still").get_attribute("src").startswith("data:image/png")
     assert page.locator("details:not([open])").count() == 0
+    assert "missed by" in page.locator("#press-told").inner_text()
+    assert "Young's modulus passes" in page.locator(".view .paper").inner_text()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     page.emulate_media(media="screen")
     page.wait_for_selector("#print-slices", state="hidden")
     assert page.locator("details[open]").count() == 0
+
+
+def test_the_last_place_of_a_slider_shows_the_last_side(report: Path, visit: Open) -> None:
+    seen = visit(report)
+    seen.settle()
+    for axis in "xyz":
+        seen.page.locator(f"#slice-{axis}").press("End")
+    seen.settle()
+    told = seen.page.locator(".slice").evaluate_all(
+        "all => all.map((one) => one.getAttribute('aria-label'))"
+    )
+    assert told
+    assert not [one for one in told if "outside the body" in one]
 
 
 def test_dark_follows_the_system(report: Path, visit: Open) -> None:

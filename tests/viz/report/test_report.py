@@ -11,12 +11,14 @@ import pytest
 
 from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.inverse import Bounds, GaussNewton, NewtonCG, NoiseModel, Settings, Unknowns
+from tactorch.inverse.nuisance_estimate import NuisanceEstimate
 from tactorch.plain import plain, plain_fields
 from tactorch.recording import Recording
 from tactorch.viz.report import load_run, names_of, write_report
 from tactorch.viz.report.belief import judge
 from tactorch.viz.report.finding import finding
 from tactorch.viz.report.settings import settings_of
+from tactorch.viz.report.tables import score_table
 
 
 def page_of(run: Any, out: Path, **options: Any) -> str:
@@ -139,6 +141,72 @@ def test_no_uncertainty_is_told_at_a_bound(make_run: Any, tmp_path: Path) -> Non
     told = [line for line in finding(run, judged).cautions if "factor of two" in line]
     assert f"{100 * share:.0f} %" in told[0]
     page_of(run, tmp_path)
+
+
+def test_bounds_are_told_by_modulus_whatever_the_parameters(make_run: Any, tmp_path: Path) -> None:
+    settings = Settings(optimizer=GaussNewton(max_iterations=2), parameterization="scaled")
+    run = load_run(make_run(tmp_path / "run", settings))
+    judged = judge(run)
+    assert judged.belief is not None
+    assert run.found.youngs.max() < 50.0  # of 100
+    np.testing.assert_array_equal(judged.belief.at_bound, run.found.youngs < 0.00101)
+
+
+def test_plain_misses_are_where_the_run_believes_the_sensor(make_run: Any, tmp_path: Path) -> None:
+    settings = Settings(
+        optimizer=GaussNewton(max_iterations=3), model_error="none",
+        unknowns=Unknowns(translation_mm=0.1, rotation_rad=0.01), noise=NoiseModel(mm=0.02),
+    )  # fmt: skip
+    run = load_run(make_run(tmp_path / "run", settings))
+    plain = judge(run, uncertainty=False).fits
+    assert sum(0.5 * np.nansum(fit.residual**2) for fit in plain) == pytest.approx(
+        run.found.history[-1]["misfit"], rel=1e-4
+    )
+    for fit in plain:
+        np.testing.assert_allclose(fit.deviations, fit.residual / 0.02)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("not enough memory: 9 GB")])
+def test_a_posterior_that_does_not_fit_the_memory_costs_no_report(
+    error: Exception, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("tactorch.viz.report.belief.posterior_at", fail)
+    judged = judge(load_run(run_folder))
+    assert judged.belief is None
+    assert "memory" in judged.missing
+    assert len(judged.fits) == 2
+
+
+def test_a_nuisance_whose_deviation_was_not_computed_is_not_said_to_be_unknown(
+    run_folder: Path,
+) -> None:
+    run = load_run(run_folder)
+    for deviation, words in ((np.nan, "was not computed"), (0.02, "tell little"), (0.001, "")):
+        estimate = NuisanceEstimate(np.array([0.4]), np.array([deviation]), 0.02)
+        found = dataclasses.replace(run.found, nuisance={"poisson": estimate})
+        told = finding(
+            dataclasses.replace(run, found=found), judge(run, uncertainty=False)
+        ).cautions
+        named = [line for line in told if "poisson" in line]
+        assert [words in line for line in named] == [True] * bool(words)
+
+
+def test_references_that_differ_have_their_own_columns(run_folder: Path) -> None:
+    first = load_run(run_folder)
+    assert first.recording is not None
+    maps = [np.full(first.recording.mesh.n_tets, mpa) for mpa in (0.2, 0.3)]
+    runs = [
+        dataclasses.replace(
+            first, name=name, recording=dataclasses.replace(first.recording, reference=youngs)
+        )
+        for name, youngs in zip(("a", "b"), maps, strict=True)
+    ]
+    assert "reference of a" in score_table(runs)
+    assert "reference of b" in score_table(runs)
+    assert "reference of" not in score_table([runs[0], dataclasses.replace(runs[0], name="c")])
 
 
 def test_without_its_recording_it_tells_what_is_left(run_folder: Path, tmp_path: Path) -> None:

@@ -88,7 +88,10 @@ function makePresses() {
       select.add(new Option(`${press.name} (${number(press.force, 2)} N)`, i)));
     pressed.index = runs[pressed.run].presses.length - 1;
     select.value = pressed.index;
-    one("#press-note").textContent = runs[pressed.run].corrected
+    const { corrected } = runs[pressed.run];
+    one("#press-note").textContent = corrected === null
+      ? "The inversion took no error of the mesh off, and neither is one taken off here."
+      : corrected
       ? "What the mesh itself gets wrong is taken off, as in the inversion, and counts in the" +
         " standard deviations."
       : "What the mesh itself gets wrong is not taken off here: that takes solving the presses" +
@@ -106,6 +109,8 @@ function drawPresses() {
   const press = pressOf(runs[pressed.run], pressed.index);
   one("#press-out").textContent = `missed by ${number(press.rms_um, 3)} µm RMS, ` +
     `${number(press.rms_deviations, 2)} standard deviations`;
+  one("#press-told").textContent = (runs.length > 1 ? `${runs[pressed.run].name}: ` : "") +
+    `press ${press.name} (${number(press.force, 2)} N), ${one("#press-out").textContent}.`;
   drawScatter(press);
   drawFelt(press);
 }

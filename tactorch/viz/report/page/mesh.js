@@ -22,13 +22,19 @@ const runs = data.runs.map((run) => {
 const bounds = [0, 1].map((end) =>
   [0, 1, 2].map((a) => Math[end ? "max" : "min"](...runs.map((run) => run.bounds[end][a]))));
 
+// Where a plane is laid: beside nodes, and within the body where it is to touch its last side.
+function placeOf(run, axis, at) {
+  const high = run.bounds[1][axis];
+  return at <= high + run.nudge ? Math.min(at + run.nudge, high - run.nudge) : at;
+}
+
 // Where elements meet a plane: corners of each polygon in the plane's two coordinates.
 function cut(run, axis, at) {
   const kept = run.cuts[axis];
   if (kept.at === at) return kept.found;
   const { points, tets } = run, [across, up] = PLANE[axis];
   const corners = [], ends = [0], elements = [];
-  const place = at + run.nudge;
+  const place = placeOf(run, axis, at);
   const crossing = (i, j) => {
     const a = points[3 * i + axis] - place, b = points[3 * j + axis] - place, t = a / (a - b);
     corners.push(
@@ -58,7 +64,7 @@ function cut(run, axis, at) {
 
 // Where triangles meet a plane: ends of segments.
 function cutTriangles(run, triangles, axis, at) {
-  const { points } = run, [across, up] = PLANE[axis], place = at + run.nudge, found = [];
+  const { points } = run, [across, up] = PLANE[axis], place = placeOf(run, axis, at), found = [];
   for (let t = 0; t < triangles.length; t += 3) {
     const ends = [];
     for (let k = 0; k < 3; k++) {

@@ -316,7 +316,7 @@ function read(panel, event) {
     let text = `${title} ${number(values[element])} ${unit}`;
     if (field === "spread") text = `${title} ± ${number(values[element], 2)} %`;
     if (!isTold(field, values[element])) text = `${title} not told: the map is at a bound`;
-    if (field === "youngs" && run.interval) {
+    if (field === "youngs" && run.interval && isTold("spread", run.fields.spread[element])) {
       const [low, high] = run.interval.map((end) => number(end[element]));
       text += ` (95 %: ${low} to ${high})`;
     }

@@ -242,10 +242,12 @@ class View {
       }
       g.fillText(`${AXES[axis]} (mm)`, mx + 30 * out[0], my + 26 * out[1]);
     }
-    this.canvas.setAttribute("aria-label",
+    const told =
       `3-D view of ${this.run.name}: the surface where Young's modulus passes ` +
       `${number(solid.level)} MPa, within the translucent body` +
-      (solid.axis < 0 ? "" : `, cut across ${AXES[solid.axis]} at ${mm(state.at[solid.axis])} mm`));
+      (solid.axis < 0 ? "" : `, cut across ${AXES[solid.axis]} at ${mm(state.at[solid.axis])} mm`);
+    this.canvas.setAttribute("aria-label", told);
+    one(".paper", this.place).textContent = told;
   }
 
   // A picture for paper.
