@@ -103,7 +103,7 @@ def fig11(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path
         summary.add("SSIM of cake and cone", known["ssim_cake_cone"], float(alike[0, 2]))
     if _NAMED in outcomes:
         found = outcomes[_NAMED].figures
-        order = [found["classes"].index(name) for name in _SHAPES]
+        order = [list(found["classes"]).index(name) for name in _SHAPES]
         counts = np.array(found["confusion"], dtype=float)[np.ix_(order, order)]
         shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
         title = f"named (across) of true (down), {found['samples']} answers"

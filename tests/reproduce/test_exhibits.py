@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.reproduce import EXHIBITS, depths, make, sizes
+from tactorch.reproduce import EXHIBITS, depths, make, recognition, sizes
 from tactorch.reproduce.cases import Outcome
 from tactorch.reproduce.depths import nearest
-from tactorch.reproduce.studies import TITLES, cases_of, study_of
+from tactorch.reproduce.studies import TITLES, cases_of, study_of, writer_of
 
 _COARSE = 0.25
 TINY = {
@@ -181,3 +181,21 @@ def test_an_exhibit_that_is_nothing_without_what_failed_ends_no_other(tmp_path, 
     assert len(list((tmp_path / "cases" / "credibility").glob("*.npz"))) == 8
     monkeypatch.undo()
     made("fig3", tmp_path)
+
+
+def test_confusion_is_by_the_shapes_of_the_paper(tmp_path, monkeypatch):
+    """From scores as `tactorch evaluate-model` writes them, whose classes go by the alphabet."""
+    scores = {
+        "samples": 24,
+        "accuracy": 19 / 24,
+        "accuracy_deviation": 0.06,
+        "classes": {name: {"recall": 0.75} for name in ("cake", "cone", "torus")},
+        "confusion": [[6, 2, 0], [3, 3, 0], [0, 0, 10]],
+    }
+    drawn = {}
+    monkeypatch.setattr(recognition, "plot_matrices", lambda matrices, path: drawn.update(matrices))
+    text = writer_of("fig11")({"recognizer": Outcome(scores)}, {}, tmp_path)
+    assert "| shapes named right | 0.900 | 0.792 |" in text
+    ((shares, names),) = drawn.values()
+    assert names == ("cake", "torus", "cone")
+    np.testing.assert_allclose(shares, [[0.75, 0, 0.25], [0, 1, 0], [0.5, 0, 0.5]])
