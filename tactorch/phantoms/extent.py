@@ -8,7 +8,8 @@ from tactorch.mesh import Hyperboloid, Lathe, Shape, Union, skin
 # Sides of round shapes: what is found is short by 0.1 % of the radius at most.
 _SEGMENTS = 72
 _COARSE = 24
-_PER_TRIANGLE = 7  # steps along an edge of a triangle, where corners do not tell enough
+_PER_TRIANGLE = 7  # most steps along an edge of a triangle, where corners do not tell enough
+_STEPS = 20  # across a shape, that a step is not to be longer than
 
 
 def protrusion(shape: Shape, body: Shape) -> float:
@@ -28,12 +29,21 @@ def clearance(shape: Shape, other: Shape) -> float:
 
 
 def _surface_points(shape: Shape, segments: int, steps: int) -> Float[np.ndarray, "p 3"]:
-    """Points on the surface (of a union: of its parts), `steps` along each triangle's edge."""
+    """Points on the surface (of a union: of its parts), up to `steps` along a triangle's edge."""
     if isinstance(shape, Union):
         return np.concatenate([_surface_points(part, segments, steps) for part in shape.parts])
     vertices, triangles = skin(shape, segments)
     if steps == 1:
         return vertices
+    corners = vertices[triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    step = np.linalg.norm(np.ptp(vertices, axis=0)) / _STEPS
+    wanted = np.clip(np.ceil(longest / step), 1, steps).astype(int)
+    return np.concatenate([_within(corners[wanted == n], n) for n in np.unique(wanted)])
+
+
+def _within(corners: Float[np.ndarray, "k 3 3"], steps: int) -> Float[np.ndarray, "p 3"]:
+    """Points of triangles, so many steps along each edge."""
     counts = [(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]
     shares = np.array(counts) / steps
-    return np.einsum("pc,kcd->kpd", shares, vertices[triangles]).reshape(-1, 3)
+    return np.einsum("pc,kcd->kpd", shares, corners).reshape(-1, 3)

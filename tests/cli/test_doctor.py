@@ -43,6 +43,7 @@ def by_name(findings: Iterator[Finding]) -> dict[str, Finding]:
     return {one.name: one for one in findings}
 
 
+@pytest.mark.slow
 def test_all_is_told_and_the_core_works_here(tactorch: Any) -> None:
     done = tactorch("doctor", "json=true")
     assert done.status == 0, done.out

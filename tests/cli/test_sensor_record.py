@@ -71,6 +71,7 @@ def test_a_session_becomes_a_recording(
         assert (run / name).is_file()
 
 
+@pytest.mark.slow
 def test_a_recording_grows_as_contacts_end(
     tactorch: Any, made: Path, calibration: Path, tmp_path: Path
 ) -> None:
@@ -130,7 +131,7 @@ class DrawnCamera:
         return self.began_unix_s + self.now_s - 100.0
 
 
-@pytest.mark.parametrize("as_they_end", [True, False])
+@pytest.mark.parametrize("as_they_end", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_camera_and_poses_by_unix_time(
     tactorch: Any, made: Path, calibration: Path, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch, as_they_end: bool,

@@ -43,7 +43,9 @@ def correlation(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.corrcoef(first, second)[0, 1])
 
 
-@pytest.mark.parametrize("prior", ["total_variation", "smoothness"])
+@pytest.mark.parametrize(
+    "prior", ["total_variation", pytest.param("smoothness", marks=pytest.mark.slow)]
+)
 def test_the_map_is_that_of_gauss_newton(noisy: Recording, prior: str) -> None:
     maps = [
         invert(noisy, Settings(optimizer=optimizer, regularization=prior)).youngs
@@ -90,7 +92,12 @@ def test_one_set_of_factors_serves_all_iterates(noisy: Recording) -> None:
 
 
 @pytest.mark.parametrize(
-    ("after", "hessian"), [(0, "gauss_newton"), (5, "gauss_newton"), (2, "true")]
+    ("after", "hessian"),
+    [
+        (0, "gauss_newton"),
+        (5, "gauss_newton"),
+        pytest.param(2, "true", marks=pytest.mark.slow),
+    ],
 )
 def test_a_resumed_run_ends_with_the_same_map(
     noisy: Recording, tmp_path: Path, after: int, hessian: str

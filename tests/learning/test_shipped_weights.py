@@ -31,7 +31,7 @@ def test_they_are_small_and_say_what_they_were_made_of() -> None:
     assert note["test part"]["samples"] == 150
 
 
-@pytest.mark.parametrize("size_mm", [10.0, 40.0])
+@pytest.mark.parametrize("size_mm", [10.0, pytest.param(40.0, marks=pytest.mark.slow)])
 def test_a_ball_is_seen_at_once(start: SurrogateStart, size_mm: float) -> None:
     """A stiff ball that no training object is like, in a cube of another size too."""
     s = size_mm / 10.0

@@ -188,7 +188,9 @@ class Says(SurrogateStart):
         return Foretold(self.youngs, np.ones_like(self.youngs))
 
 
-@pytest.mark.parametrize("kind", ["upside down", "collapsing"])
+@pytest.mark.parametrize(
+    "kind", ["upside down", pytest.param("collapsing", marks=pytest.mark.slow)]
+)
 def test_a_poor_map_is_refused(
     recording: Recording, caplog: pytest.LogCaptureFixture, kind: str
 ) -> None:

@@ -44,6 +44,7 @@ def test_a_recording_that_another_process_writes_is_followed_to_its_end(
     assert len(saved.displacements) == 4
 
 
+@pytest.mark.slow
 def test_the_last_map_is_close_to_that_of_a_whole_inversion(
     path: Path, whole: Recording, tmp_path: Path, view: Any, follow: Callable[..., Any]
 ) -> None:

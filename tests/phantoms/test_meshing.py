@@ -40,7 +40,12 @@ def test_cylinder_is_meshed_by_tetwild() -> None:
     ("name", "volume", "flat"),
     [
         ("hemisphere_two_spheres", 2 / 3 * np.pi * 1000, ("z-",)),
-        ("hyperboloid_sphere", np.pi * 10 * (12.25 + (25 - 12.25) / 3), ("z-", "z+")),
+        pytest.param(
+            "hyperboloid_sphere",
+            np.pi * 10 * (12.25 + (25 - 12.25) / 3),
+            ("z-", "z+"),
+            marks=pytest.mark.slow,
+        ),
         pytest.param("toy_two_spheres", None, ("z-",), marks=pytest.mark.slow),
     ],
 )
