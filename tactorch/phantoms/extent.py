@@ -39,7 +39,7 @@ def _surface_points(shape: Shape, segments: int, steps: int) -> Float[np.ndarray
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     step = np.linalg.norm(np.ptp(vertices, axis=0)) / _STEPS
     wanted = np.clip(np.ceil(longest / step), 1, steps).astype(int)
-    return np.concatenate([_within(corners[wanted == n], n) for n in np.unique(wanted)])
+    return np.concatenate([_within(corners[wanted == n], int(n)) for n in np.unique(wanted)])
 
 
 def _within(corners: Float[np.ndarray, "k 3 3"], steps: int) -> Float[np.ndarray, "p 3"]:

@@ -93,8 +93,8 @@ def test_table1_holds_both_methods_beside_the_paper(out):
 
 
 def test_maps_of_the_models_come_from_the_same_cases(out):
-    stored = sorted(path.name for path in (out / "cases" / "models").glob("*.npz"))
     made("fig4", out)
+    stored = sorted(path.name for path in (out / "cases" / "models").glob("*.npz"))
     made("fig5", out)
     assert sorted(p.name for p in (out / "cases" / "models").glob("*.npz")) == stored
     assert {r["model"] for r in rows(out, "fig4")} == {"4c"}
