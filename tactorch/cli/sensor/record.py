@@ -16,6 +16,7 @@ from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.sensor.tables import write_table
 from tactorch.cli.settings import folder, log, made, material_of, plain
 from tactorch.errors import ConfigError
+from tactorch.files import require_file
 from tactorch.mesh import TetMesh, box_mesh, read_mesh
 from tactorch.sensor.chain import ChainOptions, SensorChain
 from tactorch.sensor.contact import Poses, Touching, read_poses
@@ -58,7 +59,9 @@ def run(cfg: DictConfig) -> Path:
                 frames, chain, poses, target, material, options, provenance=facts
             ), out,
         )  # fmt: skip
-    if not frames.is_camera:
+    if frames.is_camera:
+        require_file(str(cfg.poses), "table of poses")  # to which the robot adds meanwhile
+    else:
         poses()  # what is wrong with them is told at once
     with _Stages(frames) as tell:
         found = record(
