@@ -36,7 +36,8 @@ def test_a_recording_that_another_process_writes_is_followed_to_its_end(
     assert process.wait() == 0
     assert "4 presses" in ended.reason
     assert not view.notes
-    assert [seen.entry["press"] for seen in view.maps][:4] == [1, 2, 3, 4]
+    # The map may settle between two presses; updates are those that name presses.
+    assert [seen.entry["press"] for seen in view.maps if seen.entry["names"]] == [1, 2, 3, 4]
     assert lines(tmp_path / "run") == ended.history
     saved = Reconstruction.load(tmp_path / "run" / RESULT)
     assert ended.seen is not None
