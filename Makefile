@@ -17,6 +17,8 @@ STAMP := $(VENV)/.tactorch-installed
 ONE_THREAD := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 # Quick tests check the shapes of some calls, see tests/conftest.py; these of all.
 ALL_CHECKED := TACTORCH_CHECK_EVERY=1
+# Tests start processes: each would compile the package anew where bytecode is not kept.
+KEEP_BYTECODE := PYTHONDONTWRITEBYTECODE=
 # "worksteal" evens out files of very different length.
 PARALLEL := -n $(WORKERS) --dist worksteal
 
@@ -40,13 +42,13 @@ demo: $(STAMP)  ## simulate a soft cube with a stiff inclusion and find it again
 	@$(BIN)/tactorch demo $(ARGS)
 
 test: $(STAMP)  ## quick tests
-	$(ONE_THREAD) $(BIN)/pytest -q $(PARALLEL) $(ARGS)
+	$(KEEP_BYTECODE) $(ONE_THREAD) $(BIN)/pytest -q $(PARALLEL) $(ARGS)
 
 slow: $(STAMP)  ## tests that take long
-	$(ALL_CHECKED) $(BIN)/pytest -q -m slow $(ARGS)
+	$(KEEP_BYTECODE) $(ALL_CHECKED) $(BIN)/pytest -q -m slow $(ARGS)
 
 external: $(STAMP)  ## tests on the shared data (TACTORCH_SHARED, or ../shared)
-	$(ALL_CHECKED) $(BIN)/pytest -q -m external $(ARGS)
+	$(KEEP_BYTECODE) $(ALL_CHECKED) $(BIN)/pytest -q -m external $(ARGS)
 
 docs: $(STAMP)  ## build the documentation into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict $(ARGS)

@@ -55,6 +55,7 @@ def test_summary_counts_by_hand(benchmark: ModuleType, objects: ModuleType):
     assert found["coverage_90_inside_inclusions"] == 0.0
 
 
+@pytest.mark.slow
 def test_the_normal_case_is_covered_as_stated(benchmark: ModuleType, objects: ModuleType):
     outcomes = [objects.judge_gaussian(2, 5, i) for i in range(8)]
     found = benchmark.summary(outcomes, "laplace")

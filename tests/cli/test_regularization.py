@@ -10,7 +10,13 @@ from tactorch.inverse import REGULARIZERS, Reconstruction
 QUICK = ("plots=false", "optimizer.max_iterations=1", "run_dir=run")
 
 
-@pytest.mark.parametrize("name", REGULARIZERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if name in {"matern", "composite"} else [pytest.mark.slow])
+        for name in REGULARIZERS
+    ],
+)
 def test_a_prior_by_name(tactorch: Any, recording: Path, name: str) -> None:
     done = tactorch("invert", f"recording={recording}", f"regularization={name}", *QUICK)
     assert done.status == 0, done.err
@@ -18,7 +24,14 @@ def test_a_prior_by_name(tactorch: Any, recording: Path, name: str) -> None:
     assert settings["regularization"] == name
 
 
-@pytest.mark.parametrize("rule", ["discrepancy", "l_curve", "gcv"])
+@pytest.mark.parametrize(
+    "rule",
+    [
+        pytest.param("discrepancy", marks=pytest.mark.slow),
+        "l_curve",
+        pytest.param("gcv", marks=pytest.mark.slow),
+    ],
+)
 def test_a_rule_by_name(tactorch: Any, recording: Path, rule: str) -> None:
     words = (f"recording={recording}", f"optimizer.weight_rule={rule}")
     done = tactorch("invert", *words, *QUICK)

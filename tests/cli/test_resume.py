@@ -33,6 +33,7 @@ def test_resumed_run_equals_one_that_was_never_stopped(tactorch: Any, recording:
     np.testing.assert_allclose(*misfits, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_killed_run_goes_on_from_its_checkpoint(tactorch: Any, recording: Path) -> None:
     start = ("invert", f"recording={recording}", *RUN, "optimizer.max_iterations=3")
     code = (

@@ -311,6 +311,7 @@ def test_force_is_told_of_each_frame(
     assert (run / "force-0000.png").is_file()
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_half_written(
     tactorch: Any, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

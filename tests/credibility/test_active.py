@@ -96,7 +96,9 @@ def test_stops_where_the_posterior_is_narrow_enough(run: Callable[..., list[Step
     assert len(run(UniformGrid(4), 4, target_deviation=1e3)) == 1
 
 
-@pytest.mark.parametrize("model_error", ["none", "discretisation"])
+@pytest.mark.parametrize(
+    "model_error", ["none", pytest.param("discretisation", marks=pytest.mark.slow)]
+)
 def test_information_is_of_the_data_the_press_would_have(
     model_error: str,
     run: Callable[..., list[Step]],

@@ -80,6 +80,7 @@ def test_gradient(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0.0313 < found["by_poisson"] < 0.0361
 
 
+@pytest.mark.slow
 def test_find_ball(capsys: pytest.CaptureFixture[str]) -> None:
     found = run("find_ball", capsys)
     assert found["off_mm"] < 0.3

@@ -1,13 +1,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from tactorch.fem import SoftBody, Supports, make_material, reference
+from tactorch.fem import ELEMENTS, MATERIALS, SoftBody, Supports, make_material, reference
 from tactorch.mesh import TetMesh, box_mesh, face_nodes
 
 
@@ -67,6 +68,25 @@ def make_cell(material: str, element: str) -> Cell:
             "points": torch.tensor(mesh.points),
         },
     )
+
+
+def _pairs() -> list[Any]:
+    """Materials and elements know nothing of each other: each once, and the rest when slow."""
+    return [
+        pytest.param(
+            (material, element),
+            id=f"{material}-{element}",
+            marks=[] if element == "tet4" or material == "neo_hookean" else [pytest.mark.slow],
+        )
+        for material in MATERIALS
+        for element in ELEMENTS
+    ]
+
+
+@pytest.fixture(params=_pairs())
+def pair(request: pytest.FixtureRequest) -> tuple[str, str]:
+    """Return the names of a material and an element."""
+    return request.param
 
 
 @pytest.fixture(scope="session")

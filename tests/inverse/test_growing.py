@@ -11,6 +11,7 @@ from tactorch.inverse import (
     GrowingInversion,
     InverseProblem,
     NewtonCG,
+    Reconstruction,
     Settings,
     Unknowns,
     invert,
@@ -38,16 +39,20 @@ def noisy() -> Recording:
 
 
 @pytest.fixture(scope="module")
+def whole(noisy: Recording) -> Reconstruction:
+    return invert(noisy)
+
+
+@pytest.fixture(scope="module")
 def grown(noisy: Recording) -> tuple[GrowingInversion, list[Any]]:
     growing = GrowingInversion(noisy, most_iterations=6)
     return growing, [growing.add([press]) for press in noisy.presses]
 
 
 def test_after_the_last_press_the_map_is_as_good_as_that_of_a_whole_inversion(
-    noisy: Recording, grown: tuple[GrowingInversion, list[Any]]
+    noisy: Recording, grown: tuple[GrowingInversion, list[Any]], whole: Reconstruction
 ) -> None:
     growing, updates = grown
-    whole = invert(noisy)
     got, wanted = (
         scores(noisy.mesh, youngs, noisy.truth)
         for youngs in (updates[-1].result.youngs, whole.youngs)
@@ -62,10 +67,10 @@ def test_after_the_last_press_the_map_is_as_good_as_that_of_a_whole_inversion(
 
 
 def test_an_update_takes_no_more_iterations_than_it_may(
-    noisy: Recording, grown: tuple[GrowingInversion, list[Any]]
+    grown: tuple[GrowingInversion, list[Any]], whole: Reconstruction
 ) -> None:
     assert max(found.result.iterations for found in grown[1]) <= 6
-    assert invert(noisy).iterations > 6
+    assert whole.iterations > 6
 
 
 def test_the_error_of_the_mesh_is_estimated_once_a_press(
@@ -136,6 +141,7 @@ def test_a_weight_without_end_is_not_carried_on() -> None:
     assert carried({**state, "ended": 2.0}, 2.0) == {}  # the prior was exhausted
 
 
+@pytest.mark.slow
 def test_newton_cg_and_data_of_the_same_model_go_too(recording: Recording) -> None:
     growing = GrowingInversion(recording, Settings(optimizer=NewtonCG(), model_error="none"))
     for press in recording.presses:

@@ -28,7 +28,9 @@ from tactorch.recording import Recording
 SHORT = Settings(optimizer=GaussNewton(max_iterations=3))
 
 
-@pytest.mark.parametrize("name", ["gauss_newton", "tnc", "lbfgs"])
+@pytest.mark.parametrize(
+    "name", ["gauss_newton", "tnc", pytest.param("lbfgs", marks=pytest.mark.slow)]
+)
 def test_the_truth_does_not_leak(recording: Recording, name: str) -> None:
     """Bit for bit the same map whatever truth or reference a recording carries."""
     rng = np.random.default_rng(0)

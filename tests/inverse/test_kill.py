@@ -75,7 +75,9 @@ def test_a_run_killed_at_random_moments_ends_with_the_same_map(
     assert resumed >= MOMENTS // 2
 
 
-@pytest.mark.parametrize("after", [0, 4, 9])
+@pytest.mark.parametrize(
+    "after", [pytest.param(0, marks=pytest.mark.slow), 4, pytest.param(9, marks=pytest.mark.slow)]
+)
 def test_a_run_stopped_after_an_iteration_ends_with_the_same_map(
     make_cube: Callable[..., Recording], tmp_path: Path, after: int
 ):

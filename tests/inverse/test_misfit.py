@@ -73,6 +73,7 @@ def error_of(recording: Recording, misfit: str) -> float:
     return float(np.sqrt(np.mean(np.log(found.youngs / truth) ** 2)))
 
 
+@pytest.mark.slow
 def test_huber_bears_stray_markers(make_cube: Callable[..., Recording]) -> None:
     clean = make_cube(snr_db=40.0)
     rng = np.random.default_rng(1)

@@ -136,6 +136,7 @@ def test_the_share_that_is_left_scales_the_uncertainty(cube: Recording):
         discretisation_error(problem, 0.3, left=-0.1)
 
 
+@pytest.mark.slow
 def test_the_error_grows_with_the_displacement_that_is_observed(finer: Recording):
     """A modulus half as large again would lose a third of it, but for large strains."""
     problem = InverseProblem(finer)

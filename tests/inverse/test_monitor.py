@@ -45,7 +45,7 @@ def misfits(found: Reconstruction) -> list[float]:
     return [entry["misfit"] for entry in found.history]
 
 
-@pytest.mark.parametrize("stop", [1, 4, 7])
+@pytest.mark.parametrize("stop", [1, pytest.param(4, marks=pytest.mark.slow), 7])
 def test_a_resumed_gauss_newton_ends_where_an_undisturbed_one_does(
     noisy: Recording, tmp_path: Path, stop: int
 ) -> None:

@@ -95,7 +95,7 @@ def test_one_set_of_factors_serves_all_iterates(noisy: Recording) -> None:
     ("after", "hessian"),
     [
         (0, "gauss_newton"),
-        (5, "gauss_newton"),
+        pytest.param(5, "gauss_newton", marks=pytest.mark.slow),
         pytest.param(2, "true", marks=pytest.mark.slow),
     ],
 )
@@ -140,6 +140,7 @@ def test_true_products_are_symmetric(objective: Objective, moduli: np.ndarray) -
     assert one @ second.product(other) == pytest.approx(other @ second.product(one), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_true_hessian_ends_at_the_same_minimum(make_tiny: Make) -> None:
     noisy = make_tiny(faces=("z+",), snr_db=30.0)
     settings = {"weight": 3.0, "tolerance": 1e-6}

@@ -148,7 +148,8 @@ def test_a_rule_settles(noisy: Recording, rule: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "rule", ["discrepancy", "gcv", pytest.param("l_curve", marks=pytest.mark.slow)]
+    "rule",
+    ["discrepancy", *(pytest.param(rule, marks=pytest.mark.slow) for rule in ("gcv", "l_curve"))],
 )
 def test_a_rule_resumes(noisy: Recording, rule: str, tmp_path: Path) -> None:
     whole = run(noisy, rule)

@@ -28,23 +28,29 @@ def test_normalisation_travels_with_the_weights(tmp_path: Path) -> None:
     torch.testing.assert_close(again(maps), model(maps))
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shapes(count: int, folder: Path) -> Path:
     """Truths of the three shapes; presses so few and coarse that they take a moment."""
     recipe = Recipe(
         name="shapes",
-        count=36,
+        count=count,
         family="recognition",
         presses=PressDraw(steps=(1,)),
         mesh=MeshSizes(0.13, None),
         samples=1,
         shard=36,
     )
-    return generate(recipe, tmp_path_factory.mktemp("shapes") / "shapes", workers=1).folder
+    return generate(recipe, folder / "shapes", workers=1).folder
 
 
-def test_it_learns_the_shapes(dataset: Path) -> None:
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return shapes(9, tmp_path_factory.mktemp("shapes"))
+
+
+@pytest.mark.slow
+def test_it_learns_the_shapes(tmp_path: Path) -> None:
     """A small network tells true maps apart after a few epochs; chance is a third."""
+    dataset = shapes(36, tmp_path)
     lightning.seed_everything(0, workers=True)
     data = RecognitionData(dataset, voxels=12, source="truth", shares=(0.7, 0.0, 0.3), batch=8)
     assert data.classes == ["cake", "cone", "torus"]

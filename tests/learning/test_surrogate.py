@@ -42,7 +42,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         count=12,
         options={"count": (1, 1), "shapes": ["ball"], "contrast": (4.0, 8.0), "size": (0.3, 0.35)},
         presses=PressDraw(faces=(("z+",), ("z+", "x+", "y+")), load=(0.04, 0.05), steps=(1, 2)),
-        mesh=MeshSizes(0.2, None),
+        mesh=MeshSizes(0.27, None),
         samples=1,
         shard=8,
     )
@@ -51,6 +51,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(dataset: Path) -> SurrogateData:
+    load_touches(dataset, 4, workers=1)  # starting processes would take longer
     return SurrogateData(dataset, cells=4, batch=4, shares=(0.5, 0.25, 0.25))
 
 

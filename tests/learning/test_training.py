@@ -106,7 +106,10 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, floa
     return trained(tmp_path_factory.mktemp("whole"))
 
 
-@pytest.mark.parametrize("step", [1, 7, 12, 19])
+@pytest.mark.parametrize(
+    "step",
+    [1, pytest.param(7, marks=pytest.mark.slow), 12, pytest.param(19, marks=pytest.mark.slow)],
+)
 def test_a_killed_training_ends_with_the_same_curve(
     undisturbed: list[dict[str, float]], tmp_path: Path, step: int
 ) -> None:

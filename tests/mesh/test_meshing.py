@@ -44,6 +44,7 @@ def replace_result(monkeypatch: pytest.MonkeyPatch, points: object, tets: object
     monkeypatch.setattr(meshing, "_run_tetwild", lambda *_: result)
 
 
+@pytest.mark.slow
 def test_box_for_real(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     mesh = tetrahedralize(VERTICES, TRIANGLES[:, ::-1], relative_edge_length=0.2)
@@ -57,6 +58,7 @@ def test_box_for_real(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert again.content_hash() == mesh.content_hash()
 
 
+@pytest.mark.slow
 def test_cylinder_for_real(cache: Path) -> None:
     vertices, triangles = cylinder_surface(5, 8, segments=12)
     unused = np.vstack(([(99, 99, 99)], vertices))

@@ -29,6 +29,7 @@ def test_default_is_a_tenth_of_the_diagonal() -> None:
     assert mean_edge(phantom.mesh(relative_edge_length=0.2)) > target
 
 
+@pytest.mark.slow
 def test_cylinder_is_meshed_by_tetwild() -> None:
     phantom = Phantom(Cylinder((0.0, 0.0, 5.0), 5.0, 10.0))
     mesh = phantom.mesh(3.0)

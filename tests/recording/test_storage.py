@@ -100,7 +100,7 @@ def same(a: np.ndarray | None, b: np.ndarray | None) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(recordings())
 def test_round_trip_changes_nothing(
     tmp_path_factory: pytest.TempPathFactory, parts: dict[str, Any]

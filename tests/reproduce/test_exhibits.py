@@ -101,6 +101,7 @@ def test_maps_of_the_models_come_from_the_same_cases(out):
     assert {r["model"] for r in rows(out, "fig5")} == {"5b"}
 
 
+@pytest.mark.slow
 def test_sizes_shift_the_modulus_as_the_paper_says(out, monkeypatch):
     monkeypatch.setattr(sizes, "SIZES", {k: sizes.SIZES[k] for k in ("80 %", "120 %")})
     monkeypatch.setattr(sizes, "_METHODS", ("contact",))

@@ -59,6 +59,7 @@ def test_levels_and_counts_are_found_on_the_way(recording, tmp_path):
     assert ended.ssim_after(500) == 0.5
 
 
+@pytest.mark.slow
 def test_truncated_newton_goes_on_until_it_has_had_time_enough(recording, tmp_path):
     ours = watched(recording, Settings(model_error="none"), tmp_path / "ours")
     best = max(moment.ssim for moment in ours.way)

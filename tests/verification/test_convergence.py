@@ -75,7 +75,7 @@ def error(material, element, divisions):
         # Linear elements: order 2.
         ("neo_hookean", "tet4", 1.99, 1.2e-3),
         # Quadratic ones: order 3 where the whole energy is taken point by point ...
-        ("st_venant_kirchhoff", "tet10", 2.95, 2.7e-4),
+        pytest.param("st_venant_kirchhoff", "tet10", 2.95, 2.7e-4, marks=pytest.mark.slow),
         # ... and 2 at last where the dilatation is averaged: the price of not locking.
         ("neo_hookean", "tet10", 2.54, 3.2e-4),
     ],

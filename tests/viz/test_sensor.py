@@ -106,6 +106,7 @@ def test_an_even_pressure_is_drawn_even() -> None:
     assert np.asarray(view._arrows.Umask).all()
 
 
+@pytest.mark.slow
 def test_presses_are_drawn_beside_the_ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ball, circle = Ball(2.0, (0.1, 0.1)), Circle((30.0, 20.0), 10.0)
     slopes, height = ball.slopes((40, 60), circle), ball.heights((40, 60), circle)

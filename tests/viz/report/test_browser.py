@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 Open = Callable[..., Any]
 SOLID = "canvas.gl"
@@ -46,6 +47,7 @@ def test_sliders_move_their_slices_by_hand_and_by_keys(report: Path, visit: Open
     assert not seen.troubles
 
 
+@pytest.mark.slow
 def test_what_is_read_off_a_slice_is_the_map(run_folder: Path, report: Path, visit: Open) -> None:
     from tactorch.inverse import Reconstruction
     from tactorch.mesh.locate import locate
@@ -69,6 +71,7 @@ def test_what_is_read_off_a_slice_is_the_map(run_folder: Path, report: Path, vis
     assert compared == 4
 
 
+@pytest.mark.slow
 def test_a_slice_says_its_range(run_folder: Path, report: Path, visit: Open) -> None:
     from tactorch.inverse import Reconstruction
 
@@ -82,6 +85,7 @@ def test_a_slice_says_its_range(run_folder: Path, report: Path, visit: Open) -> 
     np.testing.assert_allclose(told, [there.min(), there.max()], rtol=0.006)
 
 
+@pytest.mark.slow
 def test_grey_is_grey_and_a_logarithm_changes_shades(report: Path, visit: Open) -> None:
     seen = visit(report)
     seen.page.uncheck("#outlines")
@@ -98,6 +102,7 @@ def test_grey_is_grey_and_a_logarithm_changes_shades(report: Path, visit: Open) 
     assert not seen.troubles
 
 
+@pytest.mark.slow
 def test_the_body_turns_by_keys_and_by_hand(report: Path, visit: Open) -> None:
     seen = visit(report)
     first = seen.pixels(SOLID)
@@ -134,6 +139,7 @@ def test_surface_and_cut_follow_their_controls(report: Path, visit: Open) -> Non
     assert (seen.pixels(SOLID) != moved).mean() > 0.01
 
 
+@pytest.mark.slow
 def test_without_webgl_it_says_so_and_shows_the_rest(
     report: Path, launch: Callable[..., Any], open_in: Callable[..., Any]
 ) -> None:
@@ -148,6 +154,7 @@ def test_without_webgl_it_says_so_and_shows_the_rest(
         browser.close()
 
 
+@pytest.mark.slow
 def test_paper_gets_fixed_slices_and_a_still(report: Path, visit: Open) -> None:
     seen = visit(report, color_scheme="dark")
     page = seen.page
@@ -170,6 +177,7 @@ def test_paper_gets_fixed_slices_and_a_still(report: Path, visit: Open) -> None:
     assert page.locator("details[open]").count() == 0
 
 
+@pytest.mark.slow
 def test_the_last_place_of_a_slider_shows_the_last_side(report: Path, visit: Open) -> None:
     seen = visit(report)
     seen.settle()
@@ -183,12 +191,14 @@ def test_the_last_place_of_a_slider_shows_the_last_side(report: Path, visit: Ope
     assert not [one for one in told if "outside the body" in one]
 
 
+@pytest.mark.slow
 def test_dark_follows_the_system(report: Path, visit: Open) -> None:
     colour = "getComputedStyle(document.body).backgroundColor"
     light = visit(report, color_scheme="light").page.evaluate(colour)
     assert visit(report, color_scheme="dark").page.evaluate(colour) != light
 
 
+@pytest.mark.slow
 def test_everything_has_a_name(report: Path, visit: Open) -> None:
     """Each control and each picture says to a screen reader what it is."""
     seen = visit(report)
@@ -203,6 +213,7 @@ def test_everything_has_a_name(report: Path, visit: Open) -> None:
     assert nameless == []
 
 
+@pytest.mark.slow
 def test_a_press_is_chosen(report: Path, visit: Open) -> None:
     seen = visit(report)
     before, told = seen.pixels("#scatter"), seen.page.locator("#press-out").inner_text()
@@ -234,6 +245,7 @@ def test_several_runs_share_sliders_and_colours(
     assert not seen.troubles
 
 
+@pytest.mark.slow
 def test_truths_that_differ_are_shown_apart(run_folder: Path, visit: Open, tmp_path: Path) -> None:
     from tactorch.viz.report import load_run, write_report
 
