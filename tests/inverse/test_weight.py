@@ -2,11 +2,20 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tactorch.inverse import NoiseModel, Point, Settings, make_objective
+from tactorch.inverse import (
+    GaussNewton,
+    NoiseModel,
+    Point,
+    Settings,
+    invert,
+    make_objective,
+)
+from tactorch.inverse.optimizers import weight as rules
 from tactorch.inverse.optimizers.weight import Cooling, ruling_weight
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
@@ -47,6 +56,44 @@ def test_the_weight_leaps_only_far_from_the_data_and_where_steps_do_as_foretold(
     assert factor(1e4, 0.5) == usual
     assert factor(50.0, 1.0) == usual
     assert factor(5.0, 1.0) > usual
+
+
+def test_near_the_noise_the_weight_waits_for_a_step_that_was_foretold(point: Point) -> None:
+    """Else it falls on while the map has not followed, until noise is all that is fitted."""
+    cooling = Cooling.start(point, None, {})
+    first = cooling.weight
+    for _ in range(2):
+        cooling.lower(2.0, gain=-0.2)
+        assert (cooling.weight, cooling.held, cooling.ended) == (first, True, "")
+    assert Cooling.start(point, None, cooling.state()) == cooling
+    cooling.lower(2.0, gain=0.5)
+    assert cooling.weight < first
+    assert not cooling.held
+    second = cooling.weight
+    cooling.lower(50.0, gain=-0.2)  # far from the data there is no waiting
+    assert cooling.weight < second
+
+
+def test_a_leap_that_leads_nowhere_is_none(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step, leaps = GaussNewton._step, []
+
+    def lost(self: GaussNewton, *arguments: Any, trials: int | None = None) -> Any:
+        leaps.append(trials)
+        return None if trials else step(self, *arguments)
+
+    settings = Settings(GaussNewton(max_iterations=8), noise=NoiseModel(relative=1e-4))
+    with monkeypatch.context() as patched:
+        patched.setattr(GaussNewton, "_step", lost)
+        found = invert(recording, settings)
+    assert leaps.count(1) > 1
+    monkeypatch.setattr(rules, "_LEAP", rules._FAST)
+    expected = invert(recording, settings)
+    np.testing.assert_allclose(found.youngs, expected.youngs, rtol=1e-9)
+    assert [e["weight"] for e in found.history] == pytest.approx(
+        [e["weight"] for e in expected.history]
+    )
 
 
 def test_an_exhausted_prior_says_that_the_noise_is_larger(point: Point) -> None:

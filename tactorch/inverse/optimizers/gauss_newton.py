@@ -19,12 +19,11 @@ from tactorch.inverse.optimizers.base import (
     require_weight,
 )
 from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_step
-from tactorch.inverse.optimizers.weight import Cooling
+from tactorch.inverse.optimizers.weight import POOR, Cooling
 from tactorch.inverse.optimizers.weight_rules import WEIGHT_RULES
 
 # The prior bears what the data do not see; damping is for the nonlinearity alone, so it starts
 # small, falls after every step that was foretold at all, and jumps where a step failed.
-_POOR = 0.1
 # While the weight of the prior falls, the path follows a valley that is narrow where the noise is
 # small: the data misfit may rise a little on the way, else the steps along it become tiny.
 _LEEWAY = 2.0
@@ -82,12 +81,12 @@ class GaussNewton:
         if not monitor.history:
             self._report(monitor, point, cooling, cooling.weight, damping, 0.0)
         while monitor.iteration < self.max_iterations:
-            weight = cooling.weight
             settled = cooling.fixed or bool(cooling.ended)
-            trial = self._step(point, weight, damping, not settled, monitor)
+            trial = self._advance(point, cooling, damping, monitor)
             if trial is None:
                 return "no step lowers the objective any more"
             after, damping, gain = trial
+            weight = cooling.weight
             step = float(np.abs(after.x - point.x).max())
             fall = point.value(weight) - after.value(weight)
             point = after
@@ -109,8 +108,29 @@ class GaussNewton:
             point, objective=point.value(weight), weight=weight, step=step, damping=damping
         )
 
+    def _advance(
+        self, point: Point, cooling: Cooling, damping: float, monitor: Monitor
+    ) -> tuple[Point, float, float] | None:
+        """Make a step; see `_step`. A leap of the weight that leads nowhere is taken back."""
+        if cooling.leapt:
+            trial = self._step(point, cooling.weight, damping, False, monitor, trials=1)
+            if trial is not None and trial[2] >= POOR:
+                return trial
+            cooling.retract()
+        leeway = not (cooling.fixed or cooling.ended or cooling.held)
+        trial = self._step(point, cooling.weight, damping, leeway, monitor)
+        if trial is None and cooling.held:
+            trial = self._step(point, cooling.weight, damping, True, monitor)
+        return trial
+
     def _step(
-        self, point: Point, weight: float, damping: float, cooling: bool, monitor: Monitor
+        self,
+        point: Point,
+        weight: float,
+        damping: float,
+        leeway: bool,
+        monitor: Monitor,
+        trials: int | None = None,
     ) -> tuple[Point, float, float] | None:
         """Try steps, damping more each time, until one is good enough; its damping and its gain."""
         limits = point.objective.limits
@@ -120,7 +140,7 @@ class GaussNewton:
             return None
         diagonal = np.einsum("ij,ij->j", point.jacobian, point.jacobian)
         diagonal += point.prior_curvature(weight).diagonal()
-        for _ in range(self.max_trials):
+        for _ in range(trials or self.max_trials):
             shift = damping * diagonal[free]
             change = self._solve(point, gradient, free, weight, shift)
             if change is not None:
@@ -128,7 +148,7 @@ class GaussNewton:
                 if trial is not None:
                     ratio = self._gain(point, trial, gradient, weight)
                     lead = trial.evaluation.chi2 / point.evaluation.chi2
-                    if ratio > 0 or (cooling and lead < _LEEWAY):
+                    if ratio > 0 or (leeway and lead < _LEEWAY):
                         return trial, _next_damping(damping, ratio), ratio
             damping = 10.0 * max(damping, _LEAST_RAISED)
             monitor.check_time()
@@ -181,4 +201,4 @@ def _data_is_cheaper(jacobian: np.ndarray) -> bool:
 
 
 def _next_damping(damping: float, ratio: float) -> float:
-    return max(0.2 * damping, _LEAST) if ratio > _POOR else damping
+    return max(0.2 * damping, _LEAST) if ratio > POOR else damping

@@ -17,6 +17,8 @@ _LEAP, _FAST, _SLOW = 0.1, 1.0 / 3.0, 0.6
 # Mean squared residuals: below, the weight is lowered slowly; above, in leaps, where the last step
 # fell nearly as far as was foretold.
 _NEAR, _FAR, _FORETOLD = 10.0, 100.0, 0.75
+# Fall of the objective over the fall foretold, below which the weight fell too far for that step.
+POOR = 0.1
 _EXHAUSTED = 1e-12
 _UNSTOPPED = ""
 _FITTED = "the data are fitted to their noise"
@@ -54,6 +56,8 @@ class Cooling:
         above: Smallest weight that misfitted once converged; infinite if none did.
         last: Mean squared residual at the last look, if the weight was the same; else zero.
         before: The same at the look before.
+        held: Whether it was kept after a step that was not foretold.
+        leapt: Whether it has just fallen by a leap.
     """
 
     weight: float
@@ -66,6 +70,8 @@ class Cooling:
     above: float = np.inf
     last: float = 0.0
     before: float = 0.0
+    held: bool = False
+    leapt: bool = False
 
     @staticmethod
     def start(
@@ -89,6 +95,8 @@ class Cooling:
                 state.get("weight_above", np.inf),
                 state.get("weight_last", 0.0),
                 state.get("weight_before", 0.0),
+                bool(state.get("weight_held", 0.0)),
+                bool(state.get("weight_leapt", 0.0)),
             )
         first = ruling_weight(point)
         return Cooling(first, first, fixed=first == 0.0, rule=rule)
@@ -107,14 +115,16 @@ class Cooling:
             "weight_above": self.above,
             "weight_last": self.last,
             "weight_before": self.before,
+            "weight_held": float(self.held),
+            "weight_leapt": float(self.leapt),
         }
 
-    def follow(self, point: Point, gain: float = 0.0) -> None:
+    def follow(self, point: Point, gain: float = np.nan) -> None:
         """Take the next weight by the rule, after a step to `point`.
 
         Args:
             point: Where the step has led.
-            gain: Fall of the objective over the fall that was foretold.
+            gain: Fall of the objective over the fall that was foretold; NaN where not known.
         """
         chi2 = point.evaluation.chi2
         if self.rule == "discrepancy":
@@ -178,18 +188,31 @@ class Cooling:
         over = max(chi2, end) < least / _BEYOND
         return over or min(chi2, end) > _MISFITTED * _BEYOND
 
-    def lower(self, chi2: float, gain: float = 0.0) -> None:
-        """Lower the weight, unless it was given, has ended or ends now; see `follow`."""
+    def retract(self) -> None:
+        """Take back of a leap what it was beyond a fast fall."""
+        self.weight *= _FAST / _LEAP
+        self.leapt = False
+
+    def lower(self, chi2: float, gain: float = np.nan) -> None:
+        """Lower the weight, unless it was given, has ended or ends now; see `follow`.
+
+        Near the noise it stays after a step that was not foretold: the map has not followed yet,
+        and a weight that falls on would leave the prior no say by the time that it has.
+        """
         if self.fixed:
             return
+        self.held = self.leapt = False
         if chi2 <= 1.0:
             self.ended = _FITTED  # perhaps later than the prior was exhausted
         elif self.ended:
             return
         elif self.weight < _EXHAUSTED * self.first:
             self.ended = _UNFITTED
+        elif chi2 <= _NEAR and gain < POOR:
+            self.held = True
         elif chi2 > _FAR and gain >= _FORETOLD:
             self.weight *= _LEAP
+            self.leapt = True
         else:
             self.weight *= _FAST if chi2 > _NEAR else _SLOW
 
