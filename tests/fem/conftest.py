@@ -89,6 +89,18 @@ def pair(request: pytest.FixtureRequest) -> tuple[str, str]:
     return request.param
 
 
+@pytest.fixture
+def name(pair: tuple[str, str]) -> str:
+    """Return the name of the material."""
+    return pair[0]
+
+
+@pytest.fixture
+def element(pair: tuple[str, str]) -> str:
+    """Return the name of the element."""
+    return pair[1]
+
+
 @pytest.fixture(scope="session")
 def cell() -> Callable[[str, str], Cell]:
     """Make a cell of a material and an element."""

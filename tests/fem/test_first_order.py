@@ -10,16 +10,6 @@ from tactorch.fem import Supports
 INPUTS = ("youngs", "poisson", "forces", "points")
 
 
-@pytest.fixture
-def name(pair):
-    return pair[0]
-
-
-@pytest.fixture
-def element(pair):
-    return pair[1]
-
-
 def check(cell, names):
     """Gradients with respect to some inputs against finite differences, both modes."""
     values = [cell.inputs[n].clone().requires_grad_(True) for n in names]

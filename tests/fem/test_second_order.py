@@ -8,16 +8,6 @@ from torch.autograd import gradgradcheck
 INPUTS = ("youngs", "poisson", "forces", "points")
 
 
-@pytest.fixture
-def name(pair):
-    return pair[0]
-
-
-@pytest.fixture
-def element(pair):
-    return pair[1]
-
-
 def check(cell, names):
     """Second derivatives with respect to some inputs against differences of first ones."""
     values = [cell.inputs[n].clone().requires_grad_(True) for n in names]
