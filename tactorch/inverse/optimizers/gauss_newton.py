@@ -22,11 +22,11 @@ from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_
 from tactorch.inverse.optimizers.weight import POOR, Cooling
 from tactorch.inverse.optimizers.weight_rules import WEIGHT_RULES
 
-# The prior bears what the data do not see; damping is for the nonlinearity alone, so it starts
-# small, falls after every step that was foretold at all, and jumps where a step failed.
 # While the weight of the prior falls, the path follows a valley that is narrow where the noise is
 # small: the data misfit may rise a little on the way, else the steps along it become tiny.
 _LEEWAY = 2.0
+# The prior bears what the data do not see; damping is for the nonlinearity alone, so it starts
+# small, falls after every step that was foretold at all, and jumps where a step failed.
 _LEAST, _LEAST_RAISED = 1e-12, 1e-4
 _SPACES = ("auto", "data", "parameter")
 
