@@ -61,28 +61,53 @@ def _version(package: str) -> str:
 
 
 class OtherWork:
-    """Meter of the processor time that other processes take, from its construction on."""
+    """Meter of the processor time that others take, from its construction on."""
 
     def __init__(self) -> None:
         """Start."""
-        self._began = time.perf_counter(), _busy_seconds(), time.process_time()
+        self._began = time.perf_counter(), _busy_seconds(), _stolen_seconds(), time.process_time()
 
     def share(self) -> float | None:
-        """Share of all cores that others have taken so far; None where it cannot be told."""
-        wall, busy, own = self._began
+        """Share of all cores that other processes have taken; None where it cannot be told."""
+        _, busy, _, own = self._began
         now = _busy_seconds()
         if busy is None or now is None:
             return None
-        others = (now - busy) - (time.process_time() - own)
-        return max(others, 0.0) / ((time.perf_counter() - wall) * (os.cpu_count() or 1))
+        return self._of_cores((now - busy) - (time.process_time() - own))
+
+    def stolen(self) -> float | None:
+        """Share of all cores that the host of this (virtual) machine gave to its other guests.
+
+        None where it cannot be told. A host may not tell its guest; then this is 0.
+        """
+        before, now = self._began[2], _stolen_seconds()
+        return None if before is None or now is None else self._of_cores(now - before)
+
+    def _of_cores(self, seconds: float) -> float:
+        """Share of what all cores could have done since the start."""
+        available = (time.perf_counter() - self._began[0]) * (os.cpu_count() or 1)
+        return max(seconds, 0.0) / available
 
 
 def _busy_seconds() -> float | None:
     """Processor seconds that all processes together have taken since the machine started."""
+    spent = _spent_seconds()
+    if spent is None:
+        return None
+    user, nice, system, _, _, interrupt, soft, _ = spent
+    return user + nice + system + interrupt + soft
+
+
+def _stolen_seconds() -> float | None:
+    """Processor seconds that were wanted here and went to other guests of the host."""
+    spent = _spent_seconds()
+    return None if spent is None else spent[7]
+
+
+def _spent_seconds() -> list[float] | None:
+    """The first eight counts of Linux' /proc/stat, of all cores together, in seconds."""
     stat = Path("/proc/stat")
     if not stat.exists():
         return None
-    user, nice, system, _, _, interrupt, soft = (
-        int(x) for x in stat.read_text().split("\n", 1)[0].split()[1:8]
-    )
-    return (user + nice + system + interrupt + soft) / os.sysconf("SC_CLK_TCK")
+    counts = stat.read_text().split("\n", 1)[0].split()[1:9]
+    return [int(count) / os.sysconf("SC_CLK_TCK") for count in counts]
