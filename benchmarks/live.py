@@ -11,12 +11,12 @@ finer mesh of quadratic elements with 40 dB of noise:
 A press is appended to the recording when the run waits for one. Counted from there: `map` until
 the map is there, saved and told (`processor`: the time of this process alone, on all cores, which
 other work on the machine lengthens less; `host`: what a virtual machine's host meanwhile gave to
-others, of all cores); `picture` until live.png and live.html show it; `next`
-until the next place is known and shown too. An update has a limit of time; a row `at rest` is of
-the map settled after it, while no other press waits. Below, the map after the last press beside a
-whole inversion of the same recording from 0.2 MPa (`invert`), and what `invert` takes from the last
-map: without what is kept from press to press. Nothing reads the truth but the scores. The last line
-printed is one JSON object.
+others, of all cores; a dash where that cannot be told); `picture` until live.png and live.html show
+it; `next` until the next place is known and shown too. An update has a limit of time; a row
+`at rest` is of the map settled after it, while no other press waits. Below, the map after the last
+press beside a whole inversion of the same recording from 0.2 MPa (`invert`), and what `invert`
+takes from the last map: without what is kept from press to press. Nothing reads the truth but the
+scores. The last line printed is one JSON object.
 """
 
 import argparse
@@ -65,8 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     result["other_work"] = busy
     result["stolen"] = meter.stolen()
     lines.append(
-        f"Meanwhile other processes took {busy or 0.0:.0%} of the cores, and the host gave "
-        f"{result['stolen'] or 0.0:.0%} to other machines."
+        f"Meanwhile other processes took {_percent(busy)} of the cores, and the host gave "
+        f"{_percent(result['stolen'])} to other machines."
     )
     print(lines[-1] + "\n")
     if options.out is not None:
