@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactorch.credibility import SimulatedPresser
 from tactorch.fem import SoftBody, make_material
 from tactorch.mesh import Sphere, TetMesh, box_mesh
 from tactorch.phantoms.sampling import element_means
 from tactorch.recording import MaterialSpec
+from tactorch.sampling import SimulatedPresser
 
 RADIUS_MM = 10.0
 BACKGROUND_MPA, INCLUSION_MPA = 0.1, 0.5

@@ -53,7 +53,10 @@ from active_objects import (
 )
 from machine import describe_machine
 
-from tactorch.credibility import (
+from tactorch.inverse import GaussNewton, Settings
+from tactorch.mesh import TetMesh
+from tactorch.recording import Press
+from tactorch.sampling import (
     ExpectedError,
     ExpectedInformation,
     LargestUncertainty,
@@ -66,9 +69,6 @@ from tactorch.credibility import (
     candidate_patches,
     sample,
 )
-from tactorch.inverse import GaussNewton, Settings
-from tactorch.mesh import TetMesh
-from tactorch.recording import Press
 from tactorch.viz.active import plot_sampling
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")

@@ -195,7 +195,7 @@ def _size(values: np.ndarray) -> float:
 
 def inverted(recording: Recording, picture: Path | None, limit: float | None) -> dict[str, Any]:
     """Invert, find the lesion, draw the slices; returns the figures."""
-    settings = Settings(optimizer=NewtonCG(), model_error_left=LEFT, max_seconds=limit)
+    settings = Settings(optimizer=NewtonCG(), residual_model_error_fraction=LEFT, max_seconds=limit)
     blind = replace(recording, truth=None)
     began = time.perf_counter()
     found = invert(blind, settings, start_mpa=homogeneous, show_progress=False)

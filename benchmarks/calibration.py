@@ -14,7 +14,7 @@ Objects of three kinds, each simulated, inverted without its truth, and judged b
   truth is its mean modulus. This is the figure that counts.
 
 Two posteriors are judged: `laplace` (total variation's curvature at the map, at the weight where
-the inversion stopped) and `variational` (`tactorch.credibility.variational_posterior`, whose
+the inversion stopped) and `variational` (`tactorch.uncertainty.variational_posterior`, whose
 weight and jumps come from the data). Neither has a factor that was fitted to anything.
 
 The last line printed is one JSON object; its first figures are those of `other mesh` and
@@ -31,7 +31,7 @@ import numpy as np
 from calibration_objects import KINDS, Outcome
 from machine import OtherWork, describe_machine
 
-from tactorch.credibility import calibration_curve, calibration_error, coverage
+from tactorch.uncertainty import calibration_curve, calibration_error, coverage
 from tactorch.viz.credibility import plot_calibration
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")

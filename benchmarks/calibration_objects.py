@@ -8,8 +8,6 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from tactorch.credibility import GaussianPosterior, LaplacePosterior, variational_posterior
-from tactorch.credibility.selected_inverse import SparseFactor
 from tactorch.inverse import (
     GaussNewton,
     InverseProblem,
@@ -26,6 +24,8 @@ from tactorch.mesh import Box, Shape, Sphere, TetMesh, box_mesh
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import Recording
 from tactorch.simulation import PressPlan, noise_level, simulate
+from tactorch.uncertainty import GaussianPosterior, LaplacePosterior, variational_posterior
+from tactorch.uncertainty.selected_inverse import SparseFactor
 
 SIDE = 10.0
 FACES = ("z+", "x+", "y+")

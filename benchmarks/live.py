@@ -32,11 +32,11 @@ from machine import OtherWork, write_results
 
 from tactorch.cli.live_view import Screen
 from tactorch.inverse import Settings, invert
-from tactorch.live import Follower, FollowOptions, Seen, Source, Suggester, SuggestOptions
 from tactorch.mesh import box_mesh
 from tactorch.metrics import find_inclusion, scores
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording, append_press
+from tactorch.sampling.live import Follower, FollowOptions, Seen, Source, Suggester, SuggestOptions
 from tactorch.simulation import PressPlan, simulate
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl", "matplotlib")

@@ -86,7 +86,7 @@ def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str,
     """Invert from both starts; figures of both, and of the surrogate's map itself."""
     truth = recording.truth
     assert truth is not None
-    foretold = scores(recording.mesh, start.foretell(recording).youngs, truth)
+    foretold = scores(recording.mesh, start.predict(recording).youngs, truth)
     about = start.as_prior_mean(Settings(), recording)
     runs = {
         "uniform": (homogeneous, Settings()),

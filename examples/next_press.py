@@ -8,8 +8,8 @@ place the next one would lower the map's expected error most.
 import numpy as np
 
 from tactorch import MaterialSpec, SoftBody, make_material
-from tactorch.credibility import ExpectedError, SimulatedPresser, candidate_patches, sample
 from tactorch.mesh import box_mesh
+from tactorch.sampling import ExpectedError, SimulatedPresser, candidate_patches, sample
 
 BALL_MM = np.array([3.0, 3.0, 7.0])
 

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from tactorch import SoftBody, Supports, make_material
-from tactorch.fem.materials import MATERIALS, Dilatation, Distortion, IsotropicMaterial
+from tactorch.fem.materials import MATERIALS, Dilatation, InvariantDerivatives, IsotropicMaterial
 from tactorch.fem.materials.base import Scalars, lame
 from tactorch.mesh import box_mesh, face_nodes
 
@@ -31,12 +31,12 @@ class Fung(IsotropicMaterial):
 
     def distortion(
         self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
-    ) -> Distortion:
+    ) -> InvariantDerivatives:
         """Energy and derivatives of the part that is not `dilatation`."""
         _, mu = lame(poisson)
         # An exponential of any kind of number: floats, NumPy arrays, tensors.
         grown = np.e ** (self.b * (i1 - 3.0))
-        return Distortion(
+        return InvariantDerivatives(
             psi=0.5 * mu / self.b * (grown - 1.0) - mu * log_j,
             d1=0.5 * mu * grown,
             dj=-mu / j,

@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tactorch.applications import find_lump, finding_of
     from tactorch.fem import SoftBody, Supports, make_material
+    from tactorch.findings import find_lump, finding_of
     from tactorch.importers import import_published
     from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
     from tactorch.mesh import TetMesh, read_mesh, tetrahedralize
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tactorch.simulation import PressPlan, simulate
 
 _HOMES = {
-    "tactorch.applications": ("find_lump", "finding_of"),
+    "tactorch.findings": ("find_lump", "finding_of"),
     "tactorch.fem": ("SoftBody", "Supports", "make_material"),
     "tactorch.importers": ("import_published",),
     "tactorch.inverse": ("GaussNewton", "Reconstruction", "Settings", "invert"),

@@ -26,7 +26,7 @@ PAGES = {
             "tactorch.inverse.nuisance",
         ],
     ),
-    "credibility": ("Credibility and active sampling", ["tactorch.credibility"]),
+    "credibility": ("Credibility and active sampling", ["tactorch.uncertainty"]),
     "fem": (
         "Mechanics",
         ["tactorch.fem", "tactorch.fem.materials", "tactorch.fem.device", "tactorch.linalg"],

@@ -27,7 +27,7 @@ _DEBUG = "HYDRA_FULL_ERROR"
 
 def run_app(verb: str, given: Sequence[str]) -> None:
     """Run the Hydra app of a command; ends the process with a status other than 0 on errors."""
-    from tactorch.cli.complaints import unknown_flag
+    from tactorch.cli.error_messages import unknown_flag
     from tactorch.cli.help import help_text, wants_help
     from tactorch.cli.resume import with_resume
     from tactorch.errors import TactorchError
@@ -77,7 +77,7 @@ class App:
             except Exception as error:
                 if debugging or self.began:
                     raise
-                from tactorch.cli.complaints import complaint
+                from tactorch.cli.error_messages import complaint
 
                 fail(complaint(error, self.verb, self.settings), self.verb)
 

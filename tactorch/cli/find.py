@@ -4,16 +4,16 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from tactorch.applications import Finding, finding_of
 from tactorch.cli.outputs import write_json
 from tactorch.cli.runs import with_settings
 from tactorch.cli.settings import log
-from tactorch.credibility import GaussianPosterior, posterior_of
-from tactorch.credibility.trust import UNCOMPUTABLE
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
+from tactorch.findings import Finding, finding_of
 from tactorch.recording import Recording
-from tactorch.viz.report import Run, load_run, settings_of
+from tactorch.report import Run, load_run, settings_of
+from tactorch.uncertainty import GaussianPosterior, posterior_of
+from tactorch.uncertainty.select import UNCOMPUTABLE
 
 
 def run(cfg: DictConfig) -> Finding:
@@ -29,7 +29,7 @@ def run(cfg: DictConfig) -> Finding:
     finding = finding_of(found.recording, youngs, posterior, most=cfg.most)
     values, text = finding.plain(), finding.text()
     if cfg.recognizer is not None:
-        from tactorch.applications.recognition import load_recognizer, recognise
+        from tactorch.findings.recognition import load_recognizer, recognise
 
         chances = recognise(found.found.mesh, youngs, load_recognizer(str(cfg.recognizer)))
         values["shapes"] = chances

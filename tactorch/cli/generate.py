@@ -5,7 +5,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from tactorch.cli.progress import progress
-from tactorch.cli.settings import inversion_of, log, made, material_of, plain
+from tactorch.cli.settings import build, inversion_of, log, material_of, plain
 from tactorch.errors import ConfigError
 from tactorch.generation import MeshSizes, PressDraw, Recipe, SampleSet, generate
 from tactorch.generation.recipe import LINEAR
@@ -52,13 +52,13 @@ def recipe_of(cfg: DictConfig) -> Recipe:
     parts = {
         "family": family.pop("name"),
         "options": family,
-        "presses": made("dataset.presses", PressDraw, settings.pop("presses")),
-        "mesh": made("dataset.sizes", MeshSizes, settings.pop("sizes")),
+        "presses": build("dataset.presses", PressDraw, settings.pop("presses")),
+        "mesh": build("dataset.sizes", MeshSizes, settings.pop("sizes")),
         "material": material_of(cfg),
         "element": cfg.element,
         "inversion": _inversion(cfg, reconstruct),
     }
-    return made("dataset", Recipe, {**settings, **parts})
+    return build("dataset", Recipe, {**settings, **parts})
 
 
 def _inversion(cfg: DictConfig, reconstruct: bool | str) -> Settings | str | None:

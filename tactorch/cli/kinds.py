@@ -5,7 +5,7 @@ from collections.abc import Callable, Container, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tactorch.cli.catalog import Catalog
-from tactorch.cli.complaints import unknown_setting
+from tactorch.cli.error_messages import unknown_setting
 from tactorch.errors import ConfigError
 
 if TYPE_CHECKING:  # completion reads the tables below, and must not wait
@@ -107,11 +107,12 @@ _NAMES_OF: dict[Kind, str] = {
         relative_edge_length edge_length_mm fine_edge_length_mm fine_relative
         noise_relative tnc_patience
         force_scale rest_scale translation_mm rotation_rad level_mpa length_mm deviation
-        model_error_left tikhonov smoothness total_variation log_jumps sparsity binary_well matern
+        residual_model_error_fraction
+        tikhonov smoothness total_variation log_jumps sparsity binary_well matern
         depth radius height side_mm diameter_mm height_mm youngs_mpa inclusion_mpa
         tube low_mpa high_mpa hole_mpa waist_mm rim_mm radius_mm ball distance median_mpa spread
         patch_share prior_share dropout learning_rate weight_decay gradient_clip max_minutes
-        brightness ball_radius_mm marker_diameter_px magnify edge_mm around_mm least_mm steep
+        brightness ball_radius_mm marker_diameter_px magnify edge_mm around_mm min_depth_mm steep
         reach_mm depth_mm sensor_mm load
         poll_seconds patience_seconds update_seconds idle_seconds pause_seconds
     """,
@@ -119,9 +120,9 @@ _NAMES_OF: dict[Kind, str] = {
     _WHOLE: """
         seed samples steps max_iterations max_evaluations stage_iterations cg_iterations memory
         max_trials workers max_epochs splits hidden layers voxels batch split patience
-        width encoded cells held_out folds rounds reference_frames most_frames pictures
-        least_frames divisions tnc_evaluations places epochs candidates
-        most_at_once most_iterations max_presses most
+        width encoded cells held_out folds rounds reference_frames max_frames pictures
+        min_frames divisions tnc_evaluations places epochs candidates
+        max_batch max_iterations max_presses most
     """,
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor
@@ -153,10 +154,10 @@ KINDS = {
 _OPTIONAL = """
     mm max_seconds snr_db weight edge_length_mm fine_edge_length_mm fine_relative noise_mm
     patch_radius_mm patch_centers_mm round_rest_m relabel_truth path out recording resume
-    unknowns.poisson force_scale rest_scale translation_mm rotation_rad
+    nuisance.poisson force_scale rest_scale translation_mm rotation_rad
     edge level_mpa levels_mpa workers scheduler patience gradient_clip max_minutes folder
     dataset.presses.load dataset.poisson weights recognizer
-    reference labels mm_per_px marker_diameter_px held_out folds most_frames object.depth_mm
+    reference labels mm_per_px marker_diameter_px held_out folds max_frames object.depth_mm
     idle_seconds update_seconds max_presses replay suggest.radius_mm
 """
 OPTIONAL = frozenset(_OPTIONAL.split())

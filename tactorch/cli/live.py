@@ -12,14 +12,22 @@ from tactorch.cli.kinds import HOMOGENEOUS
 from tactorch.cli.live_view import PAGE, Screen
 from tactorch.cli.logs import tell
 from tactorch.cli.outputs import finding
-from tactorch.cli.settings import folder, inversion_of, log, made, plain
+from tactorch.cli.settings import build, folder, inversion_of, log, plain
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Start, homogeneous
-from tactorch.live import Ended, Follower, FollowOptions, Source, Suggester, SuggestOptions, replay
 from tactorch.recording import Recording
+from tactorch.sampling.live import (
+    Ended,
+    Follower,
+    FollowOptions,
+    Source,
+    Suggester,
+    SuggestOptions,
+    replay,
+)
 
 _OPTIONS = (
-    "poll_seconds", "most_at_once", "most_iterations", "update_seconds", "max_presses",
+    "poll_seconds", "max_batch", "max_iterations", "update_seconds", "max_presses",
     "idle_seconds",
 )  # fmt: skip
 
@@ -31,7 +39,7 @@ def run(cfg: DictConfig) -> Ended:
         if cfg[name] < 0:
             raise ConfigError(f"{name}={cfg[name]}: give a time of at least 0 s.")
     options = FollowOptions(**{name: cfg[name] for name in _OPTIONS})
-    suggester = Suggester(settings, made("suggest", SuggestOptions, plain(cfg.suggest)))
+    suggester = Suggester(settings, build("suggest", SuggestOptions, plain(cfg.suggest)))
     played = None if cfg.replay is None else Recording.load(str(cfg.replay))
     path = _path(cfg, out)
     with Screen(out, path, plots=cfg.plots) as screen, _playing(cfg, played, path, screen):
@@ -39,7 +47,7 @@ def run(cfg: DictConfig) -> Ended:
             path,
             patience_seconds=cfg.patience_seconds,
             check_units=cfg.check_units,
-            tell=screen.told,
+            tell=screen.show_message,
         )
         start: Start = homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa)
         follower = Follower(
@@ -79,7 +87,7 @@ def _playing(
         try:
             replay(recording, path, cfg.pause_seconds, stop)
         except TactorchError as error:
-            screen.told(f"the replay has ended: {error}")
+            screen.show_message(f"the replay has ended: {error}")
 
     thread = Thread(target=play, daemon=True)
     thread.start()

@@ -14,7 +14,7 @@ from tactorch.cli.live_page import page
 from tactorch.cli.outputs import finding
 from tactorch.cli.settings import log
 from tactorch.files import atomic_path
-from tactorch.live import Ended, Seen
+from tactorch.sampling.live import Ended, Seen
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -27,7 +27,7 @@ _NOTES = 3
 
 
 class Screen:
-    """Shows a live run; a `tactorch.live.View`."""
+    """Shows a live run; a `tactorch.sampling.live.View`."""
 
     def __init__(self, folder: Path, source: Path, *, plots: bool = True) -> None:
         """Take the run's folder, what it follows, and whether to draw."""
@@ -68,8 +68,8 @@ class Screen:
         log.info("continuing a run of %d presses in %s", presses, self._folder)
         self._write_page(refresh=True)
 
-    def told(self, text: str) -> None:
-        """See `View.told`."""
+    def show_message(self, text: str) -> None:
+        """See `View.show_message`."""
         self._notes.append(text)
         log.warning("%s", text)
         self._write_page(refresh=True)

@@ -84,7 +84,7 @@ def _dispatch(arguments: list[str] | None) -> None:
     elif settings[0] in GROUPS[verb]:
         run_app(f"{verb} {settings[0]}", settings[1:])
     else:
-        from tactorch.cli.complaints import did_you_mean
+        from tactorch.cli.error_messages import did_you_mean
 
         commands = list(GROUPS[verb])
         fail(
@@ -96,7 +96,7 @@ def _dispatch(arguments: list[str] | None) -> None:
 
 def _no_command(word: str) -> str:
     """Say that a word is no command, and which one may be meant."""
-    from tactorch.cli.complaints import did_you_mean
+    from tactorch.cli.error_messages import did_you_mean
 
     if "=" in word:
         return f"a command comes first, as in: tactorch simulate {word}"

@@ -6,7 +6,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from tactorch.cli.settings import made, plain
+from tactorch.cli.settings import build, plain
 from tactorch.errors import ConfigError
 
 
@@ -87,7 +87,7 @@ def data_of(cfg: DictConfig, number: int) -> Any:
     if settings["folder"] is None:
         raise ConfigError("data.folder=None: give the folder of a dataset.")
     settings["split"] += number
-    return made("data", network_of(cfg).make_data, {**settings, "seed": cfg.seed})
+    return build("data", network_of(cfg).make_data, {**settings, "seed": cfg.seed})
 
 
 def model_of(cfg: DictConfig, data: Any, known: Mapping[str, Any] | None = None) -> Any:
@@ -102,7 +102,7 @@ def model_of(cfg: DictConfig, data: Any, known: Mapping[str, Any] | None = None)
     lightning.seed_everything(cfg.seed, verbose=False)
     noted = known or {}
     given = {name: noted.get(name, getattr(data, name, None)) for name in network.given}
-    return made("model", network.make, {**given, **settings})
+    return build("model", network.make, {**given, **settings})
 
 
 def facts_of(cfg: DictConfig, data: Any) -> dict[str, Any]:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.applications import find_lump
 from tactorch.cli.logs import tell
 from tactorch.cli.settings import log
 from tactorch.cli.tables import Table
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
+from tactorch.findings import find_lump
 from tactorch.inverse import NuisanceEstimate, Reconstruction
 from tactorch.metrics import Inclusion, scores
 from tactorch.recording import Recording
@@ -161,7 +161,7 @@ def describe(
         lines.append(
             f"DO NOT TRUST THIS MAP: {summary['volume_at_bounds']:.0%} of it lie at a bound of"
             " Young's modulus. If the bounds are right, presses or model are off by more than the"
-            " noise that is stated: give noise.mm larger, or estimate what is wrong (unknowns)."
+            " noise that is stated: give noise.mm larger, or estimate what is wrong (nuisance)."
         )
     if recording.truth is not None:
         true = find_lump(recording.mesh, recording.truth)
@@ -176,7 +176,7 @@ def _estimate(name: str, found: NuisanceEstimate) -> str:
         values = ", ".join(f"{value:.4g}" for value in found.value)
         return f"Estimated beside the map: {name} {values} (how sure was not computed)."
     values = ", ".join(f"{value:.4g} +- {deviation:.2g}" for value, deviation in pairs)
-    told = "" if found.told else " (the data tell little)"
+    told = "" if found.is_informative else " (the data tell little)"
     return f"Estimated beside the map: {name} {values}{told}."
 
 

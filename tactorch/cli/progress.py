@@ -13,7 +13,7 @@ _LINES = 10  # of progress in a log
 
 
 @runtime_checkable
-class Tell(Protocol):
+class ProgressCallback(Protocol):
     """Says how far it is."""
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
@@ -21,7 +21,7 @@ class Tell(Protocol):
 
 
 @contextmanager
-def progress(label: str, what: str) -> Iterator[Tell]:
+def progress(label: str, what: str) -> Iterator[ProgressCallback]:
     """Give a function to call with what is done and the total.
 
     Args:
@@ -59,7 +59,7 @@ def progress(label: str, what: str) -> Iterator[Tell]:
         yield tell
 
 
-def _in_lines(label: str, what: str) -> Tell:
+def _in_lines(label: str, what: str) -> ProgressCallback:
     shown, begun, start = 0, -1, 0.0
 
     def tell(done: int, total: int, note: str = "") -> None:

@@ -8,7 +8,7 @@ from tactorch.cli.progress import progress
 from tactorch.cli.runs import with_settings
 from tactorch.cli.settings import log, plain
 from tactorch.errors import ConfigError
-from tactorch.viz.report import load_run, names_of, write_report
+from tactorch.report import load_run, names_of, write_report
 
 
 def run(cfg: DictConfig) -> Path:

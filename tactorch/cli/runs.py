@@ -9,7 +9,7 @@ from yaml import YAMLError
 from tactorch.cli.settings import inversion_of, log, start_of
 from tactorch.errors import TactorchError
 from tactorch.plain import plain as plain_values
-from tactorch.viz.report import Run, is_complete
+from tactorch.report import Run, is_complete
 
 
 def with_settings(run: Run) -> Run:

@@ -14,10 +14,10 @@ from tactorch.errors import ConfigError
 from tactorch.inverse import (
     Bounds,
     NoiseModel,
+    NuisancePrior,
     PriorOptions,
     Settings,
     Start,
-    Unknowns,
     homogeneous,
     make_optimizer,
 )
@@ -47,19 +47,19 @@ def folder() -> Path:
 
 def phantom_of(cfg: DictConfig) -> Phantom:
     """Make the phantom."""
-    return made("phantom", make_phantom, plain(cfg.phantom))
+    return build("phantom", make_phantom, plain(cfg.phantom))
 
 
 def plan_of(cfg: DictConfig) -> PressPlan:
     """Make the plan of presses."""
-    return made("press", PressPlan.ramp, plain(cfg.press))
+    return build("press", PressPlan.ramp, plain(cfg.press))
 
 
 def material_of(cfg: DictConfig) -> MaterialSpec:
     """Make the material's description."""
     settings = plain(cfg.material)
     settings["parameters"] = settings["parameters"] or {}
-    return made("material", MaterialSpec, settings)
+    return build("material", MaterialSpec, settings)
 
 
 def inversion_of(cfg: DictConfig) -> Settings:
@@ -73,13 +73,13 @@ def inversion_of(cfg: DictConfig) -> Settings:
         parameterization=cfg.parameterization.name,
         regularization=name,
         edge=edge,
-        prior=made("regularization", PriorOptions, prior),
-        bounds=made("bounds", Bounds, plain(cfg.bounds)),
-        noise=made("noise", NoiseModel, plain(cfg.noise)),
+        prior=build("regularization", PriorOptions, prior),
+        bounds=build("bounds", Bounds, plain(cfg.bounds)),
+        noise=build("noise", NoiseModel, plain(cfg.noise)),
         misfit=cfg.misfit,
         model_error=cfg.model_error,
-        model_error_left=cfg.model_error_left,
-        unknowns=made("unknowns", Unknowns, plain(cfg.unknowns)),
+        residual_model_error_fraction=cfg.residual_model_error_fraction,
+        nuisance=build("nuisance", NuisancePrior, plain(cfg.nuisance)),
         element=cfg.element,
         solver=cfg.solver.name,
         max_seconds=cfg.max_seconds,
@@ -109,7 +109,7 @@ def start_of(cfg: DictConfig, settings: Settings, recording: Recording) -> tuple
     return homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa), settings
 
 
-def made(what: str, make: Callable[..., _T], settings: dict[str, Any]) -> _T:
+def build(what: str, make: Callable[..., _T], settings: dict[str, Any]) -> _T:
     """Call `make` with the settings of a group; its complaints then name the group.
 
     Raises:

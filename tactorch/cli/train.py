@@ -13,7 +13,7 @@ from tactorch.cli.logs import log, tell
 from tactorch.cli.networks import data_of, facts_of, model_of, network_of
 from tactorch.cli.outputs import write_json
 from tactorch.cli.progress import progress
-from tactorch.cli.settings import folder, made, plain
+from tactorch.cli.settings import build, folder, plain
 from tactorch.cli.tables import Table
 from tactorch.errors import ConfigError
 
@@ -54,7 +54,7 @@ def _scores_of(cfg: DictConfig, number: int, place: Path) -> dict[str, float]:
     """Train on one split; one that had ended is not trained again."""
     from tactorch.learning.training import EpochsTold, TrainerOptions, fit
 
-    options = made("trainer", TrainerOptions, {**plain(cfg.trainer), "seed": cfg.seed})
+    options = build("trainer", TrainerOptions, {**plain(cfg.trainer), "seed": cfg.seed})
     done = place / "split.json"
     if cfg.resume is not None and done.is_file():
         found: dict[str, Any] = json.loads(done.read_text(encoding="utf-8"))

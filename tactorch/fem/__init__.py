@@ -4,7 +4,7 @@ from tactorch.fem.body import SoftBody
 from tactorch.fem.elements import ELEMENTS, Discretisation, Element, make_element
 from tactorch.fem.linearization import Linearization
 from tactorch.fem.materials import MATERIALS, make_material
-from tactorch.fem.newton import Equilibrated, Newton, NewtonOptions
+from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
 from tactorch.fem.parallel import limit_workers, map_cases, worker_count
 from tactorch.fem.supports import Supports
 
@@ -13,7 +13,7 @@ __all__ = [
     "MATERIALS",
     "Discretisation",
     "Element",
-    "Equilibrated",
+    "EquilibriumResult",
     "Linearization",
     "Newton",
     "NewtonOptions",

@@ -14,7 +14,7 @@ from tactorch.fem import kernels
 from tactorch.fem.elements import Discretisation
 from tactorch.fem.materials import (
     Dilatation,
-    Distortion,
+    InvariantDerivatives,
     IsotropicMaterial,
     LinearElastic,
     Material,
@@ -39,7 +39,7 @@ class Response:
     invariants: Float[np.ndarray, "3 m q"]
     energy: Float[np.ndarray, " m"]
     forces: Float[np.ndarray, "m k 3"]
-    derivatives: Distortion | None
+    derivatives: InvariantDerivatives | None
     mean: Dilatation | None
 
     @property

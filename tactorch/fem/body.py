@@ -15,7 +15,7 @@ from tactorch.fem.assembly import Assembly
 from tactorch.fem.elements import Discretisation, make_element
 from tactorch.fem.equilibrium import Equilibrium, Problem
 from tactorch.fem.materials import Material
-from tactorch.fem.newton import Equilibrated, Newton, NewtonOptions
+from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
 from tactorch.fem.supports import Supports
 from tactorch.linalg import SolverPool
 from tactorch.mesh import TetMesh
@@ -107,7 +107,8 @@ class SoftBody:
     ) -> Newton:
         """Set up the equilibrium search of one load case, for use without autograd.
 
-        `assembly` may stand in for the body's own: see `altered`. A search `after` another takes
+        `assembly` may stand in for the body's own: see
+        `with_parameters`. A search `after` another takes
         over its factorisation: see `Newton`.
 
         Raises:
@@ -118,13 +119,13 @@ class SoftBody:
             self.assembly if assembly is None else assembly,
             self.pool,
             np.ascontiguousarray(youngs, dtype=np.float64),
-            np.ascontiguousarray(self.discretisation.spread(forces), dtype=np.float64),
+            np.ascontiguousarray(self.discretisation.consistent_loads(forces), dtype=np.float64),
             supports.case(case, self.discretisation),
             self.newton,
             after,
         )
 
-    def altered(self, poisson: float, points: Float[np.ndarray, "n 3"]) -> Assembly:
+    def with_parameters(self, poisson: float, points: Float[np.ndarray, "n 3"]) -> Assembly:
         """Return the body's assembly with another Poisson's ratio and rest shape (mm).
 
         Raises:
@@ -150,7 +151,7 @@ class SoftBody:
         """Carry vertex loads to the element's nodes, differentiably."""
         if forces.shape[0] == self.n_nodes:
             return forces
-        matrix = self.discretisation.spreading(forces.detach().numpy()).tocoo()
+        matrix = self.discretisation.consistent_load_matrix(forces.detach().numpy()).tocoo()
         indices = torch.from_numpy(np.stack([matrix.row, matrix.col]).astype(np.int64))
         shares = torch.from_numpy(matrix.data)[:, None]
         out = torch.zeros(self.n_nodes, 3, dtype=torch.float64)
@@ -181,7 +182,7 @@ class SoftBody:
         supports: Supports,
         *,
         start: Float[np.ndarray, "nodes 3"] | None = None,
-    ) -> Equilibrated:
+    ) -> EquilibriumResult:
         """Find one equilibrium without autograd; failure is a value with a reason."""
         return self.search(youngs, forces, supports).run(start)
 

@@ -141,7 +141,7 @@ class DeviceBody:
             return torch.from_numpy(np.stack(arrays)).to(self.device)
 
         self._youngs = torch.tensor(youngs, device=self.device)
-        self._forces = stacked([d.spread(case) for case in forces])
+        self._forces = stacked([d.consistent_loads(case) for case in forces])
         self._fixed: Bool[Tensor, "cases nodes 3"] = stacked([case.fixed for case in held])
         self._springs = stacked([case.springs for case in held])
         self._prescribed = stacked([case.prescribed for case in held])

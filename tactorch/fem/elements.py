@@ -133,7 +133,9 @@ class Discretisation:
         """Continue a vertex field to the midsides by averaging the ends."""
         return np.concatenate([values, values[self.edges].mean(axis=1)])
 
-    def spread(self, values: Float[np.ndarray, "given 3"]) -> Float[np.ndarray, "nodes 3"]:
+    def consistent_loads(
+        self, values: Float[np.ndarray, "given 3"]
+    ) -> Float[np.ndarray, "nodes 3"]:
         """Carry nodal loads or springs of a surface from vertices to the element's own nodes.
 
         Linear elements keep them. On quadratic ones a uniform traction acts on the midsides: each
@@ -145,10 +147,10 @@ class Discretisation:
         Raises:
             ConfigError: the field is neither over the mesh nodes nor over all nodes.
         """
-        return self.spreading(values) @ values
+        return self.consistent_load_matrix(values) @ values
 
-    def spreading(self, values: Float[np.ndarray, "given 3"]) -> sp.csr_matrix:
-        """Return the matrix of `spread` for the vertices that `values` loads, (nodes, given)."""
+    def consistent_load_matrix(self, values: Float[np.ndarray, "given 3"]) -> sp.csr_matrix:
+        """Return the matrix of `consistent_loads` for the loaded vertices, (nodes, given)."""
         n = self.mesh.n_points
         if values.shape == (self.n_nodes, 3):  # always so on linear elements
             return sp.identity(self.n_nodes, format="csr")

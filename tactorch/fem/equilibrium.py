@@ -25,7 +25,7 @@ from torch import Tensor
 from tactorch.fem import kernels, reference
 from tactorch.fem.assembly import Assembly
 from tactorch.fem.linearization import Linearization
-from tactorch.fem.newton import Equilibrated, Newton, NewtonOptions
+from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
 from tactorch.fem.parallel import map_cases
 from tactorch.fem.supports import Supports
 from tactorch.linalg import SolverPool
@@ -40,7 +40,7 @@ class Problem:
     options: NewtonOptions
     supports: Supports
     start: Float[np.ndarray, "cases nodes 3"] | None
-    found: list[Equilibrated] = field(default_factory=list)
+    found: list[EquilibriumResult] = field(default_factory=list)
     tangents: list[Callable[[], Linearization]] = field(default_factory=list)
 
     def solve_forward(
@@ -50,7 +50,7 @@ class Problem:
         assembly = self._assembly_at(poisson.detach().numpy(), points.detach().numpy())
         e, f = youngs.detach().numpy(), forces.detach().numpy()
 
-        def work(i: int) -> tuple[Equilibrated, Callable[[], Linearization]]:
+        def work(i: int) -> tuple[EquilibriumResult, Callable[[], Linearization]]:
             held = self.supports.case(i, assembly.discretisation)
             newton = Newton(assembly, self.pool, e, f[i], held, self.options)
             found = newton.run(None if self.start is None else self.start[i]).require()

@@ -49,7 +49,7 @@ class NewtonOptions:
 
 
 @dataclass(eq=False)
-class Equilibrated:
+class EquilibriumResult:
     """What the search found.
 
     Attributes:
@@ -72,7 +72,7 @@ class Equilibrated:
     energies: list[float] = field(default_factory=list)
     response: Response | None = None
 
-    def require(self) -> "Equilibrated":
+    def require(self) -> "EquilibriumResult":
         """Return self, or raise.
 
         Raises:
@@ -111,15 +111,17 @@ class Newton:
         self._fixed = held.fixed.ravel()
         self._pool = pool
         # What is linear is solved at once, if exactly.
-        self._bears_rough = pool.has_rough and assembly.barrier
+        self._allow_single_precision = pool.has_single_precision and assembly.barrier
         self._lease: Lease = (
-            pool.lease(self._bears_rough) if after is None else after._lease.hand_over()
+            pool.lease(self._allow_single_precision)
+            if after is None
+            else after._lease.transfer_factorization()
         )
         self._factored = self._lease.factored
         if after is not None:
             after._factored = False
 
-    def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> Equilibrated:
+    def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> EquilibriumResult:
         """Find the equilibrium, warm from `start` if given."""
         rest = np.zeros_like(self.forces)
         if not self._is_held():
@@ -127,7 +129,7 @@ class Newton:
                 "Nothing holds the object: it can still move or turn as a whole. Fix a face (three "
                 "nodes that are not in line), or give springs."
             )
-            return Equilibrated(rest, False, reason, 0, 0, np.inf)
+            return EquilibriumResult(rest, False, reason, 0, 0, np.inf)
         found = self._at_load(1.0, rest if start is None else start, self.options.max_iterations)
         if not found.converged:
             found = self._in_steps(found.iterations)
@@ -138,15 +140,15 @@ class Newton:
         modes = self.assembly.discretisation.rigid_modes[self.held.held.ravel()]
         return len(modes) >= 6 and column_rank(modes, 1e-8) == 6
 
-    def linearize(self, found: Equilibrated) -> Linearization:
+    def linearize(self, found: EquilibriumResult) -> Linearization:
         """Return the tangent at an equilibrium."""
         assert found.response is not None
         self._turn_exact()
-        values = self.pattern.hold(self._tangent(found.response), self._fixed)
+        values = self.pattern.apply_dirichlet(self._tangent(found.response), self._fixed)
         self._factored = False  # the solver is the linearisation's from now on
         return Linearization(self.pattern, values, self._lease, self._fixed)
 
-    def _in_steps(self, spent: int) -> Equilibrated:
+    def _in_steps(self, spent: int) -> EquilibriumResult:
         """Walk up from the unloaded state; shrink the step on failure, grow it on ease."""
         load, step, taken = 0.0, 0.25, 0
         u = np.zeros_like(self.forces)
@@ -162,11 +164,11 @@ class Newton:
                 step *= 0.5
             if step < self.options.min_load_step:
                 reason = f"{self._collapse(found, load)} {found.reason}"
-                return Equilibrated(u, False, reason, spent, taken, found.residual)
+                return EquilibriumResult(u, False, reason, spent, taken, found.residual)
         found.iterations, found.load_steps = spent, taken
         return found
 
-    def _collapse(self, failed: Equilibrated, load: float) -> str:
+    def _collapse(self, failed: EquilibriumResult, load: float) -> str:
         """Say where the body gives way, and under which share of the load."""
         response = self.assembly.respond(failed.displacement)
         if response is None:
@@ -204,12 +206,12 @@ class Newton:
         scale = max(np.abs(internal).max(), load * np.abs(self.forces).max())
         return np.where(self._fixed, 0.0, balance), float(scale)
 
-    def _at_load(self, load: float, start: np.ndarray, cap: int) -> Equilibrated:
+    def _at_load(self, load: float, start: np.ndarray, cap: int) -> EquilibriumResult:
         """Newton at one load factor, `cap` iterations at most."""
         u = start.copy()
         response = self.assembly.respond(u)
         if response is None:
-            return Equilibrated(u, False, "The start has inverted elements.", 0, 0, np.inf)
+            return EquilibriumResult(u, False, "The start has inverted elements.", 0, 0, np.inf)
         jump = np.where(self.held.fixed, load * self.held.prescribed - u, 0.0).ravel()
         energies: list[float] = []
         reason, relative = f"No convergence in {cap} iterations.", np.inf
@@ -245,12 +247,12 @@ class Newton:
                 reason = "The line search found no lower energy."
                 break
             u, response = moved
-        return Equilibrated(u, False, reason, iteration, 0, relative, energies)
+        return EquilibriumResult(u, False, reason, iteration, 0, relative, energies)
 
     def _found(
         self, u: np.ndarray, iteration: int, energies: list[float], relative: float, at: Response
-    ) -> Equilibrated:
-        return Equilibrated(u, True, "forces in balance", iteration, 1, relative, energies, at)
+    ) -> EquilibriumResult:
+        return EquilibriumResult(u, True, "forces in balance", iteration, 1, relative, energies, at)
 
     def _accuracy(self, relative: float) -> float:
         """How exactly to solve for a step: as well as Newton's own error, or to the end."""
@@ -278,7 +280,7 @@ class Newton:
         self, values: np.ndarray, residual: np.ndarray, jump: np.ndarray, rtol: float = 0.0
     ) -> np.ndarray | None:
         """Solve for the step, to `rtol` if that is cheaper; None if not positive definite."""
-        held = self.pattern.hold(values, self._fixed)
+        held = self.pattern.apply_dirichlet(values, self._fixed)
         rhs = -residual
         if jump.any():
             rhs = rhs - self.pattern.product(values, jump)
@@ -288,13 +290,13 @@ class Newton:
                 step = lagged_solve(self.pattern, held, self._lease, rhs, rtol)
                 if step is not None:
                     return step + jump
-            if self._bears_rough and self._lease.rough:
+            if self._allow_single_precision and self._lease.single_precision:
                 if self._lease.factor(held) is Status.OK:
                     step = lagged_solve(self.pattern, held, self._lease, rhs, rtol or _TIGHT)
                     if step is not None:
                         self._factored = True
                         return step + jump
-                self._bears_rough = False
+                self._allow_single_precision = False
             self._turn_exact()
             self._factored = self._lease.factor(held) is Status.OK
             return self._lease.solve(rhs) + jump if self._factored else None
@@ -304,7 +306,7 @@ class Newton:
 
     def _turn_exact(self) -> None:
         """Factor exactly from here on."""
-        if self._lease.rough:
+        if self._lease.single_precision:
             self._lease.close()
             self._lease = self._pool.lease()
 

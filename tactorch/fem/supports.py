@@ -59,7 +59,7 @@ class Supports:
         return HeldCase(
             np.concatenate([fixed, midsides]),
             discretisation.extend(np.where(fixed, prescribed, 0.0)),
-            discretisation.spread(springs),
+            discretisation.consistent_loads(springs),
         )
 
 

@@ -1,9 +1,9 @@
 """From presses to a map of Young's modulus: data, prior and optimizer, combined freely."""
 
 from tactorch.inverse.coarse import CoarseStart
-from tactorch.inverse.correlation import CommonError
+from tactorch.inverse.correlated_noise import CorrelatedNoise
 from tactorch.inverse.evaluation import Evaluation
-from tactorch.inverse.growing import GrowingInversion, Grown
+from tactorch.inverse.incremental import IncrementalInversion, IncrementalResult
 from tactorch.inverse.invert import (
     INTERRUPTED,
     START_MPA,
@@ -16,13 +16,13 @@ from tactorch.inverse.misfit import MISFITS
 from tactorch.inverse.model_error import (
     MODEL_ERRORS,
     ModelError,
-    corrected,
+    apply_model_error,
     discretisation_error,
     smooth_pattern,
 )
-from tactorch.inverse.monitor import Monitor, OutOfTime
+from tactorch.inverse.monitor import Monitor, StopOptimization
 from tactorch.inverse.noise import NoiseModel
-from tactorch.inverse.nuisance import Nuisance, Unknowns
+from tactorch.inverse.nuisance import Nuisance, NuisancePrior
 from tactorch.inverse.nuisance_estimate import NuisanceEstimate
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers import (
@@ -63,11 +63,11 @@ __all__ = [
     "TNC",
     "Bounds",
     "CoarseStart",
-    "CommonError",
+    "CorrelatedNoise",
     "Evaluation",
     "GaussNewton",
-    "GrowingInversion",
-    "Grown",
+    "IncrementalInversion",
+    "IncrementalResult",
     "InverseProblem",
     "ModelError",
     "Monitor",
@@ -75,9 +75,9 @@ __all__ = [
     "NoiseModel",
     "Nuisance",
     "NuisanceEstimate",
+    "NuisancePrior",
     "Objective",
     "Optimizer",
-    "OutOfTime",
     "Parameterization",
     "Point",
     "PriorOptions",
@@ -85,10 +85,10 @@ __all__ = [
     "Regularizer",
     "Settings",
     "Start",
+    "StopOptimization",
     "UniformFit",
-    "Unknowns",
+    "apply_model_error",
     "best_uniform",
-    "corrected",
     "discretisation_error",
     "homogeneous",
     "invert",

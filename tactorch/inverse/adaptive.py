@@ -36,9 +36,9 @@ def adapt(objective: Objective) -> Float[np.ndarray, " presses"]:
         ConvergenceError: no uniform map carries the presses.
     """
     problem = objective.problem
-    fit = uniform_fit(problem, objective.parameterization.bounds, objective.unknowns)
+    fit = uniform_fit(problem, objective.parameterization.bounds, objective.nuisance)
     monitor = Monitor()
-    start = objective.start(np.full(problem.n_unknowns, fit.youngs_mpa))
+    start = objective.start(np.full(problem.n_elements, fit.youngs_mpa))
     GaussNewton(max_iterations=_ITERATIONS).minimize(objective, start, monitor)
     assert monitor.point is not None
     found = monitor.point.evaluation.chi2_of_presses

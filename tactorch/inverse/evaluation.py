@@ -6,11 +6,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch.fem import Equilibrated, Newton, map_cases
+from tactorch.fem import EquilibriumResult, Newton, map_cases
 from tactorch.fem.sensitivity import Sensitivity, force_rates
-from tactorch.inverse.correlation import CommonError
+from tactorch.inverse.correlated_noise import CorrelatedNoise
 from tactorch.inverse.misfit import Misfit, Squares
-from tactorch.inverse.nuisance import Nuisance, Placed
+from tactorch.inverse.nuisance import Nuisance, PressModel
 
 _PREDICTABLE = 0.5  # largest relative change of a modulus for which du/de foretells u
 
@@ -31,7 +31,7 @@ class Observation:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class PressSolution:
     """One press, solved.
 
     Attributes:
@@ -43,10 +43,10 @@ class Solved:
     """
 
     seen: Observation
-    placed: Placed
+    placed: PressModel
     weight: Float[np.ndarray, "nodes 3"]
     newton: Newton
-    found: Equilibrated
+    found: EquilibriumResult
 
     @property
     def reported(self) -> Float[np.ndarray, "n 3"]:
@@ -89,8 +89,8 @@ class Solved:
             return [-rate for rate in force_rates(assembly, u, youngs, poisson=True)]
         if name == "rest_scale":
             return [self.weight - rate for rate in force_rates(assembly, u, youngs, stretch=True)]
-        spread = assembly.discretisation.spread
-        return [spread(change) for change in self.placed.force_rates(name)]
+        loads = assembly.discretisation.consistent_loads
+        return [loads(change) for change in self.placed.force_rates(name)]
 
 
 class Evaluation:
@@ -108,8 +108,8 @@ class Evaluation:
         self,
         youngs: Float[np.ndarray, " m"],
         nuisance: Nuisance,
-        presses: list[Solved],
-        common: CommonError | None = None,
+        presses: list[PressSolution],
+        common: CorrelatedNoise | None = None,
         misfit: Misfit | None = None,
     ) -> None:
         """Compare predictions with observations, whose errors may have something in common."""

@@ -13,10 +13,15 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions, SoftBody
 from tactorch.inverse.adaptive import adapt
 from tactorch.inverse.misfit import make_misfit
-from tactorch.inverse.model_error import LEFT, chosen, corrected, discretisation_error
-from tactorch.inverse.monitor import Monitor, OutOfTime
+from tactorch.inverse.model_error import (
+    LEFT,
+    apply_model_error,
+    discretisation_error,
+    resolve_model_error,
+)
+from tactorch.inverse.monitor import Monitor, StopOptimization
 from tactorch.inverse.noise import NoiseModel
-from tactorch.inverse.nuisance import Unknowns
+from tactorch.inverse.nuisance import NuisancePrior
 from tactorch.inverse.nuisance_estimate import estimates
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers import GaussNewton, Optimizer, make_optimizer
@@ -54,12 +59,13 @@ class Settings:
         model_error: "discretisation" corrects for what the mesh gets wrong, "none" does not, and
             "auto" does unless the presses were computed on the same mesh; see
             `tactorch.inverse.model_error`.
-        model_error_left: Share of the mesh's error that stays as uncertainty once it is taken off,
-            0 to 1: less than the default where elements are small beside what is sought.
+        residual_model_error_fraction: Share of the mesh's error that stays as uncertainty once it
+            is subtracted, 0 to 1: less than the default where elements are small beside the
+            features sought.
         element: "tet4" or "tet10".
         solver: "auto", "pardiso", "superlu" or "multigrid".
         newton: Settings of the equilibrium search.
-        unknowns: Nuisance parameters to be estimated beside the map; none by default.
+        nuisance: Nuisance parameters to be estimated beside the map; none by default.
         max_seconds: Time limit, or None.
     """
 
@@ -72,11 +78,11 @@ class Settings:
     noise: NoiseModel = field(default_factory=NoiseModel)
     misfit: str = "squares"
     model_error: str = "auto"
-    model_error_left: float = LEFT
+    residual_model_error_fraction: float = LEFT
     element: str = "tet4"
     solver: str = "auto"
     newton: NewtonOptions = field(default_factory=NewtonOptions)
-    unknowns: Unknowns = field(default_factory=Unknowns)
+    nuisance: NuisancePrior = field(default_factory=NuisancePrior)
     max_seconds: float | None = None
 
 
@@ -124,7 +130,7 @@ def invert(
             "mesh": recording.mesh.content_hash()[:12],
             "parameterization": str(objective.parameterization),
             "model error": _of_model(recording, settings),
-            "set of unknowns": str(settings.unknowns),
+            "set of unknowns": str(settings.nuisance),
             "misfit": settings.misfit,
         },
         task=_task(recording, settings, optimizer),
@@ -165,10 +171,12 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
         ConvergenceError: the model's error is asked for, and no uniform map carries the presses.
     """
     problem = make_problem(recording, settings)
-    if chosen(settings.model_error, recording, settings.element) == "discretisation":
-        fit = uniform_fit(problem, settings.bounds, settings.unknowns)
-        left = settings.model_error_left
-        corrected(problem, discretisation_error(problem, fit.youngs_mpa, fit.nuisance, left))
+    if resolve_model_error(settings.model_error, recording, settings.element) == "discretisation":
+        fit = uniform_fit(problem, settings.bounds, settings.nuisance)
+        left = settings.residual_model_error_fraction
+        apply_model_error(
+            problem, discretisation_error(problem, fit.youngs_mpa, fit.nuisance, left)
+        )
     return combine(problem, settings)
 
 
@@ -194,7 +202,7 @@ def make_problem(
         misfit=make_misfit(settings.misfit),
         body=body,
     )
-    problem.unknowns = settings.unknowns
+    problem.nuisance = settings.nuisance
     return problem
 
 
@@ -209,7 +217,7 @@ def combine(problem: InverseProblem, settings: Settings) -> Objective:
         problem,
         make_parameterization(settings.parameterization, settings.bounds),
         make_regularizer(settings.regularization, mesh, edge=settings.edge, options=settings.prior),
-        settings.unknowns,
+        settings.nuisance,
     )
     if settings.misfit == "adaptive":
         adapt(objective)
@@ -229,7 +237,7 @@ def solution(recording: Recording, found: Reconstruction, settings: Settings) ->
             recording has another mesh.
         ConvergenceError: a press has no equilibrium there.
     """
-    free = settings.unknowns
+    free = settings.nuisance
     if set(free.names) != set(found.nuisance) or recording.mesh.n_tets != len(found.youngs):
         raise ConfigError(
             f"the result has {len(found.youngs)} moduli and the free parameters "
@@ -245,9 +253,9 @@ def solution(recording: Recording, found: Reconstruction, settings: Settings) ->
 
 def _of_model(recording: Recording, settings: Settings) -> str:
     """What is done about the model's error, in words by which runs are told apart."""
-    name = chosen(settings.model_error, recording, settings.element)
-    usual = name == "none" or settings.model_error_left == LEFT
-    return name if usual else f"{name}, {settings.model_error_left:g} left"
+    name = resolve_model_error(settings.model_error, recording, settings.element)
+    usual = name == "none" or settings.residual_model_error_fraction == LEFT
+    return name if usual else f"{name}, {settings.residual_model_error_fraction:g} left"
 
 
 def _task(recording: Recording, settings: Settings, optimizer: Optimizer) -> str:
@@ -275,7 +283,7 @@ def run_to_end(optimizer: Optimizer, objective: Objective, x: np.ndarray, monito
         reason = optimizer.minimize(objective, x, monitor)
         monitor.ended = "" if reason.endswith("limit reached") else reason
         return reason
-    except OutOfTime:
+    except StopOptimization:
         return "time limit reached"
     except KeyboardInterrupt:
         if monitor.best is None:

@@ -42,7 +42,7 @@ def linear_map(recording: Recording, count: int = 8) -> Float[np.ndarray, " m"]:
     """
     problem = InverseProblem(recording)
     fit = uniform_fit(problem, Bounds())
-    evaluation = problem.evaluate(np.full(problem.n_unknowns, fit.youngs_mpa))
+    evaluation = problem.evaluate(np.full(problem.n_elements, fit.youngs_mpa))
     deviations = problem.noise.deviations(recording)
     image, _ = linear_image(evaluation, recording.mesh, deviations, count)
     return fit.youngs_mpa * np.exp(_cells(recording.mesh, count) @ image.ravel())

@@ -19,7 +19,7 @@ from scipy.linalg import orth
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import SoftBody
-from tactorch.inverse.correlation import CommonError
+from tactorch.inverse.correlated_noise import CorrelatedNoise
 from tactorch.inverse.evaluation import Observation
 from tactorch.inverse.nuisance import Nuisance
 from tactorch.inverse.problem import InverseProblem
@@ -33,7 +33,7 @@ _TRIALS, _STIFFER = 6, 1.3
 MODEL_ERRORS = ("auto", "none", "discretisation")
 
 
-def chosen(name: str, recording: Recording, element: str) -> str:
+def resolve_model_error(name: str, recording: Recording, element: str) -> str:
     """Resolve "auto": correct, unless the presses come from the very model that is inverted.
 
     The provenance says so (`inverse_crime`) for presses that were computed on the recording's own
@@ -88,7 +88,8 @@ def discretisation_error(
     """
     if not 0.0 <= left <= 1.0:
         raise ConfigError(
-            f"model_error_left={left}: give the share of the mesh's error that stays as "
+            f"residual_model_error_fraction={left}: give the share of the mesh's error that stays "
+            "as "
             "uncertainty, 0 to 1."
         )
     if problem.body.discretisation.element.name != "tet4":
@@ -124,7 +125,7 @@ def discretisation_error(
 def _predicted(
     problem: InverseProblem, youngs_mpa: float, nuisance: Nuisance | None
 ) -> list[np.ndarray]:
-    uniform = np.full(problem.n_unknowns, youngs_mpa)
+    uniform = np.full(problem.n_elements, youngs_mpa)
     found = problem.evaluate(uniform, nuisance=nuisance, chained=True)
     return [
         u.ravel()[seen.index] for u, seen in zip(found.reported, problem.observations, strict=True)
@@ -137,7 +138,7 @@ def _extent(seen: Observation, predicted: Float[np.ndarray, " p"]) -> float:
     return max(float(weighted @ seen.displacement), 0.0) / float(weighted @ predicted)
 
 
-def corrected(problem: InverseProblem, error: ModelError) -> None:
+def apply_model_error(problem: InverseProblem, error: ModelError) -> None:
     """Take the model's error off the problem's observations, and widen their deviations.
 
     What the offset leaves is partly rough, and counted as white noise, and partly smooth: it
@@ -158,7 +159,7 @@ def corrected(problem: InverseProblem, error: ModelError) -> None:
     ]
     after = np.concatenate([seen.scale for seen in problem.observations])
     problem.sure_noise = float(np.mean((after / before) ** 2))
-    problem.common = CommonError(_smooth_patterns(problem, error))
+    problem.common = CorrelatedNoise(_smooth_patterns(problem, error))
     problem.model_deviation = error.deviation
 
 

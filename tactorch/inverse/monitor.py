@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 _PERIOD = 1.0  # seconds between checkpoints at most: what a kill may cost
 
 
-class OutOfTime(Exception):  # noqa: N818  (a signal, not an error)
+class StopOptimization(Exception):  # noqa: N818  (a signal, not an error)
     """The time limit was reached; the monitor holds the best map so far."""
 
 
@@ -46,7 +46,7 @@ class Monitor:
     checkpoint: Path | None = None
     on_record: Callable[[dict[str, Any]], None] | None = None
     on_iteration: Callable[[dict[str, Any], np.ndarray], None] | None = None
-    enough: Callable[[list[dict[str, Any]]], bool] | None = None
+    stop_condition: Callable[[list[dict[str, Any]]], bool] | None = None
     history: list[dict[str, Any]] = field(default_factory=list)
     state: dict[str, float] = field(default_factory=dict)
     identity: dict[str, str] = field(default_factory=dict)
@@ -77,12 +77,12 @@ class Monitor:
         """Take `point` as the best so far.
 
         Raises:
-            OutOfTime: the time limit is reached, or this was enough.
+            StopOptimization: the time limit is reached, or this was enough.
         """
         self.keep(point, **record)
         self.check_time()
-        if self.enough is not None and self.enough(self.history):
-            raise OutOfTime
+        if self.stop_condition is not None and self.stop_condition(self.history):
+            raise StopOptimization
 
     def keep(self, point: Point, **record: float) -> None:
         """Take `point` as the best so far, in time or not."""
@@ -105,9 +105,9 @@ class Monitor:
             self.save()
 
     def check_time(self) -> None:
-        """Raise `OutOfTime` if the time limit is reached."""
+        """Raise `StopOptimization` if the time limit is reached."""
         if self.max_seconds is not None and self.seconds > self.max_seconds:
-            raise OutOfTime
+            raise StopOptimization
 
     def save(self) -> None:
         """Write the checkpoint; a killed process leaves the previous one whole."""
@@ -132,7 +132,7 @@ class Monitor:
                 ended=self.ended,
             )
 
-    def restore(self, path: Path, n_unknowns: int) -> None:
+    def restore(self, path: Path, size: int) -> None:
         """Continue from a checkpoint.
 
         Raises:
@@ -159,10 +159,10 @@ class Monitor:
             raise FileError(
                 f"checkpoint '{source}' cannot be read ({error}); start anew without resume."
             ) from error
-        if self.best.shape != (n_unknowns,):
+        if self.best.shape != (size,):
             raise FileError(
                 f"checkpoint '{source}' is for {self.best.size} moduli but the recording has "
-                f"{n_unknowns}: it belongs to another mesh. Start anew without resume."
+                f"{size}: it belongs to another mesh. Start anew without resume."
             )
         for name, value in self.identity.items():
             if identity.get(name) != value:

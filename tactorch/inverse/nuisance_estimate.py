@@ -30,7 +30,7 @@ class NuisanceEstimate:
     prior_deviation: float
 
     @property
-    def told(self) -> bool:
+    def is_informative(self) -> bool:
         """Whether the data tell some component, to less than nine tenths of what was known."""
         return bool((self.deviation < _TOLD * self.prior_deviation).any())
 
@@ -58,17 +58,17 @@ def estimates(point: Point, weight: float) -> dict[str, NuisanceEstimate]:
         point: The solution.
         weight: Weight of the prior there.
     """
-    unknowns = point.objective.unknowns
-    if not unknowns.size:
+    priors = point.objective.nuisance
+    if not priors.size:
         return {}
-    deviations = unknowns.parts(unknowns.slopes() * _deviation_of_z(point, weight))
+    deviations = priors.parts(priors.slopes() * _deviation_of_z(point, weight))
     return {
         name: NuisanceEstimate(
             np.atleast_1d(getattr(point.evaluation.nuisance, name)),
             deviations[name],
-            getattr(unknowns, name),
+            getattr(priors, name),
         )
-        for name in unknowns.names
+        for name in priors.names
     }
 
 

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.inverse.evaluation import Evaluation
-from tactorch.inverse.nuisance import Unknowns
+from tactorch.inverse.nuisance import NuisancePrior
 from tactorch.inverse.parameterization import Parameterization
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.regularization import Regularizer
@@ -92,8 +92,8 @@ class Point:
 
     @cached_property
     def _nuisance_jacobian(self) -> Float[np.ndarray, "data k"]:
-        unknowns = self.objective.unknowns
-        return self.evaluation.nuisance_jacobian(unknowns.names) * unknowns.slopes()
+        nuisance = self.objective.nuisance
+        return self.evaluation.nuisance_jacobian(nuisance.names) * nuisance.slopes()
 
     @cached_property
     def jacobian(self) -> Float[np.ndarray, "data size"]:
@@ -133,29 +133,29 @@ class Objective:
         problem: The data.
         parameterization: What the elements' part of x means.
         prior: The penalty on log-moduli.
-        unknowns: Nuisance parameters that are estimated too.
+        nuisance: Nuisance parameters that are estimated too.
     """
 
     problem: InverseProblem
     parameterization: Parameterization
     prior: Regularizer
-    unknowns: Unknowns = field(default_factory=Unknowns)
+    nuisance: NuisancePrior = field(default_factory=NuisancePrior)
 
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return self.problem.n_unknowns + self.unknowns.size
+        return self.problem.n_elements + self.nuisance.size
 
     def start(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " size"]:
         """Return the parameters of a map (MPa), nuisance parameters as assumed."""
         return np.concatenate(
-            [self.parameterization.parameters(youngs), np.zeros(self.unknowns.size)]
+            [self.parameterization.parameters(youngs), np.zeros(self.nuisance.size)]
         )
 
     @property
     def limits(self) -> tuple[Float[np.ndarray, " size"], Float[np.ndarray, " size"]]:
         """Bounds of x."""
-        m, beside = self.problem.n_unknowns, self.unknowns.limits(self.problem.assumed)
+        m, beside = self.problem.n_elements, self.nuisance.limits(self.problem.assumed)
         ends = zip(self.parameterization.limits, beside, strict=True)
         low, high = (np.concatenate([np.full(m, end), other]) for end, other in ends)
         return low, high
@@ -163,9 +163,9 @@ class Objective:
     @property
     def max_step(self) -> Float[np.ndarray, " size"]:
         """Largest change of each parameter in one Gauss-Newton step."""
-        m = self.problem.n_unknowns
+        m = self.problem.n_elements
         cap = self.parameterization.max_step
-        return np.concatenate([np.full(m, cap), np.full(self.unknowns.size, _FARTHEST)])
+        return np.concatenate([np.full(m, cap), np.full(self.nuisance.size, _FARTHEST)])
 
     def at(
         self, x: Float[np.ndarray, " size"], near: Point | None = None, *, take_over: bool = False
@@ -177,11 +177,11 @@ class Objective:
         Raises:
             ConvergenceError: a press has no equilibrium at these moduli.
         """
-        m = self.problem.n_unknowns
+        m = self.problem.n_elements
         youngs = self.parameterization.youngs(x[:m])
         bounds = self.parameterization.bounds
         youngs = np.clip(youngs, bounds.lower, bounds.upper)
-        nuisance = self.unknowns.nuisance(x[m:], self.problem.assumed)
+        nuisance = self.nuisance.nuisance(x[m:], self.problem.assumed)
         before = None if near is None else near.evaluation
         found = self.problem.evaluate(youngs, before, nuisance, take_over)
         return Point(x, found, self)

@@ -43,7 +43,7 @@ class Parameterization(ABC):
     def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return d youngs / d x, MPa."""
 
-    def variance_fall(
+    def expected_variance_reduction(
         self,
         mean: Float[np.ndarray, " m"],
         before: Float[np.ndarray, " m"],
@@ -126,13 +126,13 @@ class Log(Parameterization):
         """Return d youngs / d x, MPa."""
         return np.exp(x)
 
-    def variance_fall(
+    def expected_variance_reduction(
         self,
         mean: Float[np.ndarray, " m"],
         before: Float[np.ndarray, " m"],
         after: Float[np.ndarray, " m"],
     ) -> Float[np.ndarray, " m"]:
-        """See `Parameterization.variance_fall`; exact for the log-normal distribution.
+        """See `Parameterization.expected_variance_reduction`; exact for a log-normal.
 
         The new mean is m + N(0, v - v'), so E[e^(2 m' + v') (e^v' - 1)] is
         e^(2 m + 2 v) (1 - e^-v'). No variance is taken as larger than that of anything within the

@@ -9,11 +9,11 @@ from tactorch.fem import NewtonOptions, SoftBody, Supports, map_cases
 from tactorch.fem.body import check_youngs
 from tactorch.fem.materials import make_material
 from tactorch.fem.newton import Newton
-from tactorch.inverse.correlation import CommonError
-from tactorch.inverse.evaluation import Evaluation, Observation, Solved
+from tactorch.inverse.correlated_noise import CorrelatedNoise
+from tactorch.inverse.evaluation import Evaluation, Observation, PressSolution
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.noise import NoiseModel
-from tactorch.inverse.nuisance import Nuisance, Placing, Unknowns
+from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModelFactory
 from tactorch.recording import Press, Recording
 
 
@@ -51,11 +51,11 @@ class InverseProblem:
             for press, deviation in zip(recording.presses, deviations, strict=True)
         ]
         self.assumed = Nuisance.assumed(recording)
-        self.placing = Placing(recording)
-        self.common: CommonError | None = None
+        self.placing = PressModelFactory(recording)
+        self.common: CorrelatedNoise | None = None
         self.model_deviation: list[float] | None = None  # mm, of each press, if it is counted
         self.sure_noise = 1.0  # share of the data's variance that is noise, and no model's error
-        self.unknowns = Unknowns()  # that are estimated beside the map, for starts to know
+        self.nuisance = NuisancePrior()  # that are estimated beside the map, for starts to know
         self.misfit = misfit or Squares()
         self._weight = self._body_force()
         self.evaluations = 0
@@ -66,7 +66,7 @@ class InverseProblem:
         return sum(len(seen.index) for seen in self.observations)
 
     @property
-    def n_unknowns(self) -> int:
+    def n_elements(self) -> int:
         """Number of moduli."""
         return self.recording.mesh.n_tets
 
@@ -99,23 +99,23 @@ class InverseProblem:
         Raises:
             ConvergenceError: a press has no equilibrium; names the press.
         """
-        check_youngs(youngs, self.n_unknowns)
+        check_youngs(youngs, self.n_elements)
         values = self.assumed if nuisance is None else nuisance
-        assembly = self.body.altered(values.poisson, self.placing.rest_points(values))
+        assembly = self.body.with_parameters(values.poisson, self.placing.rest_points(values))
         weight = self._weight * values.rest_scale.prod()
         starts = None if near is None else near.predict(youngs)
 
-        def work(i: int, after: Newton | None = None) -> Solved:
+        def work(i: int, after: Newton | None = None) -> PressSolution:
             press, placed = self.recording.presses[i], self.placing.at(values, i)
             supports = Supports(press.fixed, press.prescribed, press.springs)
-            forces = self.body.discretisation.spread(placed.forces) + weight
+            forces = self.body.discretisation.consistent_loads(placed.forces) + weight
             if near is not None and take_over:
                 after = near.search(i)
             newton = self.body.search(youngs, forces, supports, assembly=assembly, after=after)
             found = newton.run(None if starts is None else starts[i])
             if not found.converged:
                 raise ConvergenceError(f"{press.label} (index {i}): {found.reason}")
-            return Solved(self.observations[i], placed, weight, newton, found)
+            return PressSolution(self.observations[i], placed, weight, newton, found)
 
         self.evaluations += 1
         if chained:

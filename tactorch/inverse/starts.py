@@ -34,8 +34,8 @@ def best_uniform(
 
 def homogeneous(problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
     """Start from the best uniform modulus, nuisance parameters that are free fitted beside it."""
-    fit = uniform_fit(problem, bounds, problem.unknowns)
-    return np.full(problem.n_unknowns, fit.youngs_mpa)
+    fit = uniform_fit(problem, bounds, problem.nuisance)
+    return np.full(problem.n_elements, fit.youngs_mpa)
 
 
 def monte_carlo(
@@ -106,7 +106,7 @@ def fits_better_than_uniform(
         _log.warning("The %s map is refused: the presses collapse it (%s).", name, error)
         return False
     fit = uniform_fit(problem, bounds, first_mpa=float(np.median(guess)))
-    known = problem.evaluate(np.full(problem.n_unknowns, fit.youngs_mpa)).chi2
+    known = problem.evaluate(np.full(problem.n_elements, fit.youngs_mpa)).chi2
     if not chi2 < known:
         _log.warning(
             "The %s map is refused: its misfit (chi2 %.4g) is no less than that of the best "
@@ -123,7 +123,7 @@ def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np
     Raises:
         ConfigError: its shape is wrong, or it leaves the bounds.
     """
-    m = problem.n_unknowns
+    m = problem.n_elements
     found = start(problem, bounds) if callable(start) else start
     values = np.asarray(found, dtype=np.float64)
     if values.ndim and values.shape != (m,):

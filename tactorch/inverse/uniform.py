@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
 from tactorch.inverse.evaluation import Evaluation
-from tactorch.inverse.nuisance import Nuisance, Unknowns
+from tactorch.inverse.nuisance import Nuisance, NuisancePrior
 from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
 from tactorch.mesh import TetMesh
@@ -34,7 +34,7 @@ class UniformFit:
 def uniform_fit(
     problem: InverseProblem,
     bounds: Bounds | None = None,
-    unknowns: Unknowns | None = None,
+    nuisance: NuisancePrior | None = None,
     *,
     first_mpa: float | None = None,
 ) -> UniformFit:
@@ -46,7 +46,7 @@ def uniform_fit(
     Args:
         problem: Presses and observations.
         bounds: Of the modulus.
-        unknowns: Nuisance parameters that are free.
+        nuisance: Nuisance parameters that are free.
         first_mpa: Where to begin, MPa; by default 0.2, or what mean stress and strain under the
             presses come to where that is much more.
 
@@ -54,7 +54,7 @@ def uniform_fit(
         ConvergenceError: no modulus within the bounds carries the presses.
     """
     bounds = bounds or Bounds()
-    fit = _Fit(problem, bounds, unknowns or Unknowns())
+    fit = _Fit(problem, bounds, nuisance or NuisancePrior())
     first = _first_mpa(problem) if first_mpa is None else first_mpa
     x = np.concatenate([[np.clip(np.log(first), fit.low[0], fit.high[0])], np.zeros(fit.k)])
     point = fit.at(x)
@@ -111,18 +111,18 @@ def _stress_over_strain(mesh: TetMesh, press: Press) -> float | None:
 class _Fit:
     """The small problem: x is the logarithm of the modulus, then z."""
 
-    def __init__(self, problem: InverseProblem, bounds: Bounds, unknowns: Unknowns) -> None:
-        self._problem, self._unknowns, self.k = problem, unknowns, unknowns.size
-        low, high = unknowns.limits(problem.assumed)
+    def __init__(self, problem: InverseProblem, bounds: Bounds, nuisance: NuisancePrior) -> None:
+        self._problem, self._prior, self.k = problem, nuisance, nuisance.size
+        low, high = nuisance.limits(problem.assumed)
         self.low = np.concatenate([[np.log(bounds.lower)], low])
         self.high = np.concatenate([[np.log(bounds.upper)], high])
 
     def nuisance(self, x: Float[np.ndarray, " u"]) -> Nuisance:
-        return self._unknowns.nuisance(x[1:], self._problem.assumed)
+        return self._prior.nuisance(x[1:], self._problem.assumed)
 
     def at(self, x: Float[np.ndarray, " u"], near: Evaluation | None = None) -> Evaluation | None:
         """Evaluate; None where there is no equilibrium with derivatives."""
-        youngs = np.full(self._problem.n_unknowns, np.exp(x[0]))
+        youngs = np.full(self._problem.n_elements, np.exp(x[0]))
         try:
             point = self._problem.evaluate(youngs, near, self.nuisance(x))
             for sensitivity in point.sensitivities:
@@ -135,8 +135,8 @@ class _Fit:
         """One Gauss-Newton step; None where the data say nothing."""
         columns = [point.jacobian_times(point.youngs)[:, None]]
         if self.k:
-            slopes = self._unknowns.slopes()
-            columns.append(point.nuisance_jacobian(self._unknowns.names) * slopes)
+            slopes = self._prior.slopes()
+            columns.append(point.nuisance_jacobian(self._prior.names) * slopes)
         jacobian = np.hstack(columns)
         prior = np.concatenate([[0.0], np.ones(self.k)])
         curvature = jacobian.T @ jacobian + np.diag(prior)

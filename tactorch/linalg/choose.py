@@ -46,7 +46,7 @@ def analyse(
     pattern: SymmetricPattern,
     backend: str = "auto",
     near_nullspace: Float[np.ndarray, "size modes"] | None = None,
-    rough: bool = False,
+    single_precision: bool = False,
 ) -> Solver:
     """Analyse a pattern with the chosen backend.
 
@@ -54,14 +54,14 @@ def analyse(
         pattern: Upper triangle of the symmetric matrix.
         backend: One of `BACKENDS`.
         near_nullspace: Rigid-body modes, used by multigrid alone.
-        rough: Whether four digits suffice; only PARDISO makes a difference.
+        single_precision: Whether four digits suffice; only PARDISO supports it.
 
     Raises:
         ConfigError: the backend is unknown or not installed.
     """
     name = resolve(backend, pattern.size)
     if name == "pardiso":
-        return pardiso.Pardiso(pattern, rough)
+        return pardiso.Pardiso(pattern, single_precision)
     if name == "superlu":
         return SuperLU(pattern)
     return Multigrid(pattern, near_nullspace)

@@ -21,7 +21,7 @@ def symmetric_product(indptr, indices, values, x, out):
 
 @no_type_check
 @numba.njit(nogil=True, cache=True)
-def hold(indptr, indices, values, fixed, scale, out):
+def apply_dirichlet(indptr, indices, values, fixed, scale, out):
     """Copy `values`, rows and columns of fixed unknowns reduced to `scale` on the diagonal."""
     for i in range(indptr.shape[0] - 1):
         for k in range(indptr[i], indptr[i + 1]):

@@ -30,7 +30,7 @@ class Multigrid:
 
     name = "multigrid"
     direct = False
-    rough = False
+    single_precision = False
 
     def __init__(
         self,

@@ -118,16 +118,16 @@ class Pardiso:
     name = "pardiso"
     direct = True
 
-    def __init__(self, pattern: SymmetricPattern, rough: bool = False) -> None:
+    def __init__(self, pattern: SymmetricPattern, single_precision: bool = False) -> None:
         """Analyse the pattern (fill-reducing order and symbolic factorisation)."""
         self.pattern = pattern
-        self.rough = rough
-        self._type: type[np.floating] = np.float32 if rough else np.float64
+        self.single_precision = single_precision
+        self._type: type[np.floating] = np.float32 if single_precision else np.float64
         self._pt = np.zeros(64, dtype=np.int64)
         self._iparm = np.zeros(64, dtype=np.int32)
         self._iparm[0] = 1  # the values below, not the defaults
         self._iparm[1] = 2  # nested dissection (METIS)
-        self._iparm[27] = int(rough)
+        self._iparm[27] = int(single_precision)
         self._iparm[34] = 1  # indices count from zero
         none = self._none = np.zeros(1, dtype=self._type)
         empty = {"pattern": pattern, "values": none, "rhs": none, "out": none}
@@ -163,8 +163,8 @@ class Pardiso:
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
         """Solve for all columns of `rhs` in one call."""
         # Small residuals leave the range of single precision.
-        unit = (float(np.abs(rhs).max()) or 1.0) if self.rough else 1.0
-        b = np.asfortranarray(rhs / unit if self.rough else rhs, dtype=self._type)
+        unit = (float(np.abs(rhs).max()) or 1.0) if self.single_precision else 1.0
+        b = np.asfortranarray(rhs / unit if self.single_precision else rhs, dtype=self._type)
         out = np.empty_like(b, order="F")
         self._run(_SOLVE, self._values, b, out)
-        return out.astype(np.float64) * unit if self.rough else out
+        return out.astype(np.float64) * unit if self.single_precision else out

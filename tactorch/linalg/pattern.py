@@ -91,7 +91,7 @@ class SymmetricPattern:
         diagonal = values[self.diagonal]
         return upper @ x + upper.T @ x - (diagonal * x.T).T
 
-    def hold(
+    def apply_dirichlet(
         self, values: Float[np.ndarray, " nnz"], fixed: Bool[np.ndarray, " size"]
     ) -> Float[np.ndarray, " nnz"]:
         """Return values with the rows and columns of fixed unknowns reduced to a diagonal."""
@@ -99,5 +99,5 @@ class SymmetricPattern:
             return values
         out = np.empty_like(values)
         scale = float(np.abs(values[self.diagonal]).mean())
-        kernels.hold(self.indptr, self.indices, values, fixed, scale, out)
+        kernels.apply_dirichlet(self.indptr, self.indices, values, fixed, scale, out)
         return out

@@ -23,7 +23,7 @@ class Lease:
         self.factored = False
         self._solver: Solver | None = solver
         self.direct = solver.direct
-        self.rough = solver.rough
+        self.single_precision = solver.single_precision
         self._return = weakref.finalize(self, self._pool._take_back, solver)
 
     def close(self) -> None:
@@ -36,14 +36,14 @@ class Lease:
         """Whether the solver is another lease's now, or the pool's."""
         return self._solver is None
 
-    def hand_over(self) -> "Lease":
+    def transfer_factorization(self) -> "Lease":
         """Return a lease of the same solver, its factorisation included; this one loses both.
 
         The next `factor` takes another solver from the pool.
         """
         solver, self._solver = self._solver, None
         if solver is None:
-            return self._pool.lease(self.rough)
+            return self._pool.lease(self.single_precision)
         self._return.detach()
         heir = Lease(solver, self._pool)
         heir.factored = self.factored
@@ -52,7 +52,7 @@ class Lease:
     def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
         """See `Solver.factor`."""
         if self._solver is None:
-            self._take(self._pool.idle(self.rough))
+            self._take(self._pool.idle(self.single_precision))
         assert self._solver is not None
         status = self._solver.factor(values)
         self.factored = status is Status.OK
@@ -86,22 +86,22 @@ class SolverPool:
         self._lock = threading.RLock()  # a finalizer may run inside the lock's own thread
 
     @property
-    def has_rough(self) -> bool:
+    def has_single_precision(self) -> bool:
         """Whether this backend has solvers that factor faster and solve less exactly."""
         return self.backend == "pardiso"
 
-    def lease(self, rough: bool = False) -> Lease:
+    def lease(self, single_precision: bool = False) -> Lease:
         """Lend an idle solver, or a newly analysed one; a rough one if the backend has it."""
-        return Lease(self.idle(rough), self)
+        return Lease(self.idle(single_precision), self)
 
-    def idle(self, rough: bool = False) -> Solver:
+    def idle(self, single_precision: bool = False) -> Solver:
         """Take out an idle solver, or a newly analysed one; for leases."""
-        rough = rough and self.has_rough
+        single_precision = single_precision and self.has_single_precision
         with self._lock:
-            idle = self._idle[rough]
+            idle = self._idle[single_precision]
             solver = idle.pop() if idle else None
-        return solver or analyse(self.pattern, self.backend, self._modes, rough)
+        return solver or analyse(self.pattern, self.backend, self._modes, single_precision)
 
     def _take_back(self, solver: Solver) -> None:
         with self._lock:
-            self._idle[solver.rough].append(solver)
+            self._idle[solver.single_precision].append(solver)

@@ -40,7 +40,7 @@ class Solver(Factored, Protocol):
     name: str
     pattern: SymmetricPattern
     direct: bool  # whether a solve is cheap beside a factorisation
-    rough: bool  # whether a solve is good to no more than a few digits
+    single_precision: bool  # whether a solve is good to no more than a few digits
 
     def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
         """Factor the matrix with these upper-triangle values."""

@@ -18,7 +18,7 @@ class SuperLU:
 
     name = "superlu"
     direct = True
-    rough = False
+    single_precision = False
 
     def __init__(self, pattern: SymmetricPattern) -> None:
         """Compute the fill-reducing order once."""

@@ -245,9 +245,9 @@ def _direction(rng: np.random.Generator) -> np.ndarray:
     return way / np.linalg.norm(way)
 
 
-def _tilted(rng: np.random.Generator, most_deg: float) -> np.ndarray:
+def _tilted(rng: np.random.Generator, max_deg: float) -> np.ndarray:
     """A direction at most that far from z."""
-    tilt, turn = np.deg2rad(rng.uniform(0.0, most_deg)), rng.uniform(0.0, 2.0 * np.pi)
+    tilt, turn = np.deg2rad(rng.uniform(0.0, max_deg)), rng.uniform(0.0, 2.0 * np.pi)
     return np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
 
 

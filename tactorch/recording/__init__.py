@@ -1,6 +1,6 @@
 """Recordings: presses on a soft object, what was measured, and the file that holds them."""
 
-from tactorch.recording.growing import append_press, read_presses
+from tactorch.recording.append import append_press, read_presses
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording

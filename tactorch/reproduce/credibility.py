@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.credibility import credibility, layer_profile
 from tactorch.inverse import InverseProblem
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import make_phantom
@@ -23,6 +22,7 @@ from tactorch.reproduce.cases import Case, Outcome
 from tactorch.reproduce.objects import MATERIAL, stored_mesh
 from tactorch.reproduce.table import Table
 from tactorch.simulation import PressPlan, simulate
+from tactorch.uncertainty import credibility, layer_profile
 from tactorch.viz.credibility import plot_depths
 
 YOUNGS_MPA = (5.0, 7.5, 10.0)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.applications import find_lumps
+from tactorch.findings import find_lumps
 from tactorch.inverse import Settings, homogeneous, invert
 from tactorch.phantoms import make_phantom
 from tactorch.reproduce.cases import Case, Outcome

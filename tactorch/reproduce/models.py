@@ -22,7 +22,7 @@ from tactorch.reproduce.cases import Case, Outcome
 from tactorch.reproduce.objects import pressed, stored_mesh
 from tactorch.reproduce.paper import row
 from tactorch.reproduce.table import Table
-from tactorch.reproduce.watched import Watched, warm_up, watched
+from tactorch.reproduce.trace import TracedRun, run_with_trace, warm_up
 from tactorch.viz.paper import Panel, plot_panels
 
 MODELS = {
@@ -58,7 +58,7 @@ def work(case: Case, scratch: Path) -> Outcome:
     recording = _recording(settings, scratch)
     warm_up(recording)
     default = Settings(model_error="none", noise=NoiseModel(relative=settings["noise_relative"]))
-    ours = watched(recording, default, scratch / "ours")
+    ours = run_with_trace(recording, default, scratch / "ours")
     target = row("table1", settings["model"])["ssim_2500"]
     tnc = _truncated_newton(recording, settings, target, ours, scratch / "tnc")
     truth = recording.truth
@@ -81,8 +81,8 @@ def work(case: Case, scratch: Path) -> Outcome:
 
 
 def _truncated_newton(
-    recording: Recording, settings: Mapping[str, Any], target: float, ours: Watched, scratch: Path
-) -> Watched:
+    recording: Recording, settings: Mapping[str, Any], target: float, ours: TracedRun, scratch: Path
+) -> TracedRun:
     """The paper's method, for its number of solves; and on, until it has had time enough."""
     paper = Settings(
         optimizer=TNC(max_evaluations=settings["tnc_evaluations"]),
@@ -90,7 +90,7 @@ def _truncated_newton(
         regularization="none",
         model_error="none",
     )
-    found = watched(recording, paper, scratch)
+    found = run_with_trace(recording, paper, scratch)
     there = ours.first_at(target)
     if there is None or found.first_at(target) is not None or not found.limited:
         return found
@@ -98,7 +98,7 @@ def _truncated_newton(
     if found.seconds >= enough:
         return found
     endless = replace(paper, optimizer=TNC(max_evaluations=_ENDLESS), max_seconds=enough)
-    return watched(recording, endless, scratch)
+    return run_with_trace(recording, endless, scratch)
 
 
 def _recording(settings: Mapping[str, Any], scratch: Path) -> Recording:
@@ -112,7 +112,7 @@ def _recording(settings: Mapping[str, Any], scratch: Path) -> Recording:
 
 
 def _figures(
-    run: Watched, target: float, recording: Recording, truth: np.ndarray
+    run: TracedRun, target: float, recording: Recording, truth: np.ndarray
 ) -> dict[str, Any]:
     there = run.first_at(target)
     return {

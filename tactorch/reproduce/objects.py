@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.credibility import Patch, SimulatedPresser, candidate_patches
 from tactorch.errors import FileError
 from tactorch.fem import SoftBody, make_material
 from tactorch.mesh import Box, TetMesh, face_nodes
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import MaterialSpec, Recording
+from tactorch.sampling import Patch, SimulatedPresser, candidate_patches
 from tactorch.simulation import PressPlan, simulate
 
 POISSON = 0.45

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.credibility import ExpectedError, LargestUncertainty, Rule, Step, sample
 from tactorch.inverse import GaussNewton, Settings
 from tactorch.mesh import TetMesh
 from tactorch.metrics import dice, pearson
@@ -20,6 +19,7 @@ from tactorch.phantoms import make_phantom
 from tactorch.reproduce.cases import Case, Outcome
 from tactorch.reproduce.objects import MATERIAL, places, sensor_on, stored_mesh
 from tactorch.reproduce.table import Table
+from tactorch.sampling import ExpectedError, LargestUncertainty, Rule, Step, sample
 from tactorch.viz.paper import Panel, plot_panels
 
 OBJECTS = {"hemisphere": "hemisphere_two_spheres", "toy": "toy_two_spheres"}

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.applications import find_lumps
-from tactorch.inverse import Settings, Unknowns, invert
+from tactorch.findings import find_lumps
+from tactorch.inverse import NuisancePrior, Settings, invert
 from tactorch.metrics import pearson
 from tactorch.phantoms import make_phantom
 from tactorch.reproduce.cases import Case, Outcome
@@ -78,8 +78,8 @@ def work(case: Case, scratch: Path) -> Outcome:
         wrong = replace(
             wrong, presses=tuple(replace(w, displacement=r.displacement) for w, r in pairs)
         )
-    unknowns = Unknowns(rest_scale=_OFF) if settings["how"] == "estimated" else Unknowns()
-    found = invert(wrong, Settings(unknowns=unknowns), start_mpa=START_MPA, show_progress=False)
+    unknowns = NuisancePrior(rest_scale=_OFF) if settings["how"] == "estimated" else NuisancePrior()
+    found = invert(wrong, Settings(nuisance=unknowns), start_mpa=START_MPA, show_progress=False)
     lumps = find_lumps(wrong.mesh, found.youngs, most=1)
     center = lumps[0].center_mm / settings["size"] if lumps else np.full(3, np.nan)
     true = find_lumps(right.mesh, truth, most=1)[0].center_mm

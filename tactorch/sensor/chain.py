@@ -29,19 +29,19 @@ class ChainOptions:
     Attributes:
         noise_mm: Standard deviation of the displacements that markers and depth tell.
         around_mm: By how much the touched region is widened beyond what depth shows.
-        least_mm: Depth below which a frame is taken to be without contact.
+        min_depth_mm: Depth below which a frame is taken to be without contact.
         steep: Slope from which the face counts as deformed, see `height_of`.
         track: How strictly markers are followed.
     """
 
     noise_mm: Real = 0.01
     around_mm: Real = 0.5
-    least_mm: Real = 0.03
+    min_depth_mm: Real = 0.03
     steep: Real = STEEP
     track: TrackOptions = field(default_factory=TrackOptions)
 
     def __post_init__(self) -> None:
-        for name in ("noise_mm", "around_mm", "least_mm", "steep"):
+        for name in ("noise_mm", "around_mm", "min_depth_mm", "steep"):
             positive(name, getattr(self, name))
 
 
@@ -150,7 +150,7 @@ class SensorChain:
         found = self.tracker.follow(frame.image).places
         slopes = self.calibration.slopes(frame.image, self.reference)
         height = height_of(slopes, self.mm_per_px, self.options.steep)
-        if -height.height_mm.min() < float(self.options.least_mm):
+        if -height.height_mm.min() < float(self.options.min_depth_mm):
             return Deformed(frame, found, height, None, none)
         moved = self._moved(found, height)
         touched = self._touched(height, moved)

@@ -30,7 +30,7 @@ def layer_figure(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], *, title: 
     """Draw the metric of each layer against where the layer lies.
 
     Args:
-        curves: Per label, what `tactorch.credibility.layer_profile` returned.
+        curves: Per label, what `tactorch.uncertainty.layer_profile` returned.
         title: Printed above.
 
     Raises:
@@ -72,7 +72,7 @@ def calibration_figure(curves: Mapping[str, Float[np.ndarray, " k"]], *, title: 
     """Draw the covered share against the stated level: on the diagonal where intervals hold.
 
     Args:
-        curves: Per label, what `tactorch.credibility.calibration_curve` returned at its own
+        curves: Per label, what `tactorch.uncertainty.calibration_curve` returned at its own
             levels.
         title: Printed above.
 

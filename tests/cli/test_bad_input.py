@@ -443,8 +443,8 @@ ONE = "presses/0000"
     ),
     Case(
         "share of the model's error above one",
-        ("model_error_left=2", "0 to 1"),
-        settings=("model_error=discretisation", "model_error_left=2"),
+        ("residual_model_error_fraction=2", "0 to 1"),
+        settings=("model_error=discretisation", "residual_model_error_fraction=2"),
     ),
     Case(
         "unknown misfit",
@@ -453,13 +453,13 @@ ONE = "presses/0000"
     ),
     Case(
         "deviation of zero for an unknown",
-        ("unknowns.poisson=0", "above 0, or null"),
-        settings=("unknowns.poisson=0",),
+        ("nuisance.poisson=0", "above 0, or null"),
+        settings=("nuisance.poisson=0",),
     ),
     Case(
         "unknown that is no number",
-        ("unknowns.rest_scale='yes'", "give a number, or null"),
-        settings=("unknowns.rest_scale=yes",),
+        ("nuisance.rest_scale='yes'", "give a number, or null"),
+        settings=("nuisance.rest_scale=yes",),
     ),
     Case(
         "NaN for a setting",

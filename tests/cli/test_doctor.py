@@ -49,11 +49,11 @@ def test_all_is_told_and_the_core_works_here(tactorch: Any) -> None:
     assert done.status == 0, done.out
     found = json.loads(done.out)
     assert found["works"] is True
-    told = {one["name"]: one for one in found["findings"]}
-    assert {*CORE, *TOLD} <= set(told)
-    assert all(told[name]["works"] is True and told[name]["told"] for name in CORE)
-    assert told["superlu"]["works"] is True
-    assert told["a pressed block"]["works"] is True
+    message = {one["name"]: one for one in found["findings"]}
+    assert {*CORE, *TOLD} <= set(message)
+    assert all(message[name]["works"] is True and message[name]["told"] for name in CORE)
+    assert message["superlu"]["works"] is True
+    assert message["a pressed block"]["works"] is True
     assert not list(Path().iterdir())
 
 
@@ -108,7 +108,7 @@ def test_missing_package_is_told_with_its_command(without: Callable[..., None]) 
     found = by_name(packages.look_at_packages())
     for name, module in (("pyamg", "pyamg"), ("opencv-python-headless", "cv2")):
         assert found[name].works is False
-        assert f"No module named '{module}'" in found[name].told
+        assert f"No module named '{module}'" in found[name].message
         assert found[name].remedy.startswith(f'pip install "{name}')
     assert found["dask"].remedy == 'pip install "tactorch[dask]"'
     assert found["numpy"].works is True
@@ -123,15 +123,15 @@ def test_broken_package_is_no_traceback(without: Callable[..., None], error: Exc
     found = by_name(packages.look_at_packages())["numba"]
     assert found.works is False
     assert found.core
-    assert type(error).__name__ in found.told
-    assert "\n" not in found.told
+    assert type(error).__name__ in found.message
+    assert "\n" not in found.message
 
 
 def test_version_out_of_range_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packages, "version", lambda name: "0.0.1")
     found = by_name(packages.look_at_packages())["numpy"]
     assert found.works is False
-    assert "0.0.1 is installed, and tactorch needs >=" in found.told
+    assert "0.0.1 is installed, and tactorch needs >=" in found.message
 
 
 def test_nothing_installed_by_pip_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,9 +143,9 @@ def test_nothing_installed_by_pip_is_no_traceback(monkeypatch: pytest.MonkeyPatc
     packages._ranges.cache_clear()
     found = by_name(packages.look_at_packages())
     packages._ranges.cache_clear()
-    assert "not installed" in found["tactorch"].told
+    assert "not installed" in found["tactorch"].message
     assert found["numpy"].works is True
-    assert found["numpy"].told == importlib.import_module("numpy").__version__
+    assert found["numpy"].message == importlib.import_module("numpy").__version__
 
 
 def test_solver_that_fails_takes_down_itself_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,12 +157,12 @@ def test_solver_that_fails_takes_down_itself_alone(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(multigrid.Multigrid, "solve", wrong)
     found = by_name(solvers.look_at_solvers())
     assert found["multigrid"].works is False
-    assert "off by" in found["multigrid"].told
+    assert "off by" in found["multigrid"].message
     assert found["multigrid"].remedy.startswith('pip install "pyamg')
     assert found["superlu"].works is True
     assert found["any of them"].works is True
     monkeypatch.setattr(multigrid.Multigrid, "factor", lambda self, values: Status.INDEFINITE)
-    assert "indefinite" in by_name(solvers.look_at_solvers())["multigrid"].told
+    assert "indefinite" in by_name(solvers.look_at_solvers())["multigrid"].message
 
 
 def test_no_solver_at_all_is_a_core_that_does_not_work(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,7 +182,7 @@ def test_folders_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     monkeypatch.setenv("TACTORCH_CACHE", str(tmp_path / "file"))
     found = looked_at(places.FILES, "cache", places._cache, remedy="set TACTORCH_CACHE")
     assert found.works is False
-    assert str(tmp_path / "file") in found.told
+    assert str(tmp_path / "file") in found.message
     assert found.remedy == "set TACTORCH_CACHE"
 
 
@@ -190,7 +190,7 @@ def test_shared_data(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("TACTORCH_SHARED", str(tmp_path))
     found = places._shared_data()
     assert found.works is False
-    assert str(tmp_path / "data") in found.told
+    assert str(tmp_path / "data") in found.message
     (tmp_path / "data").mkdir()
     assert places._shared_data().works is True
     monkeypatch.delenv("TACTORCH_SHARED")
@@ -201,10 +201,10 @@ def test_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     import torch
 
     found = by_name(machine.look_at_machine())
-    assert "usable of" in found["cores"].told
-    assert "GiB" in found["memory"].told
+    assert "usable of" in found["cores"].message
+    assert "GiB" in found["memory"].message
     monkeypatch.setattr(torch.version, "cuda", None)
-    assert "built without CUDA" in machine._gpu().told
+    assert "built without CUDA" in machine._gpu().message
     monkeypatch.setattr(torch.version, "cuda", "12.8")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
 
@@ -214,7 +214,7 @@ def test_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "init", no_driver)
     gpu = machine._gpu()
     assert gpu.works is None
-    assert "no NVIDIA driver" in gpu.told
+    assert "no NVIDIA driver" in gpu.message
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     monkeypatch.setattr(torch, "ones", lambda *a, **k: no_driver())
@@ -225,7 +225,7 @@ def test_no_browser_is_told_and_not_missed(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(places.shutil, "which", lambda name: None)
     found = places._browser()
     assert found.works is None
-    assert "no Chromium" in found.told
+    assert "no Chromium" in found.message
 
 
 def test_what_packages_print_does_not_spoil_the_json(

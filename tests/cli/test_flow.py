@@ -40,15 +40,15 @@ def test_import_makes_a_recording_of_a_published_case(
 def test_unknowns_are_estimated_and_said(tactorch: Any, recording: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     done = tactorch(
-        "invert", f"recording={recording}", f"run_dir={folder}", "unknowns.poisson=0.02",
-        "unknowns.rest_scale=0.1", *QUICK,
+        "invert", f"recording={recording}", f"run_dir={folder}", "nuisance.poisson=0.02",
+        "nuisance.rest_scale=0.1", *QUICK,
     )  # fmt: skip
     assert done.status == 0, done.err
     found = summary_of(folder)["nuisance"]
     assert set(found) == {"poisson", "rest_scale"}
     assert len(found["rest_scale"]["value"]) == len(found["rest_scale"]["deviation"]) == 3
     assert f"poisson {found['poisson']['value'][0]:.4g} +- " in (folder / "summary.txt").read_text()
-    again = tactorch("invert", f"resume={folder}", "unknowns.poisson=null", *QUICK)
+    again = tactorch("invert", f"resume={folder}", "nuisance.poisson=null", *QUICK)
     assert again.status == 2
     assert "belongs to another" in again.err
 
@@ -91,8 +91,8 @@ def test_a_map_at_its_bounds_is_told(
         "start_mpa=0.4", "optimizer.max_iterations=5", "plots=false",
     )  # fmt: skip
     assert done.status == 0, done.err
-    told = (tmp_path / "summary.txt").read_text()
-    assert ("DO NOT TRUST" in told) == (lower == 0.3)
+    content = (tmp_path / "summary.txt").read_text()
+    assert ("DO NOT TRUST" in content) == (lower == 0.3)
     assert (summary_of(tmp_path)["volume_at_bounds"] > 0.2) == (lower == 0.3)
 
 

@@ -22,13 +22,13 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-QUICK = ("pause_seconds=0", "poll_seconds=0.01", "most_iterations=2", "suggest.candidates=4")
+QUICK = ("pause_seconds=0", "poll_seconds=0.01", "max_iterations=2", "suggest.candidates=4")
 
 
 def test_a_played_recording_leaves_picture_page_and_map(
     tactorch: Callable[..., Any], recording: Path
 ) -> None:
-    given = ("most_at_once=1", "max_presses=2", "run_dir=run")
+    given = ("max_batch=1", "max_presses=2", "run_dir=run")
     done = tactorch("live", f"replay={recording}", *given, *QUICK)
     assert done.status == 0, done.err
     assert re.search(r"press 1: [\d.]+ s, chi2 ", done.out)
@@ -105,7 +105,7 @@ def test_wrong_settings_are_refused(
 
 @pytest.mark.parametrize(
     ("settings", "words"),
-    [(("optimizer=tnc",), "optimizer=tnc"), (("unknowns=material",), "unknowns")],
+    [(("optimizer=tnc",), "optimizer=tnc"), (("nuisance=material",), "nuisance")],
 )
 def test_inversions_that_cannot_grow_are_refused(
     tactorch: Callable[..., Any], recording: Path, settings: tuple[str, ...], words: str

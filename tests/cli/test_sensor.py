@@ -66,7 +66,7 @@ def write(path: Path, image: np.ndarray) -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A sensor, its reference, presses of a ball, and a session of five frames, one damaged."""
     place = tmp_path_factory.mktemp("drawn")
     save_sensor(SENSOR, place / "sensor.yaml")
@@ -84,22 +84,22 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def calibration(made: Path) -> Path:
+def calibration(files: Path) -> Path:
     """A calibration from the presses, made without the command."""
-    look, reference = MarkerLook(0.45 / 0.08), read(made / "still.png")
+    look, reference = MarkerLook(0.45 / 0.08), read(files / "still.png")
     touches = [
         Touch(
             name,
-            change(read(made / "presses" / name), reference, look),
-            ~hidden(read(made / "presses" / name), reference, look),
+            change(read(files / "presses" / name), reference, look),
+            ~hidden(read(files / "presses" / name), reference, look),
             Circle(center, edge),
         )
         for name, (center, edge) in PRESSES.items()
     ]
     ball = Ball(RADIUS_MM, (0.08, 0.08))
     found, _ = fit_map(touches, ball, FitOptions("lookup", rounds=0))
-    save_calibration(Calibration(found, reference, ball.mm_per_px, look), made / "calib.npz")
-    return made / "calib.npz"
+    save_calibration(Calibration(found, reference, ball.mm_per_px, look), files / "calib.npz")
+    return files / "calib.npz"
 
 
 def read(path: Path) -> np.ndarray:
@@ -111,8 +111,12 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def given(made: Path, run: Path | str, **more: object) -> tuple[str, ...]:
-    settings = {"sensor": made / "sensor.yaml", "reference": made / "still.png", "run_dir": run}
+def given(files: Path, run: Path | str, **more: object) -> tuple[str, ...]:
+    settings = {
+        "sensor": files / "sensor.yaml",
+        "reference": files / "still.png",
+        "run_dir": run,
+    }
     return tuple(f"{name}={value}" for name, value in {**settings, **more}.items())
 
 
@@ -128,56 +132,60 @@ def video_length(path: Path) -> int:
 
 
 def test_calibrate_finds_presses_and_tells_how_good_it_is(
-    tactorch: Any, made: Path, tmp_path: Path
+    tactorch: Any, files: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
     done = tactorch(
-        "sensor", "calibrate", *given(made, run, images=made / "presses"), *CALIBRATE, "held_out=1"
+        "sensor",
+        "calibrate",
+        *given(files, run, images=files / "presses"),
+        *CALIBRATE,
+        "held_out=1",
     )
     assert done.status == 0, done.err
     assert {path.name for path in run.iterdir() if path.is_file()} == {
         "calib.npz", "quality.json", "quality.txt", "circles.csv", "held_out.png",
         "sensor-calibrate.log",
     }  # fmt: skip
-    told = json.loads((run / "quality.json").read_text())
-    assert len(told["presses"]) == 1
-    assert not told["presses"].keys() & told["fitted_to"].keys()
-    assert len(told["fitted_to"]) == 7
-    assert min(told["quality"]["r2"]) > 0.9
-    assert told["quality"]["depth_rms_mm"] < 0.05
+    content = json.loads((run / "quality.json").read_text())
+    assert len(content["presses"]) == 1
+    assert not content["presses"].keys() & content["fitted_to"].keys()
+    assert len(content["fitted_to"]) == 7
+    assert min(content["quality"]["r2"]) > 0.9
+    assert content["quality"]["depth_rms_mm"] < 0.05
     assert "lookup, fitted to 7 presses, on 1 others" in done.out
     for row in table(run / "circles.csv"):
         center, _ = PRESSES[row["image"]]
         off = np.subtract((float(row["center_x_px"]), float(row["center_y_px"])), center)
         assert np.linalg.norm(off) < 2.0
     facts = load_calibration(run / "calib.npz").facts
-    assert facts["quality"] == told["quality"]
+    assert facts["quality"] == content["quality"]
     assert facts["sensor"] == "drawn"
 
 
 @pytest.mark.slow
 def test_contacts_that_were_found_can_be_given_as_labels(
-    tactorch: Any, made: Path, tmp_path: Path
+    tactorch: Any, files: Path, tmp_path: Path
 ) -> None:
     """Without rounds they are exact; each press is left out once."""
     labels, images = tmp_path / "labels.csv", tmp_path / "three"
     images.mkdir()
     for name in list(PRESSES)[:3]:
-        shutil.copy(made / "presses" / name, images)
+        shutil.copy(files / "presses" / name, images)
     rows = [f"{n},{c[0]},{c[1]},{e}" for n, (c, e) in list(PRESSES.items())[:2]]
     rows_text = "\n".join(["image,center_x_px,center_y_px,radius_px", *rows])
     labels.write_text(rows_text)
-    settings = given(made, tmp_path / "run", images=images, labels=labels)
+    settings = given(files, tmp_path / "run", images=images, labels=labels)
     out = tmp_path / "own.npz"
     done = tactorch(
         "sensor", "calibrate", *settings, *CALIBRATE[:2], "rounds=0", "folds=2", f"out={out}"
     )
     assert done.status == 0, done.err
     assert "2 contacts by labels, 1 found" in done.out
-    told = json.loads((tmp_path / "run" / "quality.json").read_text())
-    assert list(told["presses"]) != list(PRESSES)[:3]  # groups are dealt out
-    assert told["presses"].keys() == set(list(PRESSES)[:3])
-    assert "each left out once, in 2 groups" in told["judged"]
+    content = json.loads((tmp_path / "run" / "quality.json").read_text())
+    assert list(content["presses"]) != list(PRESSES)[:3]  # groups are dealt out
+    assert content["presses"].keys() == set(list(PRESSES)[:3])
+    assert "each left out once, in 2 groups" in content["judged"]
     labelled = [r for r in table(tmp_path / "run" / "circles.csv") if f"{r['image']}," in rows_text]
     assert len(labelled) == 2
     for row in labelled:
@@ -190,32 +198,32 @@ def test_contacts_that_were_found_can_be_given_as_labels(
 
 @pytest.mark.slow
 def test_check_judges_and_names_presses_that_were_learnt(
-    tactorch: Any, made: Path, tmp_path: Path
+    tactorch: Any, files: Path, tmp_path: Path
 ) -> None:
     learnt, other = tmp_path / "learnt", tmp_path / "other"
     for k, name in enumerate(PRESSES):
         for folder in ([learnt] if k > 3 else []) + ([other] if k in (0, 4) else []):
             folder.mkdir(exist_ok=True)
-            shutil.copy(made / "presses" / name, folder / name)
+            shutil.copy(files / "presses" / name, folder / name)
     run = tmp_path / "run"
     done = tactorch(
-        "sensor", "calibrate", *given(made, run, images=learnt), *CALIBRATE, "held_out=0"
+        "sensor", "calibrate", *given(files, run, images=learnt), *CALIBRATE, "held_out=0"
     )
     assert done.status == 0, done.err
     assert "on the 4 presses it was fitted to: others do worse" in done.out
-    settings = given(made, tmp_path / "check", images=other, calibration=run / "calib.npz")
+    settings = given(files, tmp_path / "check", images=other, calibration=run / "calib.npz")
     done = tactorch("sensor", "check", *settings, f"ball_radius_mm={RADIUS_MM}")
     assert done.status == 0, done.err
-    told = json.loads((tmp_path / "check" / "quality.json").read_text())
-    assert told["presses"].keys() == {"press-0.png", "press-4.png"}
-    assert min(told["quality"]["r2"]) > 0.9
-    assert told["fitted_to"] == ["press-4.png"]
+    content = json.loads((tmp_path / "check" / "quality.json").read_text())
+    assert content["presses"].keys() == {"press-0.png", "press-4.png"}
+    assert min(content["quality"]["r2"]) > 0.9
+    assert content["fitted_to"] == ["press-4.png"]
     assert "was fitted to 1 of these presses (press-4.png)" in done.out
 
 
 @pytest.mark.slow
-def test_map_is_chosen_by_presses_left_out(tactorch: Any, made: Path, tmp_path: Path) -> None:
-    settings = given(made, tmp_path / "run", images=made / "presses")
+def test_map_is_chosen_by_presses_left_out(tactorch: Any, files: Path, tmp_path: Path) -> None:
+    settings = given(files, tmp_path / "run", images=files / "presses")
     done = tactorch("sensor", "calibrate", *settings, CALIBRATE[0], "rounds=1")
     assert done.status == 0, done.err
     facts = load_calibration(tmp_path / "run" / "calib.npz").facts
@@ -227,10 +235,10 @@ def test_map_is_chosen_by_presses_left_out(tactorch: Any, made: Path, tmp_path: 
 
 
 def test_track_tells_displacements_and_what_is_faulty(
-    tactorch: Any, made: Path, tmp_path: Path
+    tactorch: Any, files: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
-    settings = given(made, run, frames=made / "frames", pictures=2)
+    settings = given(files, run, frames=files / "frames", pictures=2)
     done = tactorch("sensor", "track", *settings, "backward=true")
     assert done.status == 0, done.err
     assert {path.name for path in run.iterdir() if path.is_file()} == {
@@ -254,18 +262,18 @@ def test_track_tells_displacements_and_what_is_faulty(
     for row, place in zip(rows, begin, strict=False):  # the first frame
         moved = float(row["dx_mm"]) / 0.08
         assert float(row["x_px"]) == pytest.approx(place[0] + moved, abs=1e-3)
-    told = json.loads((run / "summary.json").read_text())
-    assert [one["frame"] for one in told["faulty"]] == [4]
-    assert told["backward"]["markers"] >= 30
-    assert told["backward"]["under_half_px"] == 1.0
+    content = json.loads((run / "summary.json").read_text())
+    assert [one["frame"] for one in content["faulty"]] == [4]
+    assert content["backward"]["markers"] >= 30
+    assert content["backward"]["under_half_px"] == 1.0
     assert "1 of 5 frames are faulty" in done.out
 
 
 def test_reconstruct_tells_depth(
-    tactorch: Any, made: Path, calibration: Path, tmp_path: Path
+    tactorch: Any, files: Path, calibration: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
-    settings = given(made, run, frames=made / "frames", calibration=calibration, pictures=1)
+    settings = given(files, run, frames=files / "frames", calibration=calibration, pictures=1)
     done = tactorch("sensor", "reconstruct", *settings, "video=false")
     assert done.status == 0, done.err
     assert [path.name for path in sorted((run / "heights").iterdir())] == [
@@ -286,10 +294,10 @@ def test_reconstruct_tells_depth(
 
 
 def test_force_is_told_of_each_frame(
-    tactorch: Any, made: Path, calibration: Path, tmp_path: Path
+    tactorch: Any, files: Path, calibration: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
-    settings = given(made, run, frames=made / "frames", calibration=calibration, pictures=1)
+    settings = given(files, run, frames=files / "frames", calibration=calibration, pictures=1)
     coarse = ("edge_mm=0.8", "layers=2", "element=tet4", "video=false")
     done = tactorch("sensor", "force", *settings, *coarse)
     assert done.status == 0, done.err
@@ -313,7 +321,7 @@ def test_force_is_told_of_each_frame(
 
 @pytest.mark.slow
 def test_ctrl_c_leaves_nothing_half_written(
-    tactorch: Any, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tactorch: Any, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from tactorch.viz.sensor_markers import MarkerView
 
@@ -327,7 +335,7 @@ def test_ctrl_c_leaves_nothing_half_written(
         show(view, image, places, caption)
 
     run = tmp_path / "run"
-    settings = given(made, run, frames=made / "frames")
+    settings = given(files, run, frames=files / "frames")
     run.mkdir()
     for name in ("markers.mp4", "over_time.png", "tracks.csv"):
         (run / name).write_text("of an earlier run")
@@ -341,11 +349,11 @@ def test_ctrl_c_leaves_nothing_half_written(
     assert len(table(run / "tracks.csv")) == 5 * 35  # was whole by then
 
 
-def test_a_camera_is_a_number(tactorch: Any, made: Path, tmp_path: Path) -> None:
-    settings = given(made, tmp_path / "run", frames=0)
+def test_a_camera_is_a_number(tactorch: Any, files: Path, tmp_path: Path) -> None:
+    settings = given(files, tmp_path / "run", frames=0)
     done = tactorch("sensor", "track", *settings)
-    assert "camera; give most_frames" in done.err
-    done = tactorch("sensor", "track", *given(made, tmp_path / "run", frames=98, most_frames=2))
+    assert "camera; give max_frames" in done.err
+    done = tactorch("sensor", "track", *given(files, tmp_path / "run", frames=98, max_frames=2))
     assert "camera 98 cannot be opened" in done.err
 
 
@@ -397,19 +405,19 @@ ONE = HEADER + "press-0.png,75,60,13\n"
 )
 def test_wrong_settings_of_calibrate(
     tactorch: Any,
-    made: Path,
+    files: Path,
     tmp_path: Path,
     spoil: Spoil | None,
     settings: tuple[str, ...],
     words: tuple[str, ...],
 ) -> None:
-    shutil.copytree(made / "presses", "presses")
+    shutil.copytree(files / "presses", "presses")
     labels(ONE)(Path())
     if spoil is not None:
         spoil(Path())
     run = tmp_path / "run"
     done = tactorch(
-        "sensor", "calibrate", *given(made, run, images="presses"), *CALIBRATE, *settings
+        "sensor", "calibrate", *given(files, run, images="presses"), *CALIBRATE, *settings
     )
     assert done.status == 2, done.out
     assert done.err.startswith("tactorch sensor calibrate: error: ")
@@ -431,19 +439,19 @@ def wide(folder: Path) -> None:
         ("track", None, ("frames=calib.npz",), ("calib.npz", "no source of frames")),
         ("track", None, ("magnify=0",), ("magnify=0",)),
         ("track", None, ("pictures=-1",), ("pictures=-1",)),
-        ("track", None, ("most_frames=0",), ("most_frames=0",)),
+        ("track", None, ("max_frames=0",), ("max_frames=0",)),
         ("track", None, ("marker_diameter_px=60",), ("1 markers were found in the reference",)),
         ("force", None, ("calibration=nowhere.npz",), ("calibration not found", "nowhere.npz")),
         ("force", wide, (), ("calib.npz", "100 x 120 px", "150 x 120")),
         ("force", None, ("noise_mm=0",), ("noise_mm=0",)),
         ("force", None, ("edge_mm=9",), ("edge_mm=9",)),
         ("reconstruct", wide, (), ("calib.npz", "100 x 120 px")),
-        ("reconstruct", None, ("least_mm=0",), ("least_mm=0",)),
+        ("reconstruct", None, ("min_depth_mm=0",), ("min_depth_mm=0",)),
     ],
 )
 def test_wrong_settings_of_frames(
     tactorch: Any,
-    made: Path,
+    files: Path,
     calibration: Path,
     tmp_path: Path,
     verb: str,
@@ -456,7 +464,7 @@ def test_wrong_settings_of_frames(
         spoil(Path())
     own = () if verb == "track" else ("calibration=calib.npz",)
     run = tmp_path / "run"
-    done = tactorch("sensor", verb, *given(made, run, frames=made / "frames"), *own, *settings)
+    done = tactorch("sensor", verb, *given(files, run, frames=files / "frames"), *own, *settings)
     assert done.status == 2, done.out
     assert done.err.startswith(f"tactorch sensor {verb}: error: ")
     assert len(done.err.splitlines()) == 1
@@ -464,11 +472,16 @@ def test_wrong_settings_of_frames(
     assert not [p for p in run.glob("*") if p.suffix not in (".log", "") and p.name != ".hydra"]
 
 
-def test_track_needs_markers(tactorch: Any, made: Path, tmp_path: Path) -> None:
+def test_track_needs_markers(tactorch: Any, files: Path, tmp_path: Path) -> None:
     from dataclasses import replace
 
     save_sensor(replace(SENSOR, markers=None), tmp_path / "bare.yaml")
-    settings = given(made, tmp_path / "run", frames=made / "frames", sensor=tmp_path / "bare.yaml")
+    settings = given(
+        files,
+        tmp_path / "run",
+        frames=files / "frames",
+        sensor=tmp_path / "bare.yaml",
+    )
     done = tactorch("sensor", "track", *settings)
     assert done.status == 2
     assert "has no markers" in done.err
@@ -496,9 +509,9 @@ def test_real_presses_of_a_ball(tactorch: Any, shared_data: Path, tmp_path: Path
         "held_out=6", f"run_dir={run}",
     )  # fmt: skip
     assert done.status == 0, done.err
-    told = json.loads((run / "quality.json").read_text())
-    assert min(told["quality"]["r2"]) > 0.95
-    assert told["quality"]["depth_rms_mm"] < 0.05
+    content = json.loads((run / "quality.json").read_text())
+    assert min(content["quality"]["r2"]) > 0.95
+    assert content["quality"]["depth_rms_mm"] < 0.05
 
 
 @pytest.mark.external
@@ -516,8 +529,8 @@ def test_real_video_of_markers(tactorch: Any, shared_data: Path, tmp_path: Path)
         f"reference={video}", "reference_frames=11", "backward=true", f"run_dir={run}",
     )  # fmt: skip
     assert done.status == 0, done.err
-    told = json.loads((run / "summary.json").read_text())
-    assert told["frames"] == 48
-    assert told["seen_in_all_readable_frames"] >= 118
-    assert told["backward"]["under_half_px"] > 0.97
+    content = json.loads((run / "summary.json").read_text())
+    assert content["frames"] == 48
+    assert content["seen_in_all_readable_frames"] >= 118
+    assert content["backward"]["under_half_px"] > 0.97
     assert video_length(run / "markers.mp4") == 48

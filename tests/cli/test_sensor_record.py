@@ -12,9 +12,9 @@ import pytest
 from tactorch.recording import Recording
 from tactorch.sensor.frames import camera
 
-from .test_sensor import calibration, given, made, table
+from .test_sensor import calibration, files, given, table
 
-__all__ = ["calibration", "made"]  # fixtures
+__all__ = ["calibration", "files"]  # fixtures
 # The sensor looks down; its face comes from 0.2 mm above the box to 0.3 mm into its top.
 HEIGHTS_MM = (4.2, 3.9, 3.8, 3.7, 4.2)
 HEADER = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"
@@ -32,17 +32,23 @@ def poses(
     return path
 
 
-def settings(made: Path, calibration: Path, run: Path, *more: str) -> tuple[str, ...]:
-    own = given(made, run, frames=made / "frames", calibration=calibration, poses="poses.csv")
+def settings(files: Path, calibration: Path, run: Path, *more: str) -> tuple[str, ...]:
+    own = given(
+        files,
+        run,
+        frames=files / "frames",
+        calibration=calibration,
+        poses="poses.csv",
+    )
     return ("sensor", "record", *own, *SMALL, *more)
 
 
 def test_a_session_becomes_a_recording(
-    tactorch: Any, made: Path, calibration: Path, tmp_path: Path
+    tactorch: Any, files: Path, calibration: Path, tmp_path: Path
 ) -> None:
     run, out = tmp_path / "run", tmp_path / "session.h5"
     poses(Path("poses.csv"))
-    done = tactorch(*settings(made, calibration, run, "held_side=z-", f"out={out}"))
+    done = tactorch(*settings(files, calibration, run, "held_side=z-", f"out={out}"))
     assert done.status == 0, done.err
     recording = Recording.load(out)
     assert [press.name for press in recording.presses] == ["contact 1, 2.png", "contact 1, 3.png"]
@@ -62,9 +68,9 @@ def test_a_session_becomes_a_recording(
     assert [row["kept"] for row in rows] == ["0", "0", "1", "1", "0"]
     assert [row["contact"] for row in rows] == ["", "1", "1", "1", ""]
     assert "cannot be read" in rows[4]["fault"]
-    told = json.loads((run / "summary.json").read_text())
-    assert told["contacts"] == 1
-    assert [row["frame"] for row in told["presses"]] == ["2.png", "3.png"]
+    content = json.loads((run / "summary.json").read_text())
+    assert content["contacts"] == 1
+    assert [row["frame"] for row in content["presses"]] == ["2.png", "3.png"]
     assert recording.provenance["settings"]["held_side"] == "z-"
     assert recording.provenance["sensor"] == "drawn"
     for name in ("over_time.png", "presses.png", "summary.txt", ".hydra/config.yaml"):
@@ -73,11 +79,11 @@ def test_a_session_becomes_a_recording(
 
 @pytest.mark.slow
 def test_a_recording_grows_as_contacts_end(
-    tactorch: Any, made: Path, calibration: Path, tmp_path: Path
+    tactorch: Any, files: Path, calibration: Path, tmp_path: Path
 ) -> None:
     run, out = tmp_path / "run", tmp_path / "session.h5"
     poses(Path("poses.csv"))
-    growing = settings(made, calibration, run, "held_side=z-", f"out={out}", "as_they_end=true")
+    growing = settings(files, calibration, run, "held_side=z-", f"out={out}", "as_they_end=true")
     done = tactorch(*growing)
     assert done.status == 0, done.err
     recording = Recording.load(out)
@@ -133,20 +139,20 @@ class DrawnCamera:
 
 @pytest.mark.parametrize("as_they_end", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_camera_and_poses_by_unix_time(
-    tactorch: Any, made: Path, calibration: Path, tmp_path: Path,
+    tactorch: Any, files: Path, calibration: Path, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch, as_they_end: bool,
 ) -> None:  # fmt: skip
     folder, taken = tmp_path / "folder", tmp_path / "camera"
     poses(Path("poses.csv"))
     more = ("held_side=z-", "plots=false", "steps=1")
-    done = tactorch(*settings(made, calibration, folder, *more))
+    done = tactorch(*settings(files, calibration, folder, *more))
     assert done.status == 0, done.err
-    drawn = DrawnCamera(made / "frames")
+    drawn = DrawnCamera(files / "frames")
     poses(Path("poses.csv"), began_s=drawn.began_unix_s)
     monkeypatch.setattr(cv2, "VideoCapture", drawn.VideoCapture)
     monkeypatch.setattr(camera, "time", drawn)
-    unix = ("frames=0", "most_frames=5", "poses_clock=unix", f"as_they_end={as_they_end}")
-    done = tactorch(*settings(made, calibration, taken, *more, *unix))
+    unix = ("frames=0", "max_frames=5", "poses_clock=unix", f"as_they_end={as_they_end}")
+    done = tactorch(*settings(files, calibration, taken, *more, *unix))
     assert done.status == 0, done.err
     (one,) = Recording.load(folder / "recording.h5").presses
     (other,) = Recording.load(taken / "recording.h5").presses
@@ -157,13 +163,13 @@ def test_a_camera_and_poses_by_unix_time(
 
 @pytest.mark.slow
 def test_an_object_of_unknown_shape(
-    tactorch: Any, made: Path, calibration: Path, tmp_path: Path
+    tactorch: Any, files: Path, calibration: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
     poses(Path("poses.csv"))
     own = [one for one in SMALL if not one.startswith("object.")]
     cube = ("object=virtual_cube", "object.side_mm=4", "object.edge_mm=1", "plots=false", "steps=1")
-    done = tactorch(*settings(made, calibration, run)[: -len(SMALL)], *own, *cube)
+    done = tactorch(*settings(files, calibration, run)[: -len(SMALL)], *own, *cube)
     assert done.status == 0, done.err
     recording = Recording.load(run / "recording.h5")
     low, high = recording.mesh.bounds
@@ -203,7 +209,7 @@ def test_an_object_of_unknown_shape(
 )
 def test_wrong_sessions(
     tactorch: Any,
-    made: Path,
+    files: Path,
     calibration: Path,
     tmp_path: Path,
     turn: str,
@@ -213,7 +219,7 @@ def test_wrong_sessions(
 ) -> None:
     poses(Path("poses.csv"), heights, turn)
     run = tmp_path / "run"
-    own = settings(made, calibration, run)
+    own = settings(files, calibration, run)
     if more and more[0].startswith("object="):
         own = own[: -len(SMALL)]
     done = tactorch(*own, *more)

@@ -8,7 +8,7 @@ import torch
 
 from tactorch.fem import ELEMENTS, MATERIALS, Discretisation, make_element, make_material, reference
 from tactorch.fem.assembly import Assembly
-from tactorch.fem.materials import Distortion, IsotropicMaterial, LinearElastic
+from tactorch.fem.materials import InvariantDerivatives, IsotropicMaterial, LinearElastic
 from tactorch.mesh import TetMesh
 
 
@@ -211,7 +211,7 @@ class EveryDerivative(IsotropicMaterial):
 
     def distortion(self, i1, i2, j, log_j, poisson):
         a, b, c = i1 - 3.0, i2 - 3.0, j - 1.0
-        return Distortion(
+        return InvariantDerivatives(
             psi=0.1 * a + 0.2 * b + a * b + 0.5 * b * b + a * c + b * c + 0.3 * a * a,
             d1=0.1 + b + c + 0.6 * a,
             d2=0.2 + a + b + c,

@@ -15,7 +15,7 @@ COUNT = 4
 def test_the_image_is_that_of_linear_theory(cube: Recording) -> None:
     """Against the same posterior by the other formula, C J^T (J C J^T + R)^-1 d."""
     problem = InverseProblem(cube)
-    found = problem.evaluate(np.full(problem.n_unknowns, 0.3))
+    found = problem.evaluate(np.full(problem.n_elements, 0.3))
     deviations = problem.noise.deviations(cube)
     image, explained = linear_image(found, cube.mesh, deviations, COUNT)
     C = np.linalg.inv(_prior_precision(COUNT))

@@ -9,13 +9,13 @@ from tactorch.errors import ConfigError
 from tactorch.inverse import (
     InverseProblem,
     Settings,
+    apply_model_error,
     best_uniform,
-    corrected,
     discretisation_error,
     invert,
     make_objective,
 )
-from tactorch.inverse.model_error import chosen
+from tactorch.inverse.model_error import resolve_model_error
 from tactorch.metrics import pearson
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -40,7 +40,7 @@ def test_the_correction_takes_away_most_of_the_meshs_error(finer: Recording):
     assert finer.truth is not None
     problem = InverseProblem(finer)
     before = _distance(problem, finer.truth)
-    corrected(problem, discretisation_error(problem, best_uniform(problem)))
+    apply_model_error(problem, discretisation_error(problem, best_uniform(problem)))
     assert _distance(problem, finer.truth) < 0.5 * before
 
 
@@ -48,7 +48,7 @@ def test_what_is_left_is_of_the_size_that_it_says(finer: Recording):
     assert finer.truth is not None
     problem = InverseProblem(finer)
     error = discretisation_error(problem, best_uniform(problem))
-    corrected(problem, error)
+    apply_model_error(problem, error)
     left = _distance(problem, finer.truth) / np.sqrt(problem.n_data)
     assert 0.3 < left / np.mean(error.deviation) < 2.0
 
@@ -57,7 +57,7 @@ def test_deviations_add_up_in_squares(finer: Recording):
     problem = InverseProblem(finer)
     before = 1.0 / problem.observations[0].scale
     error = discretisation_error(problem, 0.3)
-    corrected(problem, error)
+    apply_model_error(problem, error)
     after = 1.0 / problem.observations[0].scale
     assert np.allclose(after**2, before**2 + error.deviation[0] ** 2)
     shares = [(b / a) ** 2 for b, a in zip(before, after, strict=True)]
@@ -67,9 +67,9 @@ def test_deviations_add_up_in_squares(finer: Recording):
 def test_what_the_presses_of_one_place_share_is_counted_once(cube: Recording):
     """A shift of a whole contact is worth one datum, whatever the number of nodes and steps."""
     problem = InverseProblem(cube)
-    before = problem.evaluate(np.full(problem.n_unknowns, 0.3)).residuals
+    before = problem.evaluate(np.full(problem.n_elements, 0.3)).residuals
     error = discretisation_error(problem, 0.3)
-    corrected(problem, error)
+    apply_model_error(problem, error)
     assert problem.common is not None
     shift = np.concatenate(
         [
@@ -115,12 +115,14 @@ def test_presses_of_the_same_mesh_are_left_alone(recording: Recording):
 def test_auto_goes_by_the_provenance(
     recording: Recording, provenance: dict, element: str, expected: str
 ):
-    assert chosen("auto", replace(recording, provenance=provenance), element) == expected
+    assert (
+        resolve_model_error("auto", replace(recording, provenance=provenance), element) == expected
+    )
 
 
 def test_unusable_settings_are_refused(recording: Recording):
     with pytest.raises(ConfigError, match="model_error=mesh is unknown"):
-        chosen("mesh", recording, "tet4")
+        resolve_model_error("mesh", recording, "tet4")
     quadratic = InverseProblem(recording, element="tet10")
     with pytest.raises(ConfigError, match="element=tet10 choose model_error=none"):
         discretisation_error(quadratic, 0.2)
@@ -132,7 +134,7 @@ def test_the_share_that_is_left_scales_the_uncertainty(cube: Recording):
     assert none.deviation == [0.0] * len(cube.presses)
     for press, deviation in zip(third.offset, third.deviation, strict=True):
         assert deviation == pytest.approx(np.sqrt(np.mean(press**2)) / 3.0)
-    with pytest.raises(ConfigError, match=r"model_error_left=-0\.1"):
+    with pytest.raises(ConfigError, match=r"residual_model_error_fraction=-0\.1"):
         discretisation_error(problem, 0.3, left=-0.1)
 
 

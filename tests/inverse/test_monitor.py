@@ -12,9 +12,9 @@ from tactorch.inverse import (
     GaussNewton,
     InverseProblem,
     Monitor,
-    OutOfTime,
     Reconstruction,
     Settings,
+    StopOptimization,
     invert,
     make_objective,
     make_optimizer,
@@ -97,7 +97,7 @@ def test_an_interrupted_run_goes_on(
     ("error", "reason"),
     [
         (KeyboardInterrupt(), "interrupted"),
-        (OutOfTime(), "time limit reached"),
+        (StopOptimization(), "time limit reached"),
     ],
 )
 def test_whatever_ends_it_keeps_the_best_so_far(
@@ -177,7 +177,7 @@ def test_time_is_watched_within_an_iteration(
 
     monkeypatch.setattr(InverseProblem, "evaluate", age)
     start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
-    with pytest.raises(OutOfTime):
+    with pytest.raises(StopOptimization):
         make_optimizer(name).minimize(objective, start, monitor)
     assert monitor._spent == 6e5
 
@@ -192,7 +192,7 @@ def test_time_is_watched_at_every_iteration(noisy: Recording, name: str) -> None
 
     monitor.on_record = age
     start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
-    with pytest.raises(OutOfTime):
+    with pytest.raises(StopOptimization):
         make_optimizer(name).minimize(objective, start, monitor)
     assert 3 <= monitor.iteration <= 4
     assert monitor.history[-1]["misfit"] < monitor.history[0]["misfit"]

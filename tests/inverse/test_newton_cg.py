@@ -11,9 +11,9 @@ from tactorch.errors import ConfigError
 from tactorch.inverse import (
     GaussNewton,
     InverseProblem,
+    NuisancePrior,
     Objective,
     Settings,
-    Unknowns,
     invert,
     make_objective,
     make_optimizer,
@@ -152,7 +152,7 @@ def test_the_true_hessian_ends_at_the_same_minimum(make_tiny: Make) -> None:
 
 
 def test_the_true_hessian_refuses_nuisance_parameters(recording: Recording) -> None:
-    settings = Settings(optimizer=NewtonCG(hessian="true"), unknowns=Unknowns(poisson=0.02))
+    settings = Settings(optimizer=NewtonCG(hessian="true"), nuisance=NuisancePrior(poisson=0.02))
     with pytest.raises(ConfigError, match="hessian=true"):
         invert(recording, settings)
 
@@ -160,7 +160,7 @@ def test_the_true_hessian_refuses_nuisance_parameters(recording: Recording) -> N
 @pytest.mark.slow
 def test_nuisance_parameters_are_estimated(make_cube: Make) -> None:
     wrong = make_cube(snr_db=40.0, seed=1)
-    settings = {"unknowns": Unknowns(force_scale=0.2)}
+    settings = {"nuisance": NuisancePrior(force_scale=0.2)}
     ours, theirs = (
         invert(wrong, Settings(optimizer=optimizer, **settings)).nuisance
         for optimizer in (NewtonCG(weight=3.0), GaussNewton(weight=3.0))

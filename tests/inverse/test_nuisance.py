@@ -14,9 +14,9 @@ from tactorch.inverse import (
     InverseProblem,
     NoiseModel,
     Nuisance,
+    NuisancePrior,
     Reconstruction,
     Settings,
-    Unknowns,
     invert,
     make_objective,
     uniform_fit,
@@ -25,7 +25,9 @@ from tactorch.recording import Recording
 from tactorch.simulation import misjudged
 
 Make = Callable[..., Recording]
-ALL = Unknowns(poisson=0.02, force_scale=0.2, rest_scale=0.1, translation_mm=0.3, rotation_rad=0.05)
+ALL = NuisancePrior(
+    poisson=0.02, force_scale=0.2, rest_scale=0.1, translation_mm=0.3, rotation_rad=0.05
+)
 NAMES = ("poisson", "force_scale", "rest_scale", "translation_mm", "rotation_rad")
 EXACT = NoiseModel(relative=1e-4)
 
@@ -82,7 +84,7 @@ def test_assumed_values_change_nothing(recording: Recording, moduli: np.ndarray)
 
 
 def test_parameters_of_the_objective_have_all_derivatives(recording: Recording) -> None:
-    objective = make_objective(recording, Settings(unknowns=ALL))
+    objective = make_objective(recording, Settings(nuisance=ALL))
     rng = np.random.default_rng(2)
     x = objective.start(rng.uniform(0.15, 0.6, recording.mesh.n_tets))
     x[-ALL.size :] = rng.uniform(-0.5, 0.5, ALL.size)
@@ -111,7 +113,7 @@ def test_what_was_wrong_is_found(
     cube: Recording, wrong: dict[str, float], name: str, expected: list[float]
 ) -> None:
     deviation = {"poisson": 0.05, "force_scale": 0.3, "rest_scale": 0.15}[name]
-    settings = Settings(unknowns=Unknowns(**{name: deviation}), noise=EXACT)
+    settings = Settings(nuisance=NuisancePrior(**{name: deviation}), noise=EXACT)
     found = invert(misjudged(cube, **wrong), settings)
     estimate = found.nuisance[name]
     off = np.abs(estimate.value / np.array(expected) - 1.0)
@@ -136,7 +138,7 @@ def test_an_offset_and_a_turn_of_the_sensor_are_found(cube: Recording) -> None:
         replace(press, displacement=u) for press, u in zip(cube.presses, reported, strict=True)
     )
     seen = replace(cube, presses=presses, check_units=False)
-    settings = Settings(unknowns=Unknowns(translation_mm=0.3, rotation_rad=0.05), noise=EXACT)
+    settings = Settings(nuisance=NuisancePrior(translation_mm=0.3, rotation_rad=0.05), noise=EXACT)
     found = invert(seen, settings).nuisance
     np.testing.assert_allclose(found["translation_mm"].value, moved.translation_mm, atol=0.02)
     np.testing.assert_allclose(found["rotation_rad"].value, moved.rotation_rad, atol=0.003)
@@ -144,7 +146,7 @@ def test_an_offset_and_a_turn_of_the_sensor_are_found(cube: Recording) -> None:
 
 def test_without_a_known_stiffness_the_force_scale_stays_open(make_tiny: Make) -> None:
     free = make_tiny(hold="fixed")
-    settings = Settings(unknowns=Unknowns(force_scale=0.2), noise=EXACT)
+    settings = Settings(nuisance=NuisancePrior(force_scale=0.2), noise=EXACT)
     estimate = invert(free, settings).nuisance["force_scale"]
     assert estimate.deviation[0] == pytest.approx(0.2, rel=0.05)
 
@@ -157,14 +159,14 @@ def test_the_uniform_fit_finds_both(make_tiny: Make) -> None:
     uniform = simulate(make_phantom("uniform_cube"), PressPlan(("z+", "x-"), (0.01,)), mesh=mesh)
     assert uniform.truth is not None
     fit = uniform_fit(
-        InverseProblem(misjudged(uniform, size=1.1)), Bounds(), Unknowns(rest_scale=1.0)
+        InverseProblem(misjudged(uniform, size=1.1)), Bounds(), NuisancePrior(rest_scale=1.0)
     )
     assert fit.youngs_mpa == pytest.approx(float(uniform.truth[0]), rel=1e-2)
     np.testing.assert_allclose(fit.nuisance.rest_scale, 1 / 1.1, rtol=1e-3)
 
 
 def test_estimates_survive_the_file(recording: Recording, tmp_path: Path) -> None:
-    settings = Settings(unknowns=Unknowns(poisson=0.02, rest_scale=0.1), max_seconds=1e-9)
+    settings = Settings(nuisance=NuisancePrior(poisson=0.02, rest_scale=0.1), max_seconds=1e-9)
     found = invert(recording, settings)
     again = Reconstruction.load(found.save(tmp_path / "r.h5"))
     assert set(again.nuisance) == {"poisson", "rest_scale"}
@@ -177,11 +179,11 @@ def test_estimates_survive_the_file(recording: Recording, tmp_path: Path) -> Non
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_deviation_that_cannot_be_is_refused(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=f"unknowns.{name}"):
-        Unknowns(**{name: value})
+    with pytest.raises(ConfigError, match=f"nuisance.{name}"):
+        NuisancePrior(**{name: value})
 
 
 def test_poissons_ratio_stays_where_materials_exist() -> None:
-    low, high = Unknowns(poisson=0.1).limits(Nuisance(0.45))
+    low, high = NuisancePrior(poisson=0.1).limits(Nuisance(0.45))
     assert 0.45 + 0.1 * high[0] < 0.5
     assert low[0] == pytest.approx(-8.0)

@@ -77,13 +77,13 @@ def test_variance_falls_as_its_mean_over_all_data(
     means = mean + np.sqrt(before - after) * NODES  # of the parameter, once more is known
     later = np.array([_variance(p, float(m), after) for m in means]) @ WEIGHTS
     fall = _variance(p, mean, before) - later
-    found = p.variance_fall(np.array([mean]), np.array([before]), np.array([after]))
+    found = p.expected_variance_reduction(np.array([mean]), np.array([before]), np.array([after]))
     np.testing.assert_allclose(found, fall, rtol=1e-9)
 
 
 def test_logs_are_never_less_certain_than_the_bounds() -> None:
     log = make_parameterization("log")
-    wide = log.variance_fall(np.zeros(2), np.array([1e3, 1e6]), np.array([0.0, 0.0]))
+    wide = log.expected_variance_reduction(np.zeros(2), np.array([1e3, 1e6]), np.array([0.0, 0.0]))
     assert np.isfinite(wide).all()
     assert wide[0] == pytest.approx(wide[1])
 

@@ -47,7 +47,7 @@ def test_jacobian_is_autograds(recording: Recording, moduli: np.ndarray, element
     expected = torch.autograd.functional.jacobian(
         lambda e: solve_with_autograd(recording, element, e), torch.from_numpy(moduli)
     ).numpy()
-    assert jacobian.shape == (problem.n_data, problem.n_unknowns) == expected.shape
+    assert jacobian.shape == (problem.n_data, problem.n_elements) == expected.shape
     np.testing.assert_allclose(jacobian, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
@@ -201,7 +201,7 @@ def test_a_near_start_changes_nothing(recording: Recording, moduli: np.ndarray) 
 def test_collapse_names_the_press(make_tiny: Make) -> None:
     recording = make_tiny(faces=("z+",), pressures=(1e-4, 0.02))
     problem = InverseProblem(recording)
-    soft = np.full(problem.n_unknowns, 0.001)
+    soft = np.full(problem.n_elements, 0.001)
     with pytest.raises(ConvergenceError, match=r"'z\+, 20 kPa' \(index 1\).*collapses"):
         problem.evaluate(soft)
 
@@ -283,7 +283,7 @@ def test_presses_that_moved_nothing_are_refused(recording: Recording) -> None:
 
 def test_a_chain_of_presses_predicts_the_same(recording: Recording) -> None:
     problem = InverseProblem(recording)
-    youngs = np.random.default_rng(0).uniform(0.1, 0.4, problem.n_unknowns)
+    youngs = np.random.default_rng(0).uniform(0.1, 0.4, problem.n_elements)
     beside, chained = problem.evaluate(youngs), problem.evaluate(youngs, chained=True)
     for a, b in zip(beside.reported, chained.reported, strict=True):
         np.testing.assert_allclose(b, a, rtol=0, atol=1e-9 * np.abs(a).max())

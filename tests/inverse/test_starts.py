@@ -9,8 +9,8 @@ from tactorch.inverse import (
     Bounds,
     GaussNewton,
     InverseProblem,
+    NuisancePrior,
     Settings,
-    Unknowns,
     best_uniform,
     homogeneous,
     invert,
@@ -39,7 +39,7 @@ def test_best_uniform_is_a_minimum_where_no_uniform_map_fits(recording: Recordin
     problem = InverseProblem(recording)
     found = best_uniform(problem)
     chi2 = [
-        problem.evaluate(np.full(problem.n_unknowns, found * factor)).chi2
+        problem.evaluate(np.full(problem.n_elements, found * factor)).chi2
         for factor in (0.98, 1.0, 1.02)
     ]
     assert chi2[1] < min(chi2[0], chi2[2])
@@ -100,7 +100,7 @@ def test_a_start_may_be_a_function_of_the_problem(uniform: Recording):
     ("start", "words"),
     [
         (np.ones(3), "shape (3,)"),
-        (lambda problem, bounds: np.full(problem.n_unknowns, 500.0), "outside the bounds"),
+        (lambda problem, bounds: np.full(problem.n_elements, 500.0), "outside the bounds"),
     ],
 )
 def test_starts_that_cannot_be_used_are_refused(
@@ -127,7 +127,7 @@ def test_every_iteration_is_shown_with_its_map(recording: Recording):
 def test_what_is_free_beside_the_map_is_fitted_with_the_modulus(uniform: Recording):
     """A shape that is believed a tenth too large would be taken for another modulus."""
     large = misjudged(uniform, size=1.1)
-    free = Settings(unknowns=Unknowns(rest_scale=0.2), model_error="none")
+    free = Settings(nuisance=NuisancePrior(rest_scale=0.2), model_error="none")
     beside, alone = (
         homogeneous(make_objective(large, settings).problem, Bounds())[0]
         for settings in (free, Settings(model_error="none"))
@@ -138,7 +138,7 @@ def test_what_is_free_beside_the_map_is_fitted_with_the_modulus(uniform: Recordi
 
 def test_a_map_on_a_bound_may_miss_it_by_rounding(uniform: Recording):
     problem, bounds = InverseProblem(uniform), Bounds(0.003, 100.0)
-    found = np.exp(np.log(np.full(problem.n_unknowns, [bounds.upper])))
+    found = np.exp(np.log(np.full(problem.n_elements, [bounds.upper])))
     found[0] = np.exp(np.log(bounds.lower))
     assert found.max() > bounds.upper  # which is why
     start = start_map(found, problem, bounds)

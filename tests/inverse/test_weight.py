@@ -16,7 +16,7 @@ from tactorch.inverse import (
     make_objective,
 )
 from tactorch.inverse.optimizers import weight as rules
-from tactorch.inverse.optimizers.weight import Cooling, ruling_weight
+from tactorch.inverse.optimizers.weight import RegularizationSchedule, ruling_weight
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 
@@ -27,7 +27,7 @@ def point(recording: Recording) -> Point:
 
 
 def test_weight_falls_fast_then_slowly_then_ends(point: Point) -> None:
-    cooling = Cooling.start(point, None, {})
+    cooling = RegularizationSchedule.start(point, None, {})
     first = cooling.weight
     assert first == ruling_weight(point) > 0
     cooling.lower(chi2=50.0)
@@ -46,7 +46,7 @@ def test_the_weight_leaps_only_far_from_the_data_and_where_steps_do_as_foretold(
     point: Point,
 ) -> None:
     def factor(chi2: float, gain: float) -> float:
-        cooling = Cooling.start(point, None, {})
+        cooling = RegularizationSchedule.start(point, None, {})
         first = cooling.weight
         cooling.lower(chi2, gain)
         return cooling.weight / first
@@ -60,12 +60,12 @@ def test_the_weight_leaps_only_far_from_the_data_and_where_steps_do_as_foretold(
 
 def test_near_the_noise_the_weight_waits_for_a_step_that_was_foretold(point: Point) -> None:
     """Else it falls on while the map has not followed, until noise is all that is fitted."""
-    cooling = Cooling.start(point, None, {})
+    cooling = RegularizationSchedule.start(point, None, {})
     first = cooling.weight
     for _ in range(2):
         cooling.lower(2.0, gain=-0.2)
         assert (cooling.weight, cooling.held, cooling.ended) == (first, True, "")
-    assert Cooling.start(point, None, cooling.state()) == cooling
+    assert RegularizationSchedule.start(point, None, cooling.state()) == cooling
     cooling.lower(2.0, gain=0.5)
     assert cooling.weight < first
     assert not cooling.held
@@ -97,7 +97,7 @@ def test_a_leap_that_leads_nowhere_is_none(
 
 
 def test_an_exhausted_prior_says_that_the_noise_is_larger(point: Point) -> None:
-    cooling = Cooling.start(point, None, {})
+    cooling = RegularizationSchedule.start(point, None, {})
     for _ in range(200):
         cooling.lower(chi2=2.0)
     assert "noise is larger than stated, or the model is wrong" in cooling.ended
@@ -106,21 +106,23 @@ def test_an_exhausted_prior_says_that_the_noise_is_larger(point: Point) -> None:
 
 def test_state_resumes(point: Point) -> None:
     for steps in ([], [50.0], [50.0, 2.0, 0.9]):
-        cooling = Cooling.start(point, None, {})
+        cooling = RegularizationSchedule.start(point, None, {})
         for chi2 in steps:
             cooling.lower(chi2)
-        assert Cooling.start(point, None, cooling.state()) == cooling
+        assert RegularizationSchedule.start(point, None, cooling.state()) == cooling
 
 
 def test_a_given_weight_stays(point: Point) -> None:
-    cooling = Cooling.start(point, 0.5, {"weight": 3.0, "first_weight": 9.0, "ended": 0.0})
+    cooling = RegularizationSchedule.start(
+        point, 0.5, {"weight": 3.0, "first_weight": 9.0, "ended": 0.0}
+    )
     assert (cooling.weight, cooling.fixed, cooling.state()) == (0.5, True, {})
 
 
 def test_no_prior_has_no_weight(recording: Recording) -> None:
     objective = make_objective(recording, Settings(regularization="none"))
     point = objective.at(np.full(recording.mesh.n_tets, np.log(0.2)))
-    cooling = Cooling.start(point, 3.0, {})
+    cooling = RegularizationSchedule.start(point, 3.0, {})
     assert (cooling.weight, cooling.fixed) == (0.0, True)
 
 
@@ -133,7 +135,9 @@ def test_a_single_element_has_nothing_to_regularise() -> None:
     press = Press(force, seen, np.where(seen, -0.1, np.nan), fixed=fixed)
     recording = Recording(mesh, (press,), MaterialSpec("neo_hookean", 0.4))
     point = make_objective(recording, Settings()).at(np.array([np.log(0.2)]))
-    assert Cooling.start(point, None, {}) == Cooling(0.0, 0.0, fixed=True)
+    assert RegularizationSchedule.start(point, None, {}) == RegularizationSchedule(
+        0.0, 0.0, fixed=True
+    )
 
 
 @pytest.fixture
@@ -153,7 +157,7 @@ def fitted(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> Callable[[f
 def test_an_overfitted_map_raises_the_weight_by_as_much_as_it_says(
     fitted: Callable[[float], Point],
 ) -> None:
-    cooling = Cooling(1.0, 30.0, False)
+    cooling = RegularizationSchedule(1.0, 30.0, False)
     assert not cooling.retry(fitted(0.01))  # the weight still falls
     cooling.lower(0.5)
     for chi2, weight in ((0.05, 20.0), (0.8, 60.0)):  # 1 / chi2, but no less than threefold
@@ -168,7 +172,7 @@ def test_where_noise_may_be_less_a_weight_is_lowered_again_but_not_raised(
     fitted: Callable[[float], Point], recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """More presses may misfit at a weight at which the first ones had been fitted."""
-    cooling = Cooling(1.0, 30.0, False)
+    cooling = RegularizationSchedule(1.0, 30.0, False)
     cooling.lower(0.5)
     monkeypatch.setattr(NoiseModel, "floored", lambda *_: True)
     assert not cooling.retry(fitted(0.01))
@@ -180,7 +184,7 @@ def test_where_noise_may_be_less_a_weight_is_lowered_again_but_not_raised(
 
 def test_a_misfit_of_the_noise_alone_is_no_overfit(fitted: Callable[[float], Point]) -> None:
     """Half of the variance is for a model's error that may not be there."""
-    cooling = Cooling(1.0, 30.0, False)
+    cooling = RegularizationSchedule(1.0, 30.0, False)
     cooling.lower(0.5)
     point = fitted(0.6)
     point.objective.problem.sure_noise = 0.5
@@ -205,12 +209,14 @@ def test_a_misfit_of_the_noise_alone_is_no_overfit(fitted: Callable[[float], Poi
 def test_what_the_course_of_the_misfit_foretells_is_not_waited_for(
     fitted: Callable[[float], Point], course: tuple[float, ...], weight: float | None
 ) -> None:
-    cooling = Cooling(1.0, 30.0, False)
+    cooling = RegularizationSchedule(1.0, 30.0, False)
     cooling.lower(0.5)
     told = []
     for chi2 in course:
         told.append(cooling.retry(fitted(chi2), converged=False))
-        cooling = Cooling.start(fitted(chi2), None, cooling.state())  # as a resumed run does
+        cooling = RegularizationSchedule.start(
+            fitted(chi2), None, cooling.state()
+        )  # as a resumed run does
     assert told == [False, False, weight is not None]
     assert cooling.weight == pytest.approx(1.0 if weight is None else weight)
 
@@ -218,7 +224,7 @@ def test_what_the_course_of_the_misfit_foretells_is_not_waited_for(
 def test_far_overfitted_maps_need_not_converge_but_are_no_bound(
     fitted: Callable[[float], Point],
 ) -> None:
-    cooling = Cooling(1.0, 30.0, False)
+    cooling = RegularizationSchedule(1.0, 30.0, False)
     cooling.lower(0.5)
     assert not cooling.retry(fitted(0.5), converged=False)
     for weight in (100.0, 1e4, 1e6):

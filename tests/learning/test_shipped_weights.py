@@ -7,7 +7,7 @@ import pytest
 
 from tactorch.inverse import Bounds, InverseProblem
 from tactorch.inverse.starts import homogeneous
-from tactorch.learning.surrogate import Foretold, SurrogateStart
+from tactorch.learning.surrogate import Prediction, SurrogateStart
 from tactorch.learning.surrogate.weights import SHIPPED
 from tactorch.mesh import Box, Sphere, box_mesh
 from tactorch.phantoms import Phantom
@@ -47,7 +47,7 @@ def test_a_ball_is_seen_at_once(start: SurrogateStart, size_mm: float) -> None:
         snr_db=40.0, seed=0,
     )  # fmt: skip
     assert recording.truth is not None
-    found = start.foretell(recording)
+    found = start.predict(recording)
     assert np.corrcoef(found.youngs, recording.truth)[0, 1] > 0.8
     problem = InverseProblem(recording)
     uniform = homogeneous(problem, Bounds())
@@ -60,12 +60,12 @@ def test_it_knows_where_it_does_not_know(start: SurrogateStart) -> None:
     ball = Phantom(Box((5.0,) * 3, (10.0,) * 3), [(Sphere((5.0,) * 3, 2.2), 1.0)], 0.2)
     mesh, fine = (box_mesh(10.0, n, tets_per_cell=5) for n in (6, 8))
 
-    def pressed(*faces: str) -> tuple[Foretold, Recording]:
+    def pressed(*faces: str) -> tuple[Prediction, Recording]:
         plan = PressPlan(faces, (0.01,))
         recording = simulate(
             ball, plan, mesh=mesh, fine_mesh=fine, samples=4, snr_db=40.0, seed=1
         )  # fmt: skip
-        return start.foretell(recording), recording
+        return start.predict(recording), recording
 
     (one, recording), (five, _) = pressed("z+"), pressed("z+", "x+", "y+", "x-", "y-")
     z, truth = mesh.centroids[:, 2], recording.truth

@@ -13,15 +13,15 @@ from tactorch.generation import MeshSizes, PressDraw, Recipe, generate
 from tactorch.inverse import (
     Bounds,
     InverseProblem,
+    NuisancePrior,
     PriorOptions,
     Settings,
-    Unknowns,
     invert,
 )
 from tactorch.inverse.starts import fits_better_than_uniform, homogeneous
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.learning.recognizer.network import Recognizer
-from tactorch.learning.surrogate import Foretold, SurrogateStart
+from tactorch.learning.surrogate import Prediction, SurrogateStart
 from tactorch.learning.surrogate import cache as touch_cache
 from tactorch.learning.surrogate.cache import load_touches
 from tactorch.learning.surrogate.data import SurrogateData, Turned
@@ -159,7 +159,7 @@ def test_weights_travel(run: Path, tmp_path: Path, recording: Recording) -> None
     assert (tmp_path / "small.pt").stat().st_size < 0.3 * (run / BEST).stat().st_size
     whole, small = SurrogateStart(run / BEST), SurrogateStart(tmp_path / "small.pt")
     assert whole.network.cells == small.network.cells == 4
-    a, b = whole.foretell(recording), small.foretell(recording)
+    a, b = whole.predict(recording), small.predict(recording)
     np.testing.assert_allclose(np.log(b.youngs), np.log(a.youngs), atol=0.02)
     assert (a.deviation > 0).all()
     assert a.youngs.shape == recording.truth.shape
@@ -185,8 +185,8 @@ class Says(SurrogateStart):
         super().__init__("none.ckpt")
         self.youngs = youngs
 
-    def foretell(self, recording: Recording, **others: object) -> Foretold:
-        return Foretold(self.youngs, np.ones_like(self.youngs))
+    def predict(self, recording: Recording, **others: object) -> Prediction:
+        return Prediction(self.youngs, np.ones_like(self.youngs))
 
 
 @pytest.mark.parametrize(
@@ -231,10 +231,10 @@ def test_only_a_map_that_explains_the_presses_is_trusted(
 def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -> None:
     """Both maps are judged at the nuisance values from which inversions start."""
     problem, bounds = InverseProblem(misjudged(recording, size=1.05)), Bounds()
-    problem.unknowns = Unknowns(rest_scale=0.1)
+    problem.nuisance = NuisancePrior(rest_scale=0.1)
     plain = uniform_fit(problem, bounds).youngs_mpa
-    known = problem.evaluate(np.full(problem.n_unknowns, plain)).chi2
-    worse = np.full(problem.n_unknowns, 1.05 * plain)
+    known = problem.evaluate(np.full(problem.n_elements, plain)).chi2
+    worse = np.full(problem.n_elements, 1.05 * plain)
     assert known < problem.evaluate(worse).chi2
     assert not fits_better_than_uniform(worse, problem, bounds, "guessed")
 

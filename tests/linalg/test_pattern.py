@@ -70,7 +70,7 @@ def test_large_sizes_do_not_overflow():
 def test_holding_reduces_rows_and_columns_to_a_positive_diagonal(system, seed):
     pattern, values, dense, _ = system
     fixed = np.random.default_rng(seed).random(pattern.size) < 0.4
-    held = pattern.full(pattern.hold(values, fixed)).toarray()
+    held = pattern.full(pattern.apply_dirichlet(values, fixed)).toarray()
     free = ~fixed
     np.testing.assert_array_equal(held[np.ix_(free, free)], dense[np.ix_(free, free)])
     np.testing.assert_array_equal(held[np.ix_(fixed, free)], 0.0)

@@ -13,9 +13,9 @@ def analyses(monkeypatch) -> list[str]:
     made: list[str] = []
     analyse = pool.analyse
 
-    def counted(pattern, backend, modes, rough):
+    def counted(pattern, backend, modes, single_precision):
         made.append(backend)
-        return analyse(pattern, backend, modes, rough)
+        return analyse(pattern, backend, modes, single_precision)
 
     monkeypatch.setattr(pool, "analyse", counted)
     return made
@@ -47,28 +47,32 @@ def test_a_closed_lease_gives_its_solver_back_once(lattice, analyses):
 def test_rough_solvers_are_lent_apart(backend, lattice):
     system = lattice(0)
     solvers = SolverPool(system.pattern, backend)
-    rough, exact = solvers.lease(rough=True), solvers.lease()
-    assert rough.rough == solvers.has_rough
-    assert not exact.rough
+    single_precision, exact = solvers.lease(single_precision=True), solvers.lease()
+    assert single_precision.single_precision == solvers.has_single_precision
+    assert not exact.single_precision
     rhs = np.random.default_rng(0).standard_normal(system.pattern.size)
     for scale in (1.0, 1e-60):  # below the range of single precision
         expected = np.linalg.solve(system.dense, scale * rhs)
-        for lease, error in ((rough, 1e-4), (exact, 1e-12)):
+        for lease, error in ((single_precision, 1e-4), (exact, 1e-12)):
             assert lease.factor(system.values) is Status.OK
             np.testing.assert_allclose(
                 lease.solve(scale * rhs), expected, rtol=0, atol=error * np.abs(expected).max()
             )
-    heir = rough.hand_over()
-    assert heir.rough == rough.hand_over().rough == solvers.has_rough
+    heir = single_precision.transfer_factorization()
+    assert (
+        heir.single_precision
+        == single_precision.transfer_factorization().single_precision
+        == solvers.has_single_precision
+    )
     heir.close()
-    assert heir.hand_over()._solver is not None
+    assert heir.transfer_factorization()._solver is not None
 
 
 def test_a_closed_lease_lends_nothing_that_is_idle(lattice):
     solvers = SolverPool(lattice(0).pattern)
     closed = solvers.lease()
     closed.close()
-    heir, other = closed.hand_over(), solvers.lease()
+    heir, other = closed.transfer_factorization(), solvers.lease()
     assert heir._solver is not other._solver
     with pytest.raises(RuntimeError, match="factor anew"):
         closed.solve(np.ones(lattice(0).pattern.size))

@@ -24,7 +24,7 @@ from tactorch.sensor.calibration import (
 )
 from tactorch.sensor.calibration.maps import make_map
 from tactorch.sensor.chain import SensorChain
-from tactorch.sensor.contact import Poses, check_pose, facing, press_of, read_poses
+from tactorch.sensor.contact import Poses, build_press, check_pose, facing, read_poses
 from tactorch.sensor.depth import height_of
 from tactorch.sensor.description import (
     GelLayer,
@@ -398,8 +398,8 @@ REFUSED = [
     Bad("contact on no part of the object", "facing",
         lambda d: facing(box_mesh(10.0, 2), above((5.0, 5.0, 40.0)), touching(), 3.0),
         ("over no part of the object", "nearest is 30 mm away", "check T_object_sensor")),
-    Bad("frame without contact", "press_of",
-        lambda d: press_of(
+    Bad("frame without contact", "build_press",
+        lambda d: build_press(
             touching(), above((5.0, 5.0, 9.0)), above((5.0, 5.0, 10.0)), box_mesh(10.0, 2),
             np.zeros(9, dtype=bool),
         ),

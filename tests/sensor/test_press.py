@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.sensor.contact import Touching, facing, press_of
+from tactorch.sensor.contact import ContactOptions, build_press, facing
 from tactorch.sensor.gel import Contact
 
 from .gel_on_cube import FIRST, Pair, pressed, sensor_pose
@@ -30,7 +30,7 @@ def everywhere(contact: Contact) -> np.ndarray:
 
 
 def test_the_press_is_that_which_was_made(pair: Pair, contact: Contact) -> None:
-    press = press_of(contact, NOW, FIRST, pair.cube, everywhere(contact), fixed=pair.bottom)
+    press = build_press(contact, NOW, FIRST, pair.cube, everywhere(contact), fixed=pair.bottom)
     assert contact.total[2] < -0.5  # N, into the sensor
     np.testing.assert_allclose(press.total_force, pair.on_cube.sum(axis=0), atol=1e-6)
     np.testing.assert_allclose(press.forces, pair.on_cube, atol=1e-6)
@@ -47,8 +47,8 @@ def test_frames_do_not_matter(pair: Pair, contact: Contact) -> None:
     turn[:3, 3] = (20.0, -7.0, 3.0)
     Q = turn[:3, :3]
     elsewhere = TetMesh(pair.cube.points @ Q.T + turn[:3, 3], pair.cube.tets)
-    here = press_of(contact, NOW, FIRST, pair.cube, everywhere(contact), fixed=pair.bottom)
-    there = press_of(
+    here = build_press(contact, NOW, FIRST, pair.cube, everywhere(contact), fixed=pair.bottom)
+    there = build_press(
         contact, turn @ NOW, turn @ FIRST, elsewhere, everywhere(contact), fixed=pair.bottom
     )
     np.testing.assert_allclose(there.forces, here.forces @ Q.T, atol=1e-9)
@@ -61,15 +61,15 @@ def test_partial_contact(pair: Pair, contact: Contact) -> None:
     """What is not touched bears no force and is not seen, or moves with the sensor."""
     left = contact.points[:, 1] < 0.1  # the sensor's y is the cube's x
     fields = {"fixed": pair.bottom}
-    unseen = press_of(contact, NOW, FIRST, pair.cube, left, **fields)
+    unseen = build_press(contact, NOW, FIRST, pair.cube, left, **fields)
     right = pair.cube.points[:, 0] > 5.6
     assert not unseen.observed[right].any()
     assert (unseen.forces[pair.cube.points[:, 0] > 6.1] == 0).all()
     np.testing.assert_allclose(
         unseen.total_force[2], -contact.forces[left, 2].sum() * -1, atol=1e-9
     )
-    cube = press_of(
-        contact, NOW, FIRST, pair.cube, left, touching=Touching(untouched="sensor"), **fields
+    cube = build_press(
+        contact, NOW, FIRST, pair.cube, left, touching=ContactOptions(untouched="sensor"), **fields
     )
     top = (pair.cube.points[:, 2] > 9.999) & (pair.cube.points[:, 0] > 5.6)
     moved = cube.displacement[top & cube.observed.all(axis=1)]
@@ -80,14 +80,14 @@ def test_partial_contact(pair: Pair, contact: Contact) -> None:
 def test_what_cannot_be_a_press(pair: Pair, contact: Contact) -> None:
     all_ = everywhere(contact)
     with pytest.raises(ConfigError, match="touches nothing in this frame"):
-        press_of(contact, NOW, FIRST, pair.cube, ~all_)
+        build_press(contact, NOW, FIRST, pair.cube, ~all_)
     with pytest.raises(ConfigError, match=r"the nearest is 30 mm away; check T_object_sensor"):
         facing(pair.cube, sensor_pose(40.0), contact, 3.0)
     with pytest.raises(ConfigError, match="over no part of the object"):
         facing(pair.cube, FIRST @ np.diag([1.0, -1.0, -1.0, 1.0]), contact, 3.0)  # looks up
     with pytest.raises(ConfigError, match="first pose mirrors"):
-        press_of(contact, NOW, np.diag([1.0, 1.0, -1.0, 1.0]), pair.cube, all_)
+        build_press(contact, NOW, np.diag([1.0, 1.0, -1.0, 1.0]), pair.cube, all_)
     with pytest.raises(ConfigError, match="untouched='gone'"):
-        Touching(untouched="gone")
+        ContactOptions(untouched="gone")
     with pytest.raises(ConfigError, match="reach_mm=0"):
-        Touching(reach_mm=0.0)
+        ContactOptions(reach_mm=0.0)

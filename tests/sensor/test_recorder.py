@@ -21,7 +21,7 @@ from tactorch.sensor.description import GelLayer, SensorDescription
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.gel import Contact, GelModel
 from tactorch.sensor.recorder import (
-    Hold,
+    Fixture,
     RecordOptions,
     VirtualCube,
     contacts_as_they_end,
@@ -176,7 +176,7 @@ def test_steps_are_even_in_depth(pairs: dict[float, Pair], poses: Poses) -> None
     assert [p.name for p in one.recording.presses] == ["contact 1, 004.png", "contact 2, 009.png"]
     many = record(frames(), Chain(pairs), poses, cube, SPEC, RecordOptions(steps=9))
     assert len(many.recording.presses) == 4  # what is released again is no new step
-    long = RecordOptions(steps=1, least_frames=3)
+    long = RecordOptions(steps=1, min_frames=3)
     assert len(record(frames(), Chain(pairs), poses, cube, SPEC, long).recording.presses) == 1
 
 
@@ -292,9 +292,9 @@ def test_a_virtual_cube_moves_with_the_sensor_where_untouched(
 def test_what_holds_the_object() -> None:
     cube = box_mesh(10.0, 2)
     down = np.array([0.0, 0.0, -1.0])
-    fixed = Hold().on(cube, down)["fixed"]
+    fixed = Fixture().on(cube, down)["fixed"]
     np.testing.assert_array_equal(fixed.all(axis=1), cube.points[:, 2] == 0)
-    springs = Hold("x-", "springs", 2.5).on(cube, down)["springs"]
+    springs = Fixture("x-", "springs", 2.5).on(cube, down)["springs"]
     assert set(np.unique(springs)) == {0.0, 2.5}
     np.testing.assert_array_equal(springs.any(axis=1), cube.points[:, 0] == 0)
     with pytest.raises(ConfigError, match="no flat side opposite to a press along"):
@@ -304,11 +304,11 @@ def test_what_holds_the_object() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Hold("under"), "hold side='under': choose opposite or one of x-"),
-        (lambda: Hold(kind="glued"), "hold kind='glued': choose one of fixed, springs"),
-        (lambda: Hold(spring_n_per_mm=0), "spring_n_per_mm"),
+        (lambda: Fixture("under"), "hold side='under': choose opposite or one of x-"),
+        (lambda: Fixture(kind="glued"), "hold kind='glued': choose one of fixed, springs"),
+        (lambda: Fixture(spring_n_per_mm=0), "spring_n_per_mm"),
         (lambda: RecordOptions(steps=0), "steps=0 must be at least 1"),
-        (lambda: RecordOptions(least_frames=0), "least_frames=0 must be at least 1"),
+        (lambda: RecordOptions(min_frames=0), "min_frames=0 must be at least 1"),
         (lambda: RecordOptions(first_touch="feel"), "first_touch='feel': choose one of shape"),
         (lambda: RecordOptions(noise_mm=-1.0), "noise_mm"),
         (lambda: VirtualCube(10.0, edge_mm=6.0), "edge_mm=6 is more than half the region of 10"),

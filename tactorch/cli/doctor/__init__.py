@@ -73,7 +73,8 @@ def _tell(findings: Sequence[Finding], well: bool) -> None:
     part = ""
     rows = []
     for one in findings:
-        rows.append((one.part if one.part != part else "", one.name, _MARKS[one.works], one.told))
+        shown = one.part if one.part != part else ""
+        rows.append((shown, one.name, _MARKS[one.works], one.message))
         part = one.part
     show(Table(("", "", "works", ""), rows, 4, {"yes": "green", "NO": "bold red"}))
     ill = [one for one in findings if one.works is False]

@@ -23,7 +23,7 @@ class Finding:
     part: str
     name: str
     works: bool | None
-    told: str
+    message: str
     feature: str = ""
     remedy: str = ""
     core: bool = False
@@ -39,10 +39,10 @@ def looked_at(
 ) -> Finding:
     """Look at a thing; whatever is raised becomes what is wrong with it."""
     try:
-        told = look()
+        message = look()
     except Exception as error:  # a broken package may raise anything
         return Finding(part, name, False, reason_of(error), feature, remedy, core)
-    return Finding(part, name, True, told, feature, "", core)
+    return Finding(part, name, True, message, feature, "", core)
 
 
 def reason_of(error: BaseException) -> str:

@@ -43,12 +43,12 @@ def _memory() -> str:
     if not hasattr(os, "sysconf"):
         return "unknown"
     page = os.sysconf("SC_PAGE_SIZE")
-    told = f"{page * os.sysconf('SC_PHYS_PAGES') / _GIB:.1f} GiB"
+    message = f"{page * os.sysconf('SC_PHYS_PAGES') / _GIB:.1f} GiB"
     limit = _of_container("memory.max")
     if limit:
-        told += f", {float(limit[0]) / _GIB:.1f} GiB of them for the container"
+        message += f", {float(limit[0]) / _GIB:.1f} GiB of them for the container"
     available = _available()
-    return told + (f", {available:.1f} GiB free" if available is not None else "")
+    return message + (f", {available:.1f} GiB free" if available is not None else "")
 
 
 def _available() -> float | None:

@@ -78,10 +78,10 @@ def _shared_data() -> Finding:
     feature = "what is computed from published data (make external)"
     if (place / "data").is_dir():
         return Finding(FILES, "shared data", True, str(place), feature)
-    told = f"none: '{place / 'data'}' is not a folder"
+    message = f"none: '{place / 'data'}' is not a folder"
     remedy = "set TACTORCH_SHARED to the folder that holds data/"
     # Only a folder that was asked for is missed.
-    return Finding(FILES, "shared data", False if chosen else None, told, feature, remedy)
+    return Finding(FILES, "shared data", False if chosen else None, message, feature, remedy)
 
 
 def _mesh() -> str:
@@ -122,5 +122,5 @@ def _browser() -> Finding:
     lacking = [] if place else ["no Chromium or Chrome in PATH"]
     if find_spec("playwright") is None:
         lacking.append("playwright is not installed (pip install playwright)")
-    told = "; ".join(lacking) if lacking else f"{place}, driven by playwright"
-    return Finding(TOOLS, "headless browser", None if lacking else True, told, feature)
+    message = "; ".join(lacking) if lacking else f"{place}, driven by playwright"
+    return Finding(TOOLS, "headless browser", None if lacking else True, message, feature)

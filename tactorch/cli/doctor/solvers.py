@@ -24,9 +24,9 @@ def look_at_solvers() -> Iterator[Finding]:
         found.append(looked_at(PART, name, partial(_solve, name), f"solver={name}", remedy))
     yield from found
     works = [one.name for one in found if one.works]
-    told = f"solver=auto takes {works[0]}" if works else "none of them works"
+    message = f"solver=auto takes {works[0]}" if works else "none of them works"
     remedy = "" if works else install(packages["scipy"])
-    yield Finding(PART, "any of them", bool(works), told, "every simulation", remedy, core=True)
+    yield Finding(PART, "any of them", bool(works), message, "every simulation", remedy, core=True)
     yield looked_at(
         PART, "a pressed block", _press, "every simulation", "see what is wrong above", core=True
     )

@@ -10,7 +10,7 @@ import numpy as np
 from omegaconf import DictConfig
 
 from tactorch.cli.progress import progress
-from tactorch.cli.sensor.given import look_of, reference_of, sensor_of
+from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
 from tactorch.cli.sensor.presses import Pressed, presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
 from tactorch.cli.settings import folder, log

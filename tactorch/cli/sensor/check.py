@@ -6,7 +6,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from tactorch.cli.sensor.calibrate import digest
-from tactorch.cli.sensor.given import calibrated, reference_of
+from tactorch.cli.sensor.inputs import calibrated, reference_of
 from tactorch.cli.sensor.presses import presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
 from tactorch.cli.settings import folder, log

@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
-from tactorch.cli.sensor.given import calibrated, reference_of
+from tactorch.cli.sensor.inputs import calibrated, reference_of
 from tactorch.cli.sensor.sequence import (
     FrameSequence,
     caption_of,
@@ -61,7 +61,7 @@ def run(cfg: DictConfig) -> Path:
     place = folder()
     film.clear(place, _STEM, (_TABLE, _ARRAYS))
     film.check_pictures(cfg)
-    options = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.least_mm, cfg.steep)
+    options = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.min_depth_mm, cfg.steep)
     sensor, calibration = calibrated(cfg)
     reference = reference_of(cfg, sensor)
     frames = FrameSequence(cfg, sensor, reference)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from omegaconf import DictConfig
 
-from tactorch.cli.sensor.given import source_of
+from tactorch.cli.sensor.inputs import source_of
 from tactorch.cli.settings import log
 from tactorch.errors import FileError
 from tactorch.files import atomic_path

@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
-from tactorch.cli.sensor.given import calibrated, reference_of
+from tactorch.cli.sensor.inputs import calibrated, reference_of
 from tactorch.cli.sensor.sequence import (
     FrameSequence,
     caption_of,
@@ -56,7 +56,7 @@ def run(cfg: DictConfig) -> Path:
     place = folder()
     film.clear(place, _STEM, (_TABLE, f"{_MAPS}/*.npz"))
     film.check_pictures(cfg)
-    positive("least_mm", cfg.least_mm)
+    positive("min_depth_mm", cfg.min_depth_mm)
     sensor, calibration = calibrated(cfg)
     reference = reference_of(cfg, sensor)
     frames = FrameSequence(cfg, sensor, reference)
@@ -85,7 +85,7 @@ def _measured(
     slopes = calibration.slopes(frame.image, reference)
     height = height_of(slopes, calibration.mm_per_px, cfg.steep)
     deepest = -float(height.height_mm.min())
-    contact = height.contact & (deepest >= cfg.least_mm)
+    contact = height.contact & (deepest >= cfg.min_depth_mm)
     write_arrays(
         path,
         height_mm=height.height_mm.astype(np.float32),

@@ -8,21 +8,21 @@ from typing import Any, cast
 import numpy as np
 from omegaconf import DictConfig
 
-from tactorch.cli.progress import Tell, progress
+from tactorch.cli.progress import ProgressCallback, progress
 from tactorch.cli.sensor import film
-from tactorch.cli.sensor.given import calibrated, reference_of
 from tactorch.cli.sensor.growing import grow
+from tactorch.cli.sensor.inputs import calibrated, reference_of
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.sensor.tables import write_table
-from tactorch.cli.settings import folder, log, made, material_of, plain
+from tactorch.cli.settings import build, folder, log, material_of, plain
 from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.mesh import TetMesh, box_mesh, read_mesh
 from tactorch.sensor.chain import ChainOptions, SensorChain
-from tactorch.sensor.contact import Poses, Touching, read_poses
+from tactorch.sensor.contact import ContactOptions, Poses, read_poses
 from tactorch.sensor.gel import GelModel
 from tactorch.sensor.recorder import (
-    Hold,
+    Fixture,
     Recorded,
     RecordOptions,
     VirtualCube,
@@ -49,7 +49,7 @@ def run(cfg: DictConfig) -> Path:
     reference = reference_of(cfg, sensor)
     frames = FrameSequence(cfg, sensor, reference, once=cfg.as_they_end)
     model = GelModel(sensor.gel, cfg.edge_mm, cfg.layers, cfg.element)
-    limits = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.least_mm, cfg.steep)
+    limits = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.min_depth_mm, cfg.steep)
     chain = SensorChain(sensor, calibration, reference, model, limits)
     facts = {"settings": plain(cfg), "calibration": calibration.facts}
     poses = poses_of(cfg, frames)
@@ -102,7 +102,7 @@ class _Stages:
 
     def __init__(self, frames: FrameSequence) -> None:
         self._frames, self._stack = frames, ExitStack()
-        self._stage, self._tell = "", cast(Tell | None, None)
+        self._stage, self._tell = "", cast(ProgressCallback | None, None)
 
     def __enter__(self) -> "_Stages":
         return self
@@ -130,9 +130,9 @@ def object_of(cfg: DictConfig) -> TetMesh | VirtualCube:
     if name == "mesh":
         return read_mesh(str(settings["path"]), settings["unit"])
     if name == "virtual_cube":
-        return made("object", VirtualCube, settings)
+        return build("object", VirtualCube, settings)
     if name == "box":
-        return made("object", _box, settings)
+        return build("object", _box, settings)
     raise ConfigError(f"object '{name}' is unknown; choose box, mesh or virtual_cube.")
 
 
@@ -151,9 +151,9 @@ def options_of(cfg: DictConfig) -> RecordOptions:
     """
     virtual = cfg.object.name == "virtual_cube"
     untouched = ("sensor" if virtual else "unseen") if cfg.untouched == "auto" else cfg.untouched
-    hold = Hold(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
-    touching = Touching(cfg.reach_mm, untouched)
-    return RecordOptions(cfg.steps, cfg.least_frames, cfg.first_touch, None, hold, touching)
+    hold = Fixture(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
+    touching = ContactOptions(cfg.reach_mm, untouched)
+    return RecordOptions(cfg.steps, cfg.min_frames, cfg.first_touch, None, hold, touching)
 
 
 def _write(place: Path, found: Recorded) -> None:

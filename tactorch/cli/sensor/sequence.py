@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from omegaconf import DictConfig
 
-from tactorch.cli.sensor.given import source_of
+from tactorch.cli.sensor.inputs import source_of
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, read_frames
@@ -24,13 +24,13 @@ class FrameSequence:
     """Frames of a folder, a video, an image or a camera; those of a camera are kept.
 
     Args:
-        cfg: Settings with `frames` and `most_frames`.
+        cfg: Settings with `frames` and `max_frames`.
         sensor: What they were taken with.
         reference: The gel without contact.
         once: Whether they are gone over once; then a camera may go on without end.
 
     Raises:
-        ConfigError: A camera, which never ends, without `most_frames`.
+        ConfigError: A camera, which never ends, without `max_frames`.
         FileError: There is nothing to read.
     """
 
@@ -43,12 +43,12 @@ class FrameSequence:
         once: bool = False,
     ) -> None:
         self._once = once
-        self.source, self.most = source_of(cfg.frames), cfg.most_frames
+        self.source, self.most = source_of(cfg.frames), cfg.max_frames
         self.sensor, self.reference = sensor, reference
         if self.most is not None and self.most < 1:
-            raise ConfigError(f"most_frames={self.most} must be at least 1, or null.")
+            raise ConfigError(f"max_frames={self.most} must be at least 1, or null.")
         if isinstance(self.source, int) and self.most is None and not once:
-            raise ConfigError(f"frames={self.source} is a camera; give most_frames too.")
+            raise ConfigError(f"frames={self.source} is a camera; give max_frames too.")
         self._kept: list[Frame] | None = None
         self.zero_unix_s: float | None = None  # of a camera, once a frame came
         self._first = self._read()  # what is not there is told at once

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
-from tactorch.cli.sensor.given import look_of, reference_of, sensor_of
+from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
 from tactorch.cli.sensor.sequence import (
     FrameSequence,
     caption_of,

@@ -3,7 +3,12 @@
 from dataclasses import fields
 
 from tactorch.errors import ConfigError
-from tactorch.fem.materials.base import Dilatation, Distortion, IsotropicMaterial, Material
+from tactorch.fem.materials.base import (
+    Dilatation,
+    InvariantDerivatives,
+    IsotropicMaterial,
+    Material,
+)
 from tactorch.fem.materials.isochoric import IsochoricNeoHookean
 from tactorch.fem.materials.linear import LinearElastic
 from tactorch.fem.materials.mooney_rivlin import MooneyRivlin
@@ -46,7 +51,7 @@ def make_material(name: str, poisson: float, **parameters: float) -> Material:
 __all__ = [
     "MATERIALS",
     "Dilatation",
-    "Distortion",
+    "InvariantDerivatives",
     "IsochoricNeoHookean",
     "IsotropicMaterial",
     "LinearElastic",

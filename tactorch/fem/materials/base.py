@@ -34,7 +34,7 @@ def bulk(poisson: Scalars) -> Scalars:
     return 1.0 / (3.0 * (1.0 - 2.0 * poisson))
 
 
-class Distortion(NamedTuple):
+class InvariantDerivatives(NamedTuple):
     """psi(I1, I2, J) per unit modulus, with its first and second derivatives."""
 
     psi: Scalars
@@ -105,7 +105,7 @@ class IsotropicMaterial(Material):
     @abstractmethod
     def distortion(
         self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
-    ) -> Distortion:
+    ) -> InvariantDerivatives:
         """Energy and derivatives of the part that is not `dilatation`."""
 
     def dilatation(self, j: Scalars, log_j: Scalars, poisson: Scalars) -> Dilatation:
@@ -126,14 +126,14 @@ class IsotropicMaterial(Material):
         """Return I1, I2 and J."""
         return _invariants(F)
 
-    def _derivatives(self, F: Tensor, poisson: Scalars) -> Distortion:
+    def _derivatives(self, F: Tensor, poisson: Scalars) -> InvariantDerivatives:
         """All derivatives at F, the two parts together."""
         i1, i2, j = _invariants(F)
         log_j = torch.log(j)
         shape = self.distortion(i1, i2, j, log_j, poisson)
         volume = self.dilatation(j, log_j, poisson)
         total = shape._replace(dj=shape.dj + volume.dj, djj=shape.djj + volume.djj)
-        return Distortion(*(_spread(d, j) for d in total))
+        return InvariantDerivatives(*(_spread(d, j) for d in total))
 
     def stress(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from tactorch.fem.materials.base import (
     Dilatation,
-    Distortion,
+    InvariantDerivatives,
     IsotropicMaterial,
     Scalars,
     bulk,
@@ -27,11 +27,11 @@ class IsochoricNeoHookean(IsotropicMaterial):
 
     def distortion(
         self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
-    ) -> Distortion:
+    ) -> InvariantDerivatives:
         """mu/2 (J^(-2/3) I1 - 3)."""
         _, mu = lame(poisson)
         scale = 0.5 * mu * j ** (-2.0 / 3.0)
-        return Distortion(
+        return InvariantDerivatives(
             psi=scale * i1 - 1.5 * mu,
             d1=scale,
             dj=-2.0 / 3.0 * scale * i1 / j,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from tactorch.errors import ConfigError
 from tactorch.fem.materials.base import (
     Dilatation,
-    Distortion,
+    InvariantDerivatives,
     IsotropicMaterial,
     Scalars,
     bulk,
@@ -37,12 +37,12 @@ class MooneyRivlin(IsotropicMaterial):
 
     def distortion(
         self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
-    ) -> Distortion:
+    ) -> InvariantDerivatives:
         """c1 (J^(-2/3) I1 - 3) + c2 (J^(-4/3) I2 - 3)."""
         half_mu = 0.5 * lame(poisson)[1]
         a = (1.0 - self.second_fraction) * half_mu * j ** (-2.0 / 3.0)
         b = self.second_fraction * half_mu * j ** (-4.0 / 3.0)
-        return Distortion(
+        return InvariantDerivatives(
             psi=a * i1 + b * i2 - 3.0 * half_mu,
             d1=a,
             d2=b,

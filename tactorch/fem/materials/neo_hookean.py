@@ -2,7 +2,13 @@
 
 from dataclasses import dataclass
 
-from tactorch.fem.materials.base import Dilatation, Distortion, IsotropicMaterial, Scalars, lame
+from tactorch.fem.materials.base import (
+    Dilatation,
+    InvariantDerivatives,
+    IsotropicMaterial,
+    Scalars,
+    lame,
+)
 
 
 @dataclass(frozen=True)
@@ -17,10 +23,10 @@ class NeoHookean(IsotropicMaterial):
 
     def distortion(
         self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
-    ) -> Distortion:
+    ) -> InvariantDerivatives:
         """mu/2 (I1 - 3) - mu ln J."""
         _, mu = lame(poisson)
-        return Distortion(
+        return InvariantDerivatives(
             psi=0.5 * mu * (i1 - 3.0) - mu * log_j, d1=0.5 * mu, dj=-mu / j, djj=mu / (j * j)
         )
 

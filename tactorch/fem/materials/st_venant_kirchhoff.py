@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from tactorch.fem.materials.base import Distortion, IsotropicMaterial, Scalars, lame
+from tactorch.fem.materials.base import InvariantDerivatives, IsotropicMaterial, Scalars, lame
 
 
 @dataclass(frozen=True)
@@ -15,11 +15,11 @@ class StVenantKirchhoff(IsotropicMaterial):
 
     def distortion(
         self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
-    ) -> Distortion:
+    ) -> InvariantDerivatives:
         """lambda/8 (I1 - 3)^2 + mu/4 (I1^2 - 2 I2 - 2 I1 + 3)."""
         lam, mu = lame(poisson)
         trace = i1 - 3.0
-        return Distortion(
+        return InvariantDerivatives(
             psi=0.125 * lam * trace * trace + 0.25 * mu * (i1 * i1 - 2.0 * (i1 + i2) + 3.0),
             d1=0.25 * lam * trace + 0.5 * mu * (i1 - 1.0),
             d2=-0.5 * mu,

@@ -1,7 +1,7 @@
 """What beside the moduli decides the data, and may be known badly: nuisance parameters."""
 
-from tactorch.inverse.nuisance.placed import Placed, Placing
-from tactorch.inverse.nuisance.unknowns import Unknowns
+from tactorch.inverse.nuisance.press_model import PressModel, PressModelFactory
+from tactorch.inverse.nuisance.prior import NuisancePrior
 from tactorch.inverse.nuisance.values import Nuisance
 
-__all__ = ["Nuisance", "Placed", "Placing", "Unknowns"]
+__all__ = ["Nuisance", "NuisancePrior", "PressModel", "PressModelFactory"]

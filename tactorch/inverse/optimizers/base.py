@@ -26,7 +26,7 @@ class Optimizer(Protocol):
 
         Raises:
             ConvergenceError: the start itself has no equilibrium.
-            OutOfTime: raised by the monitor.
+            StopOptimization: raised by the monitor.
         """
         ...
 

@@ -12,7 +12,7 @@ Linear = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class CGResult:
     """A step, and what the matrix makes of it.
 
     Attributes:
@@ -34,7 +34,7 @@ def truncated(
     gradient: Float[np.ndarray, " size"],
     rtol: float,
     max_iterations: int,
-) -> Solved:
+) -> CGResult:
     """Solve H step = -gradient to `rtol` in the preconditioner's norm (Steihaug, 1983).
 
     Each iterate lowers the quadratic model further, so that wherever it is cut short the step is
@@ -50,13 +50,13 @@ def truncated(
     past: list[tuple[np.ndarray, np.ndarray, float]] = []
     for iteration in range(max_iterations):
         if size <= rtol**2 * first or size <= 0.0:
-            return Solved(step, image, iteration, False)
+            return CGResult(step, image, iteration, False)
         along = product(direction)
         curvature = dot(direction, along)
         if curvature <= 0.0:
             if iteration == 0:
                 step, image = direction, along
-            return Solved(step, image, iteration + 1, True)
+            return CGResult(step, image, iteration + 1, True)
         length = size / curvature
         step = step + length * direction
         image = image + length * along
@@ -67,4 +67,4 @@ def truncated(
         z = precondition(residual)
         size, before = dot(residual, z), size
         direction = z + (size / before) * direction
-    return Solved(step, image, max_iterations, False)
+    return CGResult(step, image, max_iterations, False)

@@ -19,7 +19,7 @@ from tactorch.inverse.optimizers.base import (
     require_weight,
 )
 from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_step
-from tactorch.inverse.optimizers.weight import POOR, Cooling
+from tactorch.inverse.optimizers.weight import POOR, RegularizationSchedule
 from tactorch.inverse.optimizers.weight_rules import WEIGHT_RULES
 
 # While the weight of the prior falls, the path follows a valley that is narrow where the noise is
@@ -76,7 +76,7 @@ class GaussNewton:
     ) -> str:
         """See `Optimizer.minimize`."""
         point = objective.at(start)
-        cooling = Cooling.start(point, self.weight, monitor.state, self.weight_rule)
+        cooling = RegularizationSchedule.start(point, self.weight, monitor.state, self.weight_rule)
         damping = monitor.state.get("damping", self.damping)
         if not monitor.history:
             self._report(monitor, point, cooling, cooling.weight, damping, 0.0)
@@ -100,7 +100,12 @@ class GaussNewton:
 
     @staticmethod
     def _report(
-        monitor: Monitor, point: Point, cooling: Cooling, weight: float, damping: float, step: float
+        monitor: Monitor,
+        point: Point,
+        cooling: RegularizationSchedule,
+        weight: float,
+        damping: float,
+        step: float,
     ) -> None:
         """Report a step made at `weight`; what the next one needs goes into the state."""
         monitor.state = {**cooling.state(), "damping": damping}
@@ -109,7 +114,7 @@ class GaussNewton:
         )
 
     def _advance(
-        self, point: Point, cooling: Cooling, damping: float, monitor: Monitor
+        self, point: Point, cooling: RegularizationSchedule, damping: float, monitor: Monitor
     ) -> tuple[Point, float, float] | None:
         """Make a step; see `_step`. A leap of the weight that leads nowhere is taken back."""
         if cooling.leapt:

@@ -9,7 +9,7 @@ from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.optimizers.base import require_positive, require_weight
 from tactorch.inverse.optimizers.scipy_bounded import BoundedRun
-from tactorch.inverse.optimizers.weight import Cooling
+from tactorch.inverse.optimizers.weight import RegularizationSchedule
 
 
 @dataclass
@@ -46,7 +46,7 @@ class LBFGS:
     ) -> str:
         """See `Optimizer.minimize`."""
         point = objective.at(start)
-        cooling = Cooling.start(point, self.weight, monitor.state)
+        cooling = RegularizationSchedule.start(point, self.weight, monitor.state)
         while not cooling.ended:
             monitor.state = cooling.state()
             left = self.max_iterations - monitor.iteration

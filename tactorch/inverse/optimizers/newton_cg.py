@@ -24,7 +24,7 @@ from tactorch.inverse.optimizers.conjugate_gradients import truncated
 from tactorch.inverse.optimizers.hessian import SecondOrder
 from tactorch.inverse.optimizers.preconditioner import PriorSolver
 from tactorch.inverse.optimizers.probing import data_trace, start_cooling
-from tactorch.inverse.optimizers.weight import Cooling
+from tactorch.inverse.optimizers.weight import RegularizationSchedule
 
 _POOR, _LEEWAY = 0.1, 2.0  # as in `gauss_newton`
 _LEAST, _LEAST_RAISED = 1e-12, 1e-4
@@ -89,7 +89,7 @@ class NewtonCG:
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
     ) -> str:
         """See `Optimizer.minimize`."""
-        if self.hessian == "true" and objective.unknowns.size:
+        if self.hessian == "true" and objective.nuisance.size:
             raise ConfigError(
                 "optimizer.hessian=true does not know nuisance parameters; use gauss_newton."
             )
@@ -133,7 +133,9 @@ class _Run:
     products: int = 0
     prior: PriorSolver = field(default_factory=PriorSolver)
 
-    def report(self, point: Point, cooling: Cooling, weight: float, step: float) -> None:
+    def report(
+        self, point: Point, cooling: RegularizationSchedule, weight: float, step: float
+    ) -> None:
         """Report a step made at `weight`; what the next one needs goes into the state."""
         self.monitor.state = {
             **cooling.state(),

@@ -29,7 +29,7 @@ class PriorSolver:
         np.add.at(values, self._slots, prior.data[self._upper])
         values[self._pattern.diagonal] += shift
         self._fixed = fixed
-        return self._solver.factor(self._pattern.hold(values, fixed)) is Status.OK
+        return self._solver.factor(self._pattern.apply_dirichlet(values, fixed)) is Status.OK
 
     def _analyse(self, prior: sp.csr_matrix) -> None:
         self._of = prior.indptr.copy(), prior.indices.copy()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tactorch.inverse.objective import Point
-from tactorch.inverse.optimizers.weight import Cooling
+from tactorch.inverse.optimizers.weight import RegularizationSchedule
 
 _PROBES, _SEED = 8, 20240607
 _RULE = 30.0  # as in `weight.ruling_weight`
@@ -23,10 +23,10 @@ def data_trace(point: Point, probes: int = _PROBES) -> float:
 
 def start_cooling(
     point: Point, weight: float | None, state: dict[str, float], trace: float
-) -> Cooling:
-    """`Cooling.start`, where the first weight comes from an estimated trace of J^T J."""
+) -> RegularizationSchedule:
+    """`RegularizationSchedule.start` with the first weight from an estimated trace of J^T J."""
     if weight is not None or "weight" in state or point.objective.prior.name == "none":
-        return Cooling.start(point, weight, state)
+        return RegularizationSchedule.start(point, weight, state)
     prior = float(point.penalty_curvature.diagonal().sum())
     first = _RULE * trace / prior if prior > 0 else 0.0  # a single element has no jumps
-    return Cooling(first, first, fixed=first == 0.0)
+    return RegularizationSchedule(first, first, fixed=first == 0.0)

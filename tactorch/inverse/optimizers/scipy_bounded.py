@@ -34,7 +34,7 @@ class BoundedRun:
         """Minimise from `point`; returns SciPy's result.
 
         Raises:
-            OutOfTime: raised by the monitor.
+            StopOptimization: raised by the monitor.
         """
         objective, start = self.point.objective, self.point.x
         self._latest = self.point

@@ -42,7 +42,7 @@ _RULE = 30.0
 
 
 @dataclass
-class Cooling:
+class RegularizationSchedule:
     """A weight that falls, or stays where it was given.
 
     Attributes:
@@ -76,15 +76,15 @@ class Cooling:
     @staticmethod
     def start(
         point: Point, weight: float | None, state: dict[str, float], rule: str = "discrepancy"
-    ) -> "Cooling":
+    ) -> "RegularizationSchedule":
         """Take the given weight, a resumed one, or one at which the prior rules at `point`."""
         if point.objective.prior.name == "none":
-            return Cooling(0.0, 0.0, True)
+            return RegularizationSchedule(0.0, 0.0, True)
         if weight is not None:
-            return Cooling(weight, weight, True)
+            return RegularizationSchedule(weight, weight, True)
         if "weight" in state:
             ended = _REASONS[int(state["ended"])]
-            return Cooling(
+            return RegularizationSchedule(
                 state["weight"],
                 state["first_weight"],
                 False,
@@ -99,7 +99,7 @@ class Cooling:
                 bool(state.get("weight_leapt", 0.0)),
             )
         first = ruling_weight(point)
-        return Cooling(first, first, fixed=first == 0.0, rule=rule)
+        return RegularizationSchedule(first, first, fixed=first == 0.0, rule=rule)
 
     def state(self) -> dict[str, float]:
         """Numbers from which to resume; none where the weight was given."""
@@ -217,7 +217,7 @@ class Cooling:
             self.weight *= _FAST if chi2 > _NEAR else _SLOW
 
 
-def carried(state: dict[str, float], growth: float) -> dict[str, float]:
+def warm_start_state(state: dict[str, float], growth: float) -> dict[str, float]:
     """Return the state of a weight from which to go on with more data; none where it is of no use.
 
     A weight that had fitted the data is kept, for the map to be fitted anew at it, and is lowered
@@ -226,7 +226,7 @@ def carried(state: dict[str, float], growth: float) -> dict[str, float]:
     a uniform map.
 
     Args:
-        state: What `Cooling.state` has told, perhaps among other numbers.
+        state: What `RegularizationSchedule.state` has told, perhaps among other numbers.
         growth: How many times as many data there are as when the weight was first taken.
     """
     if not state or state.get("ended") == float(_REASONS.index(_UNFITTED)):

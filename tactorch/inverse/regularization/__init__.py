@@ -4,13 +4,13 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.regularization.about import About
 from tactorch.inverse.regularization.base import NoPrior, Regularizer
 from tactorch.inverse.regularization.binary_well import BinaryWell
 from tactorch.inverse.regularization.composite import Composite
 from tactorch.inverse.regularization.log_jumps import LogJumps
 from tactorch.inverse.regularization.matern import Matern
 from tactorch.inverse.regularization.options import PriorOptions
+from tactorch.inverse.regularization.shifted import ShiftedPrior
 from tactorch.inverse.regularization.smoothness import Smoothness
 from tactorch.inverse.regularization.sparsity import Sparsity
 from tactorch.inverse.regularization.tikhonov import Tikhonov
@@ -54,7 +54,7 @@ def make_regularizer(
     inner = name(mesh) if callable(name) else _about_nothing(name, mesh, edge, options)
     if options.mean_mpa is None or name == "none":
         return inner
-    about = About(inner, options.mean_mpa, options.mean_deviation, mesh.n_tets)
+    about = ShiftedPrior(inner, options.mean_mpa, options.mean_deviation, mesh.n_tets)
     share = options.mean_share
     return about if share == 1 else Composite([(1 - share, inner), (share, about)])
 
@@ -92,7 +92,6 @@ def _about_nothing(
 
 __all__ = [
     "REGULARIZERS",
-    "About",
     "BinaryWell",
     "Composite",
     "LogJumps",
@@ -101,6 +100,7 @@ __all__ = [
     "Prior",
     "PriorOptions",
     "Regularizer",
+    "ShiftedPrior",
     "Smoothness",
     "Sparsity",
     "Tikhonov",

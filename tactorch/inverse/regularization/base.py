@@ -79,7 +79,7 @@ def relative_areas(mesh: TetMesh) -> Float[np.ndarray, " faces"]:
     return areas / areas.mean() if len(areas) else areas
 
 
-class OfJumps(ABC):
+class JumpPenalty(ABC):
     """A penalty on the size of jumps, lowered by reweighted least squares.
 
     The curvature at a field is the Hessian of the quadratic that touches the penalty there from

@@ -3,11 +3,11 @@
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.inverse.regularization.base import OfJumps
+from tactorch.inverse.regularization.base import JumpPenalty
 from tactorch.mesh import TetMesh
 
 
-class LogJumps(OfJumps):
+class LogJumps(JumpPenalty):
     """Sum over interior faces of area * edge * log(1 + (jump / edge)^2), in mean areas.
 
     Not convex: total variation shrinks a jump by the same force whatever its size, this one by less

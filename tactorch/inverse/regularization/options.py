@@ -24,7 +24,7 @@ class PriorOptions:
         deviation: Standard deviation of the log-modulus of Matern.
         parts: Shares of the priors that a composite is made of, by name.
         mean_mpa: A map (m,) that the prior, whichever, is about; None for none. Levels are then of
-            the distance from it: see `About`.
+            the distance from it: see `ShiftedPrior`.
         mean_deviation: Standard deviation (m,) of log-moduli about that map; None for 1.
         mean_share: Share of the prior that is about that map, above 0 to 1; the rest is about
             nothing. With total variation, halves leave it open, free of cost, how much of the

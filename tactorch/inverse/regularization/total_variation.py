@@ -3,11 +3,11 @@
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.inverse.regularization.base import OfJumps
+from tactorch.inverse.regularization.base import JumpPenalty
 from tactorch.mesh import TetMesh
 
 
-class TotalVariation(OfJumps):
+class TotalVariation(JumpPenalty):
     """Sum over interior faces of area * sqrt(jump^2 + edge^2), in units of the mean area.
 
     Reweighted least squares is lagged diffusivity here (Vogel and Oman, 1996).

@@ -74,7 +74,7 @@ def touch(
     chosen = recording.select(strongest(recording, frames))
     problem = InverseProblem(chosen, noise=noise)
     fit = uniform_fit(problem, bounds)
-    evaluation = problem.evaluate(np.full(problem.n_unknowns, fit.youngs_mpa))
+    evaluation = problem.evaluate(np.full(problem.n_elements, fit.youngs_mpa))
     deviations = problem.noise.deviations(chosen)
     grid = VoxelGrid(chosen.mesh, count)
     presses = [

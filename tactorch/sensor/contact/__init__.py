@@ -2,17 +2,17 @@
 
 from tactorch.sensor.contact.carry import carry_displacements, carry_forces
 from tactorch.sensor.contact.pose import Poses, check_pose, moved, read_poses, turned
-from tactorch.sensor.contact.press import Touching, facing, press_of
+from tactorch.sensor.contact.press import ContactOptions, build_press, facing
 
 __all__ = [
+    "ContactOptions",
     "Poses",
-    "Touching",
+    "build_press",
     "carry_displacements",
     "carry_forces",
     "check_pose",
     "facing",
     "moved",
-    "press_of",
     "read_poses",
     "turned",
 ]

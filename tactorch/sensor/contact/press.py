@@ -23,7 +23,7 @@ _HALF = 0.5
 
 
 @dataclass(frozen=True)
-class Touching:
+class ContactOptions:
     """Which parts of an object may be touched, and what is said of those that are not.
 
     Attributes:
@@ -46,14 +46,14 @@ class Touching:
             raise ConfigError(f"untouched={self.untouched!r}: choose unseen or sensor.")
 
 
-def press_of(
+def build_press(
     contact: Contact,
     pose: Float[np.ndarray, "4 4"],
     first: Float[np.ndarray, "4 4"],
     mesh: TetMesh,
     touched: Bool[np.ndarray, " k"],
     *,
-    touching: Touching | None = None,
+    touching: ContactOptions | None = None,
     **fields: Any,
 ) -> Press:
     """Return the press that a sensor makes on an object.
@@ -72,7 +72,7 @@ def press_of(
         ConfigError: A pose is none, or the gel touches nothing of the object.
         RecordingError: A field of the press cannot be used.
     """
-    options = touching or Touching()
+    options = touching or ContactOptions()
     check_pose(pose, "pose")
     check_pose(first, "first pose")
     _require_touch(touched)

@@ -47,7 +47,7 @@ class GelFace:
         )
 
     @cached_property
-    def spread(self) -> sp.csc_matrix:
+    def load_matrix(self) -> sp.csc_matrix:
         """Forces on all element nodes from those on the face's nodes, (nodes, k).
 
         The same whichever nodes are loaded: on quadratic elements each force is that of a traction
@@ -55,7 +55,7 @@ class GelFace:
         """
         everywhere = np.zeros(self.meshed.mesh.points.shape)
         everywhere[self.meshed.face] = 1.0
-        matrix = self.body.discretisation.spreading(everywhere)
+        matrix = self.body.discretisation.consistent_load_matrix(everywhere)
         return matrix.tocsc()[:, self.meshed.face]
 
     def edges(self, may: Bool[np.ndarray, " k"]) -> Int[np.ndarray, "e 2"]:
@@ -67,7 +67,7 @@ class GelFace:
 
     def unit_loads(self, may: Bool[np.ndarray, " k"]) -> Float[np.ndarray, "size f"]:
         """Loads on all unknowns under a unit force on each chosen node and axis."""
-        shares = self.spread[:, may].toarray()
+        shares = self.load_matrix[:, may].toarray()
         out = np.zeros((len(shares), 3, shares.shape[1], 3))
         for axis in range(3):
             out[:, axis, :, axis] = shares

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError
 from tactorch.fem import (
-    Equilibrated,
+    EquilibriumResult,
     Linearization,
     Newton,
     NewtonOptions,
@@ -43,7 +43,7 @@ class _State:
 
     moved: Float[np.ndarray, "nodes 3"]
     search: Newton
-    found: Equilibrated
+    found: EquilibriumResult
 
     @cached_property
     def tangent(self) -> Linearization:
@@ -173,7 +173,7 @@ class GelModel:
         return self._under(np.zeros((len(self.points), 3)))
 
     def _loads(self, forces: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "nodes 3"]:
-        return np.asarray(self.face.spread @ forces)
+        return np.asarray(self.face.load_matrix @ forces)
 
     def _under(
         self,

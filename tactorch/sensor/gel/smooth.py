@@ -101,8 +101,8 @@ def smoothed(
     precision[np.diag_indices(len(amplitudes))] += weight
     total = np.hstack([_sums(prior.rough), _sums(prior.uniform), np.zeros((3, plane.shape[1]))])
     variance = spectrum.variance(weight)
-    spread = np.linalg.lstsq(precision, total.T, rcond=None)[0]
-    return Smoothed(forces, variance * total @ spread, float(np.sqrt(variance)))
+    load_matrix = np.linalg.lstsq(precision, total.T, rcond=None)[0]
+    return Smoothed(forces, variance * total @ load_matrix, float(np.sqrt(variance)))
 
 
 def _sums(forces: Float[np.ndarray, "f c"]) -> Float[np.ndarray, "3 c"]:

@@ -11,10 +11,10 @@ from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.contact import Poses
 from tactorch.sensor.frames import Frame
-from tactorch.sensor.recorder.maker import Maker, noise_of, region_of
+from tactorch.sensor.recorder.maker import PressBuilder, noise_of, region_of
 from tactorch.sensor.recorder.options import RecordOptions
 from tactorch.sensor.recorder.region import VirtualCube
-from tactorch.sensor.recorder.session import Episode, Watch
+from tactorch.sensor.recorder.session import ContactDetector, ContactInterval
 from tactorch.versions import versions
 
 _log = logging.getLogger(__name__)
@@ -54,7 +54,7 @@ def contacts_as_they_end(
         FileError: A camera gives no image any more.
     """
     options = options or RecordOptions()
-    watch, count = Watch(chain, options.least_frames, keep=False), 0
+    watch, count = ContactDetector(chain, options.min_frames, keep=False), 0
     facts = {"sensor": chain.sensor.name, "versions": versions(), **(provenance or {})}
     mesh = target if isinstance(target, TetMesh) else None
     for touch in _ended(frames, watch):
@@ -65,7 +65,9 @@ def contacts_as_they_end(
                 assert isinstance(target, VirtualCube)
                 mesh = region_of(target, touch, poses, chain.model.points[:, :2])
             noise_mm = noise_of(watch.noise_mm, chain, options)
-            maker = Maker(chain, poses, mesh, options, isinstance(target, VirtualCube), noise_mm)
+            maker = PressBuilder(
+                chain, poses, mesh, options, isinstance(target, VirtualCube), noise_mm
+            )
             made = [press for _, press in maker.presses(touch, count)]
         except (ConfigError, FileError) as error:
             _log.warning("Contact %d is passed over: %s", count, error)
@@ -75,7 +77,7 @@ def contacts_as_they_end(
             yield Recording(mesh, presses, material, provenance=facts, check_units=False)
 
 
-def _ended(frames: Iterable[Frame], watch: Watch) -> Iterator[Episode]:
+def _ended(frames: Iterable[Frame], watch: ContactDetector) -> Iterator[ContactInterval]:
     for frame in frames:
         if frame.fault:
             _log.warning("%s: %s", frame.name, frame.fault)
@@ -87,7 +89,7 @@ def _ended(frames: Iterable[Frame], watch: Watch) -> Iterator[Episode]:
         yield last
 
 
-def _poses(touch: Episode, read: Callable[[], Poses], patience_seconds: float) -> Poses:
+def _poses(touch: ContactInterval, read: Callable[[], Poses], patience_seconds: float) -> Poses:
     """The poses of a contact's frames, which may be late, or half written.
 
     Raises:

@@ -17,7 +17,7 @@ _FLAT = 2e-3  # of the object's diagonal, by which nodes of a side may lie off i
 
 
 @dataclass(frozen=True)
-class Hold:
+class Fixture:
     """What holds the object.
 
     Attributes:

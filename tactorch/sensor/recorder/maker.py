@@ -11,17 +11,17 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.mesh import TetMesh
 from tactorch.recording import Press
 from tactorch.sensor.chain import SensorChain
-from tactorch.sensor.contact import Poses, Touching, press_of
+from tactorch.sensor.contact import ContactOptions, Poses, build_press
 from tactorch.sensor.recorder.first_touch import by_depth, by_shape
 from tactorch.sensor.recorder.options import RecordOptions
 from tactorch.sensor.recorder.region import VirtualCube
-from tactorch.sensor.recorder.session import Episode
+from tactorch.sensor.recorder.session import ContactInterval
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class Maker:
+class PressBuilder:
     """Makes presses of the frames of contacts.
 
     Attributes:
@@ -40,7 +40,7 @@ class Maker:
     virtual: bool
     noise_mm: float
 
-    def first(self, touch: Episode) -> Float[np.ndarray, "4 4"]:
+    def first(self, touch: ContactInterval) -> Float[np.ndarray, "4 4"]:
         """Pose of first touch."""
         if self.virtual or self.options.first_touch == "depth":
             return _first_by_depth(touch, self.poses)
@@ -48,7 +48,7 @@ class Maker:
         return by_shape(self.poses, touch.free_s, touch.times_s[0], self.mesh, gel)
 
     def presses(
-        self, touch: Episode, number: int
+        self, touch: ContactInterval, number: int
     ) -> Iterator[tuple[int, Press | ConfigError | ConvergenceError]]:
         """Yield the index of each frame that stands for a contact, and its press, or why none.
 
@@ -69,7 +69,12 @@ class Maker:
                 yield index, press
 
     def press(
-        self, touch: Episode, index: int, first: Float[np.ndarray, "4 4"], step: int, name: str
+        self,
+        touch: ContactInterval,
+        index: int,
+        first: Float[np.ndarray, "4 4"],
+        step: int,
+        name: str,
     ) -> Press:
         """Make the press of one frame of a contact.
 
@@ -81,20 +86,20 @@ class Maker:
         contact = self.chain.contact(look)
         assert contact is not None
         pose = self.poses.at([touch.times_s[index]])[0]
-        usual = Touching(untouched="sensor" if self.virtual else "unseen")
-        return press_of(
+        usual = ContactOptions(untouched="sensor" if self.virtual else "unseen")
+        return build_press(
             contact, pose, first, self.mesh, look.touched,
             touching=self.options.touching or usual, noise_mm=self.noise_mm, step=step, name=name,
             **self.options.hold.on(self.mesh, pose[:3, 2]),
         )  # fmt: skip
 
 
-def _first_by_depth(touch: Episode, poses: Poses) -> Float[np.ndarray, "4 4"]:
+def _first_by_depth(touch: ContactInterval, poses: Poses) -> Float[np.ndarray, "4 4"]:
     return by_depth(poses, touch.free_s, np.array(touch.times_s), np.array(touch.depths_mm))
 
 
 def region_of(
-    target: VirtualCube, touch: Episode, poses: Poses, places_mm: Float[np.ndarray, "k 2"]
+    target: VirtualCube, touch: ContactInterval, poses: Poses, places_mm: Float[np.ndarray, "k 2"]
 ) -> TetMesh:
     """Mesh the region under a contact, about the middle of what is touched where it is deepest."""
     look = touch.looks[int(np.argmax(touch.depths_mm))]

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 from tactorch.errors import ConfigError
 from tactorch.mesh.values import Real, positive
-from tactorch.sensor.contact import Touching
-from tactorch.sensor.recorder.hold import Hold
+from tactorch.sensor.contact import ContactOptions
+from tactorch.sensor.recorder.hold import Fixture
 
 FIRST_TOUCH = ("shape", "depth")
 
@@ -16,7 +16,7 @@ class RecordOptions:
 
     Attributes:
         steps: Frames kept of each contact, evenly spaced in depth up to its deepest.
-        least_frames: A contact of fewer frames is passed over: it was a flicker.
+        min_frames: A contact of fewer frames is passed over: it was a flicker.
         first_touch: What tells where the sensor was when it first touched: the object's "shape"
             (where the gel's face and the object's meet by their poses), or the "depth" in the
             first frames, as for objects whose shape is not known.
@@ -28,14 +28,14 @@ class RecordOptions:
     """
 
     steps: int = 3
-    least_frames: int = 1
+    min_frames: int = 1
     first_touch: str = "shape"
     noise_mm: Real | None = None
-    hold: Hold = field(default_factory=Hold)
-    touching: Touching | None = None
+    hold: Fixture = field(default_factory=Fixture)
+    touching: ContactOptions | None = None
 
     def __post_init__(self) -> None:
-        for name in ("steps", "least_frames"):
+        for name in ("steps", "min_frames"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name}={getattr(self, name)} must be at least 1.")
         if self.first_touch not in FIRST_TOUCH:

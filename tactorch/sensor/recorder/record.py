@@ -10,13 +10,13 @@ from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.contact import Poses
 from tactorch.sensor.frames import Frame
-from tactorch.sensor.recorder.maker import Maker, noise_of, region_of
+from tactorch.sensor.recorder.maker import PressBuilder, noise_of, region_of
 from tactorch.sensor.recorder.options import RecordOptions
 from tactorch.sensor.recorder.region import VirtualCube
-from tactorch.sensor.recorder.session import Episode, Session, watch
+from tactorch.sensor.recorder.session import ContactInterval, Session, watch
 from tactorch.versions import versions
 
-Tell = Callable[[str, int, int | None], None]
+ProgressCallback = Callable[[str, int, int | None], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ def record(
     options: RecordOptions | None = None,
     *,
     provenance: dict[str, Any] | None = None,
-    progress: Tell = lambda stage, done, total: None,
+    progress: ProgressCallback = lambda stage, done, total: None,
 ) -> Recorded:
     """Turn a session of frames and poses into a recording (Sections III-B and VI-B).
 
@@ -70,7 +70,7 @@ def record(
     """
     options = options or RecordOptions()
     session = watch(
-        frames, chain, least_frames=options.least_frames,
+        frames, chain, min_frames=options.min_frames,
         progress=lambda done: progress("frames", done, None),
     )  # fmt: skip
     _require_contact(session, chain)
@@ -83,7 +83,9 @@ def record(
         else region_of(target, session.contacts[0], poses, chain.model.points[:, :2])
     )
     virtual = not isinstance(target, TetMesh)
-    maker = Maker(chain, poses, mesh, options, virtual, noise_of(session.noise_mm, chain, options))
+    maker = PressBuilder(
+        chain, poses, mesh, options, virtual, noise_of(session.noise_mm, chain, options)
+    )
     total = sum(len(touch.chosen(options.steps)) for touch in session.contacts)
     presses: list[Press] = []
     rows, passed_over = [], {}
@@ -113,14 +115,14 @@ def _require_contact(session: Session, chain: SensorChain) -> None:
     raise ConfigError(
         f"none of {len(session.glances)} frames{faulty} shows contact: the gel is pressed by"
         f" {session.deepest_mm:.3g} mm at most, contact counts from"
-        f" {float(chain.options.least_mm):g} mm (least_mm); its slopes reach"
+        f" {float(chain.options.min_depth_mm):g} mm (min_depth_mm); its slopes reach"
         f" {session.steepest:.3g}, it counts as deformed from"
         f" {float(chain.options.steep):g} (steep)."
         " Is the reference without contact, and is the calibration of this sensor?"
     )
 
 
-def _row(contact: int, touch: Episode, index: int, press: Press) -> dict[str, Any]:
+def _row(contact: int, touch: ContactInterval, index: int, press: Press) -> dict[str, Any]:
     return {
         "contact": contact,
         "frame": touch.looks[index].frame.name,

@@ -14,7 +14,7 @@ from tactorch.sensor.markers import displacement_mm
 
 
 @dataclass(eq=False)
-class Episode:
+class ContactInterval:
     """Frames in turn that show contact.
 
     Attributes:
@@ -44,7 +44,7 @@ class Episode:
         return sorted({int(i) for i in nearest})
 
 
-class Glance(NamedTuple):
+class FrameSummary(NamedTuple):
     """What is kept of a frame.
 
     Attributes:
@@ -75,8 +75,8 @@ class Session:
             no frame is without.
     """
 
-    glances: list[Glance] = field(default_factory=list)
-    contacts: list[Episode] = field(default_factory=list)
+    glances: list[FrameSummary] = field(default_factory=list)
+    contacts: list[ContactInterval] = field(default_factory=list)
     noise_mm: float | None = None
 
     @property
@@ -99,7 +99,7 @@ def watch(
     frames: Iterable[Frame],
     chain: SensorChain,
     *,
-    least_frames: int = 1,
+    min_frames: int = 1,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Session:
     """Follow the markers through a session and find its contacts.
@@ -109,13 +109,13 @@ def watch(
     Args:
         frames: In their order.
         chain: The calibrated sensor.
-        least_frames: Contacts of fewer are passed over.
+        min_frames: Contacts of fewer are passed over.
         progress: Called with the number of frames so far.
 
     Raises:
         ConfigError: A frame has no time, or another size than the reference.
     """
-    seen = Watch(chain, least_frames)
+    seen = ContactDetector(chain, min_frames)
     for frame in frames:
         seen.see(frame)
         progress(len(seen.glances))
@@ -123,26 +123,26 @@ def watch(
 
 
 @dataclass(eq=False)
-class Watch:
+class ContactDetector:
     """Follows the markers frame by frame.
 
     Attributes:
         chain: The calibrated sensor.
-        least_frames: Contacts of fewer are passed over.
+        min_frames: Contacts of fewer are passed over.
         keep: Whether frames and contacts are kept for `session`; one without end keeps neither.
         glances: What is kept of each frame so far.
     """
 
     chain: SensorChain
-    least_frames: int = 1
+    min_frames: int = 1
     keep: bool = True
-    glances: list[Glance] = field(default_factory=list)
-    _episodes: list[Episode] = field(default_factory=list)
+    glances: list[FrameSummary] = field(default_factory=list)
+    _episodes: list[ContactInterval] = field(default_factory=list)
     _squares: tuple[float, int] = (0.0, 0)  # sum of markers' movements squared, mm^2, and count
-    _now: Episode | None = None
+    _now: ContactInterval | None = None
     _free_s: float | None = None
 
-    def see(self, frame: Frame) -> Episode | None:
+    def see(self, frame: Frame) -> ContactInterval | None:
         """Take the next frame; returns the contact of enough frames that has ended with it.
 
         Raises:
@@ -158,26 +158,26 @@ class Watch:
                 ended, self._free_s = self.end(), time_s
             else:
                 if self._now is None:
-                    self._now = Episode(self._free_s)
+                    self._now = ContactInterval(self._free_s)
                     if self.keep:
                         self._episodes.append(self._now)
                 number = len(self._episodes) - 1
                 self._now.add(look, time_s, depth_mm)
         if self.keep:
             self.glances.append(
-                Glance(frame.name, frame.time_s, depth_mm, steepest, number, frame.fault)
+                FrameSummary(frame.name, frame.time_s, depth_mm, steepest, number, frame.fault)
             )
         return ended
 
-    def end(self) -> Episode | None:
+    def end(self) -> ContactInterval | None:
         """End the contact that there is; returns it if it has frames enough."""
         now, self._now = self._now, None
-        return None if now is None or len(now.looks) < self.least_frames else now
+        return None if now is None or len(now.looks) < self.min_frames else now
 
     def session(self) -> Session:
         """Return what the frames so far show."""
         found = Session(list(self.glances))
-        _keep(found, self._episodes, self.least_frames)
+        _keep(found, self._episodes, self.min_frames)
         found.noise_mm = self.noise_mm
         return found
 
@@ -193,9 +193,9 @@ class Watch:
         self._squares = total + float(known.sum()), count + len(known)
 
 
-def _keep(found: Session, episodes: list[Episode], least_frames: int) -> None:
+def _keep(found: Session, episodes: list[ContactInterval], min_frames: int) -> None:
     """Keep contacts of enough frames, and number them anew."""
-    kept = [i for i, one in enumerate(episodes) if len(one.looks) >= least_frames]
+    kept = [i for i, one in enumerate(episodes) if len(one.looks) >= min_frames]
     found.contacts = [episodes[i] for i in kept]
     new: dict[int | None, int] = {old: number for number, old in enumerate(kept)}
     found.glances = [one._replace(contact=new.get(one.contact)) for one in found.glances]

@@ -87,13 +87,13 @@ def _about(
 
 
 def _shrunk(
-    strength: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], most_px: int
+    strength: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], max_px: int
 ) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, "2"]]:
     """An image of so many pixels at most, what is known of it, and its size over the old one's."""
     import cv2
 
     rows, columns = strength.shape
-    part = min(1.0, most_px / max(rows, columns))
+    part = min(1.0, max_px / max(rows, columns))
     size = (max(8, round(columns * part)), max(8, round(rows * part)))
     small = cv2.resize(strength, size, interpolation=cv2.INTER_AREA)
     seen = cv2.resize(known.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0

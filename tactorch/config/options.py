@@ -1,0 +1,211 @@
+"""Typed settings: a frozen dataclass whose fields know their range, unit and help.
+
+A setting is declared once, where it is used:
+
+    @dataclass(frozen=True)
+    class TotalVariation(Options):
+        section = "regularization"
+        edge: float = option(0.03, "Jump of log-modulus below which the penalty is quadratic", gt=0)
+
+Making one checks every value. The command line, its help and completion, the documentation and
+error messages read the same fields (`settings_of`).
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import cache
+from typing import Any, ClassVar, get_type_hints
+
+from tactorch.config.values import INVALID, accepts_none, choices_of, convert, describe
+from tactorch.errors import ConfigError
+
+_KEY = "option"
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """Range, unit and help of a setting.
+
+    Attributes:
+        help: Description, a phrase without a full stop.
+        unit: Physical unit, or empty.
+        gt: Exclusive lower limit, or None.
+        ge: Inclusive lower limit, or None.
+        lt: Exclusive upper limit, or None.
+        le: Inclusive upper limit, or None.
+        section: Registry that the value is chosen from by name, or empty.
+    """
+
+    help: str = ""
+    unit: str = ""
+    gt: float | None = None
+    ge: float | None = None
+    lt: float | None = None
+    le: float | None = None
+    section: str = ""
+
+    def holds(self, value: Any) -> bool:
+        """Whether all numbers in a value are within the range."""
+        return all(
+            (self.gt is None or number > self.gt)
+            and (self.ge is None or number >= self.ge)
+            and (self.lt is None or number < self.lt)
+            and (self.le is None or number <= self.le)
+            for number in _numbers(value)
+        )
+
+    def describe(self) -> str:
+        """Return the range in words, such as "above 0, up to 1"; empty where there is none."""
+        low = f"above {self.gt:g}" if self.gt is not None else ""
+        low = f"at least {self.ge:g}" if self.ge is not None else low
+        high = f"below {self.lt:g}" if self.lt is not None else ""
+        high = f"up to {self.le:g}" if self.le is not None else high
+        if self.le is not None and low.startswith("at least"):
+            return f"{self.ge:g} to {self.le:g}"
+        return ", ".join(part for part in (low, high) if part)
+
+
+def option(
+    default: Any = MISSING,
+    help: str = "",
+    *,
+    factory: Callable[[], Any] | None = None,
+    unit: str = "",
+    gt: float | None = None,
+    ge: float | None = None,
+    lt: float | None = None,
+    le: float | None = None,
+    section: str = "",
+) -> Any:
+    """Declare a setting as a field of an `Options` dataclass.
+
+    Args:
+        default: Default value; without one (and without `factory`) the setting is required.
+        help: Description, a phrase without a full stop.
+        factory: Function that makes the default, for mutable and nested values.
+        unit: Physical unit, such as "mm".
+        gt: Exclusive lower limit of all numbers in the value.
+        ge: Inclusive lower limit.
+        lt: Exclusive upper limit.
+        le: Inclusive upper limit.
+        section: Registry that the value is chosen from by name.
+
+    Returns:
+        A dataclass field.
+    """
+    metadata = {_KEY: Constraint(help, unit, gt, ge, lt, le, section)}
+    if factory is not None:
+        return field(default_factory=factory, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A setting as messages, help, completion and documentation show it.
+
+    Attributes:
+        name: Name of the field.
+        annotation: Type.
+        default: Default value; `dataclasses.MISSING` where the setting is required.
+        constraint: Range, unit and help.
+    """
+
+    name: str
+    annotation: Any
+    default: Any
+    constraint: Constraint
+
+    @property
+    def required(self) -> bool:
+        """Whether there is no default."""
+        return self.default is MISSING
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """Values the type lists, for completion."""
+        return choices_of(self.annotation)
+
+    @property
+    def expectation(self) -> str:
+        """What to give, in words: "a number above 0, or null"."""
+        kind, limits = describe(self.annotation), self.constraint.describe()
+        between = " " if limits.startswith(("above", "below")) else ", "
+        or_null = ", or null" if accepts_none(self.annotation) else ""
+        return f"{kind}{between if limits else ''}{limits}{or_null}"
+
+    def check(self, value: Any, prefix: str = "") -> Any:
+        """Return the value converted to the setting's type.
+
+        Args:
+            value: Value to check.
+            prefix: Section that the setting belongs to, for the message.
+
+        Raises:
+            ConfigError: the value is of another type or out of range.
+        """
+        converted = convert(value, self.annotation)
+        if converted is INVALID or not self.constraint.holds(converted):
+            name = f"{prefix}.{self.name}" if prefix else self.name
+            raise ConfigError(f"{name}={_shown(value)}: give {self.expectation}.")
+        return converted
+
+
+class Options:
+    """Base of typed settings: a frozen dataclass that checks its fields when it is made.
+
+    Attributes:
+        section: Group that the settings belong to; messages name them `section.field`.
+    """
+
+    section: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        """Check and convert every field.
+
+        Raises:
+            ConfigError: a value is of another type than its field, or out of range.
+        """
+        for setting in settings_of(type(self)):
+            value = getattr(self, setting.name)
+            object.__setattr__(self, setting.name, setting.check(value, self.section))
+
+
+def settings_of(options: type) -> tuple[Setting, ...]:
+    """Return the settings of an `Options` class, in their order.
+
+    Fields that are not declared by `option` are not settings.
+    """
+    return _settings(options)
+
+
+@cache
+def _settings(options: Any) -> tuple[Setting, ...]:
+    hints = get_type_hints(options)
+    return tuple(
+        Setting(f.name, hints[f.name], _default(f), f.metadata[_KEY])
+        for f in fields(options)
+        if _KEY in f.metadata
+    )
+
+
+def _default(declared: "Field[Any]") -> Any:
+    if declared.default_factory is not MISSING:
+        return declared.default_factory()
+    return declared.default
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, bool | str):
+        return
+    if isinstance(value, int | float):
+        yield value
+    elif isinstance(value, tuple | list):
+        for item in value:
+            yield from _numbers(item)
+    elif isinstance(value, dict):
+        yield from _numbers(list(value.values()))
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

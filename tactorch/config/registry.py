@@ -1,0 +1,187 @@
+"""Named components of a kind, built in or from installed packages, and settings that choose one."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from tactorch.config.options import Options, settings_of
+from tactorch.errors import ConfigError
+
+#: All registries by section, in the order in which they were made.
+REGISTRIES: dict[str, "Registry"] = {}
+
+
+class Registry:
+    """Components of one kind by name; they are imported when they are first used.
+
+    An installed package adds its own by an entry point of the group `tactorch.SECTION`:
+
+        [project.entry-points."tactorch.regularization"]
+        my_prior = "my_package.my_module:MyPrior"
+
+    Args:
+        section: Name of the kind, and of the settings' group, such as "regularization".
+        builtin: Import path "module:attribute" of each built-in component.
+        about: What the components are, for messages and documentation.
+    """
+
+    def __init__(self, section: str, builtin: Mapping[str, str], about: str = "") -> None:
+        self.section, self.about = section, about
+        self._paths = dict(builtin)
+        self._added: dict[str, Any] = {}
+        REGISTRIES[section] = self
+
+    @property
+    def group(self) -> str:
+        """Group of the entry points that add components."""
+        return f"tactorch.{self.section}"
+
+    def names(self) -> tuple[str, ...]:
+        """Return all names: built-in ones in their order, then those of other packages."""
+        others = sorted({*self._plugins(), *self._added} - set(self._paths))
+        return (*self._paths, *others)
+
+    def register(self, name: str, component: Any) -> Any:
+        """Add a component for this process, and return it.
+
+        Raises:
+            ConfigError: there is a component of this name.
+        """
+        if name in self.names():
+            raise ConfigError(f"{self.section} '{name}' exists; give the component another name.")
+        self._added[name] = component
+        return component
+
+    def __getitem__(self, name: str) -> Any:
+        """Import and return a component.
+
+        Raises:
+            ConfigError: the name is unknown, or the package that provides it cannot be imported.
+        """
+        if name in self._paths:
+            module, _, attribute = self._paths[name].partition(":")
+            return getattr(import_module(module), attribute)
+        if name in self._added:
+            return self._added[name]
+        plugins = self._plugins()
+        if name not in plugins:
+            raise ConfigError(unknown_choice(self.section, name, self.names()))
+        try:
+            return plugins[name].load()
+        except Exception as error:  # whatever code of another package raises
+            raise ConfigError(
+                f"{self.section} '{name}' of the entry point {plugins[name].value} cannot be "
+                f"loaded ({type(error).__name__}: {error}); repair or uninstall that package."
+            ) from error
+
+    def name_of(self, component: type) -> str:
+        """Return the name of a component class, or its import path where it has no name."""
+        path = f"{component.__module__}:{component.__qualname__}"
+        paths = self._paths | {name: entry.value for name, entry in self._plugins().items()}
+        added = (name for name, value in self._added.items() if value is component)
+        return next((name for name, known in paths.items() if known == path), next(added, path))
+
+    def build(self, given: Any) -> Any:
+        """Make the settings of a component.
+
+        Args:
+            given: A name, a table with the key "name" and other settings, or an object made
+                already, which is returned as it is.
+
+        Raises:
+            ConfigError: the name or a setting is unknown, or a value cannot be used.
+        """
+        if isinstance(given, str):
+            given = {"name": given}
+        if not isinstance(given, Mapping):
+            return given
+        values = dict(given)
+        name = values.pop("name", None)
+        if not isinstance(name, str):
+            names = ", ".join(self.names())
+            raise ConfigError(f"{self.section}.name={name!r}: choose one of {names}.")
+        return build(self[name], values, self.section, f"{self.section}={name}")
+
+    def _plugins(self) -> dict[str, Any]:
+        return {entry.name: entry for entry in entry_points(group=self.group)}
+
+
+def build(
+    options: type[Options], values: Mapping[str, Any], section: str = "", chosen: str = ""
+) -> Any:
+    """Make settings from a table of values, such as a part of a Hydra config.
+
+    Args:
+        options: The settings' class.
+        values: Value by name; settings that are left out have their defaults. Settings with a
+            section of their own may be names or tables.
+        section: Where the settings stand, for messages.
+        chosen: How the class was chosen, for messages.
+
+    Raises:
+        ConfigError: a setting is unknown or missing, or a value cannot be used.
+    """
+    settings = {setting.name: setting for setting in settings_of(options)}
+    prefix = f"{section}." if section else ""
+    for name in values:
+        if name not in settings:
+            raise ConfigError(unknown_setting(f"{prefix}{name}", settings, chosen or section))
+    for setting in settings.values():
+        if setting.required and setting.name not in values:
+            name = f"{prefix}{setting.name}"
+            raise ConfigError(f"'{name}' is missing; give {name}={setting.expectation}.")
+    return options(**{n: _nested(settings[n].constraint.section, v) for n, v in values.items()})
+
+
+def _nested(section: str, value: Any) -> Any:
+    return REGISTRIES[section].build(value) if section in REGISTRIES else value
+
+
+def to_mapping(options: Any) -> dict[str, Any]:
+    """Return settings as a table of plain values that `build` turns into the same settings."""
+    values = {}
+    for setting in settings_of(type(options)):
+        value = getattr(options, setting.name)
+        section = setting.constraint.section
+        if isinstance(value, Options):
+            registry = REGISTRIES.get(section)
+            name = {} if registry is None else {"name": registry.name_of(type(value))}
+            value = {**name, **to_mapping(value)}
+        values[setting.name] = _plain(value)
+    return values
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+def unknown_choice(section: str, name: str, names: Iterable[str]) -> str:
+    """Return the message for a name that a registry does not have."""
+    names = tuple(names)
+    return (
+        f"{section}={name} is unknown; choose one of {', '.join(names)}.{did_you_mean(name, names)}"
+    )
+
+
+def unknown_setting(name: str, known: Iterable[str], chosen: str = "") -> str:
+    """Return the message for a setting that does not exist, with the one likely meant."""
+    known, leaf = tuple(known), name.rpartition(".")[2]
+    prefix = name.removesuffix(leaf)
+    match = difflib.get_close_matches(leaf, known, n=1)
+    if match:
+        return f"unknown setting '{name}'. Did you mean '{prefix}{match[0]}'?"
+    listed = ", ".join(known) or "none"
+    return f"unknown setting '{name}'. Settings of {chosen or 'this group'}: {listed}."
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return a question to end a message with, or nothing."""
+    lowered = {name.lower(): name for name in known}
+    match = difflib.get_close_matches(word.lower(), lowered, n=1)
+    return f" Did you mean '{lowered[match[0]]}'?" if match else ""

@@ -1,0 +1,157 @@
+"""Types of settings: the test for a value, its conversion, and the words for it in messages."""
+
+import math
+import types
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin
+
+#: Stands for a value that is not of the type.
+INVALID = object()
+_COUNTS = {2: "two", 3: "three", 4: "four"}
+_LETTERS = "XYZW"
+
+
+def convert(value: Any, annotation: Any) -> Any:
+    """Convert a value to the type of a setting.
+
+    Whole numbers are accepted as numbers, lists as tuples, and text as a path; booleans are not
+    numbers, and numbers are finite.
+
+    Args:
+        value: Value from Python, YAML or the command line.
+        annotation: Type of the setting, as `typing.get_type_hints` returns it. Types that are
+            neither plain nor a container of plain ones are checked by `isinstance`.
+
+    Returns:
+        The converted value, or `INVALID`.
+    """
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if annotation is Any:
+        return value
+    if annotation is None or annotation is types.NoneType:
+        return None if value is None else INVALID
+    if origin in (Union, types.UnionType):
+        return _convert_union(value, arguments)
+    if origin is Literal:
+        return next((a for a in arguments if a == value and type(a) is type(value)), INVALID)
+    if annotation in _PLAIN:
+        return _PLAIN[annotation](value)
+    if origin in (tuple, list):
+        return _convert_sequence(value, origin, arguments)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return _convert_mapping(value, arguments)
+    if origin is not None:  # a callable, an array type: nothing that can be looked up
+        return value
+    return value if isinstance(value, annotation) else INVALID
+
+
+def _convert_union(value: Any, members: tuple[Any, ...]) -> Any:
+    exact = [m for m in members if isinstance(m, type) and type(value) is m]
+    for member in (*exact, *members):
+        converted = convert(value, member)
+        if converted is not INVALID:
+            return converted
+    return INVALID
+
+
+def _convert_sequence(value: Any, origin: type, arguments: tuple[Any, ...]) -> Any:
+    if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
+        return INVALID
+    if origin is tuple and arguments[-1] is not Ellipsis:
+        if len(value) != len(arguments):
+            return INVALID
+        items = [convert(v, a) for v, a in zip(value, arguments, strict=True)]
+    else:
+        items = [convert(v, arguments[0]) for v in value]
+    return INVALID if any(item is INVALID for item in items) else origin(items)
+
+
+def _convert_mapping(value: Any, arguments: tuple[Any, ...]) -> Any:
+    if not isinstance(value, Mapping):
+        return INVALID
+    items = {convert(k, arguments[0]): convert(v, arguments[1]) for k, v in value.items()}
+    return INVALID if any(INVALID in item for item in items.items()) else items
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return INVALID
+    return float(value) if math.isfinite(value) else INVALID
+
+
+def _path(value: Any) -> Any:
+    """A file may be called 7."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float | Path) or value == "":
+        return INVALID
+    return value if isinstance(value, Path) else Path(str(value))
+
+
+_PLAIN: dict[Any, Any] = {
+    bool: lambda value: value if isinstance(value, bool) else INVALID,
+    int: lambda v: v if isinstance(v, int) and not isinstance(v, bool) else INVALID,
+    float: _number,
+    str: lambda value: value if isinstance(value, str) else INVALID,
+    Path: _path,
+}
+_NAMES = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Path: "a path",
+    type(None): "null",
+}
+_PLURALS = {int: "whole numbers", float: "numbers", str: "names", Path: "paths"}
+
+
+def describe(annotation: Any) -> str:
+    """Return a type in words, such as "a whole number" or "a list of three numbers: [X,Y,Z]"."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if annotation in _NAMES:
+        return _NAMES[annotation]
+    if origin in (Union, types.UnionType):
+        return _join([describe(a) for a in arguments if a is not types.NoneType])
+    if origin is Literal:
+        return _join([str(a) for a in arguments])
+    if origin is tuple and arguments[-1] is not Ellipsis:
+        count = len(arguments)
+        letters = ",".join(_LETTERS[:count])
+        return f"a list of {_COUNTS.get(count, count)} {_plural(arguments[0])}: [{letters}]"
+    if origin in (tuple, list):
+        example = "[[...],[...]]" if get_origin(arguments[0]) in (tuple, list) else "[A,B]"
+        return f"a list of {_plural(arguments[0])}: {example}"
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return f"a table of {_plural(arguments[1])}: {{NAME: VALUE}}"
+    return getattr(annotation, "__name__", str(annotation))
+
+
+def accepts_none(annotation: Any) -> bool:
+    """Whether null is a value of the type."""
+    return convert(None, annotation) is None
+
+
+def choices_of(annotation: Any) -> tuple[Any, ...]:
+    """Return the values a type lists: those of its literals, true and false; else nothing."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if annotation is bool:
+        return (True, False)
+    if origin is Literal:
+        return arguments
+    if origin in (Union, types.UnionType):
+        return tuple(choice for member in arguments for choice in choices_of(member))
+    return ()
+
+
+def _plural(annotation: Any) -> str:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin in (tuple, list):
+        points = origin is tuple and arguments == (float, float, float)
+        return "points" if points else f"lists of {_plural(arguments[0])}"
+    if origin in (Union, types.UnionType):
+        return _join([_plural(a) for a in arguments if a is not types.NoneType])
+    return _PLURALS.get(annotation, "values")
+
+
+def _join(words: Sequence[str]) -> str:
+    return " or ".join((", ".join(words[:-1]), words[-1])) if len(words) > 1 else words[0]

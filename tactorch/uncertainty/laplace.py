@@ -1,0 +1,113 @@
+"""Gaussian (Laplace) approximation of the posterior at a solution, by dense algebra.
+
+The precision is H = J^T J + P, with J the sensitivity of the residuals (in standard deviations)
+and P the prior's weighted curvature, both in parameters x. Memory is two m x m matrices: fit for
+a few thousand elements; `LowRankPosterior` is for more. Total variation is stood for by its
+quadratic majorant at the map; `variational_posterior` gives it a width of its own.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from jaxtyping import Float, Int
+
+from tactorch.errors import ConfigError
+from tactorch.inverse import Parameterization, Point
+from tactorch.linalg import DenseCholesky
+from tactorch.uncertainty.gaussian import GaussianPosterior
+
+
+@dataclass(frozen=True, eq=False)
+class LaplacePosterior(GaussianPosterior):
+    """A normal distribution of the parameters x.
+
+    Attributes:
+        mean: Parameters at the solution, elements only.
+        jacobian: D residuals / d x; columns beyond the elements are global unknowns.
+        factor: Cholesky factor of the precision, as wide as the Jacobian.
+        parameterization: What x means.
+    """
+
+    mean: Float[np.ndarray, " m"]
+    jacobian: Float[np.ndarray, "data unknowns"]
+    factor: DenseCholesky
+    parameterization: Parameterization
+
+    @staticmethod
+    def at(point: Point, weight: float) -> "LaplacePosterior":
+        """Take the posterior at a point of the objective.
+
+        Global unknowns that are estimated beside the map count with their own prior: what is not
+        known of them widens the elements' deviations.
+
+        Args:
+            point: The solution.
+            weight: Weight of the prior on the map there.
+
+        Raises:
+            ConfigError: the weight is negative, or data and prior leave something undetermined.
+        """
+        check_weight(weight)
+        prior, meaning = point.prior_curvature(weight), point.objective.parameterization
+        return LaplacePosterior.of(point.elements, point.jacobian, 1.0, prior, meaning)
+
+    @staticmethod
+    def of(
+        mean: Float[np.ndarray, " m"],
+        jacobian: Float[np.ndarray, "data unknowns"],
+        weight: float,
+        prior: sp.spmatrix | sp.sparray,
+        parameterization: Parameterization,
+    ) -> "LaplacePosterior":
+        """Take the posterior of a linear model with the prior's precision weight * prior; see `at`.
+
+        Raises:
+            ConfigError: the weight is negative, or data and prior leave something undetermined.
+        """
+        check_weight(weight)
+        precision = jacobian.T @ jacobian
+        coo = prior.tocoo()
+        np.add.at(precision, (coo.row, coo.col), weight * coo.data)
+        factor = DenseCholesky.of(precision)
+        if factor is None:
+            raise ConfigError(
+                f"weight={weight}: data and prior leave some moduli undetermined, so the posterior "
+                "has no finite width; give a prior and a larger weight."
+            )
+        return LaplacePosterior(mean, jacobian, factor, parameterization)
+
+    @cached_property
+    def _covariance(self) -> Float[np.ndarray, "unknowns unknowns"]:
+        return torch.cholesky_inverse(self.factor.lower).numpy()
+
+    def variance(self) -> Float[np.ndarray, " m"]:
+        """See `GaussianPosterior.variance`."""
+        return self._covariance.diagonal()[: len(self.mean)].copy()
+
+    def covariance(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+        """See `GaussianPosterior.covariance`."""
+        return self._covariance[np.ix_(elements, elements)]
+
+    def resolution_diagonal(self) -> Float[np.ndarray, " m"]:
+        """See `GaussianPosterior.resolution_diagonal`."""
+        seen = self._covariance[: len(self.mean)] @ self.jacobian.T
+        return np.einsum("mp,pm->m", seen, self.jacobian[:, : len(self.mean)])
+
+    def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
+        """See `GaussianPosterior.sample`."""
+        noise = torch.from_numpy(rng.standard_normal((self.jacobian.shape[1], n)))
+        drawn = torch.linalg.solve_triangular(self.factor.lower.T, noise, upper=True).numpy()
+        return self.mean + drawn[: len(self.mean)].T
+
+    def log_det(self) -> float:
+        """See `GaussianPosterior.log_det`."""
+        return 2.0 * float(torch.log(torch.diagonal(self.factor.lower)).sum())
+
+
+def check_weight(weight: float) -> None:
+    """Refuse a negative or undefined weight of the prior."""
+    if not weight >= 0:
+        raise ConfigError(f"weight={weight} of the prior must be 0 or more.")

@@ -1,0 +1,102 @@
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactorch.config import Options, Registry, build, option, settings_of, to_mapping
+from tactorch.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Prior(Options):
+    section = "priors"
+    edge: float = option(0.03, "Jump of log-modulus at which the penalty turns", gt=0)
+    weight: float | None = option(None, "Weight; null chooses it by the noise", ge=0)
+    share: float = option(0.5, "Share", gt=0, le=1)
+
+
+@dataclass(frozen=True)
+class Whole(Options):
+    recording: Path = option(help="Recording to invert")
+    count: int = option(3, "Number of presses", ge=1)
+    start_mpa: float | Literal["homogeneous"] = option(0.2, "Start", unit="MPa", gt=0)
+    center: tuple[float, float, float] = option((0.0, 0.0, 0.0), "Center", unit="mm")
+    names: tuple[str, ...] = option((), "Names")
+    shares: dict[str, float] = option(factory=dict, help="Shares")
+    flag: bool | Literal["auto"] = option("auto", "Flag")
+    prior: Any = option(factory=Prior, help="Prior", section="priors")
+
+
+priors = Registry("priors", {"plain": f"{__name__}:Prior"}, "priors of the tests")
+
+
+@pytest.fixture(autouse=True)
+def registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Registry, "__getitem__", lambda self, name: {"plain": Prior}[name])
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"count": 0}, "count=0: give a whole number, at least 1."),
+        ({"count": 1.0}, "count=1.0: give a whole number, at least 1."),
+        ({"count": True}, "count=True: give a whole number"),
+        ({"start_mpa": "uniform"}, "start_mpa='uniform': give a number or homogeneous above 0."),
+        ({"start_mpa": float("nan")}, "start_mpa=nan: give"),
+        ({"center": [1, 2]}, r"center=\[1, 2\]: give a list of three numbers: \[X,Y,Z\]."),
+        ({"names": "z+"}, r"names='z\+': give a list of names: \[A,B\]."),
+        ({"shares": {"a": "b"}}, "give a table of numbers"),
+        ({"flag": "yes"}, "flag='yes': give true or false or auto."),
+        ({"counts": 1}, "unknown setting 'counts'. Did you mean 'count'?"),
+        ({"qqq": 1}, "unknown setting 'qqq'. Settings of this group: recording, count,"),
+        ({"prior": {"name": "plain", "edge": 0}}, "priors.edge=0: give a number above 0."),
+        ({"prior": {"name": "plain", "share": 2}}, "priors.share=2: give a number above 0, up to"),
+        ({"prior": {"name": "plain", "weight": "x"}}, "give a number, at least 0, or null."),
+        ({"prior": {"edge": 1}}, "priors.name=None: choose one of plain."),
+        ({"prior": {"name": "plain", "egde": 1}}, "Did you mean 'priors.edge'"),
+    ],
+)
+def test_wrong_values_are_refused_by_name(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        build(Whole, {"recording": "a.h5", **values})
+
+
+def test_a_missing_setting_is_named() -> None:
+    with pytest.raises(ConfigError, match="'recording' is missing; give recording=a path"):
+        build(Whole, {})
+
+
+def test_values_are_converted_and_come_back() -> None:
+    built = build(Whole, {"recording": 7, "center": [1, 2, 3], "prior": {"name": "plain"}})
+    assert built.recording == Path("7")
+    assert built.center == (1.0, 2.0, 3.0)
+    assert built.prior == Prior()
+    again = to_mapping(built)
+    assert again["prior"]["edge"] == 0.03
+    assert build(Whole, {**again, "prior": {**again["prior"], "name": "plain"}}) == built
+
+
+def test_python_and_tables_share_the_checks() -> None:
+    with pytest.raises(ConfigError, match=r"priors\.edge=-1: give a number above 0\."):
+        Prior(edge=-1)
+
+
+def test_settings_carry_help_unit_and_choices() -> None:
+    settings = {setting.name: setting for setting in settings_of(Whole)}
+    assert settings["recording"].required
+    assert settings["start_mpa"].constraint.unit == "MPa"
+    assert settings["flag"].choices == (True, False, "auto")
+    assert settings["start_mpa"].choices == ("homogeneous",)
+
+
+@given(st.floats(allow_nan=True, allow_infinity=True))
+def test_numbers_out_of_range_never_pass(value: float) -> None:
+    valid = 0 < value < float("inf")
+    if valid:
+        assert Prior(edge=value).edge == value
+    else:
+        with pytest.raises(ConfigError):
+            Prior(edge=value)

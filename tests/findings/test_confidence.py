@@ -1,0 +1,74 @@
+"""How sure a lump is, under posteriors that are known."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tactorch.findings import confidence_of, find_lump, finding_of
+from tactorch.inverse import Bounds
+from tactorch.inverse.parameterization import make_parameterization
+from tactorch.mesh import box_mesh, face_nodes
+from tactorch.recording import MaterialSpec, Press, Recording
+from tactorch.uncertainty import LaplacePosterior
+
+MESH = box_mesh(10.0, 6)
+INSIDE = np.linalg.norm(MESH.centroids - [5, 5, 7], axis=1) < 2.5
+
+
+def youngs(inside=0.5, outside=0.2):
+    return np.where(INSIDE, inside, outside)
+
+
+def posterior(map_mpa, deviation):
+    """Each element's logarithm by itself, all as uncertain as one another."""
+    log = make_parameterization("log", Bounds())
+    mean = log.parameters(map_mpa)
+    nothing = np.zeros((1, MESH.n_tets))
+    prior = sp.identity(MESH.n_tets, format="csr") / deviation**2
+    return LaplacePosterior.of(mean, nothing, 1.0, prior, log)
+
+
+def sure(map_mpa, deviation, draws=400):
+    lump = find_lump(MESH, map_mpa)
+    assert lump is not None
+    return lump, confidence_of(MESH, lump, posterior(map_mpa, deviation), draws=draws)
+
+
+@pytest.mark.parametrize("inside", [0.5, 0.08])
+def test_the_contrast_is_as_uncertain_as_its_mean(inside):
+    lump, stated = sure(youngs(inside), 0.3, draws=2000)
+    weights = MESH.volumes[INSIDE] / MESH.volumes[INSIDE].sum()
+    spread = 0.3 * np.sqrt(weights @ weights)  # the rest, of many elements, is known far better
+    centre = np.log(inside / 0.2)
+    ends = np.log(stated.contrast)
+    assert ends == pytest.approx(centre + np.array([-1.645, 1.645]) * spread, abs=0.15 * spread)
+    assert stated.probability > 0.999
+    ratio = stated.contrast[0] if lump.side == "stiff" else 1 / stated.contrast[1]
+    assert stated.at_least(lump.side) == ratio > 1
+
+
+def test_what_might_be_chance_is_not_believed():
+    lump, stated = sure(youngs(0.21), 3.0)
+    assert 0.4 < stated.probability < 0.9
+    finding = finding_of(recording(), youngs(0.21), posterior(youngs(0.21), 3.0))
+    assert "Do not believe it" in finding.text()
+    assert finding.lumps[0].plain()["probability"] == stated.probability
+    assert lump.side == "stiff"
+
+
+def test_a_certain_map_has_a_certain_centre():
+    _, exact = sure(youngs(), 1e-6)
+    _, vague = sure(youngs(), 0.5)
+    assert np.linalg.norm(exact.center_deviation_mm) < 1e-4
+    assert np.linalg.norm(vague.center_deviation_mm) > 0.01
+    assert exact.probability == pytest.approx(1.0)
+    assert "more than 99.9 %" in finding_of(recording(), youngs(), posterior(youngs(), 1e-6)).text()
+
+
+def recording():
+    forces = np.zeros((MESH.n_points, 3))
+    forces[face_nodes(MESH, "z+"), 2] = -0.1
+    held = np.zeros((MESH.n_points, 3), dtype=bool)
+    held[face_nodes(MESH, "z-")] = True
+    press = Press(forces, forces != 0, 0.01 * forces, fixed=held, noise_mm=1e-3)
+    return Recording(MESH, (press,), MaterialSpec("neo_hookean", 0.45), check_units=False)

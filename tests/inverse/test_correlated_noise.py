@@ -1,0 +1,54 @@
+"""Whitening of errors that data have in common, against dense linear algebra."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactorch.inverse import InverseProblem
+from tactorch.inverse.correlated_noise import CorrelatedNoise
+from tactorch.recording import Recording
+
+
+@given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 5))
+@settings(max_examples=25, deadline=None)
+def test_whitened_covariance_is_one(seed: int, k: int) -> None:
+    patterns = 3.0 * np.random.default_rng(seed).standard_normal((12, k))
+    common = CorrelatedNoise(patterns)
+    root = common.whiten(np.eye(12))
+    np.testing.assert_allclose(root, root.T, atol=1e-12)
+    covariance = np.eye(12) + patterns @ patterns.T
+    np.testing.assert_allclose(root @ covariance @ root.T, np.eye(12), atol=1e-9)
+
+
+def test_dependent_patterns_are_no_trouble() -> None:
+    pattern = np.arange(6.0)[:, None]
+    twice = CorrelatedNoise(np.hstack([pattern, pattern]))
+    once = CorrelatedNoise(np.sqrt(2.0) * pattern)
+    values = np.random.default_rng(0).standard_normal(6)
+    np.testing.assert_allclose(twice.whiten(values), once.whiten(values), atol=1e-12)
+
+
+def test_a_widened_noise_leaves_the_common_error_as_large() -> None:
+    rng = np.random.default_rng(1)
+    patterns, factors = rng.standard_normal((8, 2)), rng.uniform(1.0, 5.0, 8)
+    found = CorrelatedNoise(patterns).widened(factors).whiten(np.eye(8))
+    expected = CorrelatedNoise(patterns / factors[:, None]).whiten(np.eye(8))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_products_of_the_jacobian_are_whitened_alike(
+    recording: Recording, moduli: np.ndarray
+) -> None:
+    problem = InverseProblem(recording)
+    plain = problem.evaluate(moduli)
+    rng = np.random.default_rng(0)
+    problem.common = CorrelatedNoise(rng.standard_normal((problem.n_data, 3)))
+    at = problem.evaluate(moduli)
+    np.testing.assert_allclose(at.residuals, problem.common.whiten(plain.residuals), rtol=1e-10)
+    jacobian = problem.common.whiten(plain.jacobian())
+    np.testing.assert_allclose(at.jacobian(), jacobian, rtol=0, atol=1e-9 * np.abs(jacobian).max())
+    change, weights = rng.standard_normal(len(moduli)), rng.standard_normal(problem.n_data)
+    assert at.jacobian_times(change) == pytest.approx(jacobian @ change, rel=1e-7, abs=1e-9)
+    assert at.transpose_times(weights) == pytest.approx(jacobian.T @ weights, rel=1e-7, abs=1e-9)
+    np.testing.assert_allclose(at.gradient(), jacobian.T @ at.residuals, rtol=1e-6)

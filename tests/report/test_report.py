@@ -1,0 +1,344 @@
+"""The file as text: what it tells, what it leaves out and why, and how large it is."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError, FileError, RecordingError
+from tactorch.inverse import Bounds, GaussNewton, NewtonCG, NoiseModel, NuisancePrior, Settings
+from tactorch.inverse.nuisance_estimate import NuisanceEstimate
+from tactorch.plain import plain, plain_fields
+from tactorch.recording import Recording
+from tactorch.report import load_run, names_of, write_report
+from tactorch.report.belief import judge
+from tactorch.report.finding import finding
+from tactorch.report.settings import settings_of
+from tactorch.report.tables import score_table
+
+
+def page_of(run: Any, out: Path, **options: Any) -> str:
+    return write_report([run], out / "report.html", **options).read_text(encoding="utf-8")
+
+
+def test_it_is_small_and_alone(report: Path) -> None:
+    page = report.read_text(encoding="utf-8")
+    assert len(page) < 300_000
+    assert "http://" not in page
+    assert "https://" not in page
+    assert " src=" not in page
+    assert "default-src 'none'" in page
+
+
+def test_a_thousand_elements_take_some_tens_of_kilobytes(run_folder: Path, tmp_path: Path) -> None:
+    """So that a hundred thousand stay below 10 MB."""
+    from tactorch.inverse import Reconstruction
+    from tactorch.mesh import box_mesh
+
+    mesh = box_mesh(10.0, 12)
+    found = Reconstruction.load(run_folder / "reconstruction.h5")
+    large = dataclasses.replace(
+        found,
+        mesh=mesh,
+        youngs=np.geomspace(0.1, 1.0, mesh.n_tets),
+        displacements=np.zeros((2, mesh.n_points, 3)),
+    )
+    run = dataclasses.replace(
+        load_run(run_folder), found=large, recording=None, missing="it is left out"
+    )
+    least = len(page_of(dataclasses.replace(run, found=found), tmp_path))
+    each = (len(page_of(run, tmp_path)) - least) / (mesh.n_tets - found.mesh.n_tets)
+    assert each < 50
+
+
+def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
+    run = load_run(run_folder)
+    judged = judge(run)
+    told = finding(run, judged)
+    assert told.inclusion is not None
+    assert told.headline.startswith("A stiff inclusion, ")
+    assert f"{told.inclusion.contrast:.2g} times" in told.headline
+    # Pressed from above and from the side of x: the nearer of the two is how deep it lies.
+    x, _, z = told.inclusion.center_mm
+    assert told.facts[0].value == f"{min(10 - x, 10 - z):.1f} mm deep"
+    sure = next(fact for fact in told.facts if fact.label == "How sure")
+    assert judged.belief is not None
+    stated = judged.belief.sure
+    assert stated is not None
+    assert sure.value == "over 99.9 %" or sure.value == f"{100 * stated.probability:.3g} %"
+    assert f"at least {stated.contrast[0]:.2g} times" in sure.note
+
+
+def test_an_alarm_stands_before_the_finding(run_folder: Path, tmp_path: Path) -> None:
+    run = load_run(run_folder)
+    alarm = "DO NOT TRUST THIS MAP: 93% of it lie at a bound."
+    page = page_of(dataclasses.replace(run, text=f"a\n{alarm}\nb"), tmp_path, uncertainty=False)
+    assert page.index("Do not trust this map") < page.index("93% of it lie") < page.index("<h1")
+    assert 'class="doubted"' in page
+    assert "Do not trust this map" not in page_of(run, tmp_path, uncertainty=False)
+
+
+def test_alarms_are_those_of_the_summary(run_folder: Path) -> None:
+    """The words that the report looks for are those that a run's summary has."""
+    from tactorch.cli.outputs import describe, summarise
+
+    run = load_run(run_folder)
+    found = dataclasses.replace(run.found, youngs=np.full_like(run.found.youngs, 100.0))
+    assert run.recording is not None
+    summary = summarise(run.recording, found, None, "x")
+    text = describe(run.recording, found, None, summary)
+    doubted = dataclasses.replace(run, found=found, text=text)
+    assert len(finding(doubted, judge(doubted, uncertainty=False)).alarms) == 1
+
+
+def test_uncertainty_is_that_of_the_posterior(run_folder: Path) -> None:
+    from tactorch.uncertainty import posterior_of
+
+    run = load_run(run_folder)
+    steps: list[tuple[int, int]] = []
+    judged = judge(run, tell=lambda what, done, of: steps.append((done, of)))
+    assert judged.belief is not None
+    assert run.recording is not None
+    settings = Settings(optimizer=GaussNewton(max_iterations=6))
+    low, high = posterior_of(run.recording, run.found, settings).interval(0.95)
+    np.testing.assert_allclose(judged.belief.low, low)
+    np.testing.assert_allclose(judged.belief.high, high)
+    assert steps == [(k, 4) for k in range(5)]
+
+
+@pytest.mark.parametrize("model_error", ["none", "discretisation"])
+def test_misses_are_those_of_the_inversion(model_error: str, make_run: Any, tmp_path: Path) -> None:
+    """All presses together, they are the misfit and the chi2 that it ended with."""
+    settings = Settings(optimizer=GaussNewton(max_iterations=2), model_error=model_error)
+    run = load_run(make_run(tmp_path / "run", settings))
+    last = run.found.history[-1]
+    judged = [judge(run)]
+    if model_error == "none":  # else they take solving the presses again
+        judged.append(judge(run, uncertainty=False))
+    for one in judged:
+        squares = sum(np.nansum(fit.residual**2) for fit in one.fits)
+        assert 0.5 * squares == pytest.approx(last["misfit"], rel=1e-4)
+        mean = np.mean([fit.rms_deviations**2 for fit in one.fits])
+        assert mean == pytest.approx(last["chi2"], rel=1e-4)
+
+
+def test_no_uncertainty_is_told_at_a_bound(make_run: Any, tmp_path: Path) -> None:
+    """There the interval is cut off, and would look as if the modulus were known."""
+    settings = Settings(optimizer=GaussNewton(max_iterations=6), bounds=Bounds(0.1, 0.21))
+    run = load_run(make_run(tmp_path / "run", settings))
+    judged = judge(run)
+    assert judged.belief is not None
+    above = run.found.youngs > 0.2099
+    assert 0.05 < above.mean() < 0.95
+    assert np.isnan(judged.belief.spread[above]).all()
+    assert np.isfinite(judged.belief.spread[~judged.belief.at_bound]).all()
+    volumes = run.found.mesh.volumes
+    share = volumes[judged.belief.at_bound].sum() / volumes.sum()
+    told = [line for line in finding(run, judged).cautions if "factor of two" in line]
+    assert f"{100 * share:.0f} %" in told[0]
+    page_of(run, tmp_path)
+
+
+def test_bounds_are_told_by_modulus_whatever_the_parameters(make_run: Any, tmp_path: Path) -> None:
+    settings = Settings(optimizer=GaussNewton(max_iterations=2), parameterization="scaled")
+    run = load_run(make_run(tmp_path / "run", settings))
+    judged = judge(run)
+    assert judged.belief is not None
+    assert run.found.youngs.max() < 50.0  # of 100
+    np.testing.assert_array_equal(judged.belief.at_bound, run.found.youngs < 0.00101)
+
+
+def test_plain_misses_are_where_the_run_believes_the_sensor(make_run: Any, tmp_path: Path) -> None:
+    settings = Settings(
+        optimizer=GaussNewton(max_iterations=3), model_error="none",
+        nuisance=NuisancePrior(translation_mm=0.1, rotation_rad=0.01), noise=NoiseModel(mm=0.02),
+    )  # fmt: skip
+    run = load_run(make_run(tmp_path / "run", settings))
+    plain = judge(run, uncertainty=False).fits
+    assert sum(0.5 * np.nansum(fit.residual**2) for fit in plain) == pytest.approx(
+        run.found.history[-1]["misfit"], rel=1e-4
+    )
+    for fit in plain:
+        np.testing.assert_allclose(fit.deviations, fit.residual / 0.02)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("not enough memory: 9 GB")])
+def test_a_posterior_that_does_not_fit_the_memory_costs_no_report(
+    error: Exception, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("tactorch.report.belief.posterior_at", fail)
+    judged = judge(load_run(run_folder))
+    assert judged.belief is None
+    assert "memory" in judged.missing
+    assert len(judged.fits) == 2
+
+
+def test_a_nuisance_whose_deviation_was_not_computed_is_not_said_to_be_unknown(
+    run_folder: Path,
+) -> None:
+    run = load_run(run_folder)
+    for deviation, words in ((np.nan, "was not computed"), (0.02, "tell little"), (0.001, "")):
+        estimate = NuisanceEstimate(np.array([0.4]), np.array([deviation]), 0.02)
+        found = dataclasses.replace(run.found, nuisance={"poisson": estimate})
+        told = finding(
+            dataclasses.replace(run, found=found), judge(run, uncertainty=False)
+        ).cautions
+        named = [line for line in told if "poisson" in line]
+        assert [words in line for line in named] == [True] * bool(words)
+
+
+def test_references_that_differ_have_their_own_columns(run_folder: Path) -> None:
+    first = load_run(run_folder)
+    assert first.recording is not None
+    maps = [np.full(first.recording.mesh.n_tets, mpa) for mpa in (0.2, 0.3)]
+    runs = [
+        dataclasses.replace(
+            first, name=name, recording=dataclasses.replace(first.recording, reference=youngs)
+        )
+        for name, youngs in zip(("a", "b"), maps, strict=True)
+    ]
+    assert "reference of a" in score_table(runs)
+    assert "reference of b" in score_table(runs)
+    assert "reference of" not in score_table([runs[0], dataclasses.replace(runs[0], name="c")])
+
+
+def test_without_its_recording_it_tells_what_is_left(run_folder: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(run_folder, tmp_path / "run"))
+    summary = json.loads((folder / "summary.json").read_text())
+    summary["recording"] = str(tmp_path / "gone.h5")
+    (folder / "summary.json").write_text(json.dumps(summary))
+    run = load_run(folder)
+    assert run.recording is None
+    assert "gone.h5" in run.missing
+    page = page_of(run, tmp_path)
+    assert "the recording is not there" in page
+    assert 'id="presses"' not in page
+    assert "A stiff inclusion" in page
+
+
+def test_a_recording_that_is_given_has_to_fit(run_folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"nowhere\.h5"):
+        load_run(run_folder, recording=tmp_path / "nowhere.h5")
+    run = load_run(run_folder)
+    assert run.recording is not None
+    run.recording.select([0]).save(tmp_path / "fewer.h5")
+    with pytest.raises(RecordingError, match="has 1 presses, the result 2"):
+        load_run(run_folder, recording=tmp_path / "fewer.h5")
+
+
+def test_an_unfinished_run_is_refused(tmp_path: Path, run_folder: Path) -> None:
+    with pytest.raises(FileError, match="run not found"):
+        load_run(tmp_path / "nothing")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileError, match="finished `tactorch invert`"):
+        load_run(tmp_path / "empty")
+    folder = Path(shutil.copytree(run_folder, tmp_path / "spoilt"))
+    (folder / "summary.json").write_text("[1, 2")
+    with pytest.raises(FileError, match=r"summary\.json' cannot be read"):
+        load_run(folder)
+
+
+def test_colours_and_runs_are_checked(run_folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="colours=jet"):
+        write_report([load_run(run_folder)], tmp_path / "x.html", colours="jet")
+    with pytest.raises(ConfigError, match="at least one"):
+        write_report([], tmp_path / "x.html")
+    assert not (tmp_path / "x.html").exists()
+
+
+def test_text_is_escaped(run_folder: Path, tmp_path: Path) -> None:
+    """A path may hold anything but a slash."""
+    name = "<b>\"'&$title"
+    folder = Path(shutil.copytree(run_folder, tmp_path / name))
+    (folder / "invert.log").write_text("<script>alert(1)</script>")
+    page = page_of(load_run(folder), tmp_path, uncertainty=False)
+    assert "<b>" not in page
+    assert "&lt;b&gt;&quot;&#x27;&amp;$title" in page
+    assert page.count("<script") == 2
+    assert "&lt;script&gt;alert(1)" in page
+
+
+def test_names_are_short_and_differ() -> None:
+    assert names_of([Path("/a/runs/x")]) == ["x"]
+    assert names_of([Path("/a/x"), Path("/b/x"), Path("/b/y")]) == ["a/x", "b/x", "b/y"]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Settings(),
+        Settings(
+            optimizer=NewtonCG(max_iterations=3),
+            parameterization="scaled",
+            regularization="binary_well",
+            edge=0.1,
+            bounds=Bounds(0.01, 5.0),
+            noise=NoiseModel(mm=0.01),
+            misfit="huber",
+            nuisance=NuisancePrior(poisson=0.02),
+        ),
+    ],
+)
+def test_settings_come_back_from_a_result(settings: Settings) -> None:
+    optimizer = settings.optimizer
+    assert not isinstance(optimizer, str)
+    told = {"name": optimizer.name, **plain_fields(optimizer)}
+    config = json.loads(json.dumps({"settings": plain(settings), "optimizer": told}))
+    assert plain(settings_of(config)) == plain(settings)
+
+
+def test_settings_that_are_not_all_told_are_refused() -> None:
+    config = {"settings": plain(Settings()), "optimizer": {"name": "gauss_newton"}}
+    settings_of(config)
+    config["settings"]["prior"]["mean_mpa"] = "float64 array [5], sha256 abc..."
+    with pytest.raises(ConfigError, match="a map that the result does not hold"):
+        settings_of(config)
+    with pytest.raises(ConfigError, match="does not tell its settings"):
+        settings_of({"settings": {"optimizer": "tnc", "warp": 9}, "optimizer": {"name": "tnc"}})
+
+
+def test_a_report_goes_without_what_cannot_be_told(run_folder: Path, tmp_path: Path) -> None:
+    run = load_run(run_folder)
+    config = json.loads(json.dumps(run.found.config))
+    config["settings"]["prior"]["mean_mpa"] = "float64 array [135], sha256 abc..."
+    page = page_of(
+        dataclasses.replace(run, found=dataclasses.replace(run.found, config=config)), tmp_path
+    )
+    assert "credibility and uncertainty are left out (the prior was about a map" in page
+
+
+def test_the_best_score_is_marked(run_folder: Path) -> None:
+    from tactorch.report.tables import score_table
+
+    run = load_run(run_folder)
+    assert run.recording is not None
+    assert run.recording.truth is not None
+    true = dataclasses.replace(run.found, youngs=run.recording.truth)
+    best = dataclasses.replace(run, name="right", found=true)
+    table = score_table([run, best])
+    row = table.split("Error of the modulus")[1].split("</tr>")[0]
+    assert row.count("best") == 2  # the class and the word
+    assert row.index("</td><td") < row.index("best")
+    assert "best" not in score_table([run])
+    # Scores against different truths are no match.
+    recording = dataclasses.replace(run.recording, truth=run.recording.truth * 1.1)
+    other = dataclasses.replace(best, recording=recording)
+    table = score_table([run, other])
+    assert 'class="best"' not in table
+    assert "the truths differ" in table
+
+
+def test_a_recording_without_a_truth_has_no_scores(run_folder: Path, tmp_path: Path) -> None:
+    run = load_run(run_folder)
+    assert isinstance(run.recording, Recording)
+    blind = dataclasses.replace(run, recording=dataclasses.replace(run.recording, truth=None))
+    page = page_of(blind, tmp_path, uncertainty=False)
+    assert "no truth to score" in page
+    assert "Correlation" not in page

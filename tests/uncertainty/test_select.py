@@ -1,0 +1,73 @@
+"""The posterior of a reconstruction, from what a user has in hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError
+from tactorch.inverse import NuisancePrior, Point, Settings, invert, make_objective, solution
+from tactorch.mesh import box_mesh
+from tactorch.phantoms import make_phantom
+from tactorch.recording import Recording
+from tactorch.simulation import PressPlan, simulate
+from tactorch.uncertainty import (
+    LaplacePosterior,
+    LowRankPosterior,
+    VariationalPosterior,
+    posterior_of,
+    select,
+    variational_posterior,
+)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Recording:
+    ball = make_phantom("cube_sphere", radius=0.3)
+    plan = PressPlan(("z+",), (0.01,))
+    return simulate(ball, plan, mesh=box_mesh(10.0, 2, tets_per_cell=5), samples=2, snr_db=40.0)
+
+
+def test_it_is_that_of_the_point_where_the_inversion_ended(noisy: Recording) -> None:
+    found = invert(noisy)
+    objective = make_objective(noisy, Settings())
+    point = objective.at(objective.start(found.youngs))
+    expected = variational_posterior(point, found.history[-1]["weight"])
+    actual = posterior_of(noisy, found)
+    assert isinstance(actual, VariationalPosterior)
+    np.testing.assert_allclose(actual.deviation(), expected.deviation(), rtol=1e-6)
+    low, high = actual.interval(0.9)
+    assert ((low < found.youngs) & (found.youngs < high)).all()
+
+
+def test_other_priors_and_larger_meshes_have_their_own(
+    noisy: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = Settings(regularization="smoothness")
+    found = invert(noisy, settings)
+    assert type(posterior_of(noisy, found, settings)) is LaplacePosterior
+    monkeypatch.setattr(select, "DENSE", 10)
+    told: list[tuple[int, float]] = []
+
+    def at(point: Point, weight: float) -> LaplacePosterior:
+        told.append((point.objective.size, weight))
+        return LaplacePosterior.at(point, weight)
+
+    monkeypatch.setattr(LowRankPosterior, "at", at)
+    select.posterior_at(solution(noisy, found, settings), 2.0)
+    assert told == [(noisy.mesh.n_tets, 2.0)]
+
+
+def test_nuisance_parameters_stay_where_they_were_found(noisy: Recording) -> None:
+    settings = Settings(nuisance=NuisancePrior(poisson=0.02, rest_scale=0.1))
+    found = invert(noisy, settings)
+    point = solution(noisy, found, settings)
+    assert point.evaluation.nuisance.poisson == pytest.approx(found.nuisance["poisson"].value[0])
+    np.testing.assert_allclose(
+        point.evaluation.nuisance.rest_scale, found.nuisance["rest_scale"].value
+    )
+    assert point.evaluation.misfit_mm2 == pytest.approx(found.misfit_mm2, rel=1e-6)
+    with pytest.raises(ConfigError, match="give those of the inversion"):
+        solution(noisy, found, Settings())
+    with pytest.raises(ConfigError, match="the result has 3 moduli"):
+        solution(noisy, replace(found, youngs=np.ones(3)), settings)
