@@ -12,7 +12,7 @@ from matplotlib.patches import Circle as Round
 from matplotlib.patheffects import withStroke
 
 from tactorch.sensor.calibration import Ball, Circle
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.viz._figure import new_figure, save_figure
 from tactorch.viz.sensor_frame import EDGE
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
 
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.viz.sensor_frame import blank, extent_of, frame_figure, image_axes, settle
 
 _OUTLINE = "white"

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.viz.sensor_frame import EDGE, blank, extent_of, frame_figure, image_axes, settle
 
 _KPA = 1e3  # of an MPa

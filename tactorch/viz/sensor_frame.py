@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.viz._figure import new_figure
 
 Extent = tuple[float, float, float, float]

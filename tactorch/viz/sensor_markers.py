@@ -5,7 +5,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.viz.sensor_frame import EDGE, blank, faded, frame_figure, image_axes, settle
 
 _LOST = "#D55E00"

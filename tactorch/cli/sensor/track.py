@@ -26,8 +26,7 @@ from tactorch.cli.settings import folder, log
 from tactorch.errors import ConfigError
 from tactorch.mesh.values import positive
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Frame, Image
 from tactorch.sensor.markers import MarkerLook, MarkerTracker, displacement_mm
 from tactorch.viz.sensor_frame import largest
 from tactorch.viz.sensor_markers import MarkerView
