@@ -42,9 +42,8 @@ from tactorch.recording import Press, Recording
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import ChainOptions, SensorChain
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
-from tactorch.sensor.frames import read_frames
+from tactorch.sensor.frames import Image, read_frames
 from tactorch.sensor.gel import GelModel, gel_mesh
-from tactorch.sensor.frames import Image
 from tactorch.sensor.markers import displacement_mm
 from tactorch.sensor.render import Face, face_of, render
 

@@ -94,7 +94,7 @@ def ball_mesh(radius_mm: float) -> TetMesh:
 
 
 def frames(**changes: object) -> list[Frame]:
-    fields = {"image": STILL, "fault": "", "sound": True}
+    fields = {"image": STILL, "fault": "", "usable": True}
     return [
         Frame(i, f"{i:03d}.png", time_s=float(t), **{**fields, **changes})
         for i, t in enumerate(TIMES)

@@ -99,8 +99,6 @@ def load_calibration(path: str | Path) -> Calibration:
         with np.load(file, allow_pickle=False) as found:
             content = {name: found[name] for name in found.files}
         about = json.loads(str(content.pop("about")))
-        if not isinstance(about, dict) or not isinstance(about["facts"], dict):
-            raise ValueError("it does not describe a calibration")
         if about["format"] != FORMAT:
             raise ValueError(f"its format is {about['format']}")
         if about["version"] != VERSION:
@@ -108,6 +106,8 @@ def load_calibration(path: str | Path) -> Calibration:
                 f"calibration '{path}' is of version {about['version']}, this tactorch reads"
                 f" {VERSION}; calibrate again."
             )
+        if not isinstance(about["facts"], dict):
+            raise ValueError("its facts are not a table")
         found_map = make_map(about["map"])
         _check_arrays(content)
         found_map.restore({k[len(_PREFIX) :]: v for k, v in content.items() if k != "reference"})
