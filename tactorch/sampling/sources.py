@@ -47,7 +47,7 @@ class PressSource(ABC):
     def poll(self) -> list[Arrival]:
         """Return the presses that came since the last call, in order."""
 
-    def request(self, patch: Patch) -> None:
+    def request(self, patch: Patch) -> None:  # noqa: B027, only pressers listen
         """Ask for a press on a patch; ignored where somebody else presses."""
 
 

@@ -43,15 +43,6 @@ class SuggestOptions(Options):
     )
     candidates: int = option(24, "Number of candidate places that are compared", ge=1)
 
-    def __post_init__(self) -> None:
-        """Build a rule that is given by name, and check all settings.
-
-        Raises:
-            ConfigError: a setting cannot be used.
-        """
-        object.__setattr__(self, "rule", RULES.build(self.rule))
-        super().__post_init__()
-
 
 @dataclass(frozen=True, eq=False)
 class Candidates:

@@ -195,7 +195,9 @@ def test_the_size_of_suggested_places_follows_the_presses(whole: Recording) -> N
     sizes = []
     for presses in (whole.presses[:1], [narrow(whole)] * 2):
         radius = sensor_radius_mm(mesh, presses)
-        places = suggester._candidates(replace(whole, presses=tuple(presses), check_units=False)).patches
+        places = suggester._candidates(
+            replace(whole, presses=tuple(presses), check_units=False)
+        ).patches
         assert {place.radius_mm for place in places} == {radius}
         sizes.append(radius)
     assert sizes[1] < sizes[0]
@@ -284,7 +286,12 @@ def test_where_no_place_can_be_suggested_it_says_why(
     options = LoopOptions(idle_seconds=0.01, max_iterations=2)
     suggester = Suggester(Settings(), SuggestOptions(radius_mm=0.01))
     SamplingLoop.following(
-        RecordingSource(path), Settings(), tmp_path / "run", view, options=options, suggester=suggester
+        RecordingSource(path),
+        Settings(),
+        tmp_path / "run",
+        view,
+        options=options,
+        suggester=suggester,
     ).run()
     assert view.suggestions[0].entry["next"] is None
     assert "no surface" in view.suggestions[0].entry["next_why_not"]

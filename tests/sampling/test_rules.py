@@ -37,7 +37,7 @@ def patches() -> list[Patch]:
 
 @pytest.fixture
 def state(mesh: TetMesh, patches: list[Patch]) -> SamplingState:
-    """Place 0 was pressed and is sensitive to the left half; any place's data are of the elements near it."""
+    """Place 0 was pressed, sensitive to the left half; data of a place are of elements near it."""
     m = mesh.n_tets
 
     def jacobians(places: Sequence[int]) -> list[np.ndarray | None]:
@@ -98,7 +98,9 @@ def test_error_of_the_moduli_counts_more_where_it_is_stiff(state: SamplingState)
         logs = np.log(np.where(gaps < 1.5, 0.5, 0.1))
         stiff = replace(state, posterior=GaussianState(logs, state.posterior.covariance))
         assert ExpectedError().choose(stiff) == at
-        assert ExpectedError("parameters").choose(stiff) == ExpectedError("parameters").choose(state)
+        assert ExpectedError("parameters").choose(stiff) == ExpectedError("parameters").choose(
+            state
+        )
     with pytest.raises(ConfigError, match="of='energy'"):
         ExpectedError("energy")
 
