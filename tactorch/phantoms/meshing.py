@@ -14,7 +14,7 @@ from tactorch.mesh import (
     Shape,
     TetMesh,
     box_mesh,
-    skin,
+    shape_surface,
     tetrahedralize,
 )
 from tactorch.mesh.values import Real, positive
@@ -49,8 +49,8 @@ def mesh_body(
         raise ConfigError("generator='structured' cannot follow inclusions; use 'tetwild'.")
     if generator == "structured" or (generator == "auto" and isinstance(body, Box) and not inside):
         return _structured(body, length)
-    inner = [skin(shape) for shape in inside]
-    return tetrahedralize(*skin(body), length, inner=inner, cache=cache)
+    inner = [shape_surface(shape) for shape in inside]
+    return tetrahedralize(*shape_surface(body), length, inner=inner, cache=cache)
 
 
 def _structured(body: Shape, length: float) -> TetMesh:

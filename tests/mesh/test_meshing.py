@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, MeshError
+from tactorch.files import cache_folder
 from tactorch.mesh import (
     FACE_NAMES,
     TetMesh,
     box_mesh,
     box_surface,
-    cache_folder,
     cylinder_surface,
     meshing,
     select_face,
