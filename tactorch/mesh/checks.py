@@ -1,5 +1,7 @@
 """Validation of meshes and surfaces; every message names the faulty nodes or cells."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
@@ -138,7 +140,7 @@ def _refuse(
         raise MeshError(message.format(listing(invalid, total, noun)))
 
 
-def _refuse_rows(invalid: NDArray, message: str) -> None:
+def _refuse_rows(invalid: Any, message: str) -> None:
     _refuse(np.flatnonzero(invalid), len(invalid), message, "rows")
 
 

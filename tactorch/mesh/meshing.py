@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError, MeshError, TactorchError
+from tactorch.files import atomic_path, cache_folder
 from tactorch.mesh.checks import closed_surface
 from tactorch.mesh.geometry import (
     bounding_box,

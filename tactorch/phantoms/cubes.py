@@ -81,7 +81,7 @@ class CubeSphere(_CubeWithInclusion):
     depth: float = option(0.5, "Depth of the ball's centre below the top, in sides")
     radius: float = option(0.2, "Radius of the ball, in sides", gt=0)
 
-    def shape(self) -> Shape:
+    def shape(self) -> Shape:  # noqa: D102
         return Sphere(self.scaled(0.5, 0.5, 1.0 - self.depth), self.radius * self.side_mm)
 
 
@@ -115,7 +115,7 @@ class CubeBox(_CubeWithCenteredInclusion):
 
     size: Triple = option((0.4, 0.4, 0.4), "Edge lengths of the cuboid, in sides", gt=0)
 
-    def shape(self) -> Shape:
+    def shape(self) -> Shape:  # noqa: D102
         return Box(self.scaled(*self.center), self.scaled(*self.size))
 
 
@@ -126,9 +126,12 @@ class CubeCylinder(_CubeWithAxialInclusion):
     radius: float = option(0.2, "Radius of the cylinder, in sides", gt=0)
     height: float = option(0.4, "Height of the cylinder, in sides", gt=0)
 
-    def shape(self) -> Shape:
+    def shape(self) -> Shape:  # noqa: D102
         return Cylinder(
-            self.scaled(*self.center), *self.scaled(self.radius, self.height), self.axis
+            self.scaled(*self.center),
+            self.radius * self.side_mm,
+            self.height * self.side_mm,
+            self.axis,
         )
 
 
@@ -138,7 +141,7 @@ class CubeEllipsoid(_CubeWithCenteredInclusion):
 
     radii: Triple = option((0.3, 0.2, 0.15), "Semi-axes of the ellipsoid, in sides", gt=0)
 
-    def shape(self) -> Shape:
+    def shape(self) -> Shape:  # noqa: D102
         return Ellipsoid(self.scaled(*self.center), self.scaled(*self.radii))
 
 
@@ -149,9 +152,12 @@ class CubeTwoTiers(_CubeWithAxialInclusion):
     radius: float = option(0.3, "Radius of the lower tier, in sides", gt=0)
     height: float = option(0.4, "Height of both tiers together, in sides", gt=0)
 
-    def shape(self) -> Shape:
+    def shape(self) -> Shape:  # noqa: D102
         return two_tiers(
-            self.scaled(*self.center), *self.scaled(self.radius, self.height), self.axis
+            self.scaled(*self.center),
+            self.radius * self.side_mm,
+            self.height * self.side_mm,
+            self.axis,
         )
 
 
@@ -162,8 +168,13 @@ class CubeTorus(_CubeWithAxialInclusion):
     radius: float = option(0.25, "Major radius of the torus, in sides", gt=0)
     tube: float = option(0.1, "Minor radius of the torus, in sides", gt=0)
 
-    def shape(self) -> Shape:
-        return Torus(self.scaled(*self.center), *self.scaled(self.radius, self.tube), self.axis)
+    def shape(self) -> Shape:  # noqa: D102
+        return Torus(
+            self.scaled(*self.center),
+            self.radius * self.side_mm,
+            self.tube * self.side_mm,
+            self.axis,
+        )
 
 
 @dataclass(frozen=True)
@@ -173,8 +184,13 @@ class CubeCone(_CubeWithAxialInclusion):
     radius: float = option(0.3, "Radius of the cone's base, in sides", gt=0)
     height: float = option(0.5, "Height of the cone, in sides", gt=0)
 
-    def shape(self) -> Shape:
-        return Cone(self.scaled(*self.center), *self.scaled(self.radius, self.height), self.axis)
+    def shape(self) -> Shape:  # noqa: D102
+        return Cone(
+            self.scaled(*self.center),
+            self.radius * self.side_mm,
+            self.height * self.side_mm,
+            self.axis,
+        )
 
 
 @dataclass(frozen=True)
@@ -229,7 +245,7 @@ class DepthCube(_CubeWithInclusion):
         (0.0, 0.0), "Offset of the ball's centre along x and y, in sides"
     )
 
-    def shape(self) -> Shape:
+    def shape(self) -> Shape:  # noqa: D102
         x, y = (0.5 + offset for offset in self.offset)
         return Sphere(self.scaled(x, y, 1.0 - self.depth), 0.2 * self.side_mm)
 
@@ -244,7 +260,7 @@ class SiliconeBall(_CubeWithCenteredInclusion):
     side_mm: float = option(15.0, "Side of the cube", unit="mm", gt=0)
     inclusion_mpa: float = option(2500.0, "Young's modulus of the ball", unit="MPa", gt=0)
 
-    def shape(self) -> Shape:
+    def shape(self) -> Shape:  # noqa: D102
         return Sphere(self.scaled(*self.center), 2.0)
 
 
@@ -255,5 +271,5 @@ class SiliconeHole(UniformCube):
     side_mm: float = option(15.0, "Side of the cube", unit="mm", gt=0)
     center: Triple = option((0.75, 0.75, 0.75), "Centre of the hole, in sides")
 
-    def inclusions(self) -> list[tuple[Shape, float]]:
+    def inclusions(self) -> list[tuple[Shape, float]]:  # noqa: D102
         return [(Sphere(self.scaled(*self.center), 2.0), HOLE_MPA)]

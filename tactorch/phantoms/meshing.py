@@ -30,7 +30,7 @@ BODIES = (Box, Cylinder, Hemisphere, Hyperboloid, Lathe)
 GENERATORS = ("auto", "structured", "tetwild")
 #: A larger number of cells of a structured mesh indicates a mistake in the edge length.
 MAX_CELLS = 1_000_000
-# Mean edge of a cube divided into five tetrahedra, per side of the cube: as many sides as diagonals.
+# Mean edge of a cube divided into five tetrahedra, per side: as many sides as diagonals.
 _MEAN_EDGE = (1.0 + np.sqrt(2.0)) / 2.0
 
 

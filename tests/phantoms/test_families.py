@@ -19,7 +19,7 @@ def test_objects_are_sound_and_repeatable(family: str, seed: int) -> None:
     drawn = draw_phantom(family, np.random.default_rng(seed))
     again = draw_phantom(family, np.random.default_rng(seed))
     assert again.phantom == drawn.phantom
-    assert again.parameters == drawn.facts
+    assert again.parameters == drawn.parameters
     phantom = drawn.phantom
     shapes = [shape for shape, _ in phantom.inclusions]
     assert all(protrusion(shape, phantom.body) <= 0 for shape in shapes)
@@ -52,10 +52,10 @@ def test_contrast_can_be_told() -> None:
 @pytest.mark.parametrize(
     ("family", "options", "message"),
     [
-        ("cats", {}, "'cats' is unknown; choose one of recognition"),
+        ("cats", {}, "family=cats is unknown; choose one of recognition"),
         ("recognition", {"shapes": ["cube"]}, "'cube' is unknown"),
         ("recognition", {"sise": 1}, "sise"),
-        ("recognition", {"size": (3.0, 4.0)}, "found room"),
+        ("recognition", {"size": (3.0, 4.0)}, "No inclusion fits"),
         ("recognition", {"size": (2.0, 1.0)}, "lower and the upper"),
         ("inclusions", {"shapes": ["cube"]}, "'cube' is unknown"),
         ("inclusions", {"backgrounds": ["blue"]}, "'blue' is unknown"),

@@ -70,11 +70,11 @@ def test_average_of_uniform_phantom_is_uniform() -> None:
 @pytest.mark.parametrize(
     ("inclusion", "message"),
     [
-        (Sphere((5.0, 5.0, 9.0), 2.0), r"inclusions\[1\].*reaches 1 mm out"),
+        (Sphere((5.0, 5.0, 9.0), 2.0), r"inclusions\[1\].*protrudes 1 mm out"),
         (Sphere((50.0, 5.0, 5.0), 2.0), r"inclusions\[1\].*out of the body"),
-        (Box((5.0, 5.0, 5.0), (1.0, 11.0, 1.0)), "reaches 0.5 mm out"),
-        (Cylinder((5.0, 5.0, 5.0), 1.0, 14.0, (1.0, 0.0, 0.0)), "reaches 2 mm out"),
-        (Ellipsoid((5.0, 5.0, 5.0), (1.0, 1.0, 5.1)), "reaches 0.1 mm out"),
+        (Box((5.0, 5.0, 5.0), (1.0, 11.0, 1.0)), "protrudes 0.5 mm out"),
+        (Cylinder((5.0, 5.0, 5.0), 1.0, 14.0, (1.0, 0.0, 0.0)), "protrudes 2 mm out"),
+        (Ellipsoid((5.0, 5.0, 5.0), (1.0, 1.0, 5.1)), "protrudes 0.1 mm out"),
     ],
 )
 def test_inclusion_outside_the_body_is_refused(inclusion: Shape, message: str) -> None:
