@@ -53,7 +53,7 @@ def test_samples_are_those_of_the_recipe(made: SampleSet, recipe: Recipe) -> Non
     assert [shard["count"] for shard in made.manifest["shards"]] == [2, 2, 1]
     for sample in (made[0], made[4]):
         expected = make_sample(recipe, sample.index)
-        assert (sample.label, sample.facts) == (expected.label, expected.parameters)
+        assert (sample.label, sample.facts) == (expected.label, expected.facts)
         np.testing.assert_array_equal(sample.truth, expected.truth)
         np.testing.assert_allclose(sample.reconstruction, expected.reconstruction, rtol=1e-6)
         for press, other in zip(sample.recording.presses, expected.recording.presses, strict=True):
