@@ -34,7 +34,7 @@ from tactorch.inverse.model_error import (
 )
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import GaussNewton, NewtonCG, make_optimizer
+from tactorch.inverse.optimizers import OPTIMIZERS, GaussNewton, NewtonCG
 from tactorch.inverse.optimizers.weight import warm_start_state
 from tactorch.inverse.problem import body_of
 from tactorch.inverse.reconstruction import Reconstruction
@@ -308,11 +308,10 @@ def _optimizer_of(settings: Settings, max_iterations: int) -> GaussNewton | Newt
         )
     if max_iterations < 1:
         raise ConfigError(f"max_iterations={max_iterations}: give at least 1.")
-    found = settings.optimizer
-    found = make_optimizer(found) if isinstance(found, str) else found
-    if not isinstance(found, GaussNewton | NewtonCG):
+    optimizer = settings.optimizer
+    if not isinstance(optimizer, GaussNewton | NewtonCG):
         raise ConfigError(
-            f"optimizer={found.name} starts anew with every press; choose gauss_newton, or "
-            "newton_cg past some ten thousand elements."
+            f"optimizer={OPTIMIZERS.name_of(type(optimizer))} cannot continue from the map before; "
+            "choose gauss_newton, or newton_cg beyond ten thousand elements."
         )
-    return found
+    return optimizer
