@@ -162,7 +162,9 @@ class Setting:
         converted = convert(value, self.annotation)
         if converted is INVALID or not self.constraint.holds(converted):
             if self.nested is not None:
-                raise ConfigError(f"{name}={_shown(value)}: several settings; give {name}.KEY=VALUE.")
+                raise ConfigError(
+                    f"{name}={_shown(value)}: several settings; give {name}.KEY=VALUE."
+                )
             raise ConfigError(f"{name}={_shown(value)}: give {self.expectation}.")
         return converted
 

@@ -18,8 +18,6 @@ from jaxtyping import Float
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse.invert import (
     INTERRUPTED,
-    START_MPA,
-    Settings,
     combine,
     make_problem,
     result_of,
@@ -38,7 +36,8 @@ from tactorch.inverse.optimizers import OPTIMIZERS, GaussNewton, NewtonCG
 from tactorch.inverse.optimizers.weight import warm_start_state
 from tactorch.inverse.problem import body_of
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.starts import Start, homogeneous, start_map
+from tactorch.inverse.settings import Settings
+from tactorch.inverse.starts import START_MPA, Start, homogeneous, start_map
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.recording import Press, Recording
 

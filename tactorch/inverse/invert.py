@@ -27,14 +27,13 @@ from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.progress import progress
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings, stored_settings
-from tactorch.inverse.starts import Start, start_map
+from tactorch.inverse.starts import START_MPA, Start, start_map
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.plain import plain
 from tactorch.recording import Recording
 from tactorch.versions import versions
 
 _log = logging.getLogger(__name__)
-START_MPA = 0.2
 INTERRUPTED = "interrupted"
 
 

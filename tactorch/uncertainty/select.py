@@ -37,8 +37,8 @@ def posterior_of(
 
 def posterior_at(point: Point, weight: float) -> GaussianPosterior:
     """Return the posterior at a point of the objective, with this weight of the prior."""
-    size, prior = point.objective.size, point.objective.prior.name
-    if size <= VARIATIONAL and weight > 0 and prior == "total_variation":
+    size, variation = point.objective.size, point.objective.prior.variation
+    if size <= VARIATIONAL and weight > 0 and variation is not None:
         return variational_posterior(point, weight)
     return (
         LaplacePosterior.at(point, weight) if size <= DENSE else LowRankPosterior.at(point, weight)

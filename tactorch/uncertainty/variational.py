@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Point
-from tactorch.inverse.regularization.base import jumps, relative_areas
+from tactorch.inverse.regularization.jumps import jumps, relative_areas
 from tactorch.linalg import DenseCholesky
 from tactorch.uncertainty.laplace import LaplacePosterior
 
@@ -124,16 +124,16 @@ def variational_posterior(
             prior leave something undetermined.
     """
     prior = point.objective.prior
-    if prior.name != "total_variation":
+    if prior.variation is None:
         raise ConfigError(
-            f"regularization={prior.name}: the variational posterior is that of total variation; "
+            "the variational posterior is that of total variation; "
             "use LaplacePosterior with other priors."
         )
     if not weight > 0:
         raise ConfigError(f"weight={weight} of the prior must be above 0.")
     parts = _Jumps.at(point)
     if sizes is None:
-        sizes = np.maximum(np.abs(parts.now), getattr(prior, "edge", 0.0))
+        sizes = np.maximum(np.abs(parts.now), prior.variation.edge)
     hessian, iterations = point.jacobian.T @ point.jacobian, 0
     while iterations < max_iterations:
         iterations += 1

@@ -21,9 +21,7 @@ def data_trace(point: Point, probes: int = _PROBES) -> float:
     return float(np.mean([image @ image for image in images]))
 
 
-def start_cooling(
-    point: Point, state: dict[str, float], trace: float
-) -> RegularizationSchedule:
+def start_cooling(point: Point, state: dict[str, float], trace: float) -> RegularizationSchedule:
     """`RegularizationSchedule.start` with the first weight from an estimated trace of J^T J."""
     if point.objective.weight is not None or "weight" in state:
         return RegularizationSchedule.start(point, state)

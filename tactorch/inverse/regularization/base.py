@@ -86,7 +86,7 @@ class Quadratic(Regularizer):
 
     def __init__(
         self,
-        matrix: sp.csr_matrix,
+        matrix: sp.spmatrix,
         level: float | None = 0.0,
         volumes: Float[np.ndarray, " m"] | None = None,
     ) -> None:

@@ -72,9 +72,7 @@ class Sparsity(Prior):
 class SparsityPenalty(Regularizer):
     """The penalty of `Sparsity` on a mesh."""
 
-    def __init__(
-        self, volumes: Float[np.ndarray, " m"], level: float | None, edge: float
-    ) -> None:
+    def __init__(self, volumes: Float[np.ndarray, " m"], level: float | None, edge: float) -> None:
         """Store volumes over their mean, log-background and edge."""
         self._volumes, self._level, self._edge = volumes, level, edge
 

@@ -124,7 +124,7 @@ class Suggester:
         return "expected_error" if foreseen else "largest_uncertainty"
 
     def _posterior(self, point: Point, weight: float) -> GaussianPosterior:
-        if point.objective.prior.name != "total_variation" or not weight > 0:
+        if point.objective.prior.variation is None or not weight > 0:
             return LaplacePosterior.at(point, weight)
         before = self._before
         if before is None or len(before.mean) != len(point.elements):
