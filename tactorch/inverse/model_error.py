@@ -71,16 +71,9 @@ def discretisation_error(
         finer: The same body of quadratic elements, where one is there already.
 
     Raises:
-        ConfigError: the problem has quadratic elements, with which there is nothing to compare, or
-            the share is not one.
+        ConfigError: the problem has quadratic elements, with which there is nothing to compare.
         ConvergenceError: a press has no equilibrium, at this modulus or a few times as much.
     """
-    if not 0.0 <= left <= 1.0:
-        raise ConfigError(
-            f"residual_model_error_fraction={left}: give the share of the mesh's error that stays "
-            "as "
-            "uncertainty, 0 to 1."
-        )
     if problem.body.discretisation.element.name != "tet4":
         raise ConfigError(
             "model_error=discretisation compares plain tetrahedra with quadratic ones; with "

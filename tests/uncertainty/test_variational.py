@@ -112,7 +112,7 @@ def test_refusals(point: Point) -> None:
     with pytest.raises(ConfigError, match="weight=0"):
         variational_posterior(point, 0.0)
     smooth = PRIORS.build("smoothness").on(point.objective.problem.recording.mesh)
-    with pytest.raises(ConfigError, match="regularization=smoothness"):
+    with pytest.raises(ConfigError, match="total variation without a mean"):
         variational_posterior(replace(point.objective, prior=smooth).at(point.x), 1.0)
 
 
