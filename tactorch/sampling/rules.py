@@ -16,7 +16,7 @@ from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 from tactorch.inverse.parameterization import Parameterization
 from tactorch.mesh import TetMesh
-from tactorch.mesh.spread import farthest_order
+from tactorch.mesh.geometry import farthest_point_order
 from tactorch.recording import Recording
 from tactorch.sampling.candidates import Patch
 from tactorch.uncertainty.gaussian_state import GaussianState
@@ -237,7 +237,7 @@ class UniformGrid(Rule):
             )
         centers = np.array([patch.center for patch in candidates])
         distances = np.linalg.norm(centers[:, None] - centers, axis=2)
-        places = farthest_order(centers, self.budget, 0)
+        places = farthest_point_order(centers, self.budget, 0)
         for _ in range(len(distances)):
             nearest = distances[:, places].argmin(axis=1)
             groups = [np.flatnonzero(nearest == k) for k in range(self.budget)]
@@ -249,7 +249,7 @@ class UniformGrid(Rule):
                 break
             places = medoids
         first = int(distances[0, places].argmin())
-        return [places[i] for i in farthest_order(centers[places], self.budget, first)]
+        return [places[i] for i in farthest_point_order(centers[places], self.budget, first)]
 
     def first(self, candidates: Sequence[Patch]) -> int:
         """See `Rule.first`."""
