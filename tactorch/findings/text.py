@@ -39,7 +39,9 @@ def headline(inclusion: Inclusion | None) -> str:
 
 def describe_inclusion(inclusion: Inclusion, depth: Depth | None) -> str:
     """Return location, depth and size of an inclusion as a sentence."""
-    below = "" if depth is None else f", its centre {depth.center_mm:.1f} mm below {_surface(depth)}"
+    below = (
+        "" if depth is None else f", its centre {depth.center_mm:.1f} mm below {_surface(depth)}"
+    )
     return (
         f"It is at {_point(inclusion)}{below}, and has the volume of a ball of diameter"
         f" {2 * inclusion.equivalent_radius_mm:.1f} mm."

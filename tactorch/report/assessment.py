@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import TactorchError
 from tactorch.findings import Confidence, confidence_of, find_lump
-from tactorch.inverse import NoiseModel, Point, Settings, solution
+from tactorch.inverse import NoiseModel, Point, Settings, settings_from, solution
 from tactorch.inverse.nuisance.press_model import PressModelFactory
 from tactorch.inverse.nuisance.values import Nuisance
 from tactorch.recording import Recording
-from tactorch.report.runs import Run, settings_from
+from tactorch.report.runs import Run
 from tactorch.uncertainty import credibility
 from tactorch.uncertainty.select import UNCOMPUTABLE, posterior_at
 
@@ -123,9 +123,7 @@ def assess(
     return Assessment(None, _uncorrected_fits(run, run.recording), reason, False)
 
 
-def _assess_uncertainty(
-    run: Run, recording: Recording, progress: ProgressCallback
-) -> Assessment:
+def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallback) -> Assessment:
     def step(number: int) -> None:
         progress(_STEPS[number], number, len(_STEPS) - 1)
 
@@ -145,9 +143,7 @@ def _assess_uncertainty(
     )
     at_bound |= low == high  # the whole interval is beyond a bound
     inclusion = find_lump(recording.mesh, run.result.youngs)
-    confidence = (
-        None if inclusion is None else confidence_of(recording.mesh, inclusion, posterior)
-    )
+    confidence = None if inclusion is None else confidence_of(recording.mesh, inclusion, posterior)
     summary = UncertaintySummary(
         metric, low, high, resolution, at_bound, type(posterior).__name__, confidence
     )

@@ -119,7 +119,9 @@ def describe_run(run: Run, assessment: Assessment) -> RunReport:
     modulus = format_modulus(float(np.median(youngs)))
     fit = math.sqrt(float(run.summary.get("chi2", math.nan)))
     if inclusion is None:
-        description = f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
+        description = (
+            f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
+        )
         facts = [Fact("Young's modulus", modulus, "median")]
     else:
         presses = () if run.recording is None else run.recording.presses
@@ -178,7 +180,7 @@ def _limitations(
                 f"In {100 * fraction:.0f} % of the volume the uncertainty of the modulus exceeds a"
                 " factor of two."
             )
-    if inclusion is not None and "total_variation" in str(settings.get("regularization", "")):
+    if inclusion is not None and _prior_name(settings) == "total_variation":
         lines.append(
             "Contrast of the inclusion: the prior (total variation) biases it towards the"
             " surroundings, so that the true contrast is often larger than shown and intervals"
@@ -195,6 +197,11 @@ def _limitations(
         elif not estimate.is_informative:
             lines.append(f"The presses hardly determine the estimated {name}.")
     return lines
+
+
+def _prior_name(settings: Mapping[str, Any]) -> str:
+    prior = settings.get("regularization", "")
+    return str(prior.get("name", "") if isinstance(prior, Mapping) else prior)
 
 
 def _is_noise_assumed(settings: Mapping[str, Any], recording: Recording) -> bool:
@@ -225,7 +232,9 @@ def score_table(runs: Sequence[Run]) -> Table:
     rows = [[titles[name][0], *(_cell(c.get(name)) for c in columns.values())] for name in names]
     caption = "Scores against the truth" if set(names) & set(_SCORES) else "Fit and cost"
     if not comparable:
-        return Table(f"{caption}; the truths differ, so that no best is marked", ["", *columns], rows)
+        return Table(
+            f"{caption}; the truths differ, so that no best is marked", ["", *columns], rows
+        )
     best = {row: _best(titles[name][1], name, columns) for row, name in enumerate(names)}
     return Table(caption, ["", *columns], rows, best)
 
@@ -240,7 +249,9 @@ def _distinct(runs: Sequence[Run], attribute: str) -> int:
     """Return the number of distinct maps of an attribute of the recordings."""
     recordings = [run.recording for run in runs if run.recording is not None]
     maps = [(one.mesh, getattr(one, attribute)) for one in recordings]
-    return len({(mesh.content_hash(), values.tobytes()) for mesh, values in maps if values is not None})
+    return len(
+        {(mesh.content_hash(), values.tobytes()) for mesh, values in maps if values is not None}
+    )
 
 
 def _cost(run: Run) -> _Column:

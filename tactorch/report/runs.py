@@ -1,35 +1,19 @@
 """Run folders of inversions."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactorch.errors import ConfigError, FileError, RecordingError
-from tactorch.fem import NewtonOptions
+from tactorch.errors import FileError, RecordingError
 from tactorch.files import require_file, require_folder
-from tactorch.inverse import (
-    Bounds,
-    NoiseModel,
-    NuisancePrior,
-    PriorOptions,
-    Reconstruction,
-    Settings,
-    make_optimizer,
-)
+from tactorch.inverse import Reconstruction, Settings
 from tactorch.recording import Recording
 from tactorch.text import one_line
 
 _LOG_LINES = 200
 _MAX_NAME_LENGTH = 255
-_SECTIONS = {
-    "prior": PriorOptions,
-    "bounds": Bounds,
-    "noise": NoiseModel,
-    "newton": NewtonOptions,
-    "nuisance": NuisancePrior,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,30 +148,3 @@ def _load_log(folder: Path) -> str:
     omitted = len(lines) - _LOG_LINES
     head = [f"... {omitted} lines omitted"] if omitted > 0 else []
     return "\n".join([*head, *lines[-_LOG_LINES:]])
-
-
-def is_complete(config: Mapping[str, Any]) -> bool:
-    """Return whether the `config` of a result contains all settings of the inversion.
-
-    The map of a shifted prior is not stored with the result.
-    """
-    prior = config.get("settings", {}).get("prior", {})
-    return not isinstance(prior.get("mean_mpa"), str)
-
-
-def settings_from(config: Mapping[str, Any]) -> Settings:
-    """Return the settings in the `config` of a result.
-
-    Raises:
-        ConfigError: Settings are missing because another version wrote the result, or because
-            the prior has a map, of which only the checksum is stored.
-    """
-    if not is_complete(config):
-        raise ConfigError("the prior has a map that the result does not contain")
-    try:
-        values = dict(config["settings"])
-        values["optimizer"] = make_optimizer(**config["optimizer"])
-        values |= {name: section(**values[name]) for name, section in _SECTIONS.items()}
-        return Settings(**values)
-    except (KeyError, TypeError, ConfigError) as error:
-        raise ConfigError(f"the result lacks settings of this version ({error})") from error

@@ -88,7 +88,9 @@ def render(reports: Sequence[RunReport], colours: str) -> str:
         created=f"{datetime.now().astimezone():%d %B %Y, %H:%M} by tactorch"
         f" {versions()['tactorch']}",
         reports=reports,
-        has_truth=any(run.recording is not None and run.recording.truth is not None for run in runs),
+        has_truth=any(
+            run.recording is not None and run.recording.truth is not None for run in runs
+        ),
         scores=score_table(runs),
         histories=[history_table(run) for run in runs],
         differences=difference_table(runs),
