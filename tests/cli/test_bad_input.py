@@ -523,7 +523,7 @@ TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=nul
     ),
     Case(
         "negative number of load steps",
-        ("press: steps=-2", "at least 1"),
+        ("press.steps=-2", "at least 1"),
         settings=("press.steps=-2",),
     ),
     Case(
