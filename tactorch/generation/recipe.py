@@ -10,9 +10,10 @@ from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, make_material
 from tactorch.generation.plans import PressDraw
 from tactorch.inverse import Settings
+from tactorch.inverse.settings import stored_settings
 from tactorch.mesh import TetMesh
 from tactorch.mesh.values import Real, positive
-from tactorch.phantoms import Drawn, Phantom, draw_phantom
+from tactorch.phantoms import Phantom, RandomPhantom, draw_phantom
 from tactorch.plain import plain
 from tactorch.recording import MaterialSpec
 
@@ -120,7 +121,7 @@ class Recipe:
         make_material(self.material.name, self.material.poisson, **self.material.parameters)
         self.mesh.meshes(self.drawn(0).phantom)
 
-    def drawn(self, index: int) -> Drawn:
+    def drawn(self, index: int) -> RandomPhantom:
         """Draw the object of a sample."""
         rng = np.random.default_rng([self.seed, 0, index // self.views])
         return draw_phantom(self.family, rng, **self.options)
@@ -147,8 +148,5 @@ class Recipe:
         config = plain(self)
         assert isinstance(config, dict)
         if isinstance(self.inversion, Settings):
-            optimizer = self.inversion.optimizer
-            name = optimizer if isinstance(optimizer, str) else optimizer.name
-            config["inversion"] = {**plain(self.inversion), "optimizer": name}
-            config["inversion"]["optimizer_settings"] = plain(optimizer)
+            config["inversion"] = stored_settings(self.inversion)
         return config

@@ -109,13 +109,13 @@ class RecordingReader(Hdf5Reader):
         return self.array("gravity", "f", (3,))
 
     def count(self) -> int:
-        """Return the number of presses."""
+        """Return the number of presses; a file that declares more than it holds is refused."""
         count: int = self.attribute("presses", "count", int)
         groups = len(self.group("presses"))
         if not 0 <= count <= groups:
             raise self.error(
-                f"attribute 'count' of 'presses' is {count}, but the file holds {groups}; the file "
-                "is incomplete or damaged: write it again"
+                f"declares {count} presses (attribute 'count' of 'presses') and holds {groups}; "
+                "the file is incomplete: write it again"
             )
         return count
 
