@@ -1,6 +1,7 @@
 """Files that are either whole or absent."""
 
 import os
+import sys
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -8,6 +9,20 @@ from hashlib import sha256
 from pathlib import Path
 
 from tactorch.errors import FileError
+
+
+def cache_folder() -> Path:
+    """Return the folder for cached files: `$TACTORCH_CACHE`, or the user's cache folder."""
+    chosen = os.environ.get("TACTORCH_CACHE")
+    if chosen:
+        return Path(chosen).expanduser()
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "tactorch"
 
 
 @contextmanager

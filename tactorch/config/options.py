@@ -11,10 +11,10 @@ Making one checks every value. The command line, its help and completion, the do
 error messages read the same fields (`settings_of`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
-from typing import Any, ClassVar, get_type_hints
+from typing import Any, ClassVar, get_args, get_type_hints
 
 from tactorch.config.values import INVALID, accepts_none, choices_of, convert, describe
 from tactorch.errors import ConfigError
@@ -34,6 +34,7 @@ class Constraint:
         lt: Exclusive upper limit, or None.
         le: Inclusive upper limit, or None.
         section: Registry that the value is chosen from by name, or empty.
+        preset: Name of the preset in `conf/` that holds the defaults of nested settings, or empty.
     """
 
     help: str = ""
@@ -43,6 +44,7 @@ class Constraint:
     lt: float | None = None
     le: float | None = None
     section: str = ""
+    preset: str = ""
 
     def holds(self, value: Any) -> bool:
         """Whether all numbers in a value are within the range."""
@@ -76,6 +78,7 @@ def option(
     lt: float | None = None,
     le: float | None = None,
     section: str = "",
+    preset: str = "",
 ) -> Any:
     """Declare a setting as a field of an `Options` dataclass.
 
@@ -89,11 +92,13 @@ def option(
         lt: Exclusive upper limit.
         le: Inclusive upper limit.
         section: Registry that the value is chosen from by name.
+        preset: Name of the preset in `conf/` that holds the defaults, for nested settings that the
+            command line offers as a group of presets.
 
     Returns:
         A dataclass field.
     """
-    metadata = {_KEY: Constraint(help, unit, gt, ge, lt, le, section)}
+    metadata = {_KEY: Constraint(help, unit, gt, ge, lt, le, section, preset)}
     if factory is not None:
         return field(default_factory=factory, metadata=metadata)
     return field(default=default, metadata=metadata)
@@ -121,6 +126,13 @@ class Setting:
         return self.default is MISSING
 
     @property
+    def nested(self) -> "type[Options] | None":
+        """Class of the nested settings that the value is made of; None for a plain value."""
+        members = get_args(self.annotation) or (self.annotation,)
+        classes = (m for m in members if isinstance(m, type) and issubclass(m, Options))
+        return next(classes, None)
+
+    @property
     def choices(self) -> tuple[Any, ...]:
         """Values the type lists, for completion."""
         return choices_of(self.annotation)
@@ -136,6 +148,8 @@ class Setting:
     def check(self, value: Any, prefix: str = "") -> Any:
         """Return the value converted to the setting's type.
 
+        Names and tables of settings with a section or of nested settings become objects.
+
         Args:
             value: Value to check.
             prefix: Section that the setting belongs to, for the message.
@@ -143,11 +157,25 @@ class Setting:
         Raises:
             ConfigError: the value is of another type or out of range.
         """
+        name = f"{prefix}.{self.name}" if prefix else self.name
+        value = self._built(value, name)
         converted = convert(value, self.annotation)
         if converted is INVALID or not self.constraint.holds(converted):
-            name = f"{prefix}.{self.name}" if prefix else self.name
+            if self.nested is not None:
+                raise ConfigError(
+                    f"{name}={_shown(value)}: several settings; give {name}.KEY=VALUE."
+                )
             raise ConfigError(f"{name}={_shown(value)}: give {self.expectation}.")
         return converted
+
+    def _built(self, value: Any, name: str) -> Any:
+        from tactorch.config.registry import REGISTRIES, build
+
+        if self.constraint.section in REGISTRIES:
+            return REGISTRIES[self.constraint.section].build(value)
+        if self.nested is not None and isinstance(value, Mapping):
+            return build(self.nested, value, name)
+        return value
 
 
 class Options:

@@ -9,6 +9,8 @@ from typing import Any
 from tactorch.config.options import Options, settings_of
 from tactorch.errors import ConfigError
 
+#: What a configuration file says where a value must be given.
+MISSING = "???"
 #: All registries by section, in the order in which they were made.
 REGISTRIES: dict[str, "Registry"] = {}
 
@@ -116,7 +118,7 @@ def build(
     Args:
         options: The settings' class.
         values: Value by name; settings that are left out have their defaults. Settings with a
-            section of their own may be names or tables.
+            section, and nested settings, may be names or tables. The text "???" is no value.
         section: Where the settings stand, for messages.
         chosen: How the class was chosen, for messages.
 
@@ -124,19 +126,15 @@ def build(
         ConfigError: a setting is unknown or missing, or a value cannot be used.
     """
     settings = {setting.name: setting for setting in settings_of(options)}
+    values = {n: v for n, v in values.items() if not (isinstance(v, str) and v == MISSING)}
     prefix = f"{section}." if section else ""
     for name in values:
         if name not in settings:
             raise ConfigError(unknown_setting(f"{prefix}{name}", settings, chosen or section))
     for setting in settings.values():
         if setting.required and setting.name not in values:
-            name = f"{prefix}{setting.name}"
-            raise ConfigError(f"'{name}' is missing; give {name}={setting.expectation}.")
-    return options(**{n: _nested(settings[n].constraint.section, v) for n, v in values.items()})
-
-
-def _nested(section: str, value: Any) -> Any:
-    return REGISTRIES[section].build(value) if section in REGISTRIES else value
+            raise ConfigError(missing_setting(f"{prefix}{setting.name}", setting.expectation))
+    return options(**{name: settings[name].check(v, section) for name, v in values.items()})
 
 
 def to_mapping(options: Any) -> dict[str, Any]:
@@ -149,16 +147,24 @@ def to_mapping(options: Any) -> dict[str, Any]:
             registry = REGISTRIES.get(section)
             name = {} if registry is None else {"name": registry.name_of(type(value))}
             value = {**name, **to_mapping(value)}
-        values[setting.name] = _plain(value)
+        values[setting.name] = plain_value(value)
     return values
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
+    """Return a value as lists, tables, text, numbers, booleans or None."""
+    if isinstance(value, Options):
+        return to_mapping(value)
     if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
+        return [plain_value(item) for item in value]
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain_value(item) for key, item in value.items()}
     return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+def missing_setting(name: str, expectation: str) -> str:
+    """Return the message for a setting without a value."""
+    return f"'{name}' is missing; give {name}=... ({expectation})."
 
 
 def unknown_choice(section: str, name: str, names: Iterable[str]) -> str:

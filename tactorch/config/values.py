@@ -143,6 +143,16 @@ def choices_of(annotation: Any) -> tuple[Any, ...]:
     return ()
 
 
+def leaf_types(annotation: Any) -> set[Any]:
+    """Return the types that a type is composed of, `dict` among them for tables."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {dict}
+    if origin is Literal or not arguments:
+        return {annotation}
+    return set().union(*(leaf_types(argument) for argument in arguments))
+
+
 def _plural(annotation: Any) -> str:
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin in (tuple, list):

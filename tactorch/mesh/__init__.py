@@ -1,6 +1,6 @@
 """Tetrahedral meshes: making, reading, checking and asking them. Lengths in mm."""
 
-from tactorch.mesh.cache import cache_folder
+from tactorch.files import cache_folder
 from tactorch.mesh.combined import Rotated, Union
 from tactorch.mesh.faces import FACE_NAMES, face_nodes, select_face
 from tactorch.mesh.generate import box_mesh

@@ -1,31 +1,15 @@
 """Meshes kept on disk under a hash of what they were made from."""
 
 import logging
-import os
-import sys
 from pathlib import Path
 
 import numpy as np
 
 from tactorch.errors import TactorchError
-from tactorch.files import atomic_path
+from tactorch.files import atomic_path, cache_folder
 from tactorch.mesh.tetmesh import TetMesh
 
 logger = logging.getLogger(__name__)
-
-
-def cache_folder() -> Path:
-    """Return the folder for cached files: `$TACTORCH_CACHE`, or the user's cache folder."""
-    chosen = os.environ.get("TACTORCH_CACHE")
-    if chosen:
-        return Path(chosen).expanduser()
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "tactorch"
 
 
 def load_mesh(key: str) -> TetMesh | None:

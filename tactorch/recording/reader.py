@@ -113,9 +113,15 @@ class Reader:
         return self._array("gravity", "f", (3,))
 
     def count(self) -> int:
-        """Return how many presses there are, of a file that is a recording."""
+        """Return the number of presses; a file that declares more than it holds is refused."""
         self._check_format()
-        return self._attribute("presses", "count", int)
+        count, groups = self._attribute("presses", "count", int), len(self.file["presses"])
+        if not 0 <= count <= groups:
+            raise self._error(
+                f"declares {count} presses (attribute 'count' of 'presses') and holds {groups}; "
+                "the file is incomplete: write it again"
+            )
+        return count
 
     def press(self, index: int, n_points: int) -> Press:
         """Read and check a press by its number from 0."""

@@ -6,7 +6,7 @@ from tactorch.recording import Recording
 from tactorch.uncertainty.gaussian import GaussianPosterior
 from tactorch.uncertainty.laplace import LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
-from tactorch.uncertainty.variational import variational_posterior
+from tactorch.uncertainty.variational import has_variational_posterior, variational_posterior
 
 #: What may keep a posterior from being computed: of large problems NumPy, torch or ARPACK, too.
 UNCOMPUTABLE = (TactorchError, MemoryError, RuntimeError)
@@ -37,8 +37,8 @@ def posterior_of(
 
 def posterior_at(point: Point, weight: float) -> GaussianPosterior:
     """Return the posterior at a point of the objective, with this weight of the prior."""
-    size, prior = point.objective.size, point.objective.prior.name
-    if size <= VARIATIONAL and weight > 0 and prior == "total_variation":
+    size = point.objective.size
+    if size <= VARIATIONAL and has_variational_posterior(point, weight):
         return variational_posterior(point, weight)
     return (
         LaplacePosterior.at(point, weight) if size <= DENSE else LowRankPosterior.at(point, weight)

@@ -29,12 +29,14 @@ from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Point
+from tactorch.inverse.regularization import TotalVariation
 from tactorch.inverse.regularization.base import jumps, relative_areas
 from tactorch.linalg import DenseCholesky
 from tactorch.uncertainty.laplace import LaplacePosterior
 
 _TOLERANCE = 0.02  # of the weight, and of every jump's size: deviations go by their root
-_MOST = 60
+_MAX_ITERATIONS = 60
+_MIN_SIZE = 1e-6  # log-modulus
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,13 +102,18 @@ class _Jumps:
         return self.free / float(self.areas @ sizes)
 
 
+def has_variational_posterior(point: Point, weight: float) -> bool:
+    """Whether `variational_posterior` applies: total variation without a mean, of some weight."""
+    return weight > 0 and isinstance(point.objective.prior, TotalVariation)
+
+
 def variational_posterior(
     point: Point,
     weight: float,
     *,
     sizes: Float[np.ndarray, " faces"] | None = None,
     tolerance: float = _TOLERANCE,
-    max_iterations: int = _MOST,
+    max_iterations: int = _MAX_ITERATIONS,
 ) -> VariationalPosterior:
     """Take the posterior under total variation near a solution; linear in the data there.
 
@@ -124,16 +131,17 @@ def variational_posterior(
             prior leave something undetermined.
     """
     prior = point.objective.prior
-    if prior.name != "total_variation":
+    if not isinstance(prior, TotalVariation):
         raise ConfigError(
-            f"regularization={prior.name}: the variational posterior is that of total variation; "
-            "use LaplacePosterior with other priors."
+            f"regularization={prior.name} ({type(prior).__name__}): the variational posterior is "
+            "that of total variation without a mean; use LaplacePosterior with other priors."
         )
     if not weight > 0:
         raise ConfigError(f"weight={weight} of the prior must be above 0.")
     parts = _Jumps.at(point)
     if sizes is None:
-        sizes = np.maximum(np.abs(parts.now), getattr(prior, "edge", 0.0))
+        sizes = np.maximum(np.abs(parts.now), prior.edge)
+    sizes = np.maximum(sizes, _MIN_SIZE)  # a uniform map has no jumps
     hessian, iterations = point.jacobian.T @ point.jacobian, 0
     while iterations < max_iterations:
         iterations += 1

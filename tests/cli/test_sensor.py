@@ -323,7 +323,7 @@ def test_force_is_told_of_each_frame(
 def test_ctrl_c_leaves_nothing_half_written(
     tactorch: Any, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tactorch.viz.sensor_markers import MarkerView
+    from tactorch.viz.sensor_frames import MarkerView
 
     shown: list[str] = []
     show = MarkerView.show

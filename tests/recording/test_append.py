@@ -153,3 +153,12 @@ def test_a_file_that_is_cut_short_cannot_be_read(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-500])
     with pytest.raises(FileError, match="cut short"):
         read_presses(path)
+
+
+def test_declared_presses_that_are_not_there_are_refused_at_once(path: Path) -> None:
+    """The number is an attribute that anybody can set: it must not bound a loop."""
+    with h5py.File(path, "r+") as file:
+        file["presses"].attrs["count"] = 1_000_000_000
+    for read in (read_presses, Recording.load):
+        with pytest.raises(RecordingError, match=r"declares 1000000000 presses.*holds 1"):
+            read(path)

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import NuisancePrior, Point, Settings, invert, make_objective, solution
+from tactorch.inverse import (
+    NuisancePrior,
+    Point,
+    PriorOptions,
+    Settings,
+    invert,
+    make_objective,
+    solution,
+)
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -71,3 +79,16 @@ def test_nuisance_parameters_stay_where_they_were_found(noisy: Recording) -> Non
         solution(noisy, found, Settings())
     with pytest.raises(ConfigError, match="the result has 3 moduli"):
         solution(noisy, replace(found, youngs=np.ones(3)), settings)
+
+
+def test_prior_with_a_mean_has_the_laplace_posterior_around_it(noisy: Recording) -> None:
+    """Total variation of the distance from a mean map is not total variation of the map."""
+    mean = np.full(noisy.mesh.n_tets, 0.2)
+    options = PriorOptions(mean_mpa=mean, mean_share=1.0)
+    objective = make_objective(noisy, Settings(prior=options))
+    uniform = objective.at(objective.start(mean))
+    actual, expected = select.posterior_at(uniform, 1.0), LaplacePosterior.at(uniform, 1.0)
+    assert type(actual) is LaplacePosterior
+    np.testing.assert_array_equal(actual.deviation(), expected.deviation())
+    with pytest.raises(ConfigError, match="ShiftedPrior"):
+        variational_posterior(uniform, 1.0)

@@ -115,6 +115,17 @@ def test_refusals(point: Point) -> None:
         variational_posterior(replace(point.objective, prior=smooth).at(point.x), 1.0)
 
 
+@pytest.mark.parametrize("given", [True, False])
+def test_uniform_map_has_a_finite_posterior(point: Point, given: bool) -> None:
+    """The iteration starts at the jumps of the map, which are zero here."""
+    uniform = point.objective.at(np.full_like(point.x, np.log(0.2)))
+    sizes = np.zeros(len(point.objective.problem.recording.mesh.adjacency.pairs))
+    posterior = variational_posterior(uniform, 1.0, sizes=sizes if given else None)
+    assert np.isfinite(posterior.weight)
+    assert np.isfinite(posterior.deviation()).all()
+    assert posterior.deviation().min() > 0
+
+
 def test_a_start_at_the_last_sizes_settles_at_once(point: Point) -> None:
     found = variational_posterior(point, 1.0)
     again = variational_posterior(point, found.weight, sizes=found.sizes)

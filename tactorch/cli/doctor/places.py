@@ -52,7 +52,7 @@ def _conf() -> str:
 
 
 def _cache() -> str:
-    from tactorch.mesh.cache import cache_folder
+    from tactorch.files import cache_folder
 
     return _writable(cache_folder())
 

@@ -28,8 +28,8 @@ from tactorch.sensor.depth import height_of
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.image import Image
-from tactorch.viz.sensor_depth import DepthView
-from tactorch.viz.sensor_time import plot_over_time
+from tactorch.viz.sensor_frames import DepthView
+from tactorch.viz.session import plot_over_time
 
 _STEM = "depth"
 _TABLE, _MAPS = "depth.csv", "heights"

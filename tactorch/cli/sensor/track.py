@@ -29,9 +29,8 @@ from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.image import Image
 from tactorch.sensor.markers import MarkerLook, MarkerTracker, displacement_mm
-from tactorch.viz.sensor_frame import largest
-from tactorch.viz.sensor_markers import MarkerView
-from tactorch.viz.sensor_time import plot_over_time
+from tactorch.viz.sensor_frames import MarkerView, colour_limit
+from tactorch.viz.session import plot_over_time
 
 _STEM = "markers"
 _TABLE, _ARRAYS = "tracks.csv", "tracks.npz"
@@ -184,7 +183,7 @@ def _draw(
     moved: Places,
 ) -> None:
     size, seen = np.linalg.norm(moved, axis=2), np.isfinite(places[..., 0])
-    view = MarkerView(sensor, tracker.begin, largest(size, _LEAST_MM), float(cfg.magnify))
+    view = MarkerView(sensor, tracker.begin, colour_limit(size, _LEAST_MM), float(cfg.magnify))
 
     def show(frame: Frame) -> None:
         k = frame.index

@@ -22,7 +22,11 @@ from tactorch.sampling.rules import ExpectedError, LargestUncertainty, SamplingS
 from tactorch.uncertainty.gaussian import GaussianPosterior
 from tactorch.uncertainty.gaussian_state import GaussianState
 from tactorch.uncertainty.laplace import LaplacePosterior
-from tactorch.uncertainty.variational import VariationalPosterior, variational_posterior
+from tactorch.uncertainty.variational import (
+    VariationalPosterior,
+    has_variational_posterior,
+    variational_posterior,
+)
 
 RULES = ("auto", "expected_error", "largest_uncertainty", "none")
 # Elements up to which a dense posterior takes seconds.
@@ -124,7 +128,7 @@ class Suggester:
         return "expected_error" if foreseen else "largest_uncertainty"
 
     def _posterior(self, point: Point, weight: float) -> GaussianPosterior:
-        if point.objective.prior.name != "total_variation" or not weight > 0:
+        if not has_variational_posterior(point, weight):
             return LaplacePosterior.at(point, weight)
         before = self._before
         if before is None or len(before.mean) != len(point.elements):

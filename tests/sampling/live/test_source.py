@@ -135,3 +135,15 @@ def test_a_file_that_vanishes_for_a_while_is_waited_for(path: Path, whole: Recor
 def test_what_can_be_no_source_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="neither a folder nor a recording"):
         Source(tmp_path / "none")
+
+
+def test_declared_presses_that_are_not_there_are_reported(
+    path: Path, whole: Recording, notes: list[str]
+) -> None:
+    whole.select([0]).save(path)
+    with h5py.File(path, "r+") as file:
+        file["presses"].attrs["count"] = 1_000_000_000
+    source = Source(path, patience_seconds=0.0, tell=notes.append)
+    assert keys(source) == []
+    assert len(notes) == 1
+    assert "declares 1000000000 presses" in notes[0]
