@@ -228,21 +228,22 @@ class SoftBody:
         single = forces.ndim == 2
         self._check(youngs.detach().numpy(), forces.detach().numpy())
         self._check_rest(poisson, points)
-        batch = torch.stack([self._consistent_loads(case) for case in (forces[None] if single else forces)])
+        cases = forces[None] if single else forces
+        batch = torch.stack([self._consistent_loads(case) for case in cases])
         supports.require_cases(len(batch))
         initial = None if start is None else (start[None] if single else start)
         if initial is not None and initial.shape != batch.shape:
             raise ConfigError(
-                f"start has shape {initial.shape}; expected {tuple(batch.shape)}, all element nodes."
+                f"start has shape {initial.shape}; expected {tuple(batch.shape)}, all nodes."
             )
-        cases = LoadCases(self.assembly, self.pool, self.newton, supports, initial)
+        problem = LoadCases(self.assembly, self.pool, self.newton, supports, initial)
         ratio = torch.as_tensor(self.assembly.poisson, dtype=torch.float64)
         u = Equilibrium.apply(
             youngs,
             ratio if poisson is None else poisson,
             batch,
             torch.tensor(self.mesh.points) if points is None else points,
-            cases,
+            problem,
         )
         return u[0] if single else u
 

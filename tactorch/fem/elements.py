@@ -60,14 +60,10 @@ def _quadratic() -> Element:
             table[q, a, a] = 4.0 * L[a] - 1.0
         for k, (a, b) in enumerate(_EDGES):
             table[q, 4 + k, a], table[q, 4 + k, b] = 4.0 * L[b], 4.0 * L[a]
-    return Element(
-        table, np.full(4, 0.25), (0.0, 1.0 / 3.0), (-0.05, 0.2), mean_dilatation=True
-    )
+    return Element(table, np.full(4, 0.25), (0.0, 1.0 / 3.0), (-0.05, 0.2), mean_dilatation=True)
 
 
-TET4 = Element(
-    np.eye(4)[None], np.ones(1), (1.0 / 3.0, 0.0), (0.25, 0.0), mean_dilatation=False
-)
+TET4 = Element(np.eye(4)[None], np.ones(1), (1.0 / 3.0, 0.0), (0.25, 0.0), mean_dilatation=False)
 TET10 = _quadratic()
 #: Element types by name.
 ELEMENTS = Registry(

@@ -146,13 +146,13 @@ def gather_dot(nodes, forces, x, out):
 def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values):
     """Add the element tangents to the stored entries `values` of the symmetric matrix.
 
-    Args:
-        coefficients: d1, d2, dj, d11, d12, d1j, d22, d2j, djj per unit modulus, (9, m, q).
-        weights: Modulus times volume of the quadrature points, (m, q).
-        mean: Modulus times U'' over volume where the volumetric energy is averaged, (m,), or
-            empty.
-        slots: Index in `values` of the entries of the upper triangle, by blocks of node pairs,
-            (m, 3k(3k+1)/2).
+    Sizes of m elements with q quadrature points and k nodes:
+
+    - coefficients: d1, d2, dj, d11, d12, d1j, d22, d2j, djj per unit modulus, (9, m, q);
+    - weights: modulus times volume of the quadrature points, (m, q);
+    - mean: modulus times U'' over volume where the volumetric energy is averaged, (m,), or empty;
+    - slots: index in `values` of each entry of the upper triangle, by blocks of node pairs,
+      (m, 3k(3k+1)/2).
     """
     k = gradients.shape[2]
     cof = np.empty((3, 3))

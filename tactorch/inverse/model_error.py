@@ -92,10 +92,10 @@ def discretisation_error(
             "as "
             "uncertainty, 0 to 1."
         )
-    if problem.body.discretisation.element.name != "tet4":
+    if problem.body.discretisation.element.quadratic:
         raise ConfigError(
             "model_error=discretisation compares plain tetrahedra with quadratic ones; with "
-            f"element={problem.body.discretisation.element.name} choose model_error=none."
+            "element=tet10 choose model_error=none."
         )
     quadratic = InverseProblem(
         problem.recording,

@@ -25,7 +25,8 @@ class CGResult:
         image: Product of the matrix with `solution`.
         iterations: Number of products with the matrix.
         converged: Whether every column reached the tolerance.
-        negative_curvature: Whether some column met a direction of negative curvature.
+        negative_curvature: Whether some column met a direction of negative curvature, of the
+            matrix or of the preconditioner.
     """
 
     solution: Array
@@ -71,8 +72,9 @@ def conjugate_gradients(
     rz = _dot(residual, z)
     size = rz if preconditioned_norm else _dot(residual, residual)
     goal = rtol**2 * size
-    active = (size > goal) & (rz > 0.0)
-    negative = active & ~active
+    active = size > goal
+    negative = active & ~(rz > 0.0)
+    active = active & ~negative
     direction, former, iteration = z, [], 0
     while iteration < max_iterations and bool(active.any()):
         along = product(direction)
@@ -98,7 +100,9 @@ def conjugate_gradients(
         rz = _dot(residual, z)
         if preconditioned_norm:
             size = rz
-        active = active & (size > goal) & (rz > 0.0)
+        active = active & (size > goal)
+        negative = negative | (active & ~(rz > 0.0))
+        active = active & ~negative
         direction = z + xp.where(active, rz / xp.where(active, previous, 1.0), 0.0) * direction
     converged = bool((size <= goal).all()) and not bool(negative.any())
     return CGResult(x, image, iteration, converged, bool(negative.any()))

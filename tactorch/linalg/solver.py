@@ -163,7 +163,7 @@ class AutoSolver(SolverOptions):
         pardiso: SolverOptions = SOLVERS["pardiso"]()
         installed = pardiso.available()
         if size > (_MAX_PARDISO_SIZE if installed else _MAX_SUPERLU_SIZE):
-            return SOLVERS["multigrid"]()  # type: ignore[no-any-return]
+            return SOLVERS["multigrid"]()
         return pardiso if installed else SOLVERS["superlu"]()
 
 

@@ -96,7 +96,7 @@ class TorchCGSolver(IterativeSolver):
         columns = torch.tensor(rhs, device=self.device).reshape(len(rhs), -1)
         with torch.no_grad():
             solution = self._iterate(lambda x: matrix @ x, self._precondition, columns)
-        return solution.reshape(rhs.shape).cpu().numpy()  # type: ignore[no-any-return]
+        return solution.reshape(rhs.shape).cpu().numpy()
 
     def _precondition(self, residual: Tensor) -> Tensor:
         blocks = residual.reshape(*self._inverse_blocks.shape[:2], -1)

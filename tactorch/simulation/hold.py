@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tactorch.fem import Discretisation, Supports, make_element
+from tactorch.fem import ELEMENTS, Discretisation, Supports
 from tactorch.fem.loads import pressure_forces
-from tactorch.fem.supports import HeldCase
+from tactorch.fem.supports import CaseSupports
 from tactorch.mesh import TetMesh, face_nodes
 from tactorch.simulation.plan import PressPlan, Series
 
@@ -25,7 +25,7 @@ def spring_stiffness(
     if plan.hold == "springs":
         springs[face_nodes(mesh, series.opposite)] = float(plan.spring_n_per_mm)
         if even:
-            shares = area_shares(Discretisation(mesh, make_element("tet4")), series)
+            shares = area_shares(Discretisation(mesh, ELEMENTS["tet4"]), series)
             springs = shares[:, None] * springs.sum(axis=0)
     return springs
 
@@ -49,7 +49,7 @@ class Foundation(Supports):
 
     node_springs: Float[np.ndarray, "nodes 3"] | None = None
 
-    def case(self, index: int, discretisation: Discretisation) -> HeldCase:
+    def case(self, index: int, discretisation: Discretisation) -> CaseSupports:
         """Return the one load case; see `Supports.case`."""
         held = super().case(index, discretisation)
         return held if self.node_springs is None else replace(held, springs=self.node_springs)

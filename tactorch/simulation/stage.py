@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import Discretisation, SoftBody, Supports, make_element
+from tactorch.fem import ELEMENTS, Discretisation, SoftBody, Supports
 from tactorch.fem.loads import pressure_forces
 from tactorch.mesh import TetMesh, face_nodes
 from tactorch.simulation.hold import fixed_freedoms, foundation, spring_stiffness
@@ -53,7 +53,7 @@ class Setup:
         observed[nodes] = True
         return cls(
             series,
-            unit_forces(Discretisation(mesh, make_element("tet4")), series, plan),
+            unit_forces(Discretisation(mesh, ELEMENTS["tet4"]), series, plan),
             observed,
             spring_stiffness(mesh, series, plan, even=even),
             fixed_freedoms(mesh, series, plan),

@@ -38,7 +38,7 @@ def make_material(name: str, poisson: float, **parameters: Any) -> Material:
     Raises:
         ConfigError: The name or a parameter is unknown, or a value is out of range.
     """
-    return MATERIALS.build({"name": name, "poisson": poisson, **parameters})  # type: ignore[no-any-return]
+    return MATERIALS.build({"name": name, "poisson": poisson, **parameters})
 
 
 __all__ = [

@@ -93,16 +93,16 @@ class Material(Options):
     ) -> Float[Tensor, "*batch 3 3"]:
         """Return the first Piola-Kirchhoff stress per unit modulus, d psi / dF."""
         gradient = torch.func.grad(lambda A: self.energy(A, poisson).sum())(F)
-        return gradient  # type: ignore[no-any-return]
+        return gradient
 
     def tangent(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
     ) -> Float[Tensor, "*batch 3 3 3 3"]:
         """Return the tangent per unit modulus, d P_iI / d F_jJ at [i, I, j, J]."""
-        _, pullback = torch.func.vjp(lambda A: self.stress(A, poisson), F)
+        pullback = torch.func.vjp(lambda A: self.stress(A, poisson), F)[1]
         basis = torch.eye(9, dtype=F.dtype, device=F.device).reshape(9, *[1] * (F.ndim - 2), 3, 3)
         (rows,) = torch.func.vmap(pullback)(basis.expand(9, *F.shape))
-        return rows.movedim(0, -3).unflatten(-3, (3, 3))  # type: ignore[no-any-return]
+        return rows.movedim(0, -3).unflatten(-3, (3, 3))
 
 
 class IsotropicMaterial(Material):
@@ -128,7 +128,7 @@ class IsotropicMaterial(Material):
     ) -> InvariantDerivatives:
         """Return `strain_energy` with its derivatives: by autograd, or in closed form."""
 
-        def energy(i1: Tensor, i2: Tensor, j: Tensor, poisson: Tensor) -> Tensor:
+        def energy(i1: Tensor, i2: Tensor, j: Tensor, poisson: Scalars) -> Tensor:
             return self.strain_energy(i1, i2, j, torch.log(j), poisson)
 
         psi, (d1, d2, dj), (h1, h2, hj) = _differentiate(energy, (i1, i2, j), poisson)
@@ -138,8 +138,10 @@ class IsotropicMaterial(Material):
         self, j: Scalars, log_j: Scalars, poisson: Scalars
     ) -> VolumetricDerivatives:
         """Return `volumetric_energy` with its derivatives: by autograd, or in closed form."""
+        if type(self).volumetric_energy is IsotropicMaterial.volumetric_energy:
+            return VolumetricDerivatives(0.0 * j)
 
-        def energy(j: Tensor, poisson: Tensor) -> Tensor:
+        def energy(j: Tensor, poisson: Scalars) -> Tensor:
             return self.volumetric_energy(j, torch.log(j), poisson)
 
         psi, (dj,), ((djj,),) = _differentiate(energy, (j,), poisson)
@@ -150,7 +152,7 @@ class IsotropicMaterial(Material):
         i1, i2, j = invariants(F)
         log_j = torch.log(j)
         strain = self.strain_energy(i1, i2, j, log_j, poisson)
-        return strain + self.volumetric_energy(j, log_j, poisson)  # type: ignore[no-any-return]
+        return strain + self.volumetric_energy(j, log_j, poisson)
 
     def stress(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
@@ -205,23 +207,22 @@ def _differentiate(
         poisson = torch.as_tensor(poisson, dtype=torch.float64)
     which = tuple(range(len(arguments)))
 
-    def total(*x: Tensor) -> tuple[Tensor, Tensor]:
-        psi = energy(*x, poisson) + 0.0 * x[0]  # an energy may be constant, or zero
-        return psi.sum(), psi
+    def psi(*x: Tensor) -> Tensor:
+        return energy(*x, poisson) + 0.0 * x[0]  # an energy may be constant
 
-    def gradient(*x: Tensor) -> tuple[tuple[Tensor, ...], Tensor]:
-        return torch.func.grad(total, argnums=which, has_aux=True)(*x)  # type: ignore[no-any-return]
+    def total(*x: Tensor) -> Tensor:
+        return psi(*x).sum()
 
-    first, pullback, psi = torch.func.vjp(gradient, *arguments, has_aux=True)
+    first, pullback = torch.func.vjp(torch.func.grad(total, argnums=which), *arguments)[:2]
     zeros = [torch.zeros_like(d) for d in first]
     second = tuple(
         pullback(tuple(torch.ones_like(d) if i == k else zeros[i] for i, d in enumerate(first)))
         for k in which
     )
     if not as_numpy:
-        return psi, first, second
+        return psi(*arguments), first, second
     rows = tuple(tuple(d.numpy() for d in row) for row in second)
-    return psi.numpy(), tuple(d.numpy() for d in first), rows
+    return psi(*arguments).numpy(), tuple(d.numpy() for d in first), rows
 
 
 def _expand(value: Scalars, like: Tensor) -> Tensor:
