@@ -12,7 +12,7 @@ from matplotlib.patches import Circle as Round
 from matplotlib.patheffects import withStroke
 
 from tactorch.sensor.calibration import Ball, Circle
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.text import one_line
 from tactorch.viz.figure import BLUE, VERMILION, new_figure, save_figure
 from tactorch.viz.sensor_frames import EDGE

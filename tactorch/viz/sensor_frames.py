@@ -11,7 +11,7 @@ from matplotlib.image import AxesImage
 from matplotlib.tri import Triangulation
 
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.viz.figure import VERMILION, new_figure
 
 Extent = tuple[float, float, float, float]

@@ -46,7 +46,7 @@ SHIFT_MM = (0.15, -0.1)
 
 
 def still() -> Face:
-    return Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.places_mm))
+    return Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
 
 
 def pressed(center: tuple[float, float], contact_px: float) -> Face:

@@ -9,8 +9,7 @@ from tactorch.cli.settings import log, plain
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.description import SensorDescription, load_sensor
-from tactorch.sensor.frames import SourceLike, read_reference
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image, Source, read_reference
 from tactorch.sensor.markers import MarkerLook
 
 
@@ -21,7 +20,7 @@ def sensor_of(cfg: DictConfig) -> SensorDescription:
     return sensor if scale is None else replace(sensor, mm_per_px=plain(scale))
 
 
-def source_of(value: str | float) -> SourceLike:
+def source_of(value: str | float) -> Source:
     """Return a source of frames: a whole number is a camera, all else a path."""
     return value if isinstance(value, int) else Path(str(value))
 

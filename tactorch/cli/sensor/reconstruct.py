@@ -26,8 +26,7 @@ from tactorch.mesh.values import positive
 from tactorch.sensor.calibration import Calibration
 from tactorch.sensor.depth import height_of
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Frame, Image
 from tactorch.viz.sensor_frames import DepthView
 from tactorch.viz.session import plot_over_time
 

@@ -26,8 +26,7 @@ from tactorch.cli.settings import folder, log
 from tactorch.errors import ConfigError
 from tactorch.mesh.values import positive
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Frame, Image
 from tactorch.sensor.markers import MarkerLook, MarkerTracker, displacement_mm
 from tactorch.viz.sensor_frames import MarkerView, colour_limit
 from tactorch.viz.session import plot_over_time
