@@ -122,7 +122,9 @@ def test_closed_forms_are_the_derivatives_by_autograd(name, F, poisson):
         closed = getattr(material, method)(*arguments)
         general = getattr(IsotropicMaterial, method)(material, *arguments)
         for ours, expected in zip(closed, general, strict=True):
-            ours, expected = (torch.as_tensor(x, dtype=F.dtype).expand(40) for x in (ours, expected))
+            ours, expected = (
+                torch.as_tensor(x, dtype=F.dtype).expand(40) for x in (ours, expected)
+            )
             torch.testing.assert_close(ours, expected, rtol=1e-11, atol=1e-12)
 
 
