@@ -39,7 +39,7 @@ def half_chi2_sum(problem: InverseProblem, youngs: np.ndarray) -> float:
     return 0.5 * evaluation.chi2 * problem.n_data
 
 
-@pytest.mark.parametrize("element",  ELEMENTS.names())
+@pytest.mark.parametrize("element", ELEMENTS.names())
 def test_jacobian_is_autograds(recording: Recording, moduli: np.ndarray, element: str) -> None:
     problem = InverseProblem(recording, element=element)
     deviation = problem.noise.deviations(recording)[0]
@@ -51,7 +51,7 @@ def test_jacobian_is_autograds(recording: Recording, moduli: np.ndarray, element
     np.testing.assert_allclose(jacobian, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("element",  ELEMENTS.names())
+@pytest.mark.parametrize("element", ELEMENTS.names())
 def test_jacobian_is_the_finite_difference(
     recording: Recording, moduli: np.ndarray, element: str
 ) -> None:
@@ -66,7 +66,7 @@ def test_jacobian_is_the_finite_difference(
     )
 
 
-@pytest.mark.parametrize("element",  ELEMENTS.names())
+@pytest.mark.parametrize("element", ELEMENTS.names())
 def test_products_are_those_of_the_matrix(
     recording: Recording, moduli: np.ndarray, element: str
 ) -> None:
@@ -155,7 +155,7 @@ def test_fixed_freedoms_are_no_data(recording: Recording, moduli: np.ndarray) ->
     assert np.isfinite(problem.evaluate(moduli).gradient()).all()
 
 
-@pytest.mark.parametrize("element",  ELEMENTS.names())
+@pytest.mark.parametrize("element", ELEMENTS.names())
 def test_gravity_enters(make_tiny: Make, element: str) -> None:
     heavy = make_tiny(hold="fixed", density=1.07e-7, element=element)  # a hundred times silicone
     assert heavy.truth is not None
