@@ -115,7 +115,7 @@ def test_misfit_is_equation_7_in_mm2(recording: Recording, moduli: np.ndarray) -
 
 def test_misfit_vanishes_at_the_truth(make_tiny: Make) -> None:
     for element in ELEMENTS.names():  # a recording has springs on vertices only, so hold it exactly
-        recording = make_tiny(hold="fixed", element=element)
+        recording = make_tiny(support="fixed", element=element)
         assert recording.truth is not None
         evaluation = InverseProblem(recording, element=element).evaluate(recording.truth)
         assert evaluation.misfit_mm2 < 1e-16
@@ -157,7 +157,7 @@ def test_fixed_freedoms_are_no_data(recording: Recording, moduli: np.ndarray) ->
 
 @pytest.mark.parametrize("element", ELEMENTS.names())
 def test_gravity_enters(make_tiny: Make, element: str) -> None:
-    heavy = make_tiny(hold="fixed", density=1.07e-7, element=element)  # a hundred times silicone
+    heavy = make_tiny(support="fixed", density=1.07e-7, element=element)  # a hundred times silicone
     assert heavy.truth is not None
     problem = InverseProblem(heavy, element=element)
     assert problem.evaluate(heavy.truth).misfit_mm2 < 1e-14
