@@ -6,7 +6,7 @@ from pathlib import Path
 from threading import Event
 
 from tactorch.errors import ConfigError, RecordingError
-from tactorch.recording import Recording, append_press
+from tactorch.recording import Recording, append_press, compact
 from tactorch.recording.append import digest
 
 
@@ -46,6 +46,7 @@ def replay(
         else:
             append_press(target, recording.presses[index])
         on_press(index + 1)
+    compact(target)
     return len(recording.presses)
 
 

@@ -156,10 +156,10 @@ class RecordingSource(PressSource):
                 self._report(f"{file.press_name(index)} is invalid and skipped: {fault}")
         new = {i: press for i, press in contents.presses.items() if i >= file.count}
         file.count = contents.count
-        if contents.about is not None and new:
+        if contents.recording is not None and new:
             before = () if self.about is None else self.about.presses
             presses = (*before, *new.values())
-            self.about = replace(contents.about, presses=presses, check_units=False)
+            self.about = replace(contents.recording, presses=presses, check_units=False)
         arrivals = [Arrival(press, file.press_name(i), digest(press)) for i, press in new.items()]
         if new:
             file.last = max(new), arrivals[-1].digest
