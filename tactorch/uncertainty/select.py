@@ -13,7 +13,7 @@ UNCOMPUTABLE = (TactorchError, MemoryError, RuntimeError)
 VARIATIONAL, DENSE = 2_000, 12_000  # parameters up to which it takes seconds, or fits the memory
 
 
-def posterior_of(
+def compute_posterior(
     recording: Recording, found: Reconstruction, settings: Settings | None = None
 ) -> GaussianPosterior:
     """Return how far each modulus of a reconstruction can be trusted.
