@@ -69,8 +69,8 @@ REST = "more"
 FIRST = (
     "Recording", "Press", "Phantom", "make_phantom", "simulate", "PressPlan", "invert", "Settings",
     "Reconstruction", "compute_posterior", "sample", "SoftBody", "Supports", "make_material",
-    "TetMesh", "read_mesh", "tetrahedralize", "SensorDescription", "load_sensor", "SensorChain", "record",
-    "scores", "find_lump", "find_inclusion", "TactorchError",
+    "TetMesh", "read_mesh", "tetrahedralize", "SensorDescription", "load_sensor", "SensorChain",
+    "record", "scores", "find_lump", "find_inclusion", "TactorchError",
 )  # fmt: skip
 
 

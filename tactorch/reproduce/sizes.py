@@ -80,9 +80,9 @@ def work(case: Case, scratch: Path) -> Outcome:
         )
     unknowns = NuisancePrior(rest_scale=_OFF) if settings["how"] == "estimated" else NuisancePrior()
     found = invert(wrong, Settings(nuisance=unknowns), start_mpa=START_MPA, show_progress=False)
-    lumps = find_lumps(wrong.mesh, found.youngs, most=1)
+    lumps = find_lumps(wrong.mesh, found.youngs, max_lumps=1)
     center = lumps[0].center_mm / settings["size"] if lumps else np.full(3, np.nan)
-    true = find_lumps(right.mesh, truth, most=1)[0].center_mm
+    true = find_lumps(right.mesh, truth, max_lumps=1)[0].center_mm
     estimate = found.nuisance.get("rest_scale")
     return Outcome(
         {

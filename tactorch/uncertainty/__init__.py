@@ -2,11 +2,11 @@
 
 - `sensitivity_matrix`, `credibility`, `layer_profile`: which elements the observed displacements
   depend on, and how this decreases with depth (eq. 14 and 15).
-- `compute_posterior`: the posterior of a reconstruction, chosen among the following.
+- `compute_posterior`: posterior of a reconstruction, one of the following.
 - `LaplacePosterior`: Gaussian approximation at the reconstruction; `LowRankPosterior` for large
   meshes.
 - `variational_posterior`: Gaussian scale mixture for total variation, with estimated scales.
-- `coverage`, `calibration_curve`: whether stated deviations hold over objects of known truth.
+- `coverage`, `calibration_curve`: coverage of intervals over objects of known truth.
 - `GaussianState`: Kalman update by a press (eq. 16 and 17).
 """
 

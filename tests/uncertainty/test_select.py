@@ -54,7 +54,7 @@ def test_other_priors_and_larger_meshes_have_their_own(
     settings = Settings(regularization="smoothness")
     found = invert(noisy, settings)
     assert type(compute_posterior(noisy, found, settings)) is LaplacePosterior
-    monkeypatch.setattr(select, "DENSE", 10)
+    monkeypatch.setattr(select, "MAX_DENSE", 10)
     told: list[tuple[int, float]] = []
 
     def at(point: Point, weight: float) -> LaplacePosterior:
