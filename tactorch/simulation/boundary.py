@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tactorch.fem import Discretisation, Supports, make_element
+from tactorch.fem import ELEMENTS, Discretisation, Supports
 from tactorch.fem.loads import pressure_forces
-from tactorch.fem.supports import HeldCase
+from tactorch.fem.supports import CaseSupports
 from tactorch.mesh import TetMesh, face_nodes
 from tactorch.simulation.patch import nodes_within, patch_forces
 from tactorch.simulation.plan import PressPlan, PressSite
@@ -55,7 +55,7 @@ class BoundaryConditions:
         observed[nodes] = True
         return cls(
             site,
-            unit_forces(Discretisation(mesh, make_element("tet4")), site, plan),
+            unit_forces(Discretisation(mesh, ELEMENTS["tet4"]), site, plan),
             observed,
             _spring_stiffness(mesh, site, plan, even_springs),
             fixed_dofs(mesh, site, plan),
@@ -83,7 +83,7 @@ def _spring_stiffness(
     if plan.support == "springs":
         springs[face_nodes(mesh, site.opposite)] = plan.spring_n_per_mm
         if even:
-            fractions = _area_fractions(Discretisation(mesh, make_element("tet4")), site)
+            fractions = _area_fractions(Discretisation(mesh, ELEMENTS["tet4"]), site)
             springs = fractions[:, None] * springs.sum(axis=0)
     return springs
 
@@ -108,7 +108,7 @@ class ElasticFoundation(Supports):
 
     node_springs: Float[np.ndarray, "nodes 3"] | None = None
 
-    def case(self, index: int, discretisation: Discretisation) -> HeldCase:
+    def case(self, index: int, discretisation: Discretisation) -> CaseSupports:
         """Return the load case; see `Supports.case`."""
         case = super().case(index, discretisation)
         return case if self.node_springs is None else replace(case, springs=self.node_springs)

@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
-from tactorch.fem import SoftBody, make_material, map_cases
+from tactorch.fem import STANDARD_GRAVITY, SoftBody, make_material
+from tactorch.linalg import map_cases
 from tactorch.mesh import TetMesh
 from tactorch.mesh.values import Real, Vector, positive, vector
 from tactorch.phantoms import Phantom
@@ -20,8 +21,6 @@ from tactorch.simulation.noise import add_noise, noise_level
 from tactorch.simulation.plan import PressPlan
 from tactorch.simulation.solve import PressSimulator
 
-#: Standard gravity downward, mm/s^2.
-GRAVITY = (0.0, 0.0, -9806.65)
 _DEFAULT_MATERIAL = MaterialSpec("neo_hookean", 0.45)
 _DEFAULT_PLAN = PressPlan()
 
@@ -39,7 +38,7 @@ def simulate(
     snr_db: Real | None = None,
     seed: int = 0,
     density: Real | None = None,
-    gravity: Vector = GRAVITY,
+    gravity: Vector = STANDARD_GRAVITY,
     progress: Callable[[int, int], None] | None = None,
 ) -> Recording:
     """Simulate a recording of presses on a phantom.

@@ -38,7 +38,7 @@ def heavy(make_tiny: Make) -> Recording:
     return make_tiny(density=1e-9, gravity=(0.0, 0.0, -9810.0))
 
 
-@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("element", ELEMENTS.names())
 @pytest.mark.parametrize("k", range(ALL.size))
 def test_each_column_is_the_finite_difference(
     heavy: Recording, moduli: np.ndarray, element: str, k: int

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
-from tactorch.fem import Discretisation, make_element
+from tactorch.fem import ELEMENTS, Discretisation
 from tactorch.mesh import FACE_NAMES, TetMesh, box_mesh
 from tactorch.simulation import PressSite
 from tactorch.simulation.patch import nodes_within, patch_center, patch_forces
@@ -13,7 +13,7 @@ MESH = box_mesh((10.0, 10.0, 4.0), (5, 7, 2))
 
 
 def forces(element: str, site: PressSite, radius: float, mesh: TetMesh = MESH) -> np.ndarray:
-    return patch_forces(Discretisation(mesh, make_element(element)), site, radius)
+    return patch_forces(Discretisation(mesh, ELEMENTS[element]), site, radius)
 
 
 @pytest.mark.parametrize("element", ["tet4", "tet10"])
@@ -25,14 +25,14 @@ def test_force_and_moment_are_those_of_the_disc(
     at = forces(element, PressSite("z+", (x, y, 0.0)), radius)
     area = np.pi * radius**2
     np.testing.assert_allclose(at.sum(axis=0), [0.0, 0.0, -area], rtol=1e-12, atol=1e-12 * area)
-    positions = Discretisation(MESH, make_element(element)).positions
+    positions = Discretisation(MESH, ELEMENTS[element]).positions
     center = positions.T @ -at[:, 2] / area
     np.testing.assert_allclose(center, [x, y, 4.0], atol=1e-9)
 
 
 def test_quadratic_loads_have_the_second_moment_too() -> None:
     at = forces("tet10", PressSite("z+", (5.2, 4.7, 0.0)), 2.0)
-    offsets = Discretisation(MESH, make_element("tet10")).positions[:, :2] - [5.2, 4.7]
+    offsets = Discretisation(MESH, ELEMENTS["tet10"]).positions[:, :2] - [5.2, 4.7]
     moments = (offsets**2).T @ -at[:, 2]
     # Of the polygon of 96 sides; a disc's pi r^4 / 4 within its departure from it.
     np.testing.assert_allclose(moments, np.pi * 2.0**4 / 4, rtol=1e-3)
