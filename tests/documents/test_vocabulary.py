@@ -162,7 +162,8 @@ def test_every_exception_is_needed() -> None:
     unused = [
         f"{word} | {path}"
         for (word, path), reason in allowed().items()
-        if reason != "pending" and not any(f.word == word and f.path.startswith(path) for f in findings())
+        if reason != "pending"
+        and not any(f.word == word and f.path.startswith(path) for f in findings())
     ]
     assert not unused, "\n".join(["", *unused])
 
