@@ -16,7 +16,7 @@ import pytest
 
 from tactorch.errors import FileError, TactorchError
 from tactorch.sensor.calibration import Calibration, load_calibration, read_labels, save_calibration
-from tactorch.sensor.calibration.maps import make_map
+from tactorch.sensor.calibration import SENSOR_MAPS
 from tactorch.sensor.contact import read_poses
 from tactorch.sensor.description import GelLayer, SensorDescription, load_sensor
 from tactorch.sensor.frames import read_frames, read_image
@@ -51,7 +51,7 @@ def encoded(suffix: str) -> bytes:
 
 def calibration(folder: Path, name: str) -> bytes:
     path = folder / "whole.npz"
-    save_calibration(Calibration(make_map(name), IMAGE, (0.3, 0.3)), path)
+    save_calibration(Calibration(SENSOR_MAPS.build(name).create(0), IMAGE, (0.3, 0.3)), path)
     return path.read_bytes()
 
 

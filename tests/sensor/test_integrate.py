@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.depth.fill import filled
-from tactorch.sensor.depth.integrate import integrate
+from tactorch.sensor.depth import fill_masked
+from tactorch.sensor.depth import integrate
 
 SIZE = (0.1, 0.08)
 
@@ -58,7 +58,7 @@ def test_what_markers_hide_is_filled_in_smoothly() -> None:
     known = np.ones(field.shape, dtype=bool)
     known[10:16, 20:27] = known[40:46, :5] = known[33, 50] = False
     damaged = np.where(known, field, 99.0)
-    found = filled(damaged, known)
+    found = fill_masked(damaged, known)
     np.testing.assert_array_equal(found[known], field[known])
     inner = np.zeros_like(known)
     inner[10:16, 20:27] = inner[33, 50] = True
@@ -82,4 +82,4 @@ def test_wrong_slopes_are_refused(changes: dict, message: str) -> None:
 
 def test_nothing_known_is_refused() -> None:
     with pytest.raises(ConfigError, match="no pixel is known"):
-        filled(np.zeros((4, 4)), np.zeros((4, 4), dtype=bool))
+        fill_masked(np.zeros((4, 4)), np.zeros((4, 4), dtype=bool))

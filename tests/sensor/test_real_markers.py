@@ -8,11 +8,11 @@ from scipy.spatial import cKDTree
 
 from tactorch.sensor.frames import read_image
 from tactorch.sensor.frames.sources import open_source
-from tactorch.sensor.markers import MarkerLook, MarkerTracker, detect_markers, track
+from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, detect_markers, track
 
 pytestmark = pytest.mark.external
 
-LOOK = MarkerLook(18.0)
+LOOK = MarkerAppearance(18.0)
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,7 @@ LOOK = MarkerLook(18.0)
     ],
 )
 def test_all_markers_are_found(shared_data: Path, name: str, diameter: float, count: int) -> None:
-    found = detect_markers(read_image(shared_data / name), MarkerLook(diameter))
+    found = detect_markers(read_image(shared_data / name), MarkerAppearance(diameter))
     assert abs(len(found) - count) <= 2  # those that the image's edge cuts
 
 
@@ -62,7 +62,7 @@ def test_markers_keep_their_identity(tracked: np.ndarray, images: list[np.ndarra
     assert always.sum() >= 118
     back = MarkerTracker(images[-1], LOOK)
     for image in images[-2::-1]:
-        found = back.follow(image)
+        found = back.track(image)
     distance, place = cKDTree(back.begin).query(np.nan_to_num(tracked[-1], nan=-99.0))
     same = always & (distance < 2.0)
     assert same.sum() == always.sum()

@@ -23,10 +23,10 @@ from tactorch.sensor.contact import ContactOptions, Poses, read_poses
 from tactorch.sensor.gel import GelModel
 from tactorch.sensor.recorder import (
     Fixture,
-    Recorded,
+    SessionRecording,
     RecordOptions,
     VirtualCube,
-    contacts_as_they_end,
+    record_streaming,
     record,
 )
 from tactorch.viz.session import plot_presses, plot_session
@@ -54,7 +54,7 @@ def run(cfg: DictConfig) -> Path:
     poses = poses_of(cfg, frames)
     if cfg.as_they_end:
         return grow(
-            contacts_as_they_end(
+            record_streaming(
                 frames, chain, poses, target, material, options, provenance=facts
             ), out,
         )  # fmt: skip
@@ -91,7 +91,7 @@ def poses_of(cfg: DictConfig, frames: FrameSequence) -> Callable[[], Poses]:
 
     def read() -> Poses:
         found = read_poses(str(cfg.poses), growing=cfg.as_they_end)
-        return found if cfg.poses_clock == "frames" else found.since(frames.zero_unix_s or 0.0)
+        return found if cfg.poses_clock == "frames" else found.relative_to(frames.zero_unix_s or 0.0)
 
     return read
 
@@ -155,28 +155,28 @@ def options_of(cfg: DictConfig) -> RecordOptions:
     return RecordOptions(cfg.steps, cfg.min_frames, cfg.first_touch, None, hold, touching)
 
 
-def _write(place: Path, found: Recorded) -> None:
+def _write(place: Path, found: SessionRecording) -> None:
     kept = {row["frame"] for row in found.presses}
     rows = [
         (one.name, one.time_s, one.depth_mm, None if one.contact is None else one.contact + 1,
-         int(one.name in kept), one.fault or found.passed_over.get(one.name, ""))
-        for one in found.session.glances
+         int(one.name in kept), one.fault or found.skipped.get(one.name, ""))
+        for one in found.session.frames
     ]  # fmt: skip
     write_table(place / _TABLE, _HEADER, rows)
     forces = [float(np.linalg.norm(row["force_n"])) for row in found.presses]
     values: dict[str, Any] = {
-        "frames": len(found.session.glances),
+        "frames": len(found.session.frames),
         "contacts": len(found.session.contacts),
         "presses": found.presses,
         "faulty": found.session.faults,
-        "passed_over": found.passed_over,
+        "skipped": found.skipped,
         "noise_mm": found.recording.presses[0].noise_mm,
     }
     lines = [
         f"{len(found.presses)} presses of {len(found.session.contacts)} contacts in"
-        f" {len(found.session.glances)} frames; forces up to {max(forces):.3g} N.",
+        f" {len(found.session.frames)} frames; forces up to {max(forces):.3g} N.",
         *(f"  {name}: {fault}" for name, fault in found.session.faults.items()),
-        *(f"  {name} became no press: {why}" for name, why in found.passed_over.items()),
+        *(f"  {name} became no press: {why}" for name, why in found.skipped.items()),
         "",
         found.recording.summary(),
     ]
