@@ -11,13 +11,13 @@ import scipy.sparse as sp
 from tactorch.inverse import (
     GaussNewton,
     InverseProblem,
+    Log,
     Monitor,
     Objective,
     Settings,
     homogeneous,
     invert,
     make_objective,
-    make_parameterization,
 )
 from tactorch.inverse.regularization import Smoothness
 from tactorch.mesh import Box, Shape, Sphere, TetMesh, box_mesh
@@ -102,7 +102,7 @@ def draw_case(rng: np.random.Generator) -> Case:
     faces = tuple(rng.permutation(FACES)[: rng.integers(1, 4)].tolist())
     p_max = float(rng.uniform(0.05, 0.12)) * youngs
     body = Box((SIDE / 2,) * 3, (SIDE,) * 3)
-    plan = PressPlan.ramp(p_max_mpa=p_max, steps=3, faces=faces)
+    plan = PressPlan(p_max_mpa=p_max, steps=3, faces=faces)
     return Case(Phantom(body, inclusions, youngs), plan, float(rng.uniform(25.0, 50.0)))
 
 
@@ -151,7 +151,7 @@ def judge_gaussian(divisions: int, seed: int, index: int) -> Outcome:
     prior = NormalPrior(mesh, float(np.log(0.2)))
     truth = prior.draw(rng)
     faces = FACES[: 1 + index % 3]
-    plan = PressPlan.ramp(p_max_mpa=0.01, steps=2, faces=faces)
+    plan = PressPlan(p_max_mpa=0.01, steps=2, faces=faces)
     # A uniform object gives forces and supports; the presses are then those of the drawn one.
     blank = simulate(make_phantom("uniform_cube"), plan, mesh=mesh)
     moved = InverseProblem(blank).evaluate(np.exp(truth)).displacements
@@ -161,10 +161,10 @@ def judge_gaussian(divisions: int, seed: int, index: int) -> Outcome:
         noisy = exact + sigma * rng.standard_normal(exact.shape)
         presses.append(replace(press, displacement=noisy, noise_mm=sigma))
     problem = InverseProblem(replace(blank, presses=tuple(presses), truth=None))
-    objective = Objective(problem, make_parameterization("log"), prior)
+    objective = Objective(problem, Log(), prior, weight=1.0)
     monitor = Monitor()
     start = objective.start(np.full(mesh.n_tets, 0.2))
-    GaussNewton(weight=1.0, tolerance=1e-6).minimize(objective, start, monitor)
+    GaussNewton(tolerance=1e-6).minimize(objective, start, monitor)
     assert monitor.point is not None
     found = LaplacePosterior.at(monitor.point, 1.0)
     posteriors = {"laplace": (found.mean, found.deviation())}

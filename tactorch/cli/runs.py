@@ -1,4 +1,4 @@
-"""Runs of `tactorch invert` that other commands read, with all the settings that they had."""
+"""Runs of `tactorch invert` as input of other commands, with all their settings."""
 
 from dataclasses import replace
 
@@ -8,14 +8,15 @@ from yaml import YAMLError
 
 from tactorch.cli.settings import inversion_of, log, start_of
 from tactorch.errors import TactorchError
-from tactorch.plain import plain as plain_values
-from tactorch.report import Run, is_complete
+from tactorch.inverse import has_all_settings
+from tactorch.inverse.settings import stored_settings
+from tactorch.report import Run
 
 
 def with_settings(run: Run) -> Run:
-    """Complete a run whose prior was about a surrogate's map, by foretelling that map again."""
+    """Return a run with all settings, predicting the map of a surrogate prior again if needed."""
     path = run.folder / ".hydra" / "config.yaml"
-    if is_complete(run.found.config) or run.recording is None or not path.is_file():
+    if has_all_settings(run.result.config) or run.recording is None or not path.is_file():
         return run
     try:
         cfg = OmegaConf.load(path)
@@ -24,7 +25,12 @@ def with_settings(run: Run) -> Run:
     except (OmegaConfBaseException, TactorchError, YAMLError) as error:
         log.warning("%s: the settings in '%s' cannot be used (%s)", run.name, path, error)
         return run
-    if plain_values(settings.prior) != run.found.config["settings"]["prior"]:
-        log.warning("%s: the surrogate foretells another map than it did for this run", run.name)
+    if (
+        stored_settings(settings)["regularization"]
+        != run.result.config["settings"]["regularization"]
+    ):
+        log.warning(
+            "%s: the surrogate predicts a map that differs from the prior of this run", run.name
+        )
         return run
     return replace(run, settings=settings)

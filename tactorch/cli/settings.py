@@ -12,14 +12,14 @@ from tactorch.cli.kinds import HOMOGENEOUS
 from tactorch.cli.logs import log as log
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
+    OPTIMIZERS,
+    PRIORS,
     Bounds,
     NoiseModel,
     NuisancePrior,
-    PriorOptions,
     Settings,
     Start,
     homogeneous,
-    make_optimizer,
 )
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import MaterialSpec, Recording
@@ -52,7 +52,7 @@ def phantom_of(cfg: DictConfig) -> Phantom:
 
 def plan_of(cfg: DictConfig) -> PressPlan:
     """Make the plan of presses."""
-    return build("press", PressPlan.ramp, plain(cfg.press))
+    return build("press", PressPlan, plain(cfg.press))
 
 
 def material_of(cfg: DictConfig) -> MaterialSpec:
@@ -64,16 +64,10 @@ def material_of(cfg: DictConfig) -> MaterialSpec:
 
 def inversion_of(cfg: DictConfig) -> Settings:
     """Make the settings of an inversion."""
-    optimizer, prior = plain(cfg.optimizer), plain(cfg.regularization)
-    if cfg.max_seconds is not None and not cfg.max_seconds > 0:
-        raise ConfigError(f"max_seconds={cfg.max_seconds}: give a time above 0, or null.")
-    name, edge, weight = (prior.pop(key) for key in ("name", "edge", "weight"))
     return Settings(
-        optimizer=make_optimizer(optimizer.pop("name"), **optimizer, weight=weight),
+        optimizer=OPTIMIZERS.build(plain(cfg.optimizer)),
         parameterization=cfg.parameterization.name,
-        regularization=name,
-        edge=edge,
-        prior=build("regularization", PriorOptions, prior),
+        regularization=PRIORS.build(plain(cfg.regularization)),
         bounds=build("bounds", Bounds, plain(cfg.bounds)),
         noise=build("noise", NoiseModel, plain(cfg.noise)),
         misfit=cfg.misfit,

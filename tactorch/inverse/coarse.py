@@ -6,19 +6,21 @@ inversion proper, in the manner of multilevel inversion (Liu, 1993).
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.evaluation import Evaluation
 from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.mesh import TetMesh
-from tactorch.mesh.spread import farthest_order
+from tactorch.mesh.geometry import farthest_point_order
 
 _ROUNDS = 10  # of moving cluster centres
 _JUMP = 0.5  # deviation of a log-modulus between touching clusters that is expected
@@ -37,7 +39,7 @@ def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
         raise ConfigError(f"groups={count} must be from 1 to the {mesh.n_tets} elements.")
     centroids, volumes = mesh.centroids, mesh.volumes
     middle = np.linalg.norm(centroids - centroids.mean(axis=0), axis=1).argmin()
-    centres = centroids[farthest_order(centroids, count, int(middle))]
+    centres = centroids[farthest_point_order(centroids, count, int(middle))]
     labels = cKDTree(centres).query(centroids)[1]
     for _ in range(_ROUNDS):
         mass = np.bincount(labels, volumes, minlength=count)
@@ -49,16 +51,17 @@ def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
 
 
 @dataclass(frozen=True)
-class CoarseStart:
-    """A start for `invert`: the map of few moduli that fits best.
+class CoarseStart(Options):
+    """The map of few moduli that fits best, each shared by a cluster of elements.
 
     Attributes:
         groups: Number of clusters.
         steps: Limit of Gauss-Newton steps.
     """
 
-    groups: int = 64
-    steps: int = 6
+    section: ClassVar[str] = "initialization"
+    groups: int = option(64, "Number of clusters of elements", gt=0)
+    steps: int = option(6, "Limit of Gauss-Newton steps", gt=0)
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
         """Return the map, MPa.

@@ -6,9 +6,10 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
 from scipy.fft import dctn, idctn
-from scipy.sparse.linalg import LinearOperator, cg, spsolve
+from scipy.sparse.linalg import spsolve
 
 from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.linalg import conjugate_gradients
 from tactorch.mesh.values import Real, positive
 
 #: Default slope above which the face counts as deformed.
@@ -52,7 +53,7 @@ def reconstruct_height(
         slopes: dz/dx and dz/dy.
         mm_per_px: Size of a pixel along x and y, mm.
         min_slope: Slope above which the face counts as deformed: larger than the slopes from noise
-            and uneven light, smaller than those of a contact. Wide, flat objects cause small slopes.
+            and uneven light, smaller than those of a contact. Wide, flat objects make small slopes.
 
     Returns:
         The height map.
@@ -124,7 +125,7 @@ def integrate_slopes(
         return _solve_shifted(rhs, eigenvalues, 0.0)
     deviation = positive("zero_deviation_mm", zero_deviation_mm)
     weight = (positive("slope_deviation", slope_deviation) / deviation) ** 2
-    shape, size = slope_x.shape, slope_x.size
+    shape = slope_x.shape
 
     def apply(z: np.ndarray) -> np.ndarray:
         z = z.reshape(shape)
@@ -133,15 +134,15 @@ def integrate_slopes(
     def precondition(z: np.ndarray) -> np.ndarray:
         return _solve_shifted(z.reshape(shape), eigenvalues, weight * float(zero.mean())).ravel()
 
-    matrix = LinearOperator((size, size), apply, dtype=np.float64)
-    preconditioner = LinearOperator((size, size), precondition, dtype=np.float64)
-    height, failed = cg(matrix, rhs.ravel(), rtol=_RTOL, maxiter=_MAX_ITERATIONS, M=preconditioner)
-    if failed:
+    result = conjugate_gradients(
+        apply, precondition, rhs.ravel(), rtol=_RTOL, max_iterations=_MAX_ITERATIONS
+    )
+    if not result.converged:
         raise ConvergenceError(
             f"integration of slopes failed: no convergence in {_MAX_ITERATIONS} iterations; is"
             f" zero_deviation_mm={zero_deviation_mm:g} too small?"
         )
-    return height.reshape(shape)
+    return result.solution.reshape(shape)
 
 
 def _divergence(slope_x: np.ndarray, slope_y: np.ndarray, x: float, y: float) -> np.ndarray:

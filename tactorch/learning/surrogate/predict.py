@@ -10,7 +10,16 @@ import torch
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Bounds, InverseProblem, NoiseModel, Settings, homogeneous
+from tactorch.inverse import (
+    BinaryWell,
+    Bounds,
+    InverseProblem,
+    NoiseModel,
+    NoPrior,
+    Settings,
+    ShiftedPrior,
+    homogeneous,
+)
 from tactorch.inverse.invert import make_objective
 from tactorch.inverse.starts import fits_better_than_uniform
 from tactorch.learning.surrogate.network import Surrogate
@@ -142,12 +151,11 @@ class SurrogateStart:
             ConvergenceError: No uniform modulus carries the presses.
             FileError: The weights are missing, damaged or of another model.
         """
-        name, prior, bounds = settings.regularization, settings.prior, settings.bounds
-        if name in ("none", "binary_well") or (prior.level_mpa, prior.levels_mpa) != (None, None):
+        prior, bounds = settings.regularization, settings.bounds
+        if isinstance(prior, NoPrior | BinaryWell) or getattr(prior, "level_mpa", None) is not None:
             raise ConfigError(
-                f"a surrogate's map is no mean for regularization={name} with level_mpa="
-                f"{prior.level_mpa}, levels_mpa={prior.levels_mpa}: take total_variation, say, and"
-                " leave the levels out, for the prior would be about the map, not about a level."
+                f"a surrogate's map cannot be the mean of {prior}; choose another prior, such as "
+                "total_variation, without a level."
             )
         problem = make_objective(recording, settings).problem
         found = self.predict(recording, noise=settings.noise, bounds=bounds).youngs
@@ -161,7 +169,9 @@ class SurrogateStart:
             )  # fmt: skip
             return settings
         _log.info("The prior is about the surrogate's map")
-        return replace(settings, prior=replace(prior, mean_mpa=found, mean_share=share))
+        return replace(
+            settings, regularization=ShiftedPrior(prior=prior, mean_mpa=found, share=share)
+        )
 
 
 def answer(

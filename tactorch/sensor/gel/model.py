@@ -272,14 +272,14 @@ class GelModel:
         """
         assert state.equilibrium.response is not None
         values = self.body.assembly.tangent(state.equilibrium.response, self.youngs)
-        pattern, extend = state.tangent.pattern, self.body.discretisation.extend
+        pattern, extend = self.body.discretisation.pattern, self.body.discretisation.extend
         rows = []
         for axis in range(3):
             along = np.zeros(known.shape)
             along[:, axis] = 1.0
             moved = np.zeros(self.gel_mesh.mesh.points.shape)
             moved[self.gel_mesh.face] = np.where(known, along, 0.0)
-            prescribed = np.where(state.newton.held.fixed, extend(moved), 0.0).ravel()
+            prescribed = np.where(state.newton.supports.fixed, extend(moved), 0.0).ravel()
             total = prescribed - state.tangent.solve(pattern.product(values, prescribed))
             reaction = pattern.product(values, total).reshape(-1, 3)
             rows.append(self.loads.gather(reaction)[known])

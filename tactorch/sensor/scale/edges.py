@@ -2,8 +2,8 @@
 
 Next to a flat punch the slope of the gel jumps, or grows without bound and decreases with the
 square root of the distance (Boussinesq, 1885), as for soft and thick layers. Camera and smoothing
-blur both, so that the steepest point of a blurred profile is up to a pixel inside the edge. The edge
-is therefore located by a fit of both profiles, blurred, and of what follows them.
+blur both, so that the steepest point of a blurred profile is up to a pixel inside the edge. The
+edge is therefore located by a fit of both blurred profiles.
 """
 
 from collections.abc import Iterator
@@ -102,8 +102,8 @@ def _require_line(
     if line is None:
         raise ConfigError(
             f"{name}: no {shape.name} found; the edge from ({start[0]:.0f}, {start[1]:.0f}) to"
-            f" ({end[0]:.0f}, {end[1]:.0f}) px is not visible. Give its corners by hand, or leave it"
-            " out."
+            f" ({end[0]:.0f}, {end[1]:.0f}) px is not visible. Give its corners by hand, or leave"
+            " it out."
         )
     return line
 

@@ -158,8 +158,8 @@ def _require_agreement(outlines: Sequence[Outline], fits: Sequence["_PlaneFit"])
         single, common = np.exp(logs[worst]), np.exp(median)
         raise ConfigError(
             f"images disagree: {outlines[worst].name} gives {single[0]:.4g} x {single[1]:.4g} mm"
-            f" per px, the median of all {len(fits)} is {common[0]:.4g} x {common[1]:.4g}; check its"
-            " corners and its object, or leave it out."
+            f" per px, the median of all {len(fits)} is {common[0]:.4g} x {common[1]:.4g}; check"
+            " its corners and its object, or leave it out."
         )
 
 

@@ -1,0 +1,91 @@
+"""Structured, reproducible meshes for tests, convergence studies and benchmarks."""
+
+from collections.abc import Sequence
+from itertools import permutations
+
+import numpy as np
+from jaxtyping import Int
+
+from tactorch.errors import ConfigError
+from tactorch.mesh.tetmesh import TetMesh
+from tactorch.mesh.values import Real, Vector, sizes, vector
+
+# Corners of a cell are numbered 4 ix + 2 iy + iz.
+_FIVE = np.array([(0, 4, 2, 1), (6, 2, 4, 7), (5, 4, 1, 7), (3, 1, 2, 7), (1, 2, 7, 4)])
+
+
+def box_mesh(
+    size_mm: Vector | Real = 10.0,
+    divisions: int | Sequence[int] | np.ndarray = 4,
+    *,
+    origin_mm: Vector | None = None,
+    center_mm: Vector | None = None,
+    tets_per_cell: int = 6,
+) -> TetMesh:
+    """Mesh a cuboid with a regular grid of cells, each cut into tetrahedra.
+
+    Args:
+        size_mm: Edge lengths, three or one for a cube.
+        divisions: Cells along each edge, three or one for all.
+        origin_mm: Lowest corner; the default is (0, 0, 0).
+        center_mm: Centre, instead of `origin_mm`.
+        tets_per_cell: 6 (around the cell's space diagonal) or 5 (mirrored from cell to cell,
+            without a preferred direction).
+
+    Returns:
+        The mesh; node (ix, iy, iz) has index (ix (ny + 1) + iy) (nz + 1) + iz.
+
+    Raises:
+        ConfigError: A value is invalid.
+    """
+    size = np.array(sizes("size_mm", size_mm))
+    counts = _counts(divisions)
+    origin = _origin(size, origin_mm, center_mm)
+    axes = [o + s * np.arange(n + 1) / n for o, s, n in zip(origin, size, counts, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells, odd = _cells(counts)
+    if tets_per_cell == 6:
+        tets = cells[:, _six()]
+    elif tets_per_cell == 5:
+        # 7 - corner mirrors a cell through its centre: diagonals of neighbours then agree.
+        mirrored = 7 - _FIVE[:, [0, 1, 3, 2]]
+        tets = np.where(odd[:, None, None], cells[:, mirrored], cells[:, _FIVE])
+    else:
+        raise ConfigError(f"tets_per_cell={tets_per_cell} must be 5 or 6.")
+    return TetMesh.create(points, tets.reshape(-1, 4))
+
+
+def _cells(
+    counts: tuple[int, int, int],
+) -> tuple[Int[np.ndarray, "c 8"], np.ndarray]:
+    """Return the eight nodes of each cell, and whether ix + iy + iz is odd."""
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), -1).reshape(-1, 3)
+    strides = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
+    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]) @ strides
+    return (index @ strides)[:, None] + corners, index.sum(axis=1) % 2 == 1
+
+
+def _six() -> Int[np.ndarray, "6 4"]:
+    """Kuhn subdivision: one path from corner 0 to corner 7 for each order of the axes."""
+    steps = [4, 2, 1]
+    paths = np.array([(0, a, a + b, 7) for a, b, _ in permutations(steps)])
+    # An odd permutation has the opposite orientation.
+    odd = [(a < b) ^ (b < c) ^ (a < c) for a, b, c in permutations(steps)]
+    paths[odd] = paths[odd][:, [0, 1, 3, 2]]
+    return paths
+
+
+def _counts(divisions: int | Sequence[int] | np.ndarray) -> tuple[int, int, int]:
+    array = np.asarray(divisions)
+    three = np.broadcast_to(array, 3) if array.ndim == 0 else array
+    if three.shape != (3,) or three.dtype.kind not in "iu" or three.min() < 1:
+        raise ConfigError(f"divisions={divisions!r} must be one or three positive integers.")
+    return (int(three[0]), int(three[1]), int(three[2]))
+
+
+def _origin(size: np.ndarray, origin_mm: Vector | None, center_mm: Vector | None) -> np.ndarray:
+    if center_mm is None:
+        return np.array(vector("origin_mm", (0.0, 0.0, 0.0) if origin_mm is None else origin_mm))
+    if origin_mm is not None:
+        raise ConfigError("Give origin_mm or center_mm, not both.")
+    return np.array(vector("center_mm", center_mm)) - size / 2
