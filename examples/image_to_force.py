@@ -9,12 +9,12 @@ import numpy as np
 
 from tactorch.sensor.calibration import (
     Ball,
+    BallPress,
     Calibration,
     Circle,
     FitOptions,
-    BallPress,
-    change,
     fit_map,
+    image_change,
     marker_pixels,
 )
 from tactorch.sensor.chain import SensorChain
@@ -40,7 +40,7 @@ def calibrated() -> Calibration:
     for number in range(8):
         middle, edge = rng.uniform((45, 40), (105, 80)), rng.uniform(14.0, 18.0)  # px
         image = render(SENSOR, ball_face(middle, edge), seed=number + 1)
-        changed = change(image, still, LOOK)
+        changed = image_change(image, still, LOOK)
         known = ~marker_pixels(image, still, LOOK)
         touches.append(BallPress(f"press {number}", changed, known, Circle(tuple(middle), edge)))
     ball = Ball(BALL_MM, (PIXEL_MM, PIXEL_MM))

@@ -13,14 +13,14 @@ import pytest
 
 from tactorch.sensor.calibration import (
     Ball,
+    BallPress,
     Calibration,
     Circle,
     FitOptions,
-    BallPress,
-    change,
     fit_map,
-    marker_pixels,
+    image_change,
     load_calibration,
+    marker_pixels,
     save_calibration,
 )
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
@@ -90,7 +90,7 @@ def calibration(files: Path) -> Path:
     touches = [
         BallPress(
             name,
-            change(read(files / "presses" / name), reference, look),
+            image_change(read(files / "presses" / name), reference, look),
             ~marker_pixels(read(files / "presses" / name), reference, look),
             Circle(center, edge),
         )

@@ -12,37 +12,27 @@ import pytest
 from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.mesh import box_mesh
 from tactorch.sensor.calibration import (
+    SENSOR_MAPS,
     Ball,
+    BallPress,
     Calibration,
     Circle,
-    BallPress,
     find_circle,
     fit_map,
     load_calibration,
     read_labels,
     save_calibration,
 )
-from tactorch.sensor.calibration import SENSOR_MAPS
 from tactorch.sensor.chain import SensorChain
-from tactorch.sensor.contact import Poses, build_press, check_pose, facing_triangles, read_poses
+from tactorch.sensor.contact import build_press, check_pose, facing_triangles
 from tactorch.sensor.depth import reconstruct_height
-from tactorch.sensor.description import (
-    GelLayer,
-    MarkerGrid,
-    SensorDescription,
-    load_sensor,
-)
+from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, load_sensor
 from tactorch.sensor.frames import read_frames, read_image, read_reference
 from tactorch.sensor.gel import GelContact, GelModel
 from tactorch.sensor.markers import MarkerAppearance, MarkerTracker
+from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.render import GelSurface, render
-from tactorch.sensor.scale import (
-    Outline,
-    cuboid,
-    hexagon,
-    measure_pixel_scale,
-    read_corners,
-)
+from tactorch.sensor.scale import Outline, cuboid, hexagon, measure_pixel_scale, read_corners
 
 from .dots import draw, grid
 
@@ -140,7 +130,9 @@ def touch(circle: Circle, changed: np.ndarray = STILL) -> BallPress:
 
 def chain(one: SensorDescription, reference: np.ndarray, size: int = 48) -> SensorChain:
     scale = (0.3, 0.3)
-    return SensorChain(one, Calibration(SENSOR_MAPS.build("lookup").create(0), gel_image(size), scale), reference)
+    return SensorChain(
+        one, Calibration(SENSOR_MAPS.build("lookup").create(0), gel_image(size), scale), reference
+    )
 
 
 def touching() -> GelContact:
@@ -279,7 +271,7 @@ REFUSED = [
         lambda d: images_of(d, LABELS + "a.png,30,20,9\nb.png,30,20,9\n"),
         ("image not found", "b.png' is not a file", "folder holds: a.png"), FileError),
     Bad("label beside the image", "Touch", lambda d: touch(Circle((300.0, 20.0), 9.0)),
-        ("b3.png", "(300, 20) px lies beside the image of 64 x 48", "x before y?")),
+        ("b3.png", "(300, 20) px is outside the image of 64 x 48", "x before y?")),
     Bad("contact wider than the image", "Touch", lambda d: touch(Circle((30.0, 20.0), 90.0)),
         ("b3.png", "radius_px=90", "64 x 48", "give pixels")),
     Bad("image that is not finite", "Touch",
@@ -335,7 +327,7 @@ REFUSED = [
         ("p1.png: 4 corners, but a hexagon has 6", "give each once")),
     Bad("corners beside the image", "pixel_scale",
         lambda d: measure_pixel_scale([outline(30.0)], cuboid(12.0, 9.0), SENSOR),
-        ("p1.png", "(80.0, 40.0) px lies beside the image of 64 x 48", "rectified")),
+        ("p1.png", "(80.0, 40.0) px is outside the image of 64 x 48", "rectified")),
     Bad("corners of another shape", "pixel_scale",
         lambda d: measure_pixel_scale([outline(-5.0, 0.2)], cuboid(12.0, 9.0), SENSOR),
         ("p1.png: its corners are no cuboid", "check the shape")),

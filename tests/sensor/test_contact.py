@@ -11,14 +11,13 @@ from scipy.spatial.transform import Rotation
 from tactorch.errors import ConfigError, FileError
 from tactorch.mesh import box_mesh
 from tactorch.sensor.contact import (
-    Poses,
-    interpolate_displacements,
-    transfer_forces,
     check_pose,
-    moved,
-    read_poses,
+    interpolate_displacements,
     rotate_vectors,
+    transfer_forces,
+    transform_points,
 )
+from tactorch.sensor.poses import Poses, read_poses
 
 MESH = box_mesh(10.0, 5)
 TOP = MESH.surface.triangles[(MESH.points[MESH.surface.triangles][..., 2] > 9.99).all(axis=1)]
@@ -62,7 +61,9 @@ def test_displacements_are_carried_where_they_were_seen() -> None:
     seen = field(points)
     seen[3] = np.nan
     top = np.unique(TOP)
-    found, inside = interpolate_displacements(points, seen, MESH.points[top], np.array([0.0, 0.0, 1.0]))
+    found, inside = interpolate_displacements(
+        points, seen, MESH.points[top], np.array([0.0, 0.0, 1.0])
+    )
     assert np.isnan(found[~inside]).all()
     assert 4 <= inside.sum() < len(top)
     np.testing.assert_allclose(found[inside], field(MESH.points[top])[inside], atol=0.02)
@@ -75,9 +76,11 @@ def test_points_turn_and_move_and_vectors_turn(angles: tuple, place: tuple) -> N
     T = pose(angles, place)
     points = np.random.default_rng(0).normal(size=(5, 3))
     both = np.column_stack([points, np.ones(5)]) @ T.T
-    np.testing.assert_allclose(moved(T, points), both[:, :3], atol=1e-9)
+    np.testing.assert_allclose(transform_points(T, points), both[:, :3], atol=1e-9)
     np.testing.assert_allclose(
-        rotate_vectors(T, points), moved(T, points) - moved(T, np.zeros((1, 3))), atol=1e-9
+        rotate_vectors(T, points),
+        transform_points(T, points) - transform_points(T, np.zeros((1, 3))),
+        atol=1e-9,
     )
 
 

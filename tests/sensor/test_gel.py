@@ -23,7 +23,7 @@ def pushed(model: GelModel) -> tuple[np.ndarray, np.ndarray]:
     loads = np.zeros(model.gel_mesh.mesh.points.shape)
     loads[model.gel_mesh.face] = forces
     nothing = np.full(model.points.shape, np.nan)
-    held = model._held(np.nan_to_num(nothing), np.isfinite(nothing))
+    held = model._supports(np.nan_to_num(nothing), np.isfinite(nothing))
     moved = model.body.equilibrate(model.youngs, loads, held).require().displacement
     return forces, moved[model.gel_mesh.face]
 

@@ -29,8 +29,8 @@ def presses() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     for radius, pressure in ((2.6, 0.03), (1.9, 0.05)):
         touched = np.linalg.norm(stiffer.points[:, :2], axis=1) < radius
         forces = np.where(touched[:, None], (0.1, 0.0, -1.0), 0.0) * pressure
-        forces = forces * stiffer.face.areas[:, None]
-        moved = stiffer._under(forces).moved[stiffer.gel_mesh.face]
+        forces = forces * stiffer.gel_mesh.face_areas[:, None]
+        moved = stiffer._equilibrium(forces).displacement[stiffer.gel_mesh.face]
         found.append((moved, forces.sum(axis=0), touched))
     return found
 

@@ -18,7 +18,7 @@ def row() -> Roughness:
     """Ten nodes in a row, those at the ends with half the area."""
     areas = np.ones(10)
     areas[[0, -1]] = 0.5
-    return Roughness.between(np.stack([np.arange(9), np.arange(1, 10)], axis=1), areas)
+    return Roughness.from_edges(np.stack([np.arange(9), np.arange(1, 10)], axis=1), areas)
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_roughness_is_of_tractions(row: Roughness) -> None:
 
 
 def test_parts_that_do_not_meet_are_free_each() -> None:
-    apart = Roughness.between(np.array([[0, 1], [2, 3]]), np.ones(5))
+    apart = Roughness.from_edges(np.array([[0, 1], [2, 3]]), np.ones(5))
     assert apart.uniform.shape == (15, 9)  # two pairs and a lone node
 
 
@@ -72,7 +72,9 @@ def test_noise_that_shows_counts_where_less_is_stated(
     row: Roughness, compliance: np.ndarray, rng: np.random.Generator
 ) -> None:
     told = compliance @ row.uniform[:, 2] + rng.normal(0, 0.2, 60)
-    assert fit_smooth_forces(compliance, NONE, told, row, 1e-4).noise_mm == pytest.approx(0.2, rel=0.3)
+    assert fit_smooth_forces(compliance, NONE, told, row, 1e-4).noise_mm == pytest.approx(
+        0.2, rel=0.3
+    )
     assert fit_smooth_forces(compliance, NONE, told, row, 0.7).noise_mm == pytest.approx(0.7)
 
 
@@ -82,7 +84,9 @@ def test_what_a_plane_may_explain_tells_nothing(
     forces = row.uniform[:, 2] * -0.1
     plane = np.tile(np.eye(3)[2], 20)[:, None]
     told = compliance @ forces + 5.0 * plane[:, 0]
-    assert np.linalg.norm(fit_smooth_forces(compliance, NONE, told, row, 0.01).forces - forces) > 1.0
+    assert (
+        np.linalg.norm(fit_smooth_forces(compliance, NONE, told, row, 0.01).forces - forces) > 1.0
+    )
     found = fit_smooth_forces(compliance, plane, told, row, 0.01)
     np.testing.assert_allclose(found.forces, forces, atol=1e-6)
     known = fit_smooth_forces(compliance, NONE, compliance @ forces, row, 0.01)
@@ -98,22 +102,22 @@ def pushed(model: GelModel, pressure_mpa: float) -> tuple[np.ndarray, np.ndarray
     """Forces of a pressure over a patch, how the face moves, and where it was touched."""
     touched = np.linalg.norm(model.points[:, :2], axis=1) < 2.6
     forces = np.where(touched[:, None], (0.2, 0.0, -1.0), 0.0) * pressure_mpa
-    forces = forces * model.face.areas[:, None]
-    state = model._under(forces)
-    return forces, state.moved[model.gel_mesh.face], touched
+    forces = forces * model.gel_mesh.face_areas[:, None]
+    state = model._equilibrium(forces)
+    return forces, state.displacement[model.gel_mesh.face], touched
 
 
 def test_forces_on_nodes_are_tractions_about_them(model: GelModel) -> None:
     """The same all over, they are what the element itself makes of a uniform traction."""
     traction = np.array([0.02, 0.0, -0.1])
-    loads = model._loads(model.face.areas[:, None] * traction)
+    loads = model._face_load(model.gel_mesh.face_areas[:, None] * traction)
     corners = np.isin(model.gel_mesh.mesh.surface.triangles, model.gel_mesh.face).all(axis=1)
     exact = model.body.traction(np.flatnonzero(corners), traction.tolist()).numpy()
     np.testing.assert_allclose(loads, exact, atol=1e-12)
     alone = np.zeros(model.points.shape)
     alone[30] = traction
-    np.testing.assert_allclose(model._loads(alone).sum(axis=0), traction)
-    assert (model._loads(alone) != 0).any(axis=1).sum() == (
+    np.testing.assert_allclose(model._face_load(alone).sum(axis=0), traction)
+    assert (model._face_load(alone) != 0).any(axis=1).sum() == (
         1 if model.body.n_nodes == model.gel_mesh.mesh.n_points else 6
     )
 
@@ -151,7 +155,7 @@ def test_direct_total_answers_to_noise_as_stated(model: GelModel, rng: np.random
     known = np.isfinite(given)
     search = model.body.search(
         model.youngs, np.zeros(model.gel_mesh.mesh.points.shape),
-        model._held(np.nan_to_num(given), known),
+        model._supports(np.nan_to_num(given), known),
     )  # fmt: skip
     ran = search.run().require()
     rates = model._total_rates(_State(ran.displacement, search, ran), known)
@@ -176,5 +180,5 @@ def test_forces_go_with_the_modulus(model: GelModel, rng: np.random.Generator) -
 
 def test_no_contact_is_refused(model: GelModel) -> None:
     nowhere = np.zeros(len(model.points), dtype=bool)
-    with pytest.raises(ConfigError, match="touched is false at every node"):
+    with pytest.raises(ConfigError, match="contact is false at every node"):
         model.smooth_forces(np.zeros(model.points.shape), 0.01, nowhere)

@@ -69,7 +69,7 @@ def test_partial_contact(pair: Pair, contact: GelContact) -> None:
         unseen.total_force[2], -contact.forces[left, 2].sum() * -1, atol=1e-9
     )
     cube = build_press(
-        contact, NOW, FIRST, pair.cube, left, contact=ContactOptions(untouched="sensor"), **fields
+        contact, NOW, FIRST, pair.cube, left, options=ContactOptions(untouched="sensor"), **fields
     )
     top = (pair.cube.points[:, 2] > 9.999) & (pair.cube.points[:, 0] > 5.6)
     moved = cube.displacement[top & cube.observed.all(axis=1)]
@@ -84,7 +84,9 @@ def test_what_cannot_be_a_press(pair: Pair, contact: GelContact) -> None:
     with pytest.raises(ConfigError, match=r"the nearest is 30 mm away; check T_object_sensor"):
         facing_triangles(pair.cube, sensor_pose(40.0), contact, 3.0)
     with pytest.raises(ConfigError, match="over no part of the object"):
-        facing_triangles(pair.cube, FIRST @ np.diag([1.0, -1.0, -1.0, 1.0]), contact, 3.0)  # looks up
+        facing_triangles(
+            pair.cube, FIRST @ np.diag([1.0, -1.0, -1.0, 1.0]), contact, 3.0
+        )  # looks up
     with pytest.raises(ConfigError, match="first pose mirrors"):
         build_press(contact, NOW, np.diag([1.0, 1.0, -1.0, 1.0]), pair.cube, all_)
     with pytest.raises(ConfigError, match="untouched='gone'"):

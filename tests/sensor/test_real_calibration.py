@@ -7,16 +7,16 @@ import pytest
 
 from tactorch.sensor.calibration import (
     Ball,
+    BallPress,
     Circle,
     FitOptions,
-    BallPress,
-    change,
+    cross_validate,
+    evaluate_map,
     find_circle,
     fit_circle,
     fit_map,
-    cross_validate,
+    image_change,
     marker_pixels,
-    evaluate_map,
     read_labels,
 )
 from tactorch.sensor.frames import read_image
@@ -34,7 +34,7 @@ def presses(shared_data: Path) -> tuple[list[BallPress], Ball]:
     known = np.ones(reference.shape[:2], dtype=bool)
     found = []
     for name in read_labels(folder / "labels.csv"):
-        changed = change(read_image(folder / "gelsight" / name), reference)
+        changed = image_change(read_image(folder / "gelsight" / name), reference)
         found.append(BallPress(name, changed, known, find_circle(changed, ball, name)))
     return found, ball
 
@@ -90,7 +90,7 @@ def test_six_presses_through_markers(shared_data: Path) -> None:
         image = read_image(folder / "cali_180110" / name)
         known = ~marker_pixels(image, reference, look)
         circle = Circle(label.center_px, 42.0)  # its own radius is that of a table, and loose
-        touches.append(BallPress(name, change(image, reference, look), known, circle))
+        touches.append(BallPress(name, image_change(image, reference, look), known, circle))
     options = FitOptions("mlp_colour", rounds=3)
     quality = cross_validate(touches, ball, options, folds=len(touches))
     assert min(quality.r2) > 0.94

@@ -12,20 +12,11 @@ import pytest
 import yaml
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration import (
-    change,
-    marker_pixels,
-)
+from tactorch.sensor.calibration import image_change, marker_pixels
 from tactorch.sensor.description import load_sensor
 from tactorch.sensor.frames import read_image
 from tactorch.sensor.markers import MarkerAppearance
-from tactorch.sensor.scale import (
-    Outline,
-    cuboid,
-    find_outline,
-    measure_pixel_scale,
-    read_corners,
-)
+from tactorch.sensor.scale import Outline, cuboid, find_outline, measure_pixel_scale, read_corners
 
 pytestmark = pytest.mark.external
 
@@ -59,6 +50,6 @@ def test_a_cuboid_without_a_reference_is_not_guessed(folder: Path) -> None:
     """Against the mean light no edge is sharp: rather no scale than one that is off by percents."""
     image, look = read_image(folder / "cuboid_10-2-284.png"), MarkerAppearance(9.0)
     light = cv2.GaussianBlur(image, (0, 0), 60.0)
-    changed, known = change(image, light, look, 0.5), ~marker_pixels(image, light, look)
+    changed, known = image_change(image, light, look, 0.5), ~marker_pixels(image, light, look)
     with pytest.raises(ConfigError, match=r"cuboid.png: no cuboid found; .* by hand"):
         find_outline(changed, SHAPE, (1 / 14, 1 / 14), known, "cuboid.png")

@@ -5,6 +5,7 @@ The gel's motion is that of one simulation of gel and cube, so its presses are k
 
 import logging
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -15,21 +16,20 @@ from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import MaterialSpec
 from tactorch.sensor.chain import ChainOptions, Measurement, SensorChain
-from tactorch.sensor.contact import Poses
-from tactorch.sensor.depth import Height
+from tactorch.sensor.depth import HeightMap
 from tactorch.sensor.description import GelLayer, SensorDescription
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.gel import GelContact, GelModel
-from tactorch.sensor.recorder import (
-    Fixture,
-    RecordOptions,
-    VirtualCube,
-    record_streaming,
-    record,
+from tactorch.sensor.poses import Poses
+from tactorch.sensor.recorder import Fixture, RecordOptions, VirtualCube, record, record_streaming
+from tactorch.sensor.recorder.detector import ContactDetector
+from tactorch.sensor.recorder.first_contact import (
+    axial_gap,
+    first_pose_by_depth,
+    first_pose_by_shape,
+    sample_surface,
 )
-from tactorch.sensor.recorder.first_contact import first_pose_by_depth, first_pose_by_shape, sample_surface, axial_gap
-from tactorch.sensor.recorder.hold import opposite_nodes
-from tactorch.sensor.recorder.detector import watch
+from tactorch.sensor.recorder.press_builder import opposite_nodes
 
 from .gel_on_cube import FIRST, GEL, Pair, pressed, sensor_pose
 
@@ -48,23 +48,23 @@ class Chain(SensorChain):
         self.pairs, self.model = pairs, next(iter(pairs.values())).model
         self.sensor = SensorDescription("seeing", (8, 8), (1.0, 1.0), GEL)
         self.options = ChainOptions()
-        self.tracker = SimpleNamespace(begin=np.array([(1.0, 1.0), (2.0, 2.0)]))
+        self.tracker = SimpleNamespace(reference_px=np.array([(1.0, 1.0), (2.0, 2.0)]))
         self.noise_px, self.rng = noise_px, np.random.default_rng(0)
 
-    def deformed(self, frame: Frame) -> Measurement:
+    def measure_deformation(self, frame: Frame) -> Measurement:
         none = np.zeros(len(self.model.points), dtype=bool)
         depth = self._depth(frame)
         here = self.tracker.reference_px + self.noise_px * self.rng.normal(size=(2, 2))
         flat = np.full((8, 8), -depth)
-        height = Height(flat, flat - flat.mean(), flat == 0, flat < 0)
+        height = HeightMap(flat, flat - flat.mean(), flat == 0, flat < 0)
         if depth <= 0:
             return Measurement(frame, here, height, None, none)
         return Measurement(frame, here, height, self.pairs[depth].u_gel, ~none)
 
-    def contact(self, look: Measurement) -> GelContact | None:
-        if look.moved is None:
+    def solve_contact(self, measurement: Measurement) -> GelContact | None:
+        if measurement.displacement is None:
             return None
-        return _forces(self.model, look.moved.tobytes())
+        return _forces(self.model, measurement.displacement.tobytes())
 
     def _depth(self, frame: Frame) -> float:
         return max(0.0, round(10.0 - HEIGHTS[frame.index], 6))
@@ -167,7 +167,7 @@ def test_a_contact_whose_poses_stay_away_is_skipped(
         )
     )
     assert [p.name for one in found for p in one.presses] == ["contact 1, 004.png"]
-    assert "Contact 2 is passed over: 2 of 2 frames have no pose" in caplog.text
+    assert "Contact 2 is skipped: 2 of 2 frames have no pose" in caplog.text
 
 
 def test_steps_are_even_in_depth(pairs: dict[float, Pair], poses: Poses) -> None:
@@ -189,12 +189,13 @@ def test_faulty_frames_do_not_count(pairs: dict[float, Pair], poses: Poses) -> N
     session[3] = dropped
     found = record(session, Chain(pairs), poses, pairs[0.2].cube, SPEC, RecordOptions(steps=1))
     assert [p.name for p in found.recording.presses] == ["contact 1, 003.png", "contact 2, 008.png"]
-    assert list(found.session.faults) == ["003.png", "004.png", "009.png"]
+    assert list(found.faults) == ["003.png", "004.png", "009.png"]
     assert found.recording.provenance["faulty frames"]["004.png"].startswith("dark")
 
 
 def test_noise_is_what_frames_without_contact_show(pairs: dict[float, Pair], poses: Poses) -> None:
-    found = watch(frames(), Chain(pairs, noise_px=0.05))
+    found = ContactDetector(Chain(pairs, noise_px=0.05))
+    assert len(list(found.detect(frames()))) == 2
     assert found.noise_mm == pytest.approx(0.05, rel=0.4)  # 24 numbers
     cube = pairs[0.2].cube
     press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC).recording.presses[0]
@@ -209,7 +210,9 @@ def test_first_touch_is_where_the_shapes_meet() -> None:
     poses = Poses(TIMES, np.stack([sensor_pose(z) for z in HEIGHTS]))
     np.testing.assert_allclose(first_pose_by_shape(poses, 0.2, 0.3, cube, gel), FIRST, atol=1e-6)
     # The last frame without contact may be one in which contact was not seen yet.
-    np.testing.assert_allclose(first_pose_by_shape(poses, 0.25, 0.3, cube, gel)[2, 3], 10.0, atol=1e-6)
+    np.testing.assert_allclose(
+        first_pose_by_shape(poses, 0.25, 0.3, cube, gel)[2, 3], 10.0, atol=1e-6
+    )
     # Where nothing is known of the way, straight back.
     np.testing.assert_allclose(first_pose_by_shape(poses, None, 0.4, cube, gel), FIRST, atol=1e-9)
 
@@ -263,15 +266,13 @@ def test_a_virtual_cube_moves_with_the_sensor_where_untouched(
 ) -> None:
     chain = Chain(pairs)
     touched = chain.model.points[:, 1] < 0.1  # along the object's x
-    whole = chain.deformed
+    whole = chain.measure_deformation
 
     def half(frame: Frame) -> Measurement:
-        look = whole(frame)
-        return Measurement(
-            look.frame, look.markers_px, look.height, look.moved, look.touched & touched
-        )
+        measurement = whole(frame)
+        return replace(measurement, in_contact=measurement.in_contact & touched)
 
-    chain.deformed = half  # type: ignore[method-assign]
+    chain.measure_deformation = half  # type: ignore[method-assign]
     cube = VirtualCube(8.0, 6.0, 1.0)
     found = record(frames(), chain, poses, cube, SPEC, RecordOptions(steps=1)).recording
     low, high = found.mesh.bounds
@@ -292,9 +293,9 @@ def test_a_virtual_cube_moves_with_the_sensor_where_untouched(
 def test_what_holds_the_object() -> None:
     cube = box_mesh(10.0, 2)
     down = np.array([0.0, 0.0, -1.0])
-    fixed = Fixture().on(cube, down)["fixed"]
+    fixed = Fixture().supports(cube, down)["fixed"]
     np.testing.assert_array_equal(fixed.all(axis=1), cube.points[:, 2] == 0)
-    springs = Fixture("x-", "springs", 2.5).on(cube, down)["springs"]
+    springs = Fixture("x-", "springs", 2.5).supports(cube, down)["springs"]
     assert set(np.unique(springs)) == {0.0, 2.5}
     np.testing.assert_array_equal(springs.any(axis=1), cube.points[:, 0] == 0)
     with pytest.raises(ConfigError, match="no flat side opposite to a press along"):
@@ -304,12 +305,12 @@ def test_what_holds_the_object() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Fixture("under"), "hold side='under': choose opposite or one of x-"),
-        (lambda: Fixture(kind="glued"), "hold kind='glued': choose one of fixed, springs"),
+        (lambda: Fixture("under"), "side='under': give opposite, x-"),
+        (lambda: Fixture(kind="glued"), "kind='glued': give fixed or springs"),
         (lambda: Fixture(spring_n_per_mm=0), "spring_n_per_mm"),
-        (lambda: RecordOptions(steps=0), "steps=0 must be at least 1"),
-        (lambda: RecordOptions(min_frames=0), "min_frames=0 must be at least 1"),
-        (lambda: RecordOptions(first_contact="feel"), "first_contact='feel': choose one of shape"),
+        (lambda: RecordOptions(steps=0), "steps=0: give a whole number, at least 1"),
+        (lambda: RecordOptions(min_frames=0), "min_frames=0: give a whole number, at least 1"),
+        (lambda: RecordOptions(first_contact="feel"), "first_contact='feel': give shape or depth"),
         (lambda: RecordOptions(noise_mm=-1.0), "noise_mm"),
         (lambda: VirtualCube(10.0, edge_mm=6.0), "edge_mm=6 is more than half the region of 10"),
         (lambda: VirtualCube(10.0, edge_mm=0.1), "edge_mm=0.1 makes 6000000 elements"),

@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.sensor.calibration import (
-    change,
-    marker_pixels,
-)
+from tactorch.sensor.calibration import image_change, marker_pixels
 from tactorch.sensor.description import load_sensor, save_sensor
 from tactorch.sensor.markers import MarkerAppearance
 from tactorch.sensor.scale import (
@@ -19,10 +16,10 @@ from tactorch.sensor.scale import (
     PixelScale,
     cuboid,
     find_outline,
+    fit_warp,
     hexagon,
     measure_pixel_scale,
     read_corners,
-    fit_warp,
 )
 
 from . import ball_images as drawn
@@ -36,7 +33,7 @@ def corners_px(
 ) -> np.ndarray:
     """Corners of a shape anywhere, in any order."""
     place = tuple(rng.uniform(-1.0, 1.0, 2))
-    seen = punched.sensor(*scale).to_px(punched.turned(shape.corners, rng.uniform(0, 180), place))
+    seen = punched.sensor(*scale).to_px(punched.rotated(shape.corners, rng.uniform(0, 180), place))
     return rng.permutation(seen + rng.normal(0, noise_px, seen.shape))
 
 
@@ -61,9 +58,9 @@ def test_the_scale_is_found_on_images(
     still, outlines = punched.still(one), []
     for seed in seeds:
         place = tuple(rng.uniform(-1.5, 1.5, 2))
-        corners = punched.turned(shape.corners, rng.uniform(0, 180), place)
+        corners = punched.rotated(shape.corners, rng.uniform(0, 180), place)
         image = punched.image(one, heights(one, corners), seed)
-        changed, known = change(image, still, look, 0.5), ~marker_pixels(image, still, look)
+        changed, known = image_change(image, still, look, 0.5), ~marker_pixels(image, still, look)
         outlines.append(find_outline(changed, shape, TOLD.mm_per_px, known, f"{seed}.png"))
         away = np.linalg.norm(outlines[-1].corners_px[:, None] - one.to_px(corners), axis=2)
         assert away.min(axis=0).max() < 0.7
@@ -102,7 +99,7 @@ def test_exact_corners_tell_the_exact_scale(shape: KnownShape, rng: np.random.Ge
 def test_sides_are_told_apart_by_the_shape_of_a_pixel(turn_deg: float) -> None:
     """Seven by six millimetres under pixels that are taller than wide, as the description says."""
     sensor, shape = punched.sensor(0.06, 0.075), cuboid(7.0, 6.0)
-    seen = sensor.to_px(punched.turned(shape.corners, turn_deg, (0.3, -0.2)))
+    seen = sensor.to_px(punched.rotated(shape.corners, turn_deg, (0.3, -0.2)))
     found = measure_pixel_scale([Outline("a.png", seen)], shape, punched.sensor(0.061, 0.073))
     np.testing.assert_allclose(found.mm_per_px, (0.06, 0.075), rtol=1e-7)
 
@@ -193,9 +190,9 @@ HEAD = "image,corner,x_px,y_px\n"
         (HEAD, "has no line"),
         (HEAD + "a.png,1,10,ten\n", "line 2: could not convert"),
         (HEAD + "a.png,1,10,\n", "line 2: y_px is missing"),
-        (HEAD + "a.png,1,10,10\na.png,1,90,10\n", "line 3: corner 1 of a.png is there twice"),
+        (HEAD + "a.png,1,10,10\na.png,1,90,10\n", "line 3: corner 1 of a.png is given twice"),
         (HEAD + "a.png,1,10,10\na.png,2,90,10\n", "a.png: give three corners or more"),
-        (HEAD + "a.png,1,1,1\na.png,2,50,50\na.png,3,90,90\n", "a.png: .* lies on a line"),
+        (HEAD + "a.png,1,1,1\na.png,2,50,50\na.png,3,90,90\n", "a.png: .* is on a line"),
         (HEAD + "a.png,1,1,1\na.png,2,90,1\na.png,3,90,90\na.png,4,91,90\n", "two corners are at"),
     ],
 )
@@ -234,7 +231,7 @@ def test_corners_that_tell_no_scale(rng: np.random.Generator) -> None:
         ([six], "six.png: 6 corners, but a cuboid has 4"),
         ([*good, other], r"images disagree: other.png tells 0.064 x 0.064 mm per px, the median"),
         ([*good, askew], r"askew.png: its corners are no cuboid of that size, but \d.* px off"),
-        ([beside], r"beside.png: the corner at .* lies beside the image of 320 x 240 px"),
+        ([beside], r"beside.png: the corner at .* is outside the image of 320 x 240 px"),
         ([wide], "wide.png: a pixel would be .* check the sizes"),
     ):
         with pytest.raises(ConfigError, match=message):
@@ -259,8 +256,8 @@ def test_warps_that_cannot_be_found(rng: np.random.Generator) -> None:
 def test_images_without_the_shape() -> None:
     scale = (drawn.MM_PER_PX, drawn.MM_PER_PX)
     with pytest.raises(ConfigError, match=r"a.png: no hexagon found; nothing changed"):
-        find_outline(change(drawn.still(1), drawn.still()), hexagon(2.0), scale, name="a.png")
-    ball = change(drawn.ball((52.0, 47.0), 24.0), drawn.still(), smooth_px=0.5)
+        find_outline(image_change(drawn.still(1), drawn.still()), hexagon(2.0), scale, name="a.png")
+    ball = image_change(drawn.ball((52.0, 47.0), 24.0), drawn.still(), smooth_px=0.5)
     with pytest.raises(ConfigError, match=r"ball.png: no cuboid found; .* by hand"):
         find_outline(ball, cuboid(2.0, 2.0), scale, name="ball.png")
     with pytest.raises(ConfigError, match=r"ball.png: no cuboid found; none of its size fits"):

@@ -23,13 +23,13 @@ from tactorch.sensor.calibration import (
     FitOptions,
     MapQuality,
     SlopeMap,
-    select_map,
-    fit_map,
     evaluate_map,
-    validation_groups,
+    fit_map,
     fit_new_circle,
-    save_calibration,
     pool_quality,
+    save_calibration,
+    select_map,
+    validation_groups,
 )
 
 AUTO = "auto"
@@ -162,7 +162,9 @@ def _in_folds(
     by_name = {one.touch.name: one for one in used}
     judged, parts = [], []
     with progress("judging", "groups left out") as tell:
-        for found, left, circles in validation_groups([p.touch for p in used], ball, options, folds):
+        for found, left, circles in validation_groups(
+            [p.touch for p in used], ball, options, folds
+        ):
             parts.append(evaluate_map(found, left, circles, ball))
             pairs = zip(left, circles, strict=True)
             judged += [Judged(by_name[t.name], circle, found) for t, circle in pairs]

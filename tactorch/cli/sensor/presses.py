@@ -15,10 +15,10 @@ from tactorch.errors import FileError
 from tactorch.files import atomic_path
 from tactorch.sensor.calibration import (
     Ball,
-    Circle,
     BallPress,
-    change,
+    Circle,
     find_circle,
+    image_change,
     marker_pixels,
     read_labels,
 )
@@ -53,7 +53,7 @@ def presses_of(
     found = []
     for frame in frames:
         assert frame.image is not None
-        changed = change(frame.image, reference, look)
+        changed = image_change(frame.image, reference, look)
         circle = labels.get(frame.name) or find_circle(changed, ball, frame.name)
         ball.check(circle, frame.name)
         known = ~marker_pixels(frame.image, reference, look)

@@ -12,7 +12,7 @@ from tactorch.cli.settings import log
 from tactorch.cli.tables import Table
 from tactorch.files import atomic_path
 from tactorch.sensor.calibration import Ball, Circle, MapQuality, SlopeMap, evaluate_map, map_slopes
-from tactorch.sensor.depth import integrate
+from tactorch.sensor.depth import integrate_slopes
 from tactorch.viz.sensor_calibration import BallPress, plot_ball_presses
 
 REPORT, TEXT, CIRCLES, PICTURE = "quality.json", "quality.txt", "circles.csv", "held_out.png"
@@ -73,7 +73,9 @@ def write_report(
     log.info("pictures of them: %s", folder / PICTURE)
 
 
-def _table(quality: MapQuality, each: Mapping[str, MapQuality], radii_mm: Mapping[str, float]) -> Table:
+def _table(
+    quality: MapQuality, each: Mapping[str, MapQuality], radii_mm: Mapping[str, float]
+) -> Table:
     head = ("", "R^2 x", "R^2 y", "MAE x", "MAE y", "depth rms, mm", "contact radius, mm")
     rows = []
     for name, q in [*each.items(), ("all together", quality)]:
@@ -96,7 +98,7 @@ def _text(title: str, quality: MapQuality, table: Table) -> str:
 def _seen(one: Judged, ball: Ball) -> BallPress:
     touch = one.pressed.touch
     slopes = map_slopes(one.map, touch.changed)
-    height = integrate(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
+    height = integrate_slopes(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
     return BallPress(
         touch.name, one.pressed.image, touch.circle, one.circle, touch.known, slopes, height
     )

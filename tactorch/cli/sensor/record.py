@@ -19,15 +19,16 @@ from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.mesh import TetMesh, box_mesh, read_mesh
 from tactorch.sensor.chain import ChainOptions, SensorChain
-from tactorch.sensor.contact import ContactOptions, Poses, read_poses
+from tactorch.sensor.contact import ContactOptions
 from tactorch.sensor.gel import GelModel
+from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.recorder import (
     Fixture,
-    SessionRecording,
     RecordOptions,
+    SessionRecording,
     VirtualCube,
-    record_streaming,
     record,
+    record_streaming,
 )
 from tactorch.viz.session import plot_presses, plot_session
 
@@ -91,7 +92,9 @@ def poses_of(cfg: DictConfig, frames: FrameSequence) -> Callable[[], Poses]:
 
     def read() -> Poses:
         found = read_poses(str(cfg.poses), growing=cfg.as_they_end)
-        return found if cfg.poses_clock == "frames" else found.relative_to(frames.zero_unix_s or 0.0)
+        return (
+            found if cfg.poses_clock == "frames" else found.relative_to(frames.zero_unix_s or 0.0)
+        )
 
     return read
 

@@ -56,7 +56,9 @@ def run(cfg: DictConfig) -> Path:
     reference = reference_of(cfg, sensor)
     tracker, frames = MarkerTracker(reference, look), FrameSequence(cfg, sensor, reference)
     known, places = _followed(tracker, frames)
-    moved = np.stack([marker_displacements(sensor, tracker.reference_px, one)[1][:, :2] for one in places])
+    moved = np.stack(
+        [marker_displacements(sensor, tracker.reference_px, one)[1][:, :2] for one in places]
+    )
     _write(place, tracker.reference_px, known, places, moved)
     values, lines = _summary(known, places, moved)
     if cfg.backward:
@@ -182,7 +184,9 @@ def _draw(
     moved: Places,
 ) -> None:
     size, seen = np.linalg.norm(moved, axis=2), np.isfinite(places[..., 0])
-    view = MarkerView(sensor, tracker.reference_px, colour_limit(size, _LEAST_MM), float(cfg.magnify))
+    view = MarkerView(
+        sensor, tracker.reference_px, colour_limit(size, _LEAST_MM), float(cfg.magnify)
+    )
 
     def show(frame: Frame) -> None:
         k = frame.index

@@ -150,7 +150,7 @@ def _profiles(
     length = float(np.linalg.norm(end - start))
     along = (end - start) / length
     outward = np.array([along[1], -along[0]])
-    steps = np.arange(_END_FRACTION * length, (1 - _ENDS) * length, 1.0)
+    steps = np.arange(_END_FRACTION * length, (1 - _END_FRACTION) * length, 1.0)
     points = start + steps[:, None, None] * along + offsets[:, None] * outward
     indices = [points[..., 1], points[..., 0]]
     # Pixels outside the image are not valid.
