@@ -70,7 +70,7 @@ def plot_session(recorded: SessionRecording, path: str | Path) -> Path:
     Returns:
         The path.
     """
-    frames = recorded.session.frames
+    frames, numbers = recorded.frames, recorded.contact_numbers()
     times = [frame.time_s for frame in frames]
     timed = all(time is not None for time in times)
     across = np.array(times if timed else range(len(frames)), dtype=float)
@@ -101,8 +101,8 @@ def plot_session(recorded: SessionRecording, path: str | Path) -> Path:
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
         axes.margins(y=0.15)
-        for number in range(len(recorded.session.contacts)):
-            contact = across[[i for i, frame in enumerate(frames) if frame.contact == number]]
+        for number in range(len(recorded.contacts)):
+            contact = across[[i for i, contact in enumerate(numbers) if contact == number]]
             axes.axvspan(contact[0], contact[-1], color="0.88", zorder=-1)
     lower.set_xlabel("time, s" if timed else "frame")
     return save_figure(figure, path)

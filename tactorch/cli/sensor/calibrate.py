@@ -14,6 +14,7 @@ from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
 from tactorch.cli.sensor.presses import Pressed, presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
 from tactorch.cli.settings import folder, log
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import (
     SENSOR_MAPS,
@@ -75,7 +76,7 @@ def run(cfg: DictConfig) -> Path:
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,
-        "fit": asdict(options),
+        "fit": to_mapping(options),
         "maps": {name: asdict(quality) for name, quality in maps.items()},
         "judged": found.title,
         "quality": asdict(found.quality),
@@ -96,12 +97,18 @@ def digest(pressed: Pressed) -> str:
 
 
 def _options(cfg: DictConfig) -> FitOptions:
-    if cfg.map not in (AUTO, *SENSOR_MAPS):
-        raise ConfigError(f"map={cfg.map!r}: choose one of {', '.join((AUTO, *SENSOR_MAPS))}.")
+    if cfg.map not in (AUTO, *SENSOR_MAPS.names()):
+        raise ConfigError(
+            f"map={cfg.map!r}: choose one of {', '.join((AUTO, *SENSOR_MAPS.names()))}."
+        )
     if cfg.folds is not None and cfg.held_out is not None:
         raise ConfigError("give held_out or folds, not both.")
-    name = SENSOR_MAPS[0] if cfg.map == AUTO else cfg.map
-    return FitOptions(name, cfg.rounds, cfg.seed)
+    name = names[1] if cfg.map == AUTO else cfg.map
+    return FitOptions(SENSOR_MAPS.build(name), cfg.rounds, cfg.seed)
+
+
+def _map_name(options: FitOptions) -> str:
+    return SENSOR_MAPS.name_of(type(options.map))
 
 
 def _parted(
@@ -139,7 +146,7 @@ def _with_map(
         chosen, maps = select_map(touches, ball, options, min(_CHOOSE, len(used)), tell)
     for each, quality in maps.items():
         log.info("%s: mean error of slopes %.4f / %.4f on presses left out", each, *quality.mae)
-    return replace(options, map=chosen), maps
+    return replace(options, map=SENSOR_MAPS.build(chosen)), maps
 
 
 def _held_out(
@@ -148,10 +155,12 @@ def _held_out(
     found, circles = _fit(used, ball, options)
     if held:
         judged = [Judged(one, fit_new_circle(one.touch, found, ball), found) for one in held]
-        title = f"{options.map}, fitted to {len(used)} presses, on {len(held)} others"
+        title = f"{_map_name(options)}, fitted to {len(used)} presses, on {len(held)} others"
     else:
         judged = [Judged(one, circles[one.touch.name], found) for one in used]
-        title = f"{options.map}, on the {len(used)} presses it was fitted to: others do worse"
+        title = (
+            f"{_map_name(options)}, on the {len(used)} presses it was fitted to: others do worse"
+        )
     touches, own = [one.pressed.touch for one in judged], [one.circle for one in judged]
     return Fitted(found, circles, judged, evaluate_map(found, touches, own, ball), title)
 
@@ -169,7 +178,7 @@ def _in_folds(
             pairs = zip(left, circles, strict=True)
             judged += [Judged(by_name[t.name], circle, found) for t, circle in pairs]
             tell(len(parts), folds)
-    title = f"{options.map}, on {len(used)} presses, each left out once, in {folds} groups"
+    title = f"{_map_name(options)}, on {len(used)} presses, each left out once, in {folds} groups"
     final, own = _fit(used, ball, options)
     return Fitted(final, own, judged, pool_quality(parts), title)
 

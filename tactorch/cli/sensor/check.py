@@ -31,7 +31,7 @@ def run(cfg: DictConfig) -> MapQuality:
     quality = evaluate_map(calibration.map, touches, list(circles.values()), ball)
     known = set(calibration.facts.get("fitted_to", {}).values())
     seen = [one.touch.name for one in presses if digest(one) in known]
-    title = f"{Path(str(cfg.calibration)).name} ({calibration.map.name}), on {len(judged)} presses"
+    title = f"{Path(str(cfg.calibration)).name} ({calibration.map_name}), on {len(judged)} presses"
     more: dict[str, Any] = {"calibration": calibration.facts, "fitted_to": seen}
     write_report(place, title, quality, judged, ball, circles, more)
     if seen:

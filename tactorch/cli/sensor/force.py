@@ -96,10 +96,12 @@ def _felt(chain: SensorChain, frame: Frame) -> Felt:
         seen, fault = None, f"no forces found: {error}"
     depth = float("nan")
     if seen is not None and seen.height is not None:
-        depth = -float(seen.height.height_mm.min())
+        depth = seen.height.depth_mm
     if seen is not None and seen.contact is not None:
         contact = seen.contact
-        return Felt(without_image(frame), contact.forces, contact.displacement, seen.touched, depth)
+        return Felt(
+            without_image(frame), contact.forces, contact.displacement, seen.in_contact, depth
+        )
     free = np.full(shape, 0.0 if seen is not None and seen.height is not None else np.nan)
     touched = np.zeros(shape[0], dtype=bool)
     return Felt(without_image(frame, fault), free, free, touched, depth)

@@ -66,5 +66,5 @@ def calibrated(cfg: DictConfig) -> tuple[SensorDescription, Calibration]:
         log.info("scale: %.5g x %.5g mm per px, as calibrated", *calibration.mm_per_px)
         sensor = replace(sensor, mm_per_px=calibration.mm_per_px)
     if calibration.markers is None:
-        calibration = replace(calibration, look=look_of(sensor))
+        calibration = replace(calibration, markers=look_of(sensor))
     return sensor, calibration

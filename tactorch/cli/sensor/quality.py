@@ -97,7 +97,7 @@ def _text(title: str, quality: MapQuality, table: Table) -> str:
 
 def _seen(one: Judged, ball: Ball) -> BallPress:
     touch = one.pressed.touch
-    slopes = map_slopes(one.map, touch.changed)
+    slopes = map_slopes(one.map, touch.change)
     height = integrate_slopes(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
     return BallPress(
         touch.name, one.pressed.image, touch.circle, one.circle, touch.known, slopes, height

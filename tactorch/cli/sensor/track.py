@@ -75,7 +75,7 @@ def _followed(tracker: MarkerTracker, frames: FrameSequence) -> tuple[list[Frame
     with progress("following markers", "frames") as tell:
         for frame in frames:
             none = np.full(tracker.reference_px.shape, np.nan)
-            places.append(none if frame.image is None else tracker.track(frame.image).places)
+            places.append(none if frame.image is None else tracker.track(frame.image))
             known.append(without_image(frame))
             tell(len(known), frames.total)
     return known, np.stack(places)
@@ -157,7 +157,7 @@ def _to_the_first(tracker: MarkerTracker, images: Sequence[Image]) -> Float[np.n
     places = tracker.reference_px
     with progress("following them back", "frames") as tell:
         for done, image in enumerate(images[-2::-1], 1):
-            places = tracker.track(image).places
+            places = tracker.track(image)
             tell(done, len(images) - 1)
     return places
 

@@ -48,7 +48,7 @@ class FrameSummary(NamedTuple):
     """Summary of a frame.
 
     Attributes:
-        index: Position in the sequence.
+        frame: Position in the sequence.
         name: Name of the frame.
         time_s: Time since the first frame; None if unknown.
         depth_mm: Depth of the gel's face; NaN if not measured.
@@ -56,7 +56,7 @@ class FrameSummary(NamedTuple):
         fault: Description of the fault, or "".
     """
 
-    index: int
+    frame: int
     name: str
     time_s: float | None
     depth_mm: float

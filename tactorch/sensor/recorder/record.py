@@ -55,7 +55,7 @@ class SessionRecording:
             for number, contact in enumerate(self.contacts)
             for measurement in contact.measurements
         }
-        return [numbers.get(frame.index) for frame in self.frames]
+        return [numbers.get(summary.frame) for summary in self.frames]
 
 
 def record(
