@@ -97,10 +97,9 @@ def digest(pressed: Pressed) -> str:
 
 
 def _options(cfg: DictConfig) -> FitOptions:
-    if cfg.map not in (AUTO, *SENSOR_MAPS.names()):
-        raise ConfigError(
-            f"map={cfg.map!r}: choose one of {', '.join((AUTO, *SENSOR_MAPS.names()))}."
-        )
+    names = (AUTO, *SENSOR_MAPS.names())
+    if cfg.map not in names:
+        raise ConfigError(f"map={cfg.map!r}: choose one of {', '.join(names)}.")
     if cfg.folds is not None and cfg.held_out is not None:
         raise ConfigError("give held_out or folds, not both.")
     name = names[1] if cfg.map == AUTO else cfg.map
