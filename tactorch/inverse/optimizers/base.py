@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.config import Options
-from tactorch.inverse.monitor import Monitor
+from tactorch.inverse.monitor import Monitor, StopReason
 from tactorch.inverse.objective import Objective
 
 
@@ -21,11 +21,11 @@ class Optimizer(Options, ABC):
     @abstractmethod
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
-    ) -> str:
+    ) -> StopReason:
         """Minimise; the monitor holds the best parameters.
 
         Returns:
-            The reason for stopping, in words.
+            The reason for stopping.
 
         Raises:
             ConvergenceError: the start itself has no equilibrium.
@@ -38,7 +38,7 @@ def projected_gradient(
     gradient: Float[np.ndarray, " m"],
     limits: tuple[float | np.ndarray, float | np.ndarray],
 ) -> Float[np.ndarray, " m"]:
-    """The gradient without the components that push against a bound."""
+    """Return the gradient without the components that push against a bound."""
     low, high = limits
     blocked = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
     return np.where(blocked, 0.0, gradient)

@@ -22,7 +22,6 @@ from torch import Tensor
 from tactorch.fem import reference
 from tactorch.fem.sensitivity import Sensitivity
 from tactorch.inverse.objective import Point
-from tactorch.inverse.parameterization import Log
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +40,9 @@ class SecondOrder:
 
     @cached_property
     def _bend(self) -> Float[np.ndarray, " m"]:
-        """Gradient by the moduli times d^2 youngs / d x^2; only exp bends."""
-        if not isinstance(self.point.objective.parameterization, Log):
-            return np.zeros_like(self.point.x)
-        return self.point.data_gradient / self._slope * self.point.youngs
+        """Gradient by the moduli times d^2 youngs / d x^2."""
+        second = self.point.objective.parameterization.second_derivative(self.point.x)
+        return self.point.data_gradient / self._slope * second
 
     @cached_property
     def _adjoints(self) -> list[Float[np.ndarray, "nodes 3"]]:
