@@ -95,7 +95,7 @@ class Breast:
 
     def moduli(self, mesh: TetMesh) -> np.ndarray:
         """True moduli on any mesh of the breast, each element's mean over four points, MPa."""
-        from tactorch.phantoms.sampling import element_means
+        from tactorch.mesh.quadrature import element_means
 
         return element_means(mesh, self._at, 2)
 
@@ -263,7 +263,7 @@ def _predictions(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Displacements seen in each press, mm, by plain elements and by finer ones."""
     plain, fine = (p.evaluate(youngs, chained=True).reported for p in (problem, finer))
-    seen = [one.index for one in problem.observations]
+    seen = [one.index for one in problem.data.observations]
     return [(a.ravel()[i], b.ravel()[i]) for a, b, i in zip(plain, fine, seen, strict=True)]
 
 

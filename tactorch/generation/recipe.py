@@ -13,7 +13,7 @@ from tactorch.inverse import Settings
 from tactorch.inverse.settings import stored_settings
 from tactorch.mesh import TetMesh
 from tactorch.mesh.values import Real, positive
-from tactorch.phantoms import Drawn, Phantom, draw_phantom
+from tactorch.phantoms import Phantom, RandomPhantom, draw_phantom
 from tactorch.plain import plain
 from tactorch.recording import MaterialSpec
 
@@ -110,8 +110,7 @@ class Recipe:
                 "max_seconds would make samples depend on the machine; limit max_iterations."
             )
         # Refuse what no sample could be made of.
-        if self.element not in ELEMENTS:
-            raise ConfigError(f"element={self.element!r}: choose one of {', '.join(ELEMENTS)}.")
+        ELEMENTS[self.element]  # raises for an unknown name
         if self.poisson is not None and (
             len(self.poisson) != 2 or not 0.0 <= self.poisson[0] <= self.poisson[1] < 0.5
         ):
@@ -121,7 +120,7 @@ class Recipe:
         make_material(self.material.name, self.material.poisson, **self.material.parameters)
         self.mesh.meshes(self.drawn(0).phantom)
 
-    def drawn(self, index: int) -> Drawn:
+    def drawn(self, index: int) -> RandomPhantom:
         """Draw the object of a sample."""
         rng = np.random.default_rng([self.seed, 0, index // self.views])
         return draw_phantom(self.family, rng, **self.options)

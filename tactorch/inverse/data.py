@@ -1,7 +1,7 @@
 """The data of an inversion: observations, their noise, and errors that they have in common."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -142,7 +142,7 @@ class DataModel:
     """
 
     observations: tuple[Observation, ...]
-    misfit: Misfit = Squares()
+    misfit: Misfit = field(default_factory=Squares)
     correlated: CorrelatedNoise | None = None
     model_deviation: tuple[float, ...] | None = None
     noise_fraction: float = 1.0
@@ -269,7 +269,7 @@ def smooth_pattern(
 def _affine(
     points: Float[np.ndarray, "n 3"], index: Int[np.ndarray, " p"]
 ) -> Float[np.ndarray, "p k"]:
-    """Return orthonormal affine displacement fields at observed degrees of freedom, at most twelve."""
+    """Return orthonormal affine displacement fields, at most twelve, at the observations."""
     positions = points[index // 3]
     extent = np.ptp(positions, axis=0).max()
     positions = (positions - positions.mean(axis=0)) / (extent if extent > 0 else 1.0)

@@ -6,10 +6,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.fem import EquilibriumResult, Newton, map_cases
-from tactorch.fem.sensitivity import Sensitivity, force_rates
+from tactorch.fem import EquilibriumResult, Newton, Sensitivity
 from tactorch.inverse.data import DataModel, Observation
 from tactorch.inverse.nuisance import Nuisance, PressModel
+from tactorch.linalg import map_cases
 
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
@@ -39,15 +39,12 @@ class PressSolution:
 
     def sensitivity(self) -> Sensitivity:
         """Return the linearisation, factored."""
-        assert self.equilibrium.response is not None
-        tangent, values = self.newton.linearize(self.equilibrium), self.model.values
+        values = self.model.values
         frame = values.rotation if values.rotation_rad.any() else None
-        return Sensitivity(
-            self.newton.assembly, self.equilibrium.response, tangent, self.observation.index, frame
-        )
+        return Sensitivity(self.newton.linearize(self.equilibrium), self.observation.index, frame)
 
     def nuisance_columns(
-        self, names: tuple[str, ...], sensitivity: Sensitivity, youngs: Float[np.ndarray, " m"]
+        self, names: tuple[str, ...], sensitivity: Sensitivity
     ) -> Float[np.ndarray, "p k"]:
         """Return the change of the observed report by each component of parameters, mm.
 
@@ -55,25 +52,27 @@ class PressSolution:
         """
         columns = []
         for name in names:
-            forces = self._unbalance(name, youngs)
-            moved = sensitivity.force_response(np.reshape(forces, (-1, *self.weight.shape)))
+            forces = self._unbalance(name, sensitivity)
+            moved = sensitivity.linearization.force_response(
+                np.reshape(forces, (-1, *self.weight.shape))
+            )
             direct = self.model.report_rates(name, self.equilibrium.displacement)
-            seen = [sensitivity.seen(field) for field in moved]
-            plain = [field.ravel()[self.observation.index] for field in direct]
-            if seen and plain:
-                columns += [a + b for a, b in zip(seen, plain, strict=True)]
+            indirect = [sensitivity.observe(field) for field in moved]
+            observed = [field.ravel()[self.observation.index] for field in direct]
+            if indirect and observed:
+                columns += [a + b for a, b in zip(indirect, observed, strict=True)]
             else:
-                columns += seen or plain
+                columns += indirect or observed
         return np.column_stack(columns)
 
-    def _unbalance(self, name: str, youngs: np.ndarray) -> list[Float[np.ndarray, "nodes 3"]]:
+    def _unbalance(self, name: str, sensitivity: Sensitivity) -> list[Float[np.ndarray, "nodes 3"]]:
         """Change of the forces on the nodes by each component, the displacement unchanged, N."""
-        assembly, u = self.newton.assembly, self.equilibrium.displacement
+        linearization = sensitivity.linearization
         if name == "poisson":
-            return [-rate for rate in force_rates(assembly, u, youngs, poisson=True)]
+            return [-rate for rate in linearization.parameter_forces(poisson=True)]
         if name == "rest_scale":
-            return [self.weight - rate for rate in force_rates(assembly, u, youngs, stretch=True)]
-        loads = assembly.discretisation.consistent_loads
+            return [self.weight - rate for rate in linearization.parameter_forces(stretch=True)]
+        loads = self.newton.assembly.discretisation.consistent_loads
         return [loads(change) for change in self.model.force_rates(name)]
 
 
@@ -168,13 +167,13 @@ class Evaluation:
 
         def work(i: int) -> np.ndarray:
             press, sensitivity = self._presses[i], self.sensitivities[i]
-            columns = press.nuisance_columns(names, sensitivity, self.youngs)
+            columns = press.nuisance_columns(names, sensitivity)
             return columns * press.observation.scale[:, None]
 
         return self._join(map_cases(work, len(self._presses)))
 
     def jacobian_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " data"]:
-        """Return the change of the residuals by a change of the moduli (MPa), by one solve per press."""
+        """Return the change of the residuals by a change of the moduli (MPa)."""
         self.sensitivities  # noqa: B018
 
         def work(i: int) -> np.ndarray:
@@ -183,7 +182,7 @@ class Evaluation:
         return self._join(map_cases(work, len(self._presses)))
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " m"]:
-        """Return the transpose of d residuals / d youngs times `weights`, by one solve per press."""
+        """Return the transpose of d residuals / d youngs times `weights`."""
         parts = self._split(weights)
         self.sensitivities  # noqa: B018
         gradients = map_cases(
@@ -220,6 +219,6 @@ class Evaluation:
 
     def _predict(self, i: int, change: np.ndarray) -> np.ndarray:
         newton, equilibrium = self._presses[i].newton, self._presses[i].equilibrium
-        shift = self.sensitivities[i].displacement_change(change)
+        shift = self.sensitivities[i].linearization.displacement_change(change)
         guess = equilibrium.displacement + shift
         return guess if newton.assembly.respond(guess) is not None else equilibrium.displacement

@@ -80,10 +80,10 @@ def discretisation_error(
         ConfigError: the problem has quadratic elements, which have no better model.
         ConvergenceError: a press has no equilibrium, at this modulus or up to a few times as much.
     """
-    if problem.body.discretisation.element.name != "tet4":
+    if problem.body.discretisation.element.quadratic:
         raise ConfigError(
             "model_error=discretisation compares plain tetrahedra with quadratic ones; with "
-            f"element={problem.body.discretisation.element.name} choose model_error=none."
+            "element=tet10 choose model_error=none."
         )
     quadratic = InverseProblem(
         problem.recording,

@@ -221,7 +221,7 @@ class Monitor:
             if identity.get(name) != value:
                 raise FileError(
                     f"checkpoint '{source}' belongs to another {name}: {identity.get(name)}, not "
-                    f"{value}. Resume with the {name} that it was made with, or start again without "
+                    f"{value}. Resume with the same {name}, or start again without "
                     "resume."
                 )
 

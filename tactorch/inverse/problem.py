@@ -7,14 +7,13 @@ import torch
 from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
-from tactorch.fem import NewtonOptions, SoftBody, Supports, map_cases
+from tactorch.fem import Newton, NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.body import check_youngs
-from tactorch.fem.materials import make_material
-from tactorch.fem.newton import Newton
 from tactorch.inverse.data import DataModel, NoiseModel
 from tactorch.inverse.evaluation import Evaluation, PressSolution
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModelFactory
+from tactorch.linalg import SolverOptions, map_cases
 from tactorch.recording import Recording
 
 
@@ -42,7 +41,7 @@ class InverseProblem:
         recording: Recording,
         *,
         element: str = "tet4",
-        solver: str = "auto",
+        solver: str | SolverOptions = "auto",
         noise: NoiseModel | None = None,
         newton: NewtonOptions | None = None,
         misfit: Misfit | None = None,
@@ -134,7 +133,10 @@ class InverseProblem:
 
 
 def body_of(
-    recording: Recording, element: str, solver: str, newton: NewtonOptions | None = None
+    recording: Recording,
+    element: str,
+    solver: str | SolverOptions,
+    newton: NewtonOptions | None = None,
 ) -> SoftBody:
     """Return the body of a recording."""
     spec = recording.material

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.inverse import InverseProblem, Reconstruction, Settings, invert
+from tactorch.inverse import InverseProblem, Reconstruction, Settings, StopReason, invert
 from tactorch.metrics import ssim
 from tactorch.recording import Recording
 from tactorch.reproduce.objects import START_MPA
@@ -46,7 +46,11 @@ class TracedRun:
     @property
     def limited(self) -> bool:
         """Whether it was a limit of time or number that ended it."""
-        return self.found.stop_reason.endswith("limit reached")
+        return self.found.stop_reason in (
+            StopReason.EVALUATION_LIMIT,
+            StopReason.TIME_LIMIT,
+            StopReason.ITERATION_LIMIT,
+        )
 
     def ssim_after(self, evaluations: int) -> float | None:
         """Similarity after so many solves; None where it has not made that many, nor ended.

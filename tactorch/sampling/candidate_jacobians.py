@@ -18,7 +18,7 @@ def credibilities(point: Point) -> Float[np.ndarray, "presses m"]:
     else small elements would count as hardly felt.
     """
     mesh = point.objective.problem.recording.mesh
-    counts = [len(seen.index) for seen in point.objective.problem.observations]
+    counts = [len(seen.index) for seen in point.objective.problem.data.observations]
     rows = np.split(point.jacobian[:, : mesh.n_tets], np.cumsum(counts)[:-1])
     felt = np.array([np.abs(part).max(axis=0) for part in rows])
     return (felt * mesh.volumes.mean() / mesh.volumes) ** 2
@@ -41,7 +41,7 @@ def foretold(
         Derivatives of each press's data by the parameters, in standard deviations; None for a
         press under which the body would collapse.
     """
-    scales = np.concatenate([seen.scale for seen in point.objective.problem.observations])
+    scales = np.concatenate([seen.scale for seen in point.objective.problem.data.observations])
     noise = float(1.0 / np.median(scales))
     # Displacements do not matter here; presses that moved nothing are refused as data.
     nothing = np.full(presses[0].forces.shape, noise)
@@ -65,12 +65,12 @@ def _rows(presses: Sequence[Press], point: Point, settings: Settings) -> list[np
     recording = replace(made.recording, presses=tuple(presses), check_units=False)
     problem = InverseProblem(recording, newton=settings.newton, body=made.body)
     slope = point.objective.parameterization.slope(point.elements)
-    counts = [len(seen.index) for seen in problem.observations]
+    counts = [len(seen.index) for seen in problem.data.observations]
     rows = problem.evaluate(point.youngs).jacobian() * slope
     parts = np.split(rows, np.cumsum(counts)[:-1])
-    known = made.model_deviation
+    known = made.data.model_deviation
     if known is None:
         return parts
     left, points = float(np.median(known)), recording.mesh.points
-    smooth = [smooth_pattern(points, seen, left) for seen in problem.observations]
+    smooth = [smooth_pattern(points, seen, left) for seen in problem.data.observations]
     return [CorrelatedNoise(s).whiten(part) for s, part in zip(smooth, parts, strict=True)]

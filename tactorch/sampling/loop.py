@@ -9,10 +9,10 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
-    INTERRUPTED,
     START_MPA,
     Point,
     Settings,
+    StopReason,
     invert,
     make_objective,
 )
@@ -150,4 +150,4 @@ class _Body:
         point = objective.at(objective.start(found.youngs))
         # The widest that can be had: Laplace's trusts total variation where no press was yet.
         posterior = posterior_at(point, found.history[-1].get("weight", 0.0))
-        return point, posterior, found.stop_reason == INTERRUPTED
+        return point, posterior, found.stop_reason == StopReason.INTERRUPTED

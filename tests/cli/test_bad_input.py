@@ -523,11 +523,11 @@ TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=nul
     ),
     Case(
         "negative number of load steps",
-        ("press: steps=-2", "at least 1"),
+        ("press.steps=-2", "at least 1"),
         settings=("press.steps=-2",),
     ),
     Case(
-        "unknown side", ("press: faces: unknown side 'top'", "z+"), settings=("press.faces=[top]",)
+        "unknown side", ("press.faces: unknown face 'top'", "z+"), settings=("press.faces=[top]",)
     ),
     Case(
         "one side for a list of sides", ("press.faces='z+'", "[A,B]"), settings=("press.faces=z+",)
@@ -539,10 +539,14 @@ TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=nul
     ),
     Case(
         "unknown way to hold",
-        ("hold='glue'", "springs, fixed, roller"),
-        settings=("press.hold=glue",),
+        ("press.support='glue'", "springs, fixed or roller"),
+        settings=("press.support=glue",),
     ),
-    Case("negative modulus", ("youngs_mpa=-1", "positive"), settings=("phantom.inclusion_mpa=-1",)),
+    Case(
+        "negative modulus",
+        ("phantom.inclusion_mpa=-1", "above 0"),
+        settings=("phantom.inclusion_mpa=-1",),
+    ),
     Case(
         "edge length of a hundredth of a micrometre",
         ("edge length", "check the units"),
@@ -588,7 +592,7 @@ def checkpoint(change: Callable[[Path], object]) -> Spoil:
 
 
 @cases(
-    Case("checkpoint cut short", ("checkpoint.npz' cannot be read", "start anew"), checkpoint(cut)),
+    Case("checkpoint cut short", ("checkpoint.npz' cannot be read", "start again"), checkpoint(cut)),
     Case(
         "checkpoint that is text",
         ("checkpoint.npz' cannot be read (cut short, or not a",),

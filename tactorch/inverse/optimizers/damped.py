@@ -8,7 +8,7 @@ the objective falls less than predicted, and shrinks where it falls as predicted
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -28,6 +28,7 @@ _MAX_RISE = 2.0
 _MIN_DAMPING, _MIN_RAISED_DAMPING = 1e-12, 1e-4
 
 
+@runtime_checkable
 class LinearSystem(Protocol):
     """The linearised problem at one point."""
 
@@ -202,9 +203,7 @@ class DampedNewton(Optimizer):
         return None
 
 
-def _within_limits(
-    point: Point, step: Float[np.ndarray, " size"]
-) -> Float[np.ndarray, " size"]:
+def _within_limits(point: Point, step: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
     """Cut a step to the bounds and to the largest for which the linearisation is meaningful."""
     cap, (low, high) = point.objective.max_step, point.objective.limits
     capped = np.clip(step, -cap, cap)

@@ -16,11 +16,10 @@ from jaxtyping import Bool, Float
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.inverse.objective import Point
-from tactorch.inverse.optimizers.conjugate_gradients import CGResult, truncated
 from tactorch.inverse.optimizers.damped import DampedNewton, LinearSystem, StepSolver
-from tactorch.inverse.optimizers.hessian import SecondOrder
 from tactorch.inverse.optimizers.schedule import RegularizationSchedule
-from tactorch.linalg import Solver, Status, SymmetricPattern, analyse
+from tactorch.linalg import Solver, Status, SymmetricPattern, analyse, conjugate_gradients
+from tactorch.linalg.conjugate_gradients import CGResult
 
 # Shift of the preconditioner where the prior is zero (a uniform change), relative to the mean
 # diagonal of J^T J.
@@ -122,7 +121,7 @@ class _CGSystem:
     _solved: CGResult = field(init=False)
 
     @cached_property
-    def _second_order(self) -> SecondOrder | None:
+    def _second_order(self) -> "SecondOrder | None":
         return SecondOrder(self.point) if self.steps.settings.hessian == "true" else None
 
     def _product(self, change: np.ndarray) -> np.ndarray:
@@ -139,20 +138,60 @@ class _CGSystem:
         def damped(change: np.ndarray) -> np.ndarray:
             return np.where(self.free, self._product(change) + shift * change, 0.0)
 
-        self._solved = truncated(
+        self._solved = conjugate_gradients(
             damped,
             self.steps.prior.solve,
-            self.gradient,
-            self.rtol,
-            self.steps.settings.cg_iterations,
+            -self.gradient,
+            rtol=self.rtol,
+            max_iterations=self.steps.settings.cg_iterations,
+            preconditioned_norm=True,
+            orthogonalize=True,
         )
         self.steps.products += self._solved.iterations
-        return self._solved.step if np.all(np.isfinite(self._solved.step)) else None
+        step: np.ndarray = self._solved.solution
+        return step if np.all(np.isfinite(step)) else None
 
     def predicted_fall(self, change: Float[np.ndarray, " size"]) -> float:
-        uncut = np.array_equal(change, self._solved.step)
+        uncut = np.array_equal(change, self._solved.solution)
         image = self._solved.image - self._shift * change if uncut else self._product(change)
         return -float(self.gradient @ change + 0.5 * change @ image)
+
+
+@dataclass(frozen=True, eq=False)
+class SecondOrder:
+    """The part of the misfit's Hessian that Gauss-Newton omits, without nuisance parameters.
+
+    A product takes one solve per press more than the two of Gauss-Newton; see
+    `tactorch.fem.Linearization.second_order`.
+
+    Attributes:
+        point: Point of the objective.
+    """
+
+    point: Point
+
+    @cached_property
+    def _slope(self) -> Float[np.ndarray, " m"]:
+        return self.point.objective.parameterization.slope(self.point.x)
+
+    @cached_property
+    def _curvature(self) -> Float[np.ndarray, " m"]:
+        """Gradient by the moduli times d^2 youngs / d x^2."""
+        second = self.point.objective.parameterization.second_derivative(self.point.x)
+        return self.point.data_gradient / self._slope * second
+
+    @cached_property
+    def _adjoints(self) -> list[Float[np.ndarray, "nodes 3"]]:
+        return self.point.evaluation.adjoints(self.point.evaluation.residuals)
+
+    def product(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the second-order part times a change of x."""
+        sensitivities = self.point.evaluation.sensitivities
+        parts = [
+            sensitivity.linearization.second_order(adjoint, self._slope * change)
+            for sensitivity, adjoint in zip(sensitivities, self._adjoints, strict=True)
+        ]
+        return self._slope * np.sum(parts, axis=0) + self._curvature * change
 
 
 class PriorSolver:

@@ -20,13 +20,18 @@ from tactorch.inverse.optimizers.spectrum import Spectrum
 
 # Factors of the weight per step: a leap, far from the data, and near the noise.
 _LEAP, _FAST, _SLOW = 0.1, 1.0 / 3.0, 0.6
-# Mean squared residuals: below _NEAR the weight falls slowly; above _FAR it leaps after a step whose
-# gain (fall of the objective over the predicted fall) is at least _LEAP_GAIN.
+# Mean squared residuals: below _NEAR the weight falls slowly; above _FAR it leaps after a step of a
+# gain (fall of the objective over the predicted fall) of _LEAP_GAIN or more.
 _NEAR, _FAR, _LEAP_GAIN = 10.0, 100.0, 0.75
 #: Gain below which the weight has fallen too far for the last step.
 MIN_GAIN = 0.1
 _EXHAUSTED = 1e-12  # weight relative to the first below which the prior is exhausted
-_ENDS = (None, StopReason.FITTED, StopReason.NOT_FITTED, StopReason.WEIGHT_CHOSEN)  # stored by index
+_ENDS = (
+    None,
+    StopReason.FITTED,
+    StopReason.NOT_FITTED,
+    StopReason.WEIGHT_CHOSEN,
+)
 # Mean squared residual, once converged, that counts as the noise.
 _MIN_CHI2, _MAX_CHI2 = 0.9, 1.02
 _MAX_ROUNDS, _RAISE = 8, 3.0
