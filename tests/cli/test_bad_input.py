@@ -597,7 +597,7 @@ def checkpoint(change: Callable[[Path], object]) -> Spoil:
     ),
     Case(
         "checkpoint that is text",
-        ("checkpoint.npz' cannot be read (cut short, or not a",),
+        ("checkpoint.npz' cannot be read (truncated, or not a",),
         checkpoint(text_file),
     ),
     Case(
