@@ -9,7 +9,7 @@ inverted three times:
 
 - `right`: with the right assumptions, the map alone unknown;
 - `wrong`: with a wrong assumption, the map alone unknown, as in Fig. 9 of the paper;
-- `joint`: with the same wrong assumption, the nuisance parameter estimated beside the map; its prior
+- `joint`: with the same wrong assumption, the nuisance parameter estimated with the map; its prior
   deviation is the size of the errors studied here: 0.02 in Poisson's ratio, 20 % in force, 10 % in
   size.
 

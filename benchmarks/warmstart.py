@@ -150,7 +150,8 @@ def _losses(rows: list[dict[str, Any]], kind: str) -> dict[str, float]:
 def told(found: dict[str, Any]) -> list[str]:
     """The summary in words."""
     lines = [
-        f"The surrogate alone: r {found['predicted_pearson']:.3f}, SSIM {found['predicted_ssim']:.3f}"
+        f"The surrogate alone: r {found['predicted_pearson']:.3f}, "
+        f"SSIM {found['predicted_ssim']:.3f}"
         f" over {found['objects']} objects.",
         "",
         "| means over the objects | iterations to misfit | s | iterations to the end | s | SSIM |"
