@@ -25,14 +25,14 @@ def run(cfg: DictConfig) -> Finding:
         raise FileError(
             f"{found.missing} Give recording=FILE.h5: depths are told from its presses."
         )
-    youngs = found.found.youngs
+    youngs = found.result.youngs
     posterior = _posterior(found, found.recording) if cfg.uncertainty else None
     finding = finding_of(found.recording, youngs, posterior, most=cfg.most)
     values, text = finding.plain(), finding.text()
     if cfg.recognizer is not None:
         from tactorch.findings.recognition import load_recognizer, recognise
 
-        chances = recognise(found.found.mesh, youngs, load_recognizer(str(cfg.recognizer)))
+        chances = recognise(found.result.mesh, youngs, load_recognizer(str(cfg.recognizer)))
         values["shapes"] = chances
         named = ", ".join(f"{name} {chance:.0%}" for name, chance in chances.items())
         text += f"\nOf the shapes that the recognizer knows it looks like: {named}."
@@ -48,8 +48,8 @@ def _posterior(found: Run, recording: Recording) -> GaussianPosterior | None:
     """How far to trust the map; None, with the reason in the log, where that cannot be told."""
     complete = with_settings(found)
     try:
-        settings = complete.settings or settings_from(complete.found.config)
-        return posterior_of(recording, complete.found, settings)
+        settings = complete.settings or settings_from(complete.result.config)
+        return posterior_of(recording, complete.result, settings)
     except UNCOMPUTABLE as error:
         reason = str(error) or "the memory does not suffice"
         log.warning("how sure it is cannot be told: %s", reason)

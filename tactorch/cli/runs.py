@@ -1,4 +1,4 @@
-"""Runs of `tactorch invert` that other commands read, with all the settings that they had."""
+"""Runs of `tactorch invert` as input of other commands, with all their settings."""
 
 from dataclasses import replace
 
@@ -14,9 +14,9 @@ from tactorch.report import Run
 
 
 def with_settings(run: Run) -> Run:
-    """Complete a run whose prior was about a surrogate's map, by foretelling that map again."""
+    """Return a run with all settings, predicting the map of a surrogate prior again if needed."""
     path = run.folder / ".hydra" / "config.yaml"
-    if has_all_settings(run.found.config) or run.recording is None or not path.is_file():
+    if has_all_settings(run.result.config) or run.recording is None or not path.is_file():
         return run
     try:
         cfg = OmegaConf.load(path)
@@ -27,8 +27,10 @@ def with_settings(run: Run) -> Run:
         return run
     if (
         stored_settings(settings)["regularization"]
-        != run.found.config["settings"]["regularization"]
+        != run.result.config["settings"]["regularization"]
     ):
-        log.warning("%s: the surrogate foretells another map than it did for this run", run.name)
+        log.warning(
+            "%s: the surrogate predicts a map that differs from the prior of this run", run.name
+        )
         return run
     return replace(run, settings=settings)

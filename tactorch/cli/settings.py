@@ -52,7 +52,7 @@ def phantom_of(cfg: DictConfig) -> Phantom:
 
 def plan_of(cfg: DictConfig) -> PressPlan:
     """Make the plan of presses."""
-    return build("press", PressPlan.ramp, plain(cfg.press))
+    return build("press", PressPlan, plain(cfg.press))
 
 
 def material_of(cfg: DictConfig) -> MaterialSpec:

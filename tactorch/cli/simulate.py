@@ -6,14 +6,14 @@ from omegaconf import DictConfig
 
 from tactorch.cli.progress import progress
 from tactorch.cli.settings import folder, log, material_of, phantom_of, plain, plan_of
-from tactorch.mesh import TetMesh
-from tactorch.phantoms import Phantom
+from tactorch.config import build
+from tactorch.phantoms import MeshSize
 from tactorch.recording import Recording
 from tactorch.simulation import simulate
 
 
 def run(cfg: DictConfig) -> Path:
-    """Simulate a recording and write it; returns its path."""
+    """Simulate a recording, write it and return its path."""
     recording = make_recording(cfg)
     out = folder() / "recording.h5" if cfg.out is None else Path(str(cfg.out))
     recording.save(out)
@@ -23,10 +23,10 @@ def run(cfg: DictConfig) -> Path:
 
 
 def make_recording(cfg: DictConfig) -> Recording:
-    """Simulate a recording as the settings say."""
+    """Simulate a recording with the given settings."""
     phantom = phantom_of(cfg)
-    mesh, fine = meshes_of(cfg, phantom)
-    with progress("simulating", "presses") as tell:
+    mesh, fine = build(MeshSize, plain(cfg.mesh), "mesh").build(phantom)
+    with progress("simulating", "presses") as on_progress:
         return simulate(
             phantom,
             plan_of(cfg),
@@ -38,21 +38,5 @@ def make_recording(cfg: DictConfig) -> Recording:
             solver=cfg.solver.name,
             snr_db=cfg.snr_db,
             seed=cfg.seed,
-            progress=tell,
+            progress=on_progress,
         )
-
-
-def meshes_of(cfg: DictConfig, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
-    """Make the mesh to invert on, and the finer one to simulate on."""
-    sizes = plain(cfg.mesh)
-    generator = sizes["generator"]
-    mesh = phantom.mesh(
-        sizes["edge_length_mm"],
-        relative_edge_length=sizes["relative_edge_length"],
-        generator=generator,
-    )
-    fine_mm, fine_relative = sizes["fine_edge_length_mm"], sizes["fine_relative"]
-    if fine_mm is None and fine_relative is None:
-        return mesh, None
-    relative = 0.1 if fine_relative is None else fine_relative
-    return mesh, phantom.mesh(fine_mm, relative_edge_length=relative, generator=generator)

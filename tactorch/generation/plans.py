@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +28,7 @@ class PressDraw:
         patches: Fewest and most patches on each side, at random places.
         patch_share: Share of the plans that press patches, where they have a radius; the others
             press whole sides.
-        hold: What holds the opposite side, see `PressPlan`.
+        support: What holds the opposite side, see `PressPlan`.
         spring_n_per_mm: Stiffness of each spring.
 
     Raises:
@@ -41,8 +42,8 @@ class PressDraw:
     patch_radius_mm: Sequence[Real] | None = None
     patches: Sequence[int] = (1, 1)
     patch_share: Real = 1.0
-    hold: str = "springs"
-    spring_n_per_mm: Real = 1.0
+    support: Literal["springs", "fixed", "roller"] = "springs"
+    spring_n_per_mm: float = 1.0
 
     def __post_init__(self) -> None:
         if not self.faces or not self.steps:
@@ -58,9 +59,11 @@ class PressDraw:
             )
         if not 0.0 <= self.patch_share <= 1.0:
             raise ConfigError(f"patch_share={self.patch_share}: give a share, from 0 to 1.")
-        support = {"hold": self.hold, "spring_n_per_mm": self.spring_n_per_mm}
+        support: dict[str, Any] = {"support": self.support, "spring_n_per_mm": self.spring_n_per_mm}
         for sides, steps in product(self.faces, self.steps):  # refuse what no draw could use
-            PressPlan.ramp(self.p_max_mpa[0], steps, faces=tuple(sides), **support)
+            PressPlan(
+                p_max_mpa=float(self.p_max_mpa[0]), steps=steps, faces=tuple(sides), **support
+            )
 
     def draw(
         self, rng: np.random.Generator, bounds: Float[np.ndarray, "2 3"], youngs_mpa: float
@@ -75,13 +78,13 @@ class PressDraw:
             count = int(rng.integers(self.patches[0], self.patches[1] + 1))
             margin = np.minimum(radius, (bounds[1] - bounds[0]) / 2)
             centers = rng.uniform(bounds[0] + margin, bounds[1] - margin, (count, 3)).tolist()
-        return PressPlan.ramp(
-            highest,
-            steps,
+        return PressPlan(
+            p_max_mpa=highest,
+            steps=steps,
             faces=sides,
             patch_radius_mm=radius,
             patch_centers_mm=centers,
-            hold=self.hold,
+            support=self.support,
             spring_n_per_mm=self.spring_n_per_mm,
         )
 

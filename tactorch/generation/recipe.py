@@ -110,8 +110,7 @@ class Recipe:
                 "max_seconds would make samples depend on the machine; limit max_iterations."
             )
         # Refuse what no sample could be made of.
-        if self.element not in ELEMENTS:
-            raise ConfigError(f"element={self.element!r}: choose one of {', '.join(ELEMENTS)}.")
+        ELEMENTS[self.element]  # raises for an unknown name
         if self.poisson is not None and (
             len(self.poisson) != 2 or not 0.0 <= self.poisson[0] <= self.poisson[1] < 0.5
         ):

@@ -74,7 +74,7 @@ def measured(folder: Path) -> dict[str, Any]:
     from tactorch.phantoms import make_phantom
     from tactorch.simulation import PressPlan, simulate
 
-    plan = PressPlan(["z+"], [0.01], hold="fixed")
+    plan = PressPlan(["z+"], [0.01], support="fixed")
     recording = simulate(make_phantom("cube_sphere"), plan, mesh=box_mesh(10.0, 2))
     write_mesh(folder / "object.msh", recording.mesh)
     (press,) = recording.presses
@@ -189,7 +189,7 @@ def test_a_newcomers_path(folder: Path) -> None:
     """Twenty samples, two epochs, an inversion with the warm start; then what they leave."""
     (path,) = (
         commands(block)
-        for block in blocks(README, "sh")
+        for block in blocks(DOCS / "howto" / "datasets.md", "sh")
         if block.text.startswith("tactorch generate dataset=warmstart")
     )
     assert [words[1] for words in path] == ["generate", "train", "simulate", "invert"]
