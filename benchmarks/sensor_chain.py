@@ -12,7 +12,7 @@ but images, poses and what is known of sensor and object goes in, by the command
                                 cube mesh of another size
     tactorch invert
 
-What each stage gets wrong is told against the simulation, whose linear elements are some 5 % too
+The error of each stage is stated against the simulation, whose linear elements are some 5 % too
 stiff themselves. On cells of 1 mm they are so by a tenth; --element tet10 takes quadratic ones. The
 last line printed is one JSON object.
 """
@@ -162,13 +162,13 @@ def simulated(
 
 
 def face_nodes(body: SoftBody, vertices: np.ndarray) -> np.ndarray:
-    """Nodes on the gel's face, those amid edges too; one at each place."""
+    """Nodes on the gel's face, midside nodes included; one at each place."""
     if not body.discretisation.element.quadratic:
         return vertices
     on = np.zeros(body.n_nodes, dtype=bool)
     on[vertices] = True
-    amid = on[body.discretisation.edges].all(axis=1)
-    on[len(on) - len(amid) :] = amid
+    midsides = on[body.discretisation.edges].all(axis=1)
+    on[len(on) - len(midsides) :] = midsides
     found = np.flatnonzero(on)
     places = np.round(body.discretisation.positions[found], 5)
     return found[np.sort(np.unique(places, axis=0, return_index=True)[1])]
