@@ -50,7 +50,8 @@ def main() -> dict[str, float]:
     }
     print(f"by Young's modulus, all elements: {results['by_youngs']:.9f} (exact {EXACT_SLOPE})")
     print(f"by Poisson's ratio: {results['by_poisson']:.6f}")
-    print(f"by pressure: {results['by_pressure']:.6f} (quotient {results['by_pressure_quotient']:.6f})")
+    quotient_text = f"quotient {results['by_pressure_quotient']:.6f}"
+    print(f"by pressure: {results['by_pressure']:.6f} ({quotient_text})")
     print(f"by pressure, twice: {results['curvature']:.6f}")
     return results
 

@@ -26,7 +26,7 @@ class Setting:
     Attributes:
         name: Full name within the file.
         default: As it stands there.
-        comment: Beside it, or on lines of its own above.
+        comment: Beside it, or on the lines above.
         heading: What a line above says of this and the following settings; empty for none.
     """
 

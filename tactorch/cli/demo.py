@@ -1,4 +1,4 @@
-"""`tactorch demo`: the main job from end to end."""
+"""`tactorch demo`: from presses to a map in one command."""
 
 from omegaconf import DictConfig
 
@@ -12,7 +12,7 @@ from tactorch.recording import Recording
 
 
 def run(cfg: DictConfig) -> Reconstruction:
-    """Make or read a recording, invert it, and say where the inclusion is."""
+    """Simulate or import a recording, invert it, and report the inclusion."""
     recording = _recording(cfg)
     path = folder() / "recording.h5"
     recording.save(path)
@@ -22,7 +22,7 @@ def run(cfg: DictConfig) -> Reconstruction:
 
 def _recording(cfg: DictConfig) -> Recording:
     if cfg.source == "simulated":
-        log.info("Simulating presses on a finer mesh than the one to invert on, with noise ...")
+        log.info("Simulating noisy presses on a finer mesh than that of the inversion ...")
         return make_recording(cfg)
     if cfg.source != "published":
         raise ConfigError(f"source={cfg.source} is unknown; choose simulated or published.")

@@ -12,82 +12,79 @@ from tactorch.cli.kinds import HOMOGENEOUS
 from tactorch.cli.live_view import PAGE, Screen
 from tactorch.cli.logs import tell
 from tactorch.cli.outputs import finding
-from tactorch.cli.settings import build, folder, inversion_of, log, plain
+from tactorch.cli.settings import folder, inversion_of, log, plain
+from tactorch.config import build, settings_of
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Start, homogeneous
 from tactorch.recording import Recording
-from tactorch.sampling.live import (
-    Ended,
-    Follower,
-    FollowOptions,
-    Source,
+from tactorch.sampling import (
+    LoopOptions,
+    LoopResult,
+    RecordingSource,
+    SamplingLoop,
     Suggester,
     SuggestOptions,
     replay,
 )
 
-_OPTIONS = (
-    "poll_seconds", "max_batch", "max_iterations", "update_seconds", "max_presses",
-    "idle_seconds",
-)  # fmt: skip
 
-
-def run(cfg: DictConfig) -> Ended:
-    """Follow a recording; Ctrl-C ends it, and what was found until then stays."""
+def run(cfg: DictConfig) -> LoopResult:
+    """Follow a recording; Ctrl-C ends the run and keeps its results."""
     out, settings = folder(), inversion_of(cfg)
     for name in ("patience_seconds", "pause_seconds"):
         if cfg[name] < 0:
             raise ConfigError(f"{name}={cfg[name]}: give a time of at least 0 s.")
-    options = FollowOptions(**{name: cfg[name] for name in _OPTIONS})
-    suggester = Suggester(settings, build("suggest", SuggestOptions, plain(cfg.suggest)))
-    played = None if cfg.replay is None else Recording.load(str(cfg.replay))
+    options = LoopOptions(**{s.name: cfg[s.name] for s in settings_of(LoopOptions)})
+    suggester = Suggester(settings, build(SuggestOptions, plain(cfg.suggest), "suggest"))
+    replayed = None if cfg.replay is None else Recording.load(str(cfg.replay))
     path = _path(cfg, out)
-    with Screen(out, path, plots=cfg.plots) as screen, _playing(cfg, played, path, screen):
-        source = Source(
+    with Screen(out, path, plots=cfg.plots) as screen, _replaying(cfg, replayed, path, screen):
+        source = RecordingSource(
             path,
             patience_seconds=cfg.patience_seconds,
             check_units=cfg.check_units,
-            tell=screen.show_message,
+            report=screen.show_message,
         )
         start: Start = homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa)
-        follower = Follower(
+        result = SamplingLoop.following(
             source, settings, out, screen, options=options, suggester=suggester, start_mpa=start
-        )
-        ended = follower.run()
-        screen.ended(ended)
-    _say(ended, out)
-    return ended
+        ).run()
+        screen.ended(result)
+    _log_result(result, out)
+    return result
 
 
 def _path(cfg: DictConfig, out: Path) -> Path:
-    """What to follow."""
+    """Path of the recording to follow."""
     if cfg.recording is not None:
         return Path(str(cfg.recording))
     if cfg.replay is None:
         raise ConfigError(
-            "'recording' is missing; give recording=FILE.h5 or a folder, or replay=FILE.h5 to play "
-            "a whole recording (see tactorch live --help)."
+            "'recording' is missing; give recording=FILE.h5 or a folder, or replay=FILE.h5 to "
+            "replay a whole recording (see tactorch live --help)."
         )
     return out / "recording.h5"
 
 
 @contextmanager
-def _playing(
+def _replaying(
     cfg: DictConfig, recording: Recording | None, path: Path, screen: Screen
 ) -> Iterator[None]:
-    """Play a recording beside the run, where that is asked for."""
+    """Replay a recording during the run, if one is given."""
     if recording is None:
         yield
         return
     if path.is_dir():
-        raise ConfigError(f"recording={path} is a folder; a recording is played into a file.")
+        raise ConfigError(
+            f"recording={path} is a folder; give a file to replay the recording into."
+        )
     stop = Event()
 
     def play() -> None:
         try:
             replay(recording, path, cfg.pause_seconds, stop)
         except TactorchError as error:
-            screen.show_message(f"the replay has ended: {error}")
+            screen.show_message(f"the replay failed: {error}")
 
     thread = Thread(target=play, daemon=True)
     thread.start()
@@ -98,15 +95,15 @@ def _playing(
         thread.join()
 
 
-def _say(ended: Ended, out: Path) -> None:
-    """A few last sentences."""
-    logging.getLogger("tactorch").info("The run has ended: %s.", ended.reason)
-    if ended.seen is not None:
-        log.info("%s", finding(ended.seen.inclusion, ended.seen.entry["youngs_median_mpa"]))
-        if ended.seen.recording.truth is not None:
+def _log_result(result: LoopResult, out: Path) -> None:
+    """Log how the run ended, the finding, and the scores if the truth is known."""
+    logging.getLogger("tactorch").info("The run ended: %s.", result.reason)
+    update = result.update
+    if update is not None:
+        log.info("%s", finding(update.lump, update.entry["youngs_median_mpa"]))
+        if update.recording.truth is not None:
             from tactorch.cli.outputs import score_table
 
-            found = ended.seen.found.result.youngs
-            table = score_table(ended.seen.recording, {"live": found}).table
+            table = score_table(update.recording, {"live": update.youngs}).table
             tell(table.text(), table)
     log.info("results: %s", out / PAGE)
