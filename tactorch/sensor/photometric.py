@@ -1,8 +1,8 @@
-"""Slopes from images under one lamp each, the lamps not known (Woodham, 1980, by regression).
+"""Slopes from images under one lamp each, with unknown lamp directions (after Woodham, 1980).
 
-How bright a pixel is under one lamp, against all lamps, tells the slope and not the paint. The map
-from these shares to slopes is a polynomial of second degree whose coefficients vary over the image
-to second degree, for lamps are near; it is fitted where slopes are known.
+The brightness of a pixel under one lamp relative to all lamps depends on the slope, not on the
+paint. A polynomial of second degree maps these ratios to slopes; its coefficients vary over the
+image to second degree because the lamps are near. It is fitted where slopes are known.
 """
 
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ _RIDGE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Photometric:
-    """A map from the brightness under each lamp to slopes.
+    """Map from the brightness under each lamp to slopes.
 
     Attributes:
-        weights: Of each term, for dz/dx and dz/dy.
-        lamps: Their number.
+        weights: Coefficients of each term, for dz/dx and dz/dy.
+        lamps: Number of lamps.
         smooth_px: Standard deviation of the smoothing of images.
     """
 
@@ -42,8 +42,11 @@ class Photometric:
         Args:
             images: Brightness under each lamp.
             slopes: dz/dx and dz/dy.
-            known: Where they are known.
+            known: Pixels whose slopes are known.
             smooth_px: Standard deviation of the smoothing of images.
+
+        Returns:
+            The map.
 
         Raises:
             ConfigError: There are fewer than three lamps, or too few known pixels.
@@ -62,7 +65,7 @@ class Photometric:
         """Return dz/dx and dz/dy.
 
         Raises:
-            ConfigError: There are more or fewer lamps than the map was fitted to.
+            ConfigError: The number of lamps differs from that of the fit.
         """
         if images.shape[2] != self.lamps:
             raise ConfigError(f"{images.shape[2]} images; the map is of {self.lamps} lamps.")
@@ -74,13 +77,13 @@ def _terms(images: Float[np.ndarray, "h w lamps"], smooth_px: float) -> np.ndarr
 
     smooth = images
     if smooth_px > 0:
-        smooth = np.stack(
-            [cv2.GaussianBlur(one, (0, 0), smooth_px) for one in np.moveaxis(images, 2, 0)], axis=-1
-        )
-    share = smooth / np.maximum(smooth.mean(axis=-1, keepdims=True), 1e-9)
-    rows, columns = share.shape[:2]
+        channels = np.moveaxis(images, 2, 0)
+        blurred = [cv2.GaussianBlur(channel, (0, 0), smooth_px) for channel in channels]
+        smooth = np.stack(blurred, axis=-1)
+    ratio = smooth / np.maximum(smooth.mean(axis=-1, keepdims=True), 1e-9)
+    rows, columns = ratio.shape[:2]
     y, x = (v[..., None] for v in np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : columns * 1j])
-    linear = np.concatenate([np.ones((rows, columns, 1)), share], axis=-1)
-    a, b = np.triu_indices(share.shape[2])
-    places = [linear * place for place in (x, y, x * y, x * x, y * y)]
-    return np.concatenate([linear, share[..., a] * share[..., b], *places], axis=-1)
+    linear = np.concatenate([np.ones((rows, columns, 1)), ratio], axis=-1)
+    a, b = np.triu_indices(ratio.shape[2])
+    positional = [linear * position for position in (x, y, x * y, x * x, y * y)]
+    return np.concatenate([linear, ratio[..., a] * ratio[..., b], *positional], axis=-1)

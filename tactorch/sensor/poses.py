@@ -1,6 +1,7 @@
-"""Where the sensor is: poses T_object_sensor, checked, read, and paired with frames by time.
+"""Poses of the sensor: checks, CSV tables and interpolation in time.
 
-A pose turns points in the sensor's frame into the object's: p_object = R p_sensor + t, mm.
+A pose T_object_sensor maps points from the sensor frame to the object frame:
+p_object = R p_sensor + t, in mm.
 """
 
 from collections.abc import Sequence
@@ -14,9 +15,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from tactorch.errors import ConfigError, FileError
 from tactorch.sensor.table import read_rows
 
-_EXACT = 1e-4  # of a rotation's orthonormality
-_FAR_MM = 1e4  # poses farther off look like metres taken for millimetres, or a wrong frame
-_QUATERNION = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+_TOLERANCE = 1e-4  # of a rotation's orthonormality
+_MAX_DISTANCE_MM = 1e4
+_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +25,11 @@ class Poses:
     """Poses of the sensor over time.
 
     Attributes:
-        time_s: When, rising, (n,).
-        T_object_sensor: (n, 4, 4), mm.
+        time_s: Strictly increasing times, (n,).
+        T_object_sensor: Rigid transforms, (n, 4, 4), mm.
 
     Raises:
-        ConfigError: Shapes differ, times do not rise, or a pose is none; the message names it.
+        ConfigError: Shapes differ, times do not increase, or a pose is not a rigid transform.
     """
 
     time_s: Float[np.ndarray, " n"]
@@ -36,7 +37,7 @@ class Poses:
 
     def __post_init__(self) -> None:
         if not len(self.time_s):
-            raise ConfigError("there is no pose.")
+            raise ConfigError("there is no pose; give one or more.")
         if not np.isfinite(self.time_s).all():
             i = int(np.argmin(np.isfinite(self.time_s)))
             raise ConfigError(f"pose {i} has no time: time_s is {self.time_s[i]:g}; give seconds.")
@@ -52,22 +53,22 @@ class Poses:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def since(self, start_s: float) -> "Poses":
-        """Return them with times counted from `start_s`."""
+    def relative_to(self, start_s: float) -> "Poses":
+        """Return the poses with times relative to `start_s`."""
         return replace(self, time_s=self.time_s - start_s)
 
     def at(self, times_s: Sequence[float] | Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 4 4"]:
-        """Return the poses at times between those known: turned and moved evenly.
+        """Return poses interpolated in time: linear translation, spherical linear rotation.
 
         Raises:
-            ConfigError: A time lies before the first or after the last.
+            ConfigError: A time is before the first pose, after the last, or unknown.
         """
         times = np.asarray(times_s, dtype=float)
         untimed = ~np.isfinite(times)
         if untimed.any():
             raise ConfigError(
-                f"{int(untimed.sum())} of {len(times)} frames have no time, by which poses are"
-                " found; give frame_rate_hz in the sensor's description."
+                f"{int(untimed.sum())} of {len(times)} frames have no time, which is needed to find"
+                " their poses; give frame_rate_hz in the sensor's description."
             )
         outside = (times < self.time_s[0]) | (times > self.time_s[-1])
         if outside.any():
@@ -76,31 +77,31 @@ class Poses:
                 f" {times.min():.3f} to {times.max():.3f} s, poses from {self.time_s[0]:.3f} to"
                 f" {self.time_s[-1]:.3f} s. Leave such frames out, or set both to one clock."
             )
-        found = np.tile(np.eye(4), (len(times), 1, 1))
-        moved = self.T_object_sensor[:, :3, 3]
+        poses = np.tile(np.eye(4), (len(times), 1, 1))
+        translations = self.T_object_sensor[:, :3, 3]
         if len(self) == 1:
-            found[:] = self.T_object_sensor[0]
-            return found
-        turns = Slerp(self.time_s, Rotation.from_matrix(self.T_object_sensor[:, :3, :3]))
-        found[:, :3, :3] = turns(times).as_matrix()
-        found[:, :3, 3] = np.column_stack(
-            [np.interp(times, self.time_s, moved[:, k]) for k in range(3)]
+            poses[:] = self.T_object_sensor[0]
+            return poses
+        rotations = Slerp(self.time_s, Rotation.from_matrix(self.T_object_sensor[:, :3, :3]))
+        poses[:, :3, :3] = rotations(times).as_matrix()
+        poses[:, :3, 3] = np.column_stack(
+            [np.interp(times, self.time_s, translations[:, k]) for k in range(3)]
         )
-        return found
+        return poses
 
 
 def check_pose(pose: Float[np.ndarray, "4 4"], name: str = "T_object_sensor") -> None:
-    """Refuse what is no rigid motion.
+    """Check that a matrix is a rigid transform.
 
     Raises:
-        ConfigError: It is not; the message says why.
+        ConfigError: The matrix is not finite, mirrors, scales, or translates too far.
     """
     if not np.isfinite(pose).all():
-        raise ConfigError(f"{name} is not finite; leave out what the robot did not tell.")
-    if np.abs(pose[3] - (0, 0, 0, 1)).max() > _EXACT:
+        raise ConfigError(f"{name} is not finite; leave out poses that the robot did not report.")
+    if np.abs(pose[3] - (0, 0, 0, 1)).max() > _TOLERANCE:
         raise ConfigError(f"{name}: the last row must be 0 0 0 1; is it transposed?")
-    turn = pose[:3, :3]
-    determinant = float(np.linalg.det(turn))
+    rotation = pose[:3, :3]
+    determinant = float(np.linalg.det(rotation))
     if abs(determinant) < 0.5:
         raise ConfigError(
             f"{name} is singular (determinant {determinant:.3g}): its upper left 3 x 3 numbers"
@@ -111,48 +112,50 @@ def check_pose(pose: Float[np.ndarray, "4 4"], name: str = "T_object_sensor") ->
             f"{name} mirrors (determinant {determinant:.3g}); turn one axis round, so that x, y and"
             " z are right-handed."
         )
-    if np.abs(turn @ turn.T - np.eye(3)).max() > _EXACT:
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _TOLERANCE:
         raise ConfigError(f"{name}: its rotation is not orthonormal; does it scale or shear?")
-    far = float(np.abs(pose[:3, 3]).max())
-    if far > _FAR_MM:
-        raise ConfigError(f"{name} is {far:.4g} mm away from the object's origin; give mm.")
+    distance = float(np.abs(pose[:3, 3]).max())
+    if distance > _MAX_DISTANCE_MM:
+        raise ConfigError(f"{name} is {distance:.4g} mm away from the object's origin; give mm.")
 
 
-def moved(
+def transform_points(
     pose: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """Turn points in the sensor's frame into the object's, mm."""
+    """Transform points from the sensor frame to the object frame, mm."""
     return points @ pose[:3, :3].T + pose[:3, 3]
 
 
-def turned(
+def rotate_vectors(
     pose: Float[np.ndarray, "4 4"], vectors: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """Turn vectors (forces, say) in the sensor's frame into the object's."""
+    """Rotate vectors, such as forces, from the sensor frame to the object frame."""
     return vectors @ pose[:3, :3].T
 
 
 def read_poses(path: str | Path, *, growing: bool = False) -> Poses:
-    """Read poses from a CSV file, with places in mm and quaternions.
-
-    Columns are time_s, x_mm, y_mm, z_mm, qw, qx, qy, qz.
+    """Read poses from a CSV file with columns time_s, x_mm, y_mm, z_mm, qw, qx, qy, qz.
 
     Args:
-        path: The file.
-        growing: Whether lines are still added; then a last one without an end is left out.
+        path: Path of the file.
+        growing: Whether lines are still appended; an unterminated last line is then ignored.
+
+    Returns:
+        The poses.
 
     Raises:
         FileError: The file is missing or a line cannot be read.
-        ConfigError: A pose cannot be used.
+        ConfigError: A pose or a time is not valid.
     """
-    rows = list(read_rows(path, "table of poses", _QUATERNION, growing=growing))
-    numbers = [[row.number(name) for name in _QUATERNION] for row in rows]
-    table = np.array(numbers).reshape(-1, len(_QUATERNION))
-    sizes = np.linalg.norm(table[:, 4:], axis=1)
-    bad = np.flatnonzero(~(np.abs(sizes - 1.0) < 1e-2))
+    rows = list(read_rows(path, "table of poses", _COLUMNS, growing=growing))
+    table = np.array([[row.number(name) for name in _COLUMNS] for row in rows])
+    table = table.reshape(-1, len(_COLUMNS))
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(table[:, 4:], axis=1)
+    bad = np.flatnonzero(~(np.abs(lengths - 1.0) < 1e-2))
     if len(bad):
         raise FileError(
-            f"{rows[bad[0]].location}: the quaternion has length {sizes[bad[0]]:.4g}, not 1; give"
+            f"{rows[bad[0]].location}: the quaternion has length {lengths[bad[0]]:.4g}, not 1; give"
             " qw, qx, qy, qz in the columns of these names."
         )
     poses = np.tile(np.eye(4), (len(table), 1, 1))
