@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from tactorch.cli.kinds import HOMOGENEOUS
 from tactorch.cli.live_view import PAGE, Screen
-from tactorch.cli.logs import tell
+from tactorch.cli.logs import log_text
 from tactorch.cli.outputs import finding
 from tactorch.cli.settings import build, folder, inversion_of, log, plain
 from tactorch.errors import ConfigError, TactorchError
@@ -108,5 +108,5 @@ def _say(ended: Ended, out: Path) -> None:
 
             found = ended.seen.found.result.youngs
             table = score_table(ended.seen.recording, {"live": found}).table
-            tell(table.text(), table)
+            log_text(table.text(), table)
     log.info("results: %s", out / PAGE)

@@ -1,4 +1,4 @@
-"""What a run leaves in its folder: files, pictures, numbers and a few sentences."""
+"""Results of a run: files, pictures, numbers and a summary."""
 
 import json
 import math
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.cli.logs import tell
+from tactorch.cli.logs import log_text
 from tactorch.cli.settings import log
 from tactorch.cli.tables import Table
 from tactorch.errors import FileError
@@ -22,7 +22,7 @@ from tactorch.recording import Recording
 
 History = Sequence[Mapping[str, Any]]
 
-# What an inversion leaves in its folder.
+# Results of an inversion, in its folder.
 RESULTS = (
     "reconstruction.h5",
     "reconstruction.vtu",
@@ -31,12 +31,12 @@ RESULTS = (
     "summary.json",
     "summary.txt",
 )
-# What other commands make of these, and leave beside them.
-MADE_OF_RESULTS = ("finding.txt", "finding.json", "report.html")
+# Results that other commands add.
+DERIVED_RESULTS = ("finding.txt", "finding.json", "report.html")
 
 
-# Of the volume: with more at a bound a map is no more than where the search ran to.
-_MOST_AT_BOUNDS = 0.2
+# Largest share of the volume at the bounds of a map that can be trusted.
+_MAX_AT_BOUNDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def write_outputs(
     text = describe(recording, reconstruction, inclusion, summary, tables)
     with atomic_path(out / "summary.txt") as temporary:
         temporary.write_text(text + "\n")
-    tell(f"\n{text}", *tables)
+    log_text(f"\n{text}", *tables)
     if plots:
         for path in draw(out, recording, reconstruction, others or {}):
             log.info("picture: %s", path)
@@ -107,7 +107,7 @@ def write_outputs(
 def summarise(
     recording: Recording, reconstruction: Reconstruction, inclusion: Inclusion | None, source: str
 ) -> dict[str, Any]:
-    """Collect the numbers of a run; scores stand among them where there is a truth."""
+    """Return the numbers of a run, with scores where there is a truth."""
     last = reconstruction.history[-1]
     summary: dict[str, Any] = {
         "recording": source,
@@ -148,7 +148,7 @@ def describe(
     summary: Mapping[str, Any],
     tables: Sequence[Table] = (),
 ) -> str:
-    """Say in a few lines what was found and how far to believe it; tables stand at the end."""
+    """Return a summary of the map in words, followed by tables."""
     lines = [
         f"{summary['optimizer']}: {summary['iterations']} iterations in "
         f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
@@ -157,9 +157,9 @@ def describe(
         finding(inclusion, summary["youngs_median_mpa"]),
         *(_estimate(name, found) for name, found in reconstruction.nuisance.items()),
     ]
-    if summary["volume_at_bounds"] > _MOST_AT_BOUNDS:
+    if summary["volume_at_bounds"] > _MAX_AT_BOUNDS:
         lines.append(
-            f"DO NOT TRUST THIS MAP: {summary['volume_at_bounds']:.0%} of it lie at a bound of"
+            f"DO NOT TRUST THIS MAP: {summary['volume_at_bounds']:.0%} of it is at a bound of"
             " Young's modulus. If the bounds are right, presses or model are off by more than the"
             " noise that is stated: give noise.mm larger, or estimate what is wrong (nuisance)."
         )
@@ -174,14 +174,14 @@ def _estimate(name: str, found: NuisanceEstimate) -> str:
     pairs = zip(found.value, found.deviation, strict=True)
     if not np.isfinite(found.deviation).any():
         values = ", ".join(f"{value:.4g}" for value in found.value)
-        return f"Estimated beside the map: {name} {values} (how sure was not computed)."
+        return f"Estimated with the map: {name} {values} (uncertainty not computed)."
     values = ", ".join(f"{value:.4g} +- {deviation:.2g}" for value, deviation in pairs)
-    told = "" if found.is_informative else " (the data tell little)"
-    return f"Estimated beside the map: {name} {values}{told}."
+    note = "" if found.is_informative else " (hardly determined by the data)"
+    return f"Estimated with the map: {name} {values}{note}."
 
 
 def finding(inclusion: Inclusion | None, median_mpa: float) -> str:
-    """Say where the inclusion is, how large and how stiff."""
+    """Return a sentence on the place, size and modulus of the inclusion."""
     if inclusion is None:
         return f"No inclusion stands out; Young's modulus is {median_mpa:.3g} MPa."
     x, y, z = inclusion.center_mm
@@ -193,11 +193,11 @@ def finding(inclusion: Inclusion | None, median_mpa: float) -> str:
     )
 
 
-def histories_of(runs: Sequence[Path], own_name: str) -> dict[str, History]:
-    """Read the convergence of other runs, each under a name of its own.
+def read_histories(runs: Sequence[Path], own_name: str) -> dict[str, History]:
+    """Return the convergence of other runs by distinct names.
 
     Raises:
-        FileError: one is no run, or named twice.
+        FileError: one is no run, or is named twice.
     """
     histories: dict[str, History] = {}
     for run in runs:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig
 
-from tactorch.cli.logs import log, tell
+from tactorch.cli.logs import log, log_text
 from tactorch.cli.networks import data_of, facts_of, model_of, network_of
 from tactorch.cli.outputs import write_json
 from tactorch.cli.progress import progress
@@ -46,7 +46,7 @@ def run(cfg: DictConfig) -> dict[str, Any]:
     }
     result = {"splits": rows, "summary": summary}
     write_json(out / SCORES, result)
-    tell(*_summed(summary, cfg.splits))
+    log_text(*_summed(summary, cfg.splits))
     return result
 
 

@@ -1,4 +1,11 @@
-"""`tactorch sensor reconstruct`."""
+"""`tactorch sensor reconstruct`: depth of the gel's surface in each frame.
+
+    tactorch sensor reconstruct sensor=gelsight_mini calibration=calib.npz frames=press.avi \\
+      reference=still.png
+
+The run folder gets heights/NUMBER.npz (height_mm, negative where pressed in, and contact),
+depth.csv, summary.json and .txt, over_time.png, depth-NUMBER.png and depth.mp4.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from omegaconf import DictConfig
 
+from tactorch.cli.sensor.options import ReconstructSettings
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.inputs import calibrated, reference_of
@@ -21,8 +28,7 @@ from tactorch.cli.sensor.sequence import (
     without_image,
 )
 from tactorch.cli.sensor.tables import write_arrays, write_table
-from tactorch.cli.settings import folder, log
-from tactorch.mesh.values import positive
+from tactorch.cli.settings import log, run_folder
 from tactorch.sensor.calibration import Calibration
 from tactorch.sensor.depth import height_of
 from tactorch.sensor.description import SensorDescription
@@ -51,14 +57,12 @@ class Measured(NamedTuple):
     contact_mm2: float
 
 
-def run(cfg: DictConfig) -> Path:
+def run(cfg: ReconstructSettings) -> Path:
     """Reconstruct depth; returns the folder of the maps."""
-    place = folder()
+    place = run_folder()
     film.clear(place, _STEM, (_TABLE, f"{_MAPS}/*.npz"))
-    film.check_pictures(cfg)
-    positive("min_depth_mm", cfg.min_depth_mm)
     sensor, calibration = calibrated(cfg)
-    reference = reference_of(cfg, sensor)
+    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
     frames = FrameSequence(cfg, sensor, reference)
     found = []
     with progress("reconstructing depth", "frames") as tell:
@@ -77,7 +81,7 @@ def _name(frame: Frame) -> str:
 
 
 def _measured(
-    frame: Frame, calibration: Calibration, reference: Image, path: Path, cfg: DictConfig
+    frame: Frame, calibration: Calibration, reference: Image, path: Path, cfg: ReconstructSettings
 ) -> Measured:
     """Reconstruct a frame and write its map."""
     if frame.image is None:
@@ -121,7 +125,7 @@ def _write(place: Path, found: Sequence[Measured]) -> None:
 
 def _draw(
     place: Path,
-    cfg: DictConfig,
+    cfg: ReconstructSettings,
     sensor: SensorDescription,
     frames: FrameSequence,
     found: Sequence[Measured],

@@ -1,4 +1,19 @@
-"""`tactorch sensor record`."""
+"""`tactorch sensor record`: frames and poses of a session into a recording, to invert.
+
+    tactorch sensor record sensor=finger calibration=calib.npz frames=session.mp4 \\
+      poses=poses.csv reference=still.png object.size_mm=[20,20,15]
+    tactorch sensor record ... object=mesh object.path=liver.vtu held_side=z-
+    tactorch sensor record ... object=virtual_cube object.side_mm=12
+    tactorch invert recording=outputs/sensor-record/RUN/recording.h5
+
+From a camera, with poses that a robot appends to a table, and the map at the same time:
+
+    tactorch sensor record ... frames=0 poses=poses.csv as_they_end=true out=session.h5
+    tactorch live recording=session.h5
+
+The run folder gets recording.h5, session.csv (each frame), summary.json and .txt,
+over_time.png (depth, contacts, frames kept) and presses.png (the measured contacts, on the object).
+"""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -6,15 +21,16 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from omegaconf import DictConfig
 
+from tactorch.cli.sensor.options import MeshObject, RecordSettings, VirtualCubeObject
 from tactorch.cli.progress import ProgressCallback, progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.growing import grow
 from tactorch.cli.sensor.inputs import calibrated, reference_of
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.sensor.tables import write_table
-from tactorch.cli.settings import build, folder, log, material_of, plain
+from tactorch.cli.settings import log, material_spec, run_folder
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.mesh import TetMesh, box_mesh, read_mesh
@@ -34,24 +50,23 @@ from tactorch.viz.session import plot_session
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
 _STEM = "record"
-_CLOCKS = ("frames", "unix")
 _HEADER = ("frame", "time_s", "depth_mm", "contact", "kept", "fault")
 _LABELS = {"frames": "following the gel", "presses": "finding forces"}
 
 
-def run(cfg: DictConfig) -> Path:
+def run(cfg: RecordSettings) -> Path:
     """Record a session; returns the recording's path."""
-    place = folder()
+    place = run_folder()
     film.clear(place, _STEM, (_TABLE, _PRESSES))
     out = place / _RECORDING if cfg.out is None else Path(str(cfg.out))
-    target, options, material = object_of(cfg), options_of(cfg), material_of(cfg)
+    target, options, material = object_of(cfg), options_of(cfg), material_spec(cfg.material)
     sensor, calibration = calibrated(cfg)
-    reference = reference_of(cfg, sensor)
+    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
     frames = FrameSequence(cfg, sensor, reference, once=cfg.as_they_end)
     model = GelModel(sensor.gel, cfg.edge_mm, cfg.layers, cfg.element)
     limits = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.min_depth_mm, cfg.steep)
     chain = SensorChain(sensor, calibration, reference, model, limits)
-    facts = {"settings": plain(cfg), "calibration": calibration.facts}
+    facts = {"settings": to_mapping(cfg), "calibration": calibration.facts}
     poses = poses_of(cfg, frames)
     if cfg.as_they_end:
         return grow(
@@ -76,14 +91,12 @@ def run(cfg: DictConfig) -> Path:
     return out
 
 
-def poses_of(cfg: DictConfig, frames: FrameSequence) -> Callable[[], Poses]:
+def poses_of(cfg: RecordSettings, frames: FrameSequence) -> Callable[[], Poses]:
     """Return what reads the poses, on the frames' clock.
 
     Raises:
         ConfigError: Their clock is unknown, or that of no camera.
     """
-    if cfg.poses_clock not in _CLOCKS:
-        raise ConfigError(f"poses_clock={cfg.poses_clock}: choose one of {', '.join(_CLOCKS)}.")
     if cfg.poses_clock == "unix" and not frames.is_camera:
         raise ConfigError(
             f"poses_clock=unix, but frames={cfg.frames} is no camera: when its frames were taken is"
@@ -118,38 +131,31 @@ class _Stages:
         self._tell(done, total or self._frames.total)
 
 
-def object_of(cfg: DictConfig) -> TetMesh | VirtualCube:
-    """Return the object at rest, or the region that stands for it.
+def object_of(cfg: RecordSettings) -> TetMesh | VirtualCube:
+    """Return the mesh of the object at rest, or the region that replaces it.
 
     Raises:
         ConfigError: A value cannot be used.
         FileError: The mesh cannot be read.
     """
-    settings = plain(cfg.object)
-    name = settings.pop("name")
-    if name == "mesh":
-        return read_mesh(str(settings["path"]), settings["unit"])
-    if name == "virtual_cube":
-        return build("object", VirtualCube, settings)
-    if name == "box":
-        return build("object", _box, settings)
-    raise ConfigError(f"object '{name}' is unknown; choose box, mesh or virtual_cube.")
+    target = cfg.object
+    if isinstance(target, MeshObject):
+        return read_mesh(str(target.path), target.unit)
+    if isinstance(target, VirtualCubeObject):
+        return VirtualCube(target.side_mm, target.depth_mm, target.edge_mm)
+    if min(target.size_mm) < target.edge_mm:
+        raise ConfigError(f"object.edge_mm={target.edge_mm:g}: give no more than a side.")
+    counts = [max(1, round(size / target.edge_mm)) for size in target.size_mm]
+    return box_mesh(target.size_mm, counts, origin_mm=target.origin_mm, tets_per_cell=5)
 
 
-def _box(size_mm: list[float], origin_mm: list[float], edge_mm: float) -> TetMesh:
-    if edge_mm <= 0 or min(size_mm) < edge_mm:
-        raise ConfigError(f"edge_mm={edge_mm:g} must be above 0 and no more than a side.")
-    counts = [max(1, round(size / edge_mm)) for size in size_mm]
-    return box_mesh(size_mm, counts, origin_mm=origin_mm, tets_per_cell=5)
-
-
-def options_of(cfg: DictConfig) -> RecordOptions:
+def options_of(cfg: RecordSettings) -> RecordOptions:
     """Return how frames become presses.
 
     Raises:
         ConfigError: A value cannot be used.
     """
-    virtual = cfg.object.name == "virtual_cube"
+    virtual = isinstance(cfg.object, VirtualCubeObject)
     untouched = ("sensor" if virtual else "unseen") if cfg.untouched == "auto" else cfg.untouched
     hold = Fixture(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
     touching = ContactOptions(cfg.reach_mm, untouched)

@@ -7,9 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
-from omegaconf import DictConfig
 
-from tactorch.cli.sensor.inputs import source_of
+from tactorch.cli.sensor.options import SequenceSettings
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, read_frames
@@ -36,14 +35,14 @@ class FrameSequence:
 
     def __init__(
         self,
-        cfg: DictConfig,
+        cfg: SequenceSettings,
         sensor: SensorDescription,
         reference: Image,
         *,
         once: bool = False,
     ) -> None:
         self._once = once
-        self.source, self.most = source_of(cfg.frames), cfg.max_frames
+        self.source, self.most = cfg.frames, cfg.max_frames
         self.sensor, self.reference = sensor, reference
         if self.most is not None and self.most < 1:
             raise ConfigError(f"max_frames={self.most} must be at least 1, or null.")
