@@ -69,7 +69,7 @@ from tactorch.sampling import (
     candidate_patches,
     sample,
 )
-from tactorch.viz.active import plot_sampling
+from tactorch.viz import sampling_figure, save_figure
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
 RULES = ("random", "paper", "information", "log error", "error")
@@ -340,14 +340,14 @@ def _draw(
     centers = np.array([patch.center for patch in patches])
     largest = max(report["grids"], key=int)
     drawn = {n: f for n, f in runs.items() if not n.startswith("grid") or n == grid_name(largest)}
-    plot_sampling(
+    figure = sampling_figure(
         {name: _curves(name, found) for name, found in runs.items()},
         {name: centers[found[0].places] for name, found in drawn.items()},
-        path,
         balls=body.balls,
         radius_mm=SENSOR_MM,
         outline_mm=RADIUS_MM,
     )
+    save_figure(figure, path)
 
 
 def _curves(name: str, found: list[Run]) -> np.ndarray:

@@ -32,7 +32,7 @@ from calibration_objects import KINDS, Outcome
 from machine import OtherWork, describe_machine
 
 from tactorch.uncertainty import calibration_curve, calibration_error, coverage
-from tactorch.viz.credibility import plot_calibration
+from tactorch.viz import calibration_figure, save_figure
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
 LEVEL = 0.9
@@ -140,7 +140,7 @@ def _write(
     text = json.dumps({"machine": describe_machine(PACKAGES), **report}, indent=2)
     (folder / "calibration.json").write_text(text + "\n")
     (folder / "calibration.md").write_text("\n".join(lines) + "\n")
-    plot_calibration(curves, folder / "calibration.png")
+    save_figure(calibration_figure(curves), folder / "calibration.png")
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ from machine import describe_machine
 
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.reproduce.credibility import PRESSURES_MPA, YOUNGS_MPA, metric, profile
-from tactorch.viz.credibility import plot_depths
+from tactorch.viz import depth_figure, save_figure
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
 
@@ -169,7 +169,8 @@ def _write(
         for e in YOUNGS_MPA
     }
     middle = f"E = {YOUNGS_MPA[1]:g} MPa, {1e3 * PRESSURES_MPA[1]:g} kPa"
-    plot_depths(groups, mesh, values, folder / "credibility.png", slices_of=middle)
+    figure = depth_figure(groups, mesh, values, slices_of=middle)
+    save_figure(figure, folder / "credibility.png")
 
 
 if __name__ == "__main__":

@@ -140,7 +140,7 @@ def fine_gel(gel: GelLayer, edge_mm: float, fineness: float = 1.0, *, sharp: boo
         fineness: Elements along each direction, relative to the usual.
         sharp: Whether pressure is infinite at the contact's edge, as under a punch.
     """
-    outline, thickness = min(gel.half_mm), float(gel.thickness_mm)
+    outline, thickness = min(gel.half_size_mm), float(gel.thickness_mm)
     growth = 1.45 ** (1.0 / fineness)
     if sharp:
         first = 0.04 * edge_mm / fineness
@@ -151,7 +151,7 @@ def fine_gel(gel: GelLayer, edge_mm: float, fineness: float = 1.0, *, sharp: boo
     radii = np.concatenate([inner, _growing(inner[-1], outline, first, growth)[1:]])
     depths = _growing(0.0, thickness, 0.06 * edge_mm / fineness, growth)
     turns = max(4, round(8 * fineness))
-    corner = np.arctan2(gel.half_mm[1], gel.half_mm[0])
+    corner = np.arctan2(gel.half_size_mm[1], gel.half_size_mm[0])
     half = turns // 2
     angles = np.concatenate(
         [np.linspace(0, corner, half + 1), np.linspace(corner, np.pi / 2, turns - half + 1)[1:]]
@@ -167,7 +167,7 @@ def fine_gel(gel: GelLayer, edge_mm: float, fineness: float = 1.0, *, sharp: boo
 def _rings(gel: GelLayer, radii: np.ndarray, angles: np.ndarray, heights: np.ndarray) -> TetMesh:
     """Mesh rings that turn from circles to the gel's outline in their outer part."""
     counts = (len(radii) - 1, len(angles) - 1, len(heights) - 1)
-    half = gel.half_mm
+    half = gel.half_size_mm
     rim = np.full(len(angles), half[0])
     if gel.size_mm is not None:
         with np.errstate(divide="ignore"):

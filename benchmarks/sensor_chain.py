@@ -42,9 +42,8 @@ from tactorch.recording import Press, Recording
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import ChainOptions, SensorChain
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
-from tactorch.sensor.frames import read_frames
+from tactorch.sensor.frames import Image, read_frames
 from tactorch.sensor.gel import GelModel, gel_mesh
-from tactorch.sensor.image import Image
 from tactorch.sensor.markers import displacement_mm
 from tactorch.sensor.render import Face, face_of, render
 
@@ -243,7 +242,7 @@ def drawn(scene: Scene, seed: int) -> Image:
 
 def still(seed: int) -> Image:
     """Draw the gel without contact."""
-    flat = Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.places_mm))
+    flat = Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
     return render(SENSOR, flat, seed=seed)
 
 
@@ -292,7 +291,7 @@ def ball_image(center: np.ndarray, contact_px: float, seed: int) -> Image:
     rim = 0.35 * edge / np.sqrt(9.0 - edge**2)
     inner = np.sqrt(9.0 - edge**2) - np.sqrt(np.maximum(9.0 - away**2, 0.0)) - rim
     height = np.where(away < edge, inner, -rim * np.exp(-(away - edge) / 0.35))
-    return render(SENSOR, Face(height, SENSOR.to_px(SENSOR.markers.places_mm)), seed=seed)
+    return render(SENSOR, Face(height, SENSOR.to_px(SENSOR.markers.positions_mm)), seed=seed)
 
 
 class Stages:

@@ -30,7 +30,7 @@ SENSOR = SensorDescription(
     "drawn", (150, 120), (PIXEL_MM, PIXEL_MM), GEL, MarkerGrid(7, 5, (1.6, 1.7), 0.45)
 )
 LOOK = MarkerLook(0.45 / PIXEL_MM)
-AT_REST = Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.places_mm))
+AT_REST = Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
 
 
 def calibrated() -> Calibration:

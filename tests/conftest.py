@@ -61,7 +61,9 @@ def _some_checked(*, typechecker: Any) -> Callable[[Any], Any]:
 
     def decorate(thing: Any) -> Any:
         if inspect.isclass(thing):
-            if dataclasses.is_dataclass(thing) and "__init__" in vars(thing):
+            settings = any(base.__module__ == "tactorch.config.options" for base in thing.__mro__)
+            # Settings check and convert their values themselves.
+            if dataclasses.is_dataclass(thing) and "__init__" in vars(thing) and not settings:
                 thing.__init__ = decorate(thing.__init__)
             return thing
         if any(map(_has_shapes, getattr(thing, "__annotations__", {}).values())):

@@ -34,7 +34,7 @@ def run(cfg: DictConfig) -> SampleSet:
         log.info("sample %s failed: %s", index, reason)
     if cfg.card:
         from tactorch.generation.card import PICTURE, looked_at, write_card
-        from tactorch.viz.samples import plot_samples
+        from tactorch.viz.learning import plot_samples
 
         plot_samples(looked_at(found), found.folder / PICTURE)
         log.info("data card: %s", write_card(found))

@@ -11,7 +11,8 @@ from tactorch.cli.logs import log, log_text
 from tactorch.cli.tables import Table
 from tactorch.errors import ConfigError
 from tactorch.learning.recognizer.scores import class_scores
-from tactorch.viz.recognition import plot_confusion, plot_examples, plot_reliability
+from tactorch.viz.calibration import plot_reliability
+from tactorch.viz.learning import plot_confusion, plot_examples
 
 _BATCH = 32
 

@@ -12,7 +12,8 @@ from torch.nn import functional
 from tactorch.cli.settings import log
 from tactorch.learning.surrogate.network import correlation
 from tactorch.learning.surrogate.touch import SHARED_CHANNELS
-from tactorch.viz.surrogate import plot_coverage, plot_foretold
+from tactorch.viz.calibration import plot_coverage
+from tactorch.viz.learning import plot_predictions
 
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 
@@ -31,7 +32,7 @@ def judge(judged: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> 
         joined[key].double().numpy() for key in ("truth", "image", "mean", "deviation")
     )
     shown = out / "examples.png"
-    plot_foretold(truth_, image, mean_, deviation, inside.numpy(), found.tolist(), shown)
+    plot_predictions(truth_, image, mean_, deviation, inside.numpy(), found.tolist(), shown)
     result = {
         "samples": len(truth),
         "correlation": float(found.mean()),

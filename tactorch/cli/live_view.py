@@ -105,21 +105,22 @@ class Screen:
     def _draw(self, seen: Seen) -> None:
         if not self._plots:
             return
-        from tactorch.viz.live import plot_live
+        from tactorch.viz import save_figure
+        from tactorch.viz.live import live_figure
 
         recording = seen.recording
         patch = None if seen.suggestion is None else seen.suggestion.patch
-        plot_live(
+        figure = live_figure(
             recording.mesh,
             seen.found.result.youngs,
-            self._folder / PICTURE,
             pressed=np.sum([np.abs(press.forces) for press in recording.presses], axis=0),
-            found_mm=None if seen.inclusion is None else seen.inclusion.center_mm,
+            inclusion_mm=None if seen.inclusion is None else seen.inclusion.center_mm,
             next_mm=None if patch is None else patch.center,
             inward=None if patch is None else patch.inward,
             radius_mm=0.0 if patch is None else float(patch.radius_mm),
             title=f"Young's modulus after {seen.entry['press']} presses",
         )
+        save_figure(figure, self._folder / PICTURE, dpi=110)
 
     def _write_page(self, refresh: bool) -> None:
         rows = [cells(entry) for entry in reversed(self._entries)]

@@ -217,7 +217,7 @@ def draw(
 ) -> list[Path]:
     """Draw slices of the map and the convergence."""
     from tactorch.viz import plot_convergence, plot_slices
-    from tactorch.viz.contact import pushed_nodes
+    from tactorch.viz.contact import total_forces
 
     name = reconstruction.config["optimizer"]["name"]
     histories = {name: reconstruction.history, **others}
@@ -226,7 +226,7 @@ def draw(
         reconstruction.youngs,
         out / "slices.png",
         truth=recording.truth,
-        pressed=pushed_nodes(recording.presses),
+        pressed=total_forces(recording.presses),
         title="Young's modulus, reconstructed",
     )
     return [slices, plot_convergence(histories, out / "convergence.png")]

@@ -76,7 +76,7 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
     )
     youngs, figures = _reconstructed(recipe, recording)
     number = index // recipe.views
-    return Sample(index, number, drawn.label, drawn.facts, recording, youngs, figures)
+    return Sample(index, number, drawn.label, drawn.parameters, recording, youngs, figures)
 
 
 def _reconstructed(

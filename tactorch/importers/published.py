@@ -32,7 +32,7 @@ from tactorch.errors import FileError, RecordingError
 from tactorch.files import require_file, require_folder
 from tactorch.importers.text_tables import read_diagonal, read_numbers
 from tactorch.mesh import TetMesh, read_mesh
-from tactorch.mesh.units import PLAUSIBLE_MM
+from tactorch.mesh.io import PLAUSIBLE_MM
 from tactorch.recording import MaterialSpec, Press, Recording
 
 _MM_PER_M = 1e3

@@ -18,7 +18,7 @@ from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.mesh import TetMesh
-from tactorch.mesh.spread import farthest_order
+from tactorch.mesh.geometry import farthest_point_order
 
 _ROUNDS = 10  # of moving cluster centres
 _JUMP = 0.5  # deviation of a log-modulus between touching clusters that is expected
@@ -37,7 +37,7 @@ def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
         raise ConfigError(f"groups={count} must be from 1 to the {mesh.n_tets} elements.")
     centroids, volumes = mesh.centroids, mesh.volumes
     middle = np.linalg.norm(centroids - centroids.mean(axis=0), axis=1).argmin()
-    centres = centroids[farthest_order(centroids, count, int(middle))]
+    centres = centroids[farthest_point_order(centroids, count, int(middle))]
     labels = cKDTree(centres).query(centroids)[1]
     for _ in range(_ROUNDS):
         mass = np.bincount(labels, volumes, minlength=count)

@@ -1,7 +1,6 @@
-"""Runs fTetWild in a process of its own: `python _tetwild_worker.py INPUT.npz OUTPUT.npz`.
+"""Runs fTetWild in a separate process: `python _tetwild_worker.py INPUT.npz OUTPUT.npz`.
 
-fTetWild leaves a file in the working folder and can end the process on geometry it cannot handle;
-neither may happen to the user's program.
+fTetWild writes a file into the working folder and may abort the process on invalid geometry.
 """
 
 import sys
@@ -13,12 +12,12 @@ def main(source: str, target: str) -> None:
     """Read vertices, triangles and settings, write points and tets."""
     from pytetwild.pytetwild import tetrahedralize
 
-    with np.load(source) as given:
+    with np.load(source) as inputs:
         points, tets = tetrahedralize(
-            given["vertices"],
-            given["triangles"],
-            edge_length_abs=float(given["edge_length_mm"]),
-            epsilon=float(given["epsilon"]),
+            inputs["vertices"],
+            inputs["triangles"],
+            edge_length_abs=float(inputs["edge_length_mm"]),
+            epsilon=float(inputs["epsilon"]),
             quiet=True,
         )
     np.savez(target, points=points, tets=tets)

@@ -1,4 +1,6 @@
-"""What must hold of a mesh before anything is computed on it. Every fault is refused by name."""
+"""Validation of meshes and surfaces; every message names the faulty nodes or cells."""
+
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -7,13 +9,18 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import MeshError
-from tactorch.mesh.geometry import longest_edges, signed_volumes
+from tactorch.mesh.geometry import (
+    bounding_diagonal,
+    enclosed_volume,
+    longest_edges,
+    signed_volumes,
+)
 from tactorch.mesh.topology import FaceMatch
 from tactorch.mesh.values import Rows
 
-#: An element is flat where six times its volume is below this share of its longest edge cubed
-#: (a regular tetrahedron has 0.71): its stiffness would drown that of its neighbours.
-FLATNESS = 1e-9
+#: An element is degenerate where six times its volume is below this fraction of its longest edge
+#: cubed (a regular tetrahedron has 0.71): its stiffness would dominate that of its neighbours.
+MIN_RELATIVE_VOLUME = 1e-9
 
 
 def as_points(points: Rows, what: str = "points") -> Float[np.ndarray, "n 3"]:
@@ -22,12 +29,10 @@ def as_points(points: Rows, what: str = "points") -> Float[np.ndarray, "n 3"]:
     if array.dtype.kind not in "fiu":
         raise MeshError(f"{what} must be real numbers, not {array.dtype}.")
     array = array.astype(np.float64)
-    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
-    if bad.size:
-        raise MeshError(
-            f"{what} hold NaN or infinite coordinates in {listing(bad, len(array), 'rows')}."
-            " Repair them, or mesh the shape again."
-        )
+    _refuse_rows(
+        ~np.isfinite(array).all(axis=1),
+        what + " hold NaN or infinite coordinates in {}. Repair them, or mesh the shape again.",
+    )
     return array
 
 
@@ -37,54 +42,106 @@ def as_cells(cells: Rows, width: int, n_points: int, what: str = "tets") -> Int[
     if array.dtype.kind not in "iu":
         raise MeshError(f"{what} must be integer indices, not {array.dtype}.")
     array = array.astype(np.int64)
-    bad = np.flatnonzero(((array < 0) | (array >= n_points)).any(axis=1))
-    if bad.size:
-        raise MeshError(
-            f"{what} index points outside 0..{n_points - 1} in {listing(bad, len(array), 'rows')};"
-            " indices count from 0."
-        )
+    _refuse_rows(
+        ((array < 0) | (array >= n_points)).any(axis=1),
+        f"{what} index points outside 0..{n_points - 1} in {{}}; indices count from 0.",
+    )
     ordered = np.sort(array, axis=1)
-    bad = np.flatnonzero((ordered[:, 1:] == ordered[:, :-1]).any(axis=1))
-    if bad.size:
-        raise MeshError(f"{what} repeat a vertex within {listing(bad, len(array), 'rows')}.")
+    repeats = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
+    _refuse_rows(repeats, what + " repeat a vertex within {}.")
     return array
 
 
 def check_elements(points: Float[np.ndarray, "n 3"], tets: Int[np.ndarray, "m 4"]) -> None:
     """Refuse unreferenced nodes, duplicate, degenerate and inverted elements."""
-    _check_referenced(points, tets)
+    _refuse(
+        unreferenced(len(points), tets),
+        len(points),
+        "No element uses {}: their displacement would be undetermined. Drop them"
+        " (tactorch.mesh.compact does, and renumbers).",
+        "nodes",
+    )
     _check_unique(tets)
     volumes = signed_volumes(points, tets)
-    _check_not_flat(points, tets, volumes)
-    bad = np.flatnonzero(volumes < 0)
-    if bad.size:
-        raise MeshError(
-            f"The mesh has inverted elements (negative volume): {listing(bad, len(tets))}."
-            " TetMesh.create(points, tets) reorders their vertices."
-        )
+    longest = longest_edges(points, tets)
+    # Coordinates are known to rounding only, which far from the origin hides a small height.
+    rounding = 64 * np.finfo(np.float64).eps * np.abs(points).max() * longest**2
+    smallest = np.maximum(MIN_RELATIVE_VOLUME * longest**3, rounding)
+    _refuse(
+        np.flatnonzero(6 * np.abs(volumes) <= smallest),
+        len(tets),
+        "The mesh has degenerate elements (no volume): {}. Mesh the shape again, or merge nodes"
+        " that coincide.",
+    )
+    _refuse(
+        np.flatnonzero(volumes < 0),
+        len(tets),
+        "The mesh has inverted elements (negative volume): {}. TetMesh.create(points, tets)"
+        " reorders their vertices.",
+    )
 
 
 def check_faces(faces: FaceMatch, n_tets: int) -> None:
-    """Refuse crowded faces, folded elements and parts that share no face."""
-    if faces.crowded.size:
-        bad = np.unique(faces.crowded // 4)
-        raise MeshError(
-            f"A face is shared by three or more elements: {listing(bad, n_tets)} overlap others."
-        )
-    if faces.folded.size:
-        bad = np.unique(faces.folded // 4)
-        raise MeshError(
-            f"The mesh folds over itself: {listing(bad, n_tets)} lie on the same side of a shared"
-            " face as their neighbour. Mesh the shape again."
-        )
+    """Refuse overlapping elements, folded elements and parts that share no face."""
+    _refuse(
+        np.unique(faces.crowded // 4),
+        n_tets,
+        "A face is shared by three or more elements: {} overlap others.",
+    )
+    _refuse(
+        np.unique(faces.folded // 4),
+        n_tets,
+        "The mesh folds over itself: {} are on the same side of a shared face as their neighbour."
+        " Mesh the shape again.",
+    )
     _check_connected(faces.pairs // 4, n_tets)
 
 
+def closed_surface(
+    vertices: Rows, triangles: Rows
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "k 3"]]:
+    """Check a closed triangle surface and orient it outward.
+
+    Each edge must belong to exactly two triangles of opposite orientation, and the surface must
+    enclose a volume. Unreferenced vertices are accepted.
+
+    Returns:
+        Vertices as float64 and triangles as int64.
+
+    Raises:
+        MeshError: The surface is open, not a manifold, not finite or encloses no volume.
+    """
+    points = as_points(vertices, "vertices")
+    faces = as_cells(triangles, 3, len(points), "triangles")
+    _check_edges(faces, len(points))
+    volume = enclosed_volume(points, faces)
+    if abs(volume) <= 1e-9 * bounding_diagonal(points[faces.ravel()]) ** 3:
+        raise MeshError("The surface encloses no volume: it is flat or folded onto itself.")
+    return points, faces if volume > 0 else faces[:, ::-1].copy()
+
+
 def listing(indices: Int[np.ndarray, " k"], total: int, noun: str = "elements") -> str:
-    """Say how many of how many, and which come first: '3 of 40 elements (4, 7, 9)'."""
+    """Return a count and the first indices: '3 of 40 elements (4, 7, 9)'."""
     first = ", ".join(str(i) for i in indices[:5])
     more = ", ..." if len(indices) > 5 else ""
     return f"{len(indices)} of {total} {noun} ({first}{more})"
+
+
+def unreferenced(n_points: int, cells: Int[np.ndarray, "m w"]) -> Int[np.ndarray, " k"]:
+    """Return the points that no cell uses."""
+    return np.flatnonzero(np.bincount(cells.ravel(), minlength=n_points) == 0)
+
+
+def _refuse(
+    invalid: Int[np.ndarray, " k"], total: int, message: str, noun: str = "elements"
+) -> None:
+    """Raise `MeshError` with the listing of invalid indices in place of {}, if there are any."""
+    if invalid.size:
+        raise MeshError(message.format(listing(invalid, total, noun)))
+
+
+def _refuse_rows(invalid: Any, message: str) -> None:
+    _refuse(np.flatnonzero(invalid), len(invalid), message, "rows")
 
 
 def _as_rows(values: Rows, width: int, what: str) -> NDArray:
@@ -99,43 +156,12 @@ def _as_rows(values: Rows, width: int, what: str) -> NDArray:
     return array
 
 
-def _check_referenced(points: Float[np.ndarray, "n 3"], tets: Int[np.ndarray, "m 4"]) -> None:
-    bad = unreferenced(len(points), tets)
-    if bad.size:
-        raise MeshError(
-            f"No element uses {listing(bad, len(points), 'nodes')}: their displacement would be"
-            " undetermined. Drop them (tactorch.mesh.compact does, and renumbers)."
-        )
-
-
-def unreferenced(n_points: int, cells: Int[np.ndarray, "m w"]) -> Int[np.ndarray, " k"]:
-    """Return the points that no cell uses."""
-    return np.flatnonzero(np.bincount(cells.ravel(), minlength=n_points) == 0)
-
-
 def _check_unique(tets: Int[np.ndarray, "m 4"]) -> None:
     ordered = np.sort(tets, axis=1)
     order = np.lexsort(ordered.T)
-    again = (ordered[order[1:]] == ordered[order[:-1]]).all(axis=1)
-    bad = np.sort(order[1:][again])
-    if bad.size:
-        raise MeshError(f"The mesh repeats elements: {listing(bad, len(tets))} appear earlier too.")
-
-
-def _check_not_flat(
-    points: Float[np.ndarray, "n 3"],
-    tets: Int[np.ndarray, "m 4"],
-    volumes: Float[np.ndarray, " m"],
-) -> None:
-    longest = longest_edges(points, tets)
-    # Coordinates are known to rounding only, which far from the origin hides a small height.
-    rounding = 64 * np.finfo(np.float64).eps * np.abs(points).max() * longest**2
-    bad = np.flatnonzero(6 * np.abs(volumes) <= np.maximum(FLATNESS * longest**3, rounding))
-    if bad.size:
-        raise MeshError(
-            f"The mesh has degenerate elements (no volume): {listing(bad, len(tets))}."
-            " Mesh the shape again, or merge nodes that coincide."
-        )
+    duplicate = (ordered[order[1:]] == ordered[order[:-1]]).all(axis=1)
+    invalid = np.sort(order[1:][duplicate])
+    _refuse(invalid, len(tets), "The mesh repeats elements: {} appear earlier too.")
 
 
 def _check_connected(pairs: Int[np.ndarray, "f 2"], n_tets: int) -> None:
@@ -148,3 +174,30 @@ def _check_connected(pairs: Int[np.ndarray, "f 2"], n_tets: int) -> None:
             f"The mesh is in {count} disconnected parts (of {shown} elements) that share no face."
             " Keep one part, or merge the nodes where the parts should be glued."
         )
+
+
+def _check_edges(faces: Int[np.ndarray, "k 3"], n_points: int) -> None:
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    keys = np.minimum(start, end) * n_points + np.maximum(start, end)
+    unique, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    owners = np.arange(len(keys)) // 3
+
+    def refuse(edges: NDArray, message: str) -> None:
+        _refuse(np.unique(owners[edges[inverse]]), len(faces), message, "triangles")
+
+    refuse(
+        counts == 1,
+        f"The surface is open: {(counts == 1).sum()} of its {len(unique)} edges belong to one"
+        " triangle only, at {}. Close the holes; if each triangle has separate vertices, merge"
+        " equal ones (read_surface does).",
+    )
+    refuse(
+        counts > 2,
+        f"The surface is not a manifold: {(counts > 2).sum()} of its {len(unique)} edges belong"
+        " to more than two triangles, at {}. Remove duplicate or inner triangles.",
+    )
+    refuse(
+        np.bincount(inverse, weights=np.sign(end - start)) != 0,
+        "The surface's triangles are not oriented consistently at {}: make their normals"
+        " consistent.",
+    )

@@ -1,10 +1,11 @@
-"""Meshes and surfaces in files (through meshio), in mm inside and any unit outside."""
+"""Reading and writing meshes and surfaces (through meshio); lengths are converted to mm."""
 
 import contextlib
 import importlib
 import io
 import warnings
 from collections.abc import Iterator, Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +13,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-from tactorch.errors import FileError, MeshError
+from tactorch.errors import ConfigError, FileError, MeshError
 from tactorch.files import atomic_path, require_file
 from tactorch.mesh.checks import as_cells, as_points, listing, unreferenced
-from tactorch.mesh.geometry import bounding_box
-from tactorch.mesh.obj import read_obj
+from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.tetmesh import TetMesh, compact
-from tactorch.mesh.units import mm_per, warn_of_units
 from tactorch.mesh.values import Rows
 
 if TYPE_CHECKING:
@@ -28,48 +27,52 @@ if TYPE_CHECKING:
 # on a damaged file, so the modules are called directly.
 _MESH_FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".inp": "abaqus"}
 _SURFACE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply"}
+_MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+#: Bounding-box diagonals between which an object pressed by hand or robot is plausible, mm.
+PLAUSIBLE_MM = (0.5, 5000.0)
 
 
 def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = False) -> TetMesh:
     """Read a tetrahedral mesh from .msh (gmsh), .vtu or .inp (Abaqus, CalculiX).
 
     Nodes and tetrahedra keep the order of the file, because other files refer to them by index.
-    Points, lines and surface cells are passed over; inverted tetrahedra are reoriented.
+    Points, lines and surface cells are ignored; inverted tetrahedra are reoriented.
 
     Args:
-        path: The file.
+        path: Path of the file.
         unit: Length unit of the file: "mm", "cm" or "m".
-        drop_unreferenced: Drop nodes that no tetrahedron uses, which renumbers the others.
+        drop_unreferenced: Whether to drop nodes that no tetrahedron uses, which renumbers the
+            others.
 
     Returns:
         The mesh, in mm.
 
     Raises:
         FileError: The file is missing, damaged or of an unknown format.
-        MeshError: The file holds no linear tetrahedra, other solid elements too, unreferenced
-            nodes, or a mesh that cannot be used. Every message names the file.
+        MeshError: The file contains no linear tetrahedra, other solid elements, unreferenced
+            nodes, or an invalid mesh. Every message names the file.
         ConfigError: The unit is unknown.
 
     Warns:
         UserWarning: The object is implausibly small or large; the likely unit is named.
     """
-    scale = mm_per(unit)
+    scale = _mm_per(unit)
     source = require_file(path, "Mesh")
     content = _read(source, _MESH_FORMATS)
     with _naming(source):
         points = as_points(content.points) * scale
         tets = as_cells(_solid_cells(content), 4, len(points))
-        bad = unreferenced(len(points), tets)
-        if bad.size and not drop_unreferenced:
+        unused = unreferenced(len(points), tets)
+        if unused.size and not drop_unreferenced:
             raise MeshError(
-                f"no tetrahedron uses {listing(bad, len(points), 'nodes')}."
+                f"no tetrahedron uses {listing(unused, len(points), 'nodes')}."
                 " Remove them from the file, or read it with drop_unreferenced=True, which"
                 " renumbers the others."
             )
-        if bad.size:
+        if unused.size:
             points, tets, _ = compact(points, tets)
         mesh = TetMesh.create(points, tets)
-    warn_of_units(f"Mesh '{source}'", mesh.diagonal, unit)
+    _warn_of_unit(f"Mesh '{source}'", mesh.diagonal, unit)
     return mesh
 
 
@@ -82,10 +85,10 @@ def write_mesh(
     """Write a mesh, in mm, to .msh (gmsh 4.1), .vtu (ParaView) or .inp (Abaqus, CalculiX).
 
     Args:
-        path: The file; it is replaced whole or not at all.
-        mesh: The mesh.
-        cell_data: Fields of m values (or m rows), such as Young's modulus; not for .inp.
-        point_data: Fields of n values (or n rows), such as displacement; not for .inp.
+        path: Path of the file; it is replaced atomically.
+        mesh: Mesh to write.
+        cell_data: Fields of m values or m rows, such as Young's modulus; not for .inp.
+        point_data: Fields of n values or n rows, such as displacement; not for .inp.
 
     Raises:
         FileError: The format is unknown, cannot hold data, or the file cannot be written.
@@ -113,11 +116,11 @@ def read_surface(
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "k 3"]]:
     """Read a triangle surface from .stl, .obj or .ply.
 
-    Vertices with equal coordinates are merged, as STL stores each triangle apart; quadrangles are
-    halved. The order of vertices is that of the file.
+    Vertices with equal coordinates are merged, as STL stores the vertices of each triangle
+    separately; quadrangles are halved. Vertices keep the order of the file.
 
     Args:
-        path: The file.
+        path: Path of the file.
         unit: Length unit of the file: "mm", "cm" or "m".
 
     Returns:
@@ -125,30 +128,28 @@ def read_surface(
 
     Raises:
         FileError: The file is missing, damaged or of an unknown format.
-        MeshError: The file holds no triangles, polygons of more than four sides, or coordinates
-            that are not finite. Every message names the file.
+        MeshError: The file contains no triangles, polygons of more than four sides, or
+            non-finite coordinates. Every message names the file.
         ConfigError: The unit is unknown.
 
     Warns:
         UserWarning: The object is implausibly small or large; the likely unit is named.
     """
-    scale = mm_per(unit)
+    scale = _mm_per(unit)
     source = require_file(path, "Surface")
     content = _read(source, _SURFACE_FORMATS)
     with _naming(source):
         vertices, triangles = _merged(as_points(content.points, "vertices"), _triangles(content))
-    corners = bounding_box(vertices) * scale
-    diagonal = float(np.linalg.norm(corners[1] - corners[0]))
-    warn_of_units(f"Surface '{source}'", diagonal, unit)
+    _warn_of_unit(f"Surface '{source}'", bounding_diagonal(vertices) * scale, unit)
     return vertices * scale, triangles
 
 
 def write_surface(path: str | Path, vertices: Rows, triangles: Rows) -> None:
-    """Write a triangle surface, in mm, to .stl, .obj or .ply, whole or not at all.
+    """Write a triangle surface, in mm, to .stl, .obj or .ply; the file is replaced atomically.
 
     Raises:
         FileError: The format is unknown or the file cannot be written.
-        MeshError: The arrays are no surface.
+        MeshError: The arrays are not a surface.
     """
     target = Path(path)
     name = _format(target, _SURFACE_FORMATS)
@@ -170,53 +171,46 @@ def _format(path: Path, formats: Mapping[str, str]) -> str:
 
 def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
     name = _format(path, formats)
-    with _quiet() as said:
-        try:
-            content = _read_as(name, path)
-        # meshio's readers raise whatever they stumble over, and may call sys.exit.
-        except (Exception, SystemExit) as error:
-            reason = " ".join(f"{said.getvalue()} {error}".split()) or type(error).__name__
-            raise FileError(
-                f"'{path}' cannot be read as {name}: {reason}. Is the file whole, and of the format"
-                " its suffix says?"
-            ) from error
+    hint = " Is the file complete, and of the format its suffix says?"
+    with _meshio(f"'{path}' cannot be read as {name}", hint):
+        import meshio
+
+        if name == "obj":
+            content = meshio.Mesh(*_read_obj(path))
+        else:
+            content = importlib.import_module(f"meshio.{name}").read(str(path))
     if not len(content.points):
-        raise FileError(f"'{path}' holds no points: it is empty, or not of the {name} format.")
+        raise FileError(f"'{path}' contains no points: it is empty, or not of the {name} format.")
     return content
-
-
-def _read_as(name: str, path: Path) -> "meshio.Mesh":
-    import meshio
-
-    if name == "obj":
-        return meshio.Mesh(*read_obj(path))
-    return importlib.import_module(f"meshio.{name}").read(str(path))
 
 
 def _write(path: Path, name: str, content: "meshio.Mesh") -> None:
     options = {"binary": True} if name == "stl" else {}
-    with _quiet() as said:
-        try:
-            with atomic_path(path) as temporary:
-                importlib.import_module(f"meshio.{name}").write(str(temporary), content, **options)
-        except FileError:
-            raise
-        except (Exception, SystemExit) as error:
-            reason = " ".join(f"{said.getvalue()} {error}".split()) or type(error).__name__
-            raise FileError(f"'{path}' cannot be written as {name}: {reason}.") from error
+    writer = importlib.import_module(f"meshio.{name}")
+    with _meshio(f"'{path}' cannot be written as {name}"), atomic_path(path) as temporary:
+        writer.write(str(temporary), content, **options)
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[io.StringIO]:
-    """Keep meshio's remarks off the terminal."""
-    said = io.StringIO()
-    with (
-        contextlib.redirect_stdout(said),
-        contextlib.redirect_stderr(said),
-        warnings.catch_warnings(),
-    ):
-        warnings.simplefilter("ignore")
-        yield said
+def _meshio(failure: str, hint: str = "") -> Iterator[None]:
+    """Silence meshio and turn its failures into `FileError`.
+
+    Its readers raise any exception on damaged files, and may call sys.exit.
+    """
+    output = io.StringIO()
+    try:
+        with (
+            contextlib.redirect_stdout(output),
+            contextlib.redirect_stderr(output),
+            warnings.catch_warnings(),
+        ):
+            warnings.simplefilter("ignore")
+            yield
+    except FileError:
+        raise
+    except (Exception, SystemExit) as error:
+        reason = " ".join(f"{output.getvalue()} {error}".split()) or type(error).__name__
+        raise FileError(f"{failure}: {reason}.{hint}") from error
 
 
 @contextlib.contextmanager
@@ -233,34 +227,37 @@ def _solid_cells(content: "meshio.Mesh") -> NDArray:
     solid = {b.type for b in content.cells if b.dim == 3 and b.type != "tetra"}
     others = ", ".join(sorted(solid))
     if others:
-        raise MeshError(f"it holds solid elements other than 4-node tetrahedra: {others}.")
+        raise MeshError(f"it contains solid elements other than 4-node tetrahedra: {others}.")
     if not tets:
-        held = ", ".join(sorted({b.type for b in content.cells})) or "no cells at all"
+        types = ", ".join(sorted({b.type for b in content.cells})) or "no cells"
         raise MeshError(
-            f"it holds no tetrahedra, only {held}. If it is a surface, fill it with tetrahedralize."
+            f"it contains no tetrahedra, only {types}. If it is a surface, mesh it with"
+            " tetrahedralize."
         )
     return np.concatenate(tets)
 
 
 def _triangles(content: "meshio.Mesh") -> NDArray:
-    found: list[NDArray] = []
+    triangles: list[NDArray] = []
     for block in content.cells:
         if block.type == "triangle":
-            found.append(block.data)
+            triangles.append(block.data)
         elif block.type == "quad":
-            # Both halves of a quadrangle side by side keep the order of the file.
-            found.append(block.data[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
+            # Consecutive halves of a quadrangle keep the order of the file.
+            triangles.append(block.data[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
         elif block.dim == 2:
-            raise MeshError(f"it holds faces other than triangles and quadrangles: {block.type}.")
-    if not found:
-        raise MeshError("it holds no triangles.")
-    return np.concatenate(found)
+            raise MeshError(
+                f"it contains faces other than triangles and quadrangles: {block.type}."
+            )
+    if not triangles:
+        raise MeshError("it contains no triangles.")
+    return np.concatenate(triangles)
 
 
 def _merged(
     vertices: Float[np.ndarray, "n 3"], triangles: NDArray
 ) -> tuple[Float[np.ndarray, "r 3"], Int[np.ndarray, "k 3"]]:
-    """Merge vertices that coincide exactly, and drop those that no triangle uses."""
+    """Merge vertices of equal coordinates, and drop those that no triangle uses."""
     faces = as_cells(triangles, 3, len(vertices), "triangles")
     _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     points, cells, _ = compact(vertices, first[same.reshape(-1)][faces])
@@ -273,9 +270,71 @@ def _fields(what: str, data: Mapping[str, Rows] | None, rows: int) -> dict[str, 
         array = np.asarray(values)
         if array.ndim not in (1, 2) or len(array) != rows or array.dtype.kind not in "bfiu":
             raise MeshError(
-                f"{what} '{name}' must hold {rows} rows of numbers, not shape {array.shape}"
+                f"{what} '{name}' must have {rows} rows of numbers, not shape {array.shape}"
                 f" of {array.dtype}."
             )
-        # No format stores truth values; float16 and the like neither.
+        # No format stores booleans or half precision.
         fields[name] = array.astype(np.int32 if array.dtype.kind == "b" else np.float64)
     return fields
+
+
+def _mm_per(unit: str) -> float:
+    if unit not in _MM_PER_UNIT:
+        raise ConfigError(f"Unknown length unit '{unit}'; choose one of {', '.join(_MM_PER_UNIT)}.")
+    return _MM_PER_UNIT[unit]
+
+
+def _warn_of_unit(what: str, diagonal_mm: float, unit: str) -> None:
+    """Warn, naming the likely unit, where an object is implausibly small or large."""
+    low, high = PLAUSIBLE_MM
+    if low <= diagonal_mm <= high:
+        return
+    number = diagonal_mm / _MM_PER_UNIT[unit]
+    likely = [u for u, mm in _MM_PER_UNIT.items() if low <= number * mm <= high]
+    hint = " or ".join(f"unit='{u}' ({number * _MM_PER_UNIT[u]:.4g} mm)" for u in likely)
+    advice = f"Is it {hint}?" if hint else "Check the unit and scale of the file."
+    warnings.warn(
+        f"{what} is {diagonal_mm:.4g} mm across when read in {unit}: implausible. {advice}",
+        UserWarning,
+        stacklevel=3,
+    )
+
+
+def _read_obj(path: Path) -> tuple[Float[np.ndarray, "n 3"], list[tuple[str, NDArray]]]:
+    """Read vertices and faces of a Wavefront .obj file; other content is ignored.
+
+    meshio refuses files whose texture or normal lists differ in length from the vertex list, which
+    is most files that have any.
+
+    Returns:
+        Vertices, and runs of faces of one kind in the order of the file: "triangle", "quad" or
+        "polygon", with indices from 0.
+
+    Raises:
+        ValueError: A line is invalid; the message gives its number.
+    """
+    vertices: list[list[float]] = []
+    faces: list[list[int]] = []
+    with path.open(encoding="utf-8", errors="strict") as lines:
+        for number, line in enumerate(lines, start=1):
+            key, *fields = line.split("#")[0].split() or [""]
+            try:
+                if key == "v":
+                    if len(fields) < 3:
+                        raise ValueError(f"a vertex needs three coordinates, not {len(fields)}")
+                    vertices.append([float(field) for field in fields[:3]])
+                elif key == "f":
+                    faces.append([_obj_index(field, len(vertices)) for field in fields])
+            except ValueError as error:
+                raise ValueError(f"line {number}: {error}") from error
+    kinds = {3: "triangle", 4: "quad"}
+    runs = [(kinds.get(n, "polygon"), np.array(list(run))) for n, run in groupby(faces, key=len)]
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), runs
+
+
+def _obj_index(field: str, count: int) -> int:
+    """Read `vertex/texture/normal`; vertices count from 1, or back from the latest from -1."""
+    index = int(field.split("/")[0])
+    if index == 0 or index < -count:
+        raise ValueError(f"there is no vertex {index}")
+    return index - 1 if index > 0 else count + index

@@ -1,4 +1,4 @@
-"""Which tetrahedron holds a point."""
+"""Point location: the tetrahedron that contains a point."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -6,71 +6,66 @@ from scipy.spatial import cKDTree
 
 from tactorch.mesh.tetmesh import TetMesh
 
-# Barycentric slack, so that points on shared faces are not lost to rounding.
-_SLACK = 1e-9
-# Point-tetrahedron pairs tested at once; bounds the memory to some hundred megabytes.
-_PAIRS = 1_000_000
+# Barycentric tolerance, so that points on shared faces are not lost to rounding.
+_TOLERANCE = 1e-9
+# Point-tetrahedron pairs tested at once; limits the memory to some hundred megabytes.
+_MAX_PAIRS = 1_000_000
 
 
 def locate(mesh: TetMesh, points: Float[np.ndarray, "p 3"], k: int = 8) -> Int[np.ndarray, " p"]:
-    """Find the element that holds each point.
+    """Find the element that contains each point.
 
-    The `k` elements of nearest centroid are tried first, which settles most points; those left
-    are tested against every element whose bounding ball reaches them, so the answer is exact.
-    A point on a shared face gets one of its elements.
+    The `k` elements of nearest centroid are tested first; the remaining points are tested against
+    every element whose bounding ball contains them, so the result is exact. A point on a shared
+    face gets one of its elements.
 
     Args:
-        mesh: The body.
+        mesh: Body.
         points: Positions, mm.
-        k: Nearest elements tried first; affects the time, never the answer.
+        k: Number of nearest elements tested first; affects the time only.
 
     Returns:
         Index of the element, -1 for points outside the body.
     """
-    found = np.full(len(points), -1, dtype=np.int64)
+    elements = np.full(len(points), -1, dtype=np.int64)
     low, high = mesh.bounds
-    slack = _SLACK * mesh.diagonal
-    near = np.flatnonzero(np.all((points >= low - slack) & (points <= high + slack), axis=1))
+    margin = _TOLERANCE * mesh.diagonal
+    near = np.flatnonzero(np.all((points >= low - margin) & (points <= high + margin), axis=1))
     if len(near) == 0:
-        return found
-    inverses = np.linalg.inv(_edges(mesh))
-    found[near] = _among_nearest(mesh, inverses, points[near], k)
-    left = near[found[near] < 0]
-    if len(left):
-        found[left] = _among_reaching(mesh, inverses, points[left])
-    return found
-
-
-def _edges(mesh: TetMesh) -> np.ndarray:
-    """Return (m, 3, 3): per element, the edges from its first vertex as columns."""
+        return elements
     corners = mesh.points[mesh.tets]
-    return (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    inverses = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
+    elements[near] = _search_nearest(mesh, inverses, points[near], k)
+    rest = near[elements[near] < 0]
+    if len(rest):
+        elements[rest] = _search_all(mesh, inverses, points[rest])
+    return elements
 
 
-def _inside(
+def _contains(
     mesh: TetMesh, inverses: np.ndarray, elements: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Tell for each pair of element and point whether the element holds the point."""
+    """Whether the element of each pair contains the point."""
     offsets = points - mesh.points[mesh.tets[elements, 0]]
     local = np.einsum("qij,qj->qi", inverses[elements], offsets)
-    return (local >= -_SLACK).all(axis=1) & (local.sum(axis=1) <= 1.0 + _SLACK)
+    return (local >= -_TOLERANCE).all(axis=1) & (local.sum(axis=1) <= 1.0 + _TOLERANCE)
 
 
-def _among_nearest(mesh: TetMesh, inverses: np.ndarray, points: np.ndarray, k: int) -> np.ndarray:
-    """Try the elements of nearest centroid in turn; -1 where none holds the point."""
-    found = np.full(len(points), -1, dtype=np.int64)
+def _search_nearest(mesh: TetMesh, inverses: np.ndarray, points: np.ndarray, k: int) -> np.ndarray:
+    """Test the elements of nearest centroid in turn; -1 where none contains the point."""
+    elements = np.full(len(points), -1, dtype=np.int64)
     count = max(1, min(k, mesh.n_tets))
     _, candidates = cKDTree(mesh.centroids).query(points, k=np.arange(1, count + 1))
     for column in candidates.T:
-        open_ = np.flatnonzero(found < 0)
-        hit = open_[_inside(mesh, inverses, column[open_], points[open_])]
-        found[hit] = column[hit]
-    return found
+        rest = np.flatnonzero(elements < 0)
+        hits = rest[_contains(mesh, inverses, column[rest], points[rest])]
+        elements[hits] = column[hits]
+    return elements
 
 
-def _among_reaching(mesh: TetMesh, inverses: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Test each point against all elements whose ball around the centroid holds it."""
-    found = np.full(len(points), -1, dtype=np.int64)
+def _search_all(mesh: TetMesh, inverses: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Test each point against all elements whose ball around the centroid contains it."""
+    result = np.full(len(points), -1, dtype=np.int64)
     corners = mesh.points[mesh.tets] - mesh.centroids[:, None]
     radii = np.linalg.norm(corners, axis=2).max(axis=1) * (1.0 + 1e-6)
     reached = cKDTree(points).query_ball_point(mesh.centroids, radii)
@@ -79,11 +74,11 @@ def _among_reaching(mesh: TetMesh, inverses: np.ndarray, points: np.ndarray) -> 
     start = 0
     while start < len(counts):
         offset = ends[start] - counts[start]
-        stop = max(start + 1, int(np.searchsorted(ends, offset + _PAIRS, side="right")))
+        stop = max(start + 1, int(np.searchsorted(ends, offset + _MAX_PAIRS, side="right")))
         elements = np.repeat(np.arange(start, stop), counts[start:stop])
         if len(elements):
-            which = np.concatenate([np.asarray(r, dtype=np.int64) for r in reached[start:stop]])
-            hit = _inside(mesh, inverses, elements, points[which])
-            found[which[hit]] = elements[hit]
+            indices = np.concatenate([np.asarray(r, dtype=np.int64) for r in reached[start:stop]])
+            hits = _contains(mesh, inverses, elements, points[indices])
+            result[indices[hits]] = elements[hits]
         start = stop
-    return found
+    return result

@@ -1,4 +1,4 @@
-"""Filling a closed surface with tetrahedra (fTetWild, through pytetwild)."""
+"""Tetrahedral meshing of closed surfaces (fTetWild, through pytetwild), with a cache on disk."""
 
 import hashlib
 import importlib.util
@@ -12,16 +12,21 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch.errors import ConfigError, MeshError
-from tactorch.mesh.cache import load_mesh, store_mesh
-from tactorch.mesh.closed import closed_surface, enclosed_volume, surface_area
-from tactorch.mesh.geometry import bounding_box
+from tactorch.errors import ConfigError, MeshError, TactorchError
+from tactorch.files import atomic_path, cache_folder
+from tactorch.mesh.checks import closed_surface
+from tactorch.mesh.geometry import (
+    bounding_box,
+    bounding_diagonal,
+    enclosed_volume,
+    surface_area,
+)
 from tactorch.mesh.tetmesh import TetMesh, compact
 from tactorch.mesh.values import Real, Rows, positive
 
 logger = logging.getLogger(__name__)
 
-#: More elements than this are taken for a mistake in the edge length.
+#: A larger expected number of elements indicates a mistake in the edge length.
 MAX_ELEMENTS = 5_000_000
 _WORKER = Path(__file__).with_name("_tetwild_worker.py")
 
@@ -36,48 +41,48 @@ def tetrahedralize(
     inner: Sequence[tuple[Rows, Rows]] = (),
     cache: bool = True,
 ) -> TetMesh:
-    """Fill a closed triangle surface with tetrahedra.
+    """Mesh the inside of a closed triangle surface with tetrahedra.
 
-    fTetWild does not give the same mesh twice. The first result is therefore cached under a hash
-    of the inputs (see `cache_folder`) and returned from then on.
+    fTetWild is not deterministic. Its first result is therefore cached under a hash of the inputs
+    (see `tactorch.files.cache_folder`) and returned by later calls.
 
     Args:
         vertices: (n, 3) positions, mm.
-        triangles: (k, 3) vertex indices; closed, manifold and consistently turned (either way).
-        edge_length_mm: Target edge length.
-        relative_edge_length: Target as a share of the bounding box's diagonal, where
-            `edge_length_mm` is not given; the paper's 10 % by default.
-        epsilon: How far the result may leave the surface, as a share of the diagonal.
-        inner: Closed surfaces inside, vertices and triangles of each, that elements shall follow
-            rather than cut; what they enclose is filled too.
+        triangles: (k, 3) vertex indices; closed, manifold and consistently oriented.
+        edge_length_mm: Target edge length, mm.
+        relative_edge_length: Target edge length as a fraction of the bounding box's diagonal,
+            where `edge_length_mm` is not given; default: the paper's 10 %.
+        epsilon: Envelope of the surface that the result stays within, as a fraction of the
+            diagonal.
+        inner: Closed inner surfaces (vertices and triangles) that element faces conform to;
+            their inside is meshed too.
         cache: Whether to look up and store the result.
 
     Returns:
         The mesh.
 
     Raises:
-        MeshError: The surface is open, not manifold, not finite or encloses nothing; or meshing
-            failed, lost part of the volume or left degenerate elements.
-        ConfigError: A setting has a value that cannot be used, or pytetwild is not installed.
+        MeshError: The surface is open, not a manifold, not finite or encloses no volume; or
+            meshing fails, loses part of the volume or returns degenerate elements.
+        ConfigError: A setting has an invalid value, or pytetwild is not installed.
     """
     points, faces = closed_surface(vertices, triangles)
     points, faces, _ = compact(points, faces)
-    corners = bounding_box(points)
-    diagonal = float(np.linalg.norm(corners[1] - corners[0]))
+    diagonal = bounding_diagonal(points)
     length = _edge_length(edge_length_mm, relative_edge_length, diagonal)
     tolerance = positive("epsilon", epsilon)
     volume = enclosed_volume(points, faces)
     _check_count(volume, length)
-    whole, all_faces = _with_inner(points, faces, inner)
-    key = _key(whole, all_faces, length, tolerance)
-    mesh = load_mesh(key) if cache else None
+    all_points, all_faces = _with_inner(points, faces, inner)
+    key = _key(all_points, all_faces, length, tolerance)
+    mesh = _load_cached(key) if cache else None
     if mesh is None:
-        mesh = _sound(*_run_tetwild(whole, all_faces, length, tolerance))
+        mesh = _validated(*_run_tetwild(all_points, all_faces, length, tolerance))
         # The result stays within epsilon of the surface, so this much volume may differ.
         _check_volume(mesh, volume, 2 * tolerance * diagonal * surface_area(points, faces))
         logger.info("Meshed: %r, target edge length %.4g mm.", mesh, length)
         if cache:
-            store_mesh(key, mesh)
+            _store_cached(key, mesh)
     return mesh
 
 
@@ -86,14 +91,17 @@ def _with_inner(
     faces: Int[np.ndarray, "k 3"],
     inner: Sequence[tuple[Rows, Rows]],
 ) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "q 3"]]:
-    """Add closed surfaces, which must lie inside, to the outer one."""
+    """Append closed surfaces, which must be inside, to the outer one."""
     all_points, all_faces, count = [points], [faces], len(points)
     low, high = bounding_box(points)
-    slack = 1e-6 * float(np.linalg.norm(high - low))  # of surfaces that touch the outer one
+    margin = 1e-6 * float(np.linalg.norm(high - low))  # for surfaces that touch the outer one
     for vertices, triangles in inner:
         new, sides = closed_surface(vertices, triangles)
-        if (new < low - slack).any() or (new > high + slack).any():
-            raise MeshError("An inner surface reaches out of the outer one's bounding box.")
+        if (new < low - margin).any() or (new > high + margin).any():
+            raise MeshError(
+                "An inner surface extends beyond the outer surface's bounding"
+                " box; move or shrink it."
+            )
         all_points.append(new)
         all_faces.append(sides + count)
         count += len(new)
@@ -145,8 +153,8 @@ def _run_tetwild(
             edge_length_mm=length,
             epsilon=epsilon,
         )
-        # -P: the worker's own folder must not come first on the module search path.
-        done = subprocess.run(
+        # -P: keeps the worker's folder off the module search path.
+        process = subprocess.run(
             [sys.executable, "-P", str(_WORKER), str(source), str(target)],
             cwd=folder,
             capture_output=True,
@@ -154,39 +162,78 @@ def _run_tetwild(
             errors="replace",
             check=False,
         )
-        if done.returncode or not target.is_file():
-            reason = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()[-1]
+        if process.returncode or not target.is_file():
+            reason = (
+                process.stderr.strip() or process.stdout.strip() or "no message"
+            ).splitlines()[-1]
             raise MeshError(
                 f"fTetWild could not mesh the surface of {len(faces)} triangles"
-                f" (exit status {done.returncode}): {reason}"
+                f" (exit status {process.returncode}): {reason}"
             )
         with np.load(target) as result:
             return result["points"], result["tets"]
 
 
-def _sound(points: Float[np.ndarray, "p 3"], tets: Int[np.ndarray, "m 4"]) -> TetMesh:
-    """Make a mesh of what fTetWild returned: drop stray points, reorient, check."""
+def _validated(points: Float[np.ndarray, "p 3"], tets: Int[np.ndarray, "m 4"]) -> TetMesh:
+    """Drop unreferenced points, reorient and check the elements."""
     if not len(tets):
         raise MeshError(
-            "fTetWild found no inside: the surface is thinner than epsilon, or folds over itself."
+            "fTetWild returned no elements: the surface is thinner than epsilon, or folds over"
+            " itself."
         )
     try:
-        nodes, cells, kept = compact(points, tets)
-        if len(kept) < len(points):
-            logger.info("Dropped %d points without elements.", len(points) - len(kept))
+        nodes, cells, used = compact(points, tets)
+        if len(used) < len(points):
+            logger.info("Dropped %d points without elements.", len(points) - len(used))
         return TetMesh.create(nodes, cells)
     except MeshError as error:
         raise MeshError(
-            f"The result of fTetWild cannot be used. {error} Change edge_length_mm or epsilon, or"
+            f"The result of fTetWild is invalid. {error} Change edge_length_mm or epsilon, or"
             " repair the surface."
         ) from error
 
 
 def _check_volume(mesh: TetMesh, expected: float, allowed: float) -> None:
-    found = float(mesh.volumes.sum())
-    if abs(found - expected) > allowed:
+    volume = float(mesh.volumes.sum())
+    if abs(volume - expected) > allowed:
         raise MeshError(
-            f"The mesh fills {found:.4g} mm^3 where the surface encloses {expected:.4g} mm^3:"
+            f"The mesh fills {volume:.4g} mm^3 where the surface encloses {expected:.4g} mm^3:"
             " the surface intersects itself, or has parts thinner than epsilon. Repair it, or"
             " choose a smaller epsilon."
         )
+
+
+def _load_cached(key: str) -> TetMesh | None:
+    """Return the mesh stored under `key`; None if it is missing or damaged."""
+    path = _cache_path(key)
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            mesh = TetMesh(stored["points"], stored["tets"])
+            digest = str(stored["content_hash"])
+    except Exception as error:  # damaged archives raise errors of many types
+        logger.warning("Ignoring the damaged cached mesh '%s': %s", path, error)
+        return None
+    if digest != mesh.content_hash():
+        logger.warning("Ignoring the cached mesh '%s': its content does not match its hash.", path)
+        return None
+    return mesh
+
+
+def _store_cached(key: str, mesh: TetMesh) -> None:
+    """Store the mesh under `key`; failure to write is logged only."""
+    try:
+        with atomic_path(_cache_path(key)) as temporary:
+            np.savez_compressed(
+                temporary,
+                points=mesh.points,
+                tets=mesh.tets,
+                content_hash=np.array(mesh.content_hash()),
+            )
+    except (OSError, TactorchError) as error:
+        logger.warning("The mesh could not be cached in '%s': %s", cache_folder(), error)
+
+
+def _cache_path(key: str) -> Path:
+    return cache_folder() / "meshes" / f"{key}.npz"

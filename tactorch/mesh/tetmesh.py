@@ -1,4 +1,4 @@
-"""The tetrahedral mesh: data that is sound from the moment it exists, and never changes."""
+"""Tetrahedral mesh: immutable data, validated on construction."""
 
 import hashlib
 import logging
@@ -8,20 +8,32 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
+from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh.checks import as_cells, as_points, check_elements, check_faces
 from tactorch.mesh.geometry import area_vectors, bounding_box, frozen, signed_volumes
-from tactorch.mesh.parts import Adjacency, Surface
-from tactorch.mesh.topology import LOCAL_FACES, FaceMatch, match_edges, match_faces
-from tactorch.mesh.values import Rows
+from tactorch.mesh.topology import (
+    LOCAL_FACES,
+    Adjacency,
+    FaceMatch,
+    Surface,
+    match_edges,
+    match_faces,
+)
+from tactorch.mesh.values import Real, Rows
 
 logger = logging.getLogger(__name__)
+
+#: Sides of the bounding box.
+FACE_NAMES = ("x-", "x+", "y-", "y+", "z-", "z+")
+# A triangle belongs to a side if its normal deviates less than 45 degrees from the side's.
+_MIN_COSINE = np.sqrt(0.5)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TetMesh:
     """Linear tetrahedra in mm; n nodes, m elements.
 
-    Construction copies, makes read-only and checks: non-finite points, indices out of range,
+    The arrays are copied, made read-only and checked: non-finite points, indices out of range,
     repeated vertices, unreferenced nodes, duplicate, degenerate, inverted or overlapping elements
     and disconnected parts raise `MeshError`. Use `create` for meshes of unknown orientation.
 
@@ -43,19 +55,19 @@ class TetMesh:
 
     @classmethod
     def create(cls, points: Rows, tets: Rows, repair: bool = True) -> "TetMesh":
-        """Build a mesh from anything array-like.
+        """Build a mesh from array-likes.
 
         Args:
             points: (n, 3) node positions, mm.
             tets: (m, 4) node indices.
-            repair: Swap the last two vertices of inverted elements; otherwise refuse them.
-                Nodes and elements keep their order either way.
+            repair: Whether to swap the last two vertices of inverted elements rather than
+                refuse them. The order of nodes and elements is kept.
 
         Returns:
             The mesh.
 
         Raises:
-            MeshError: The mesh cannot be used; the message names the nodes or elements.
+            MeshError: The mesh is invalid; the message names the nodes or elements.
         """
         nodes = as_points(points)
         cells = as_cells(tets, 4, len(nodes))
@@ -67,11 +79,11 @@ class TetMesh:
         return cls(nodes, cells)
 
     def __repr__(self) -> str:
-        """Say the size, not the arrays."""
+        """Return a summary of the size."""
         return f"TetMesh({self.n_points} nodes, {self.n_tets} tets, {self.diagonal:.4g} mm across)"
 
     def __reduce__(self) -> tuple[type["TetMesh"], tuple[np.ndarray, np.ndarray]]:
-        """Pickle and copy the data only, so that a copy is checked and read-only too."""
+        """Pickle and copy the data only; copies are checked and read-only too."""
         return type(self), (self.points, self.tets)
 
     @property
@@ -106,7 +118,7 @@ class TetMesh:
 
     @cached_property
     def surface(self) -> Surface:
-        """The boundary triangles, turned outward."""
+        """Boundary triangles, oriented outward."""
         owners, local = np.divmod(self._faces.boundary, 4)
         triangles = self.tets[owners[:, None], LOCAL_FACES[local]]
         vectors = area_vectors(self.points, triangles)
@@ -121,19 +133,19 @@ class TetMesh:
         owners, local = np.divmod(self._faces.pairs[:, 0], 4)
         shared = self.tets[owners[:, None], LOCAL_FACES[local]]
         areas = np.linalg.norm(area_vectors(self.points, shared), axis=1)
-        apart = self.centroids[pairs[:, 0]] - self.centroids[pairs[:, 1]]
-        return Adjacency(frozen(pairs), frozen(areas), frozen(np.linalg.norm(apart, axis=1)))
+        offsets = self.centroids[pairs[:, 0]] - self.centroids[pairs[:, 1]]
+        return Adjacency(frozen(pairs), frozen(areas), frozen(np.linalg.norm(offsets, axis=1)))
 
     @cached_property
     def vertex_areas(self) -> Float[np.ndarray, " n"]:
-        """One third of the boundary triangles around each node, mm^2; zero inside."""
+        """One third of the area of the boundary triangles at each node, mm^2; zero inside."""
         corners = self.surface.triangles.ravel()
         thirds = np.repeat(self.surface.areas / 3.0, 3)
         return frozen(np.bincount(corners, weights=thirds, minlength=self.n_points))
 
     @property
     def edges(self) -> Int[np.ndarray, "k 2"]:
-        """The edges, each once, smaller node first, sorted."""
+        """Unique edges, smaller node first, sorted."""
         return self._edges[0]
 
     @property
@@ -142,7 +154,7 @@ class TetMesh:
         return self._edges[1]
 
     def content_hash(self) -> str:
-        """Return a SHA-256 of points and elements: equal for equal meshes on every machine."""
+        """Return the SHA-256 of points and elements, the same on every platform."""
         digest = hashlib.sha256(f"tetmesh 1 {self.n_points} {self.n_tets} ".encode())
         digest.update((self.points + 0.0).astype("<f8").tobytes())  # -0.0 becomes 0.0
         digest.update(self.tets.astype("<i8").tobytes())
@@ -161,14 +173,14 @@ class TetMesh:
 def compact(
     points: Rows, cells: Rows
 ) -> tuple[Float[np.ndarray, "r 3"], Int[np.ndarray, "m w"], Int[np.ndarray, " r"]]:
-    """Drop the points that no cell uses, and renumber; the order stays.
+    """Drop the points that no cell uses, and renumber the cells; the order is kept.
 
     Args:
         points: (n, 3) positions.
         cells: (m, w) indices: tetrahedra or triangles.
 
     Returns:
-        The points kept, the cells renumbered, and the old index of each point kept.
+        The remaining points, the renumbered cells, and the old index of each remaining point.
 
     Raises:
         MeshError: An array has a wrong shape, or an index is out of range.
@@ -176,5 +188,44 @@ def compact(
     nodes = as_points(points)
     width = np.shape(cells)[-1] if np.ndim(cells) == 2 else 4
     rows = as_cells(cells, width, len(nodes), "cells")
-    kept = np.unique(rows)
-    return nodes[kept], np.searchsorted(kept, rows), kept
+    used = np.unique(rows)
+    return nodes[used], np.searchsorted(used, rows), used
+
+
+def select_face(mesh: TetMesh, name: str, tolerance: Real = 2e-3) -> Int[np.ndarray, " k"]:
+    """Find the boundary triangles on one side of the bounding box.
+
+    Args:
+        mesh: Mesh.
+        name: One of `FACE_NAMES`.
+        tolerance: Maximum distance of a vertex from the side's plane, as a fraction of the
+            bounding box's diagonal. The default covers the envelope of `tetrahedralize`.
+
+    Returns:
+        Ascending indices into `mesh.surface.triangles`; at least one.
+
+    Raises:
+        ConfigError: The name or the tolerance is invalid.
+        MeshError: No triangle is on that side: the object is round there.
+    """
+    if name not in FACE_NAMES:
+        raise ConfigError(f"Unknown face '{name}'; choose one of {', '.join(FACE_NAMES)}.")
+    if not 0 <= tolerance < 0.5:
+        raise ConfigError(f"tolerance={tolerance} must be in [0, 0.5), a fraction of the diagonal.")
+    axis, high = "xyz".index(name[0]), int(name[1] == "+")
+    surface = mesh.surface
+    depth = np.abs(mesh.points[surface.triangles, axis] - mesh.bounds[high, axis]).max(axis=1)
+    outward = surface.normals[:, axis] * (1 if high else -1)
+    selected = np.flatnonzero((depth <= tolerance * mesh.diagonal) & (outward > _MIN_COSINE))
+    if not selected.size:
+        raise MeshError(
+            f"No boundary triangle is on side '{name}' within {tolerance:g} of the bounding box's"
+            f" diagonal ({mesh.diagonal:.4g} mm): the mesh is not flat there. Raise the tolerance,"
+            " or select triangles by their position."
+        )
+    return selected
+
+
+def face_nodes(mesh: TetMesh, name: str, tolerance: Real = 2e-3) -> Int[np.ndarray, " k"]:
+    """Return the nodes of `select_face`, ascending; same arguments and errors."""
+    return np.unique(mesh.surface.triangles[select_face(mesh, name, tolerance)])

@@ -1,11 +1,11 @@
-"""Who touches whom: faces and edges of a list of tetrahedra, vectorised over all of them."""
+"""Faces and edges of tetrahedra: matching, boundary and adjacency, vectorised over all elements."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
-#: Face `i` lies opposite vertex `i`; counter-clockwise from outside a positive tetrahedron.
+#: Face `i` is opposite vertex `i`; counter-clockwise from outside a positive tetrahedron.
 LOCAL_FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 #: The six edges, in the order of `TetMesh.tet_edges`.
 LOCAL_EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
@@ -14,14 +14,50 @@ LOCAL_EDGES.setflags(write=False)
 
 
 @dataclass(frozen=True, eq=False)
-class FaceMatch:
-    """How the 4m element faces meet. Flat face `4 * tet + i` is opposite local vertex `i`.
+class Surface:
+    """Boundary of a `TetMesh`, ordered by owner. Arrays are read-only.
 
     Attributes:
-        boundary: Flat faces that belong to one element only, ascending.
-        pairs: Flat faces that coincide, one row a shared face, sorted by elements (i, j), i < j.
-        crowded: Flat faces met by three or more elements (empty in a sound mesh).
-        folded: Those flat faces of `pairs` whose two elements lie on the same side of them.
+        triangles: Node indices of the mesh, counter-clockwise from outside.
+        normals: Unit outward normals.
+        areas: Areas, mm^2.
+        owners: Index of the tetrahedron that each triangle belongs to.
+    """
+
+    triangles: Int[np.ndarray, "k 3"]
+    normals: Float[np.ndarray, "k 3"]
+    areas: Float[np.ndarray, " k"]
+    owners: Int[np.ndarray, " k"]
+
+    def nodes(self) -> Int[np.ndarray, " s"]:
+        """Return the boundary nodes, ascending, without duplicates."""
+        return np.unique(self.triangles)
+
+
+@dataclass(frozen=True, eq=False)
+class Adjacency:
+    """Pairs of tetrahedra that share a face, sorted. Arrays are read-only.
+
+    Attributes:
+        pairs: Element indices (i, j) with i < j.
+        areas: Area of the shared face, mm^2.
+        distances: Distance between the two centroids, mm.
+    """
+
+    pairs: Int[np.ndarray, "f 2"]
+    areas: Float[np.ndarray, " f"]
+    distances: Float[np.ndarray, " f"]
+
+
+@dataclass(frozen=True, eq=False)
+class FaceMatch:
+    """Result of `match_faces`. Flat face `4 * tet + i` is opposite local vertex `i`.
+
+    Attributes:
+        boundary: Flat faces of one element only, ascending.
+        pairs: Flat faces that coincide, one row per shared face, sorted by elements (i, j), i < j.
+        crowded: Flat faces shared by three or more elements; empty in a valid mesh.
+        folded: Flat faces of `pairs` whose two elements are on the same side of the face.
     """
 
     boundary: Int[np.ndarray, " k"]
@@ -31,7 +67,7 @@ class FaceMatch:
 
 
 def match_faces(tets: Int[np.ndarray, "m 4"], n_points: int) -> FaceMatch:
-    """Find which element faces coincide, which lie on the boundary, and which meet wrongly."""
+    """Match the 4m element faces with one another."""
     faces = tets[:, LOCAL_FACES].reshape(-1, 3)
     keys = row_keys(np.sort(faces, axis=1), n_points)
     order = np.argsort(keys, kind="stable")
@@ -62,10 +98,7 @@ def match_edges(
 
 
 def row_keys(rows: Int[np.ndarray, "r w"], n_points: int) -> Int[np.ndarray, " r"]:
-    """Number rows of node indices so that equal rows, and only they, have equal numbers.
-
-    The order of the numbers is the lexicographic order of the rows.
-    """
+    """Number rows of node indices: equal rows have equal numbers, in lexicographic order."""
     if n_points ** rows.shape[1] > np.iinfo(np.int64).max:
         return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
     keys = rows[:, 0].astype(np.int64)

@@ -1,15 +1,16 @@
-"""Checked numbers for shapes and generators."""
+"""Validated numbers and vectors of shapes and generators."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, field, fields
 from typing import Any
 
 import numpy as np
 
 from tactorch.errors import ConfigError
 
-#: Rows of numbers, in whatever holds them (numpy's own `ArrayLike` defeats runtime checkers).
+#: Rows of numbers, in any container (numpy's own `ArrayLike` defeats runtime checkers).
 Rows = np.ndarray | Sequence[Any]
-#: Three numbers likewise.
+#: Three numbers, likewise.
 Vector = np.ndarray | Sequence[Any]
 Real = float | int | np.floating | np.integer
 
@@ -26,7 +27,7 @@ def vector(name: str, value: Vector) -> tuple[float, float, float]:
 
 
 def sizes(name: str, value: Vector | Real) -> tuple[float, float, float]:
-    """Return three positive numbers; one number stands for three equal ones."""
+    """Return three positive numbers; a single number is repeated."""
     three = vector(name, value if isinstance(value, np.ndarray | Sequence) else [value] * 3)
     if min(three) <= 0:
         raise ConfigError(f"{name}={value!r} must be positive.")
@@ -47,3 +48,23 @@ def unit_vector(name: str, value: Vector) -> tuple[float, float, float]:
     if length < 1e-12:
         raise ConfigError(f"{name}={value!r} has no direction; give a non-zero vector.")
     return vector(name, array / length)
+
+
+def checked(check: Callable[[str, Any], Any], default: Any = MISSING) -> Any:
+    """Declare a field of a `Checked` dataclass, converted by `check(name, value)`."""
+    return field(default=default, metadata={"check": check})
+
+
+class Checked:
+    """Base of frozen dataclasses whose `checked` fields are validated on construction."""
+
+    def __post_init__(self) -> None:
+        """Convert every checked field.
+
+        Raises:
+            ConfigError: A value is invalid; the message names the field.
+        """
+        for declared in fields(self):  # type: ignore[arg-type]
+            if check := declared.metadata.get("check"):
+                value = check(declared.name, getattr(self, declared.name))
+                object.__setattr__(self, declared.name, value)

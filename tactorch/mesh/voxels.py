@@ -1,4 +1,4 @@
-"""A regular grid over a mesh: for images of its fields, and for networks. Lengths in mm."""
+"""Regular grid over a mesh, for images of its fields and for networks. Lengths in mm."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,11 +14,11 @@ from tactorch.mesh.tetmesh import TetMesh
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """The bounding box of a mesh, cut into `count` voxels in each direction.
+    """Bounding box of a mesh, divided into `count` voxels in each direction.
 
     Attributes:
-        mesh: The body, m elements.
-        count: Voxels in each direction.
+        mesh: Body of m elements.
+        count: Number of voxels in each direction.
 
     Raises:
         ConfigError: The count is below 1.
@@ -33,12 +33,12 @@ class VoxelGrid:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Voxels along x, y and z."""
+        """Number of voxels along x, y and z."""
         return (self.count,) * 3
 
     @property
     def size_mm(self) -> Float[np.ndarray, "3"]:
-        """Edges of a voxel, mm."""
+        """Edge lengths of a voxel, mm."""
         low, high = self.mesh.bounds
         return (high - low) / self.count
 
@@ -51,45 +51,49 @@ class VoxelGrid:
 
     @cached_property
     def nearest(self) -> Int[np.ndarray, "v v v"]:
-        """Each voxel's element of nearest centroid, outside the body too."""
+        """Element of nearest centroid for each voxel, inside the body or not."""
         from scipy.spatial import cKDTree
 
-        _, found = cKDTree(self.mesh.centroids).query(self.centres.reshape(-1, 3))
-        return found.reshape(self.shape).astype(np.int64)
+        _, elements = cKDTree(self.mesh.centroids).query(self.centres.reshape(-1, 3))
+        return elements.reshape(self.shape).astype(np.int64)
 
     @cached_property
     def inside(self) -> Bool[np.ndarray, "v v v"]:
         """Whether a voxel's centre is in the body.
 
-        Slivers of a body can slip between all centres; then all count as inside.
+        All voxels count as inside where a thin body contains no centre.
         """
-        found = (locate(self.mesh, self.centres.reshape(-1, 3)) >= 0).reshape(self.shape)
-        return found if found.any() else np.ones(self.shape, dtype=bool)
+        inside = (locate(self.mesh, self.centres.reshape(-1, 3)) >= 0).reshape(self.shape)
+        return inside if inside.any() else np.ones(self.shape, dtype=bool)
 
     def fill(self, per_element: Float[np.ndarray, " m"]) -> Float[np.ndarray, "v v v"]:
-        """Give each voxel the value of the element whose centroid is nearest to its centre."""
+        """Return the field with the value of the element of nearest centroid in each voxel."""
         if per_element.shape != (self.mesh.n_tets,):
             raise MeshError(
-                f"a field of shape {per_element.shape} is not over the {self.mesh.n_tets} elements."
+                f"a field of shape {per_element.shape} does not fit {self.mesh.n_tets} elements;"
+                " give one value per element."
             )
         return per_element[self.nearest]
 
     def splat(self, nodal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "c v v v"]:
-        """Share each node's values out among the eight voxels around it; sums are kept."""
-        places = (self.mesh.points - self.mesh.bounds[0]) / self.size_mm - 0.5
-        corner = np.floor(places).astype(np.int64)
-        share = places - corner
+        """Distribute nodal values over the eight nearest voxels with trilinear weights.
+
+        The sum of each component is conserved.
+        """
+        coordinates = (self.mesh.points - self.mesh.bounds[0]) / self.size_mm - 0.5
+        corner = np.floor(coordinates).astype(np.int64)
+        fraction = coordinates - corner
         out = np.zeros((self.count**3, nodal.shape[1]))
         for step in product((0, 1), repeat=3):
-            at = np.clip(corner + step, 0, self.count - 1)
-            weight = np.prod(np.where(np.array(step) == 1, share, 1.0 - share), axis=1)
-            flat = (at[:, 0] * self.count + at[:, 1]) * self.count + at[:, 2]
+            voxel = np.clip(corner + step, 0, self.count - 1)
+            weight = np.prod(np.where(np.array(step) == 1, fraction, 1.0 - fraction), axis=1)
+            flat = (voxel[:, 0] * self.count + voxel[:, 1]) * self.count + voxel[:, 2]
             np.add.at(out, flat, weight[:, None] * nodal)
         return np.ascontiguousarray(out.T).reshape(nodal.shape[1], *self.shape)
 
     def at_elements(self, values: Float[np.ndarray, "v v v"]) -> Float[np.ndarray, " m"]:
-        """Return a field on the voxels at the elements' centroids, linear between centres."""
+        """Interpolate a field on the voxels trilinearly at the elements' centroids."""
         from scipy.ndimage import map_coordinates
 
-        places = (self.mesh.centroids - self.mesh.bounds[0]) / self.size_mm - 0.5
-        return map_coordinates(values, places.T, order=1, mode="nearest")
+        coordinates = (self.mesh.centroids - self.mesh.bounds[0]) / self.size_mm - 0.5
+        return map_coordinates(values, coordinates.T, order=1, mode="nearest")

@@ -1,8 +1,9 @@
-"""Test objects: a body of one modulus with inclusions of others. Lengths in mm, moduli in MPa."""
+"""Phantoms: bodies with inclusions of other Young's moduli. Lengths in mm, moduli in MPa."""
 
 from tactorch.phantoms.background import Background, Gradient, Layers, RandomField
-from tactorch.phantoms.families import FAMILIES, Drawn, draw_phantom
+from tactorch.phantoms.families import FAMILIES, RandomPhantom, draw_phantom
 from tactorch.phantoms.library import PHANTOMS, make_phantom
+from tactorch.phantoms.meshing import MeshSize
 from tactorch.phantoms.phantom import HOLE_MPA, Inclusion, Phantom
 
 __all__ = [
@@ -10,12 +11,13 @@ __all__ = [
     "HOLE_MPA",
     "PHANTOMS",
     "Background",
-    "Drawn",
     "Gradient",
     "Inclusion",
     "Layers",
+    "MeshSize",
     "Phantom",
     "RandomField",
+    "RandomPhantom",
     "draw_phantom",
     "make_phantom",
 ]

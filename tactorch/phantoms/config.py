@@ -1,4 +1,4 @@
-"""Shapes as plain dictionaries, for configuration files and provenance."""
+"""Shapes and backgrounds as plain dictionaries, for configuration files and provenance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -14,61 +14,66 @@ from tactorch.mesh import (
     Hyperboloid,
     Lathe,
     Rotated,
-    Shape,
     Sphere,
     Torus,
     Union,
 )
+from tactorch.phantoms.background import Gradient, Layers, RandomField
 
-SHAPES: dict[str, type[Any]] = {
-    "box": Box,
-    "cone": Cone,
-    "cylinder": Cylinder,
-    "ellipsoid": Ellipsoid,
-    "hemisphere": Hemisphere,
-    "hyperboloid": Hyperboloid,
-    "lathe": Lathe,
-    "rotated": Rotated,
-    "sphere": Sphere,
-    "torus": Torus,
-    "union": Union,
+#: Classes by name, for each key that a dictionary gives the name under.
+CLASSES: dict[str, dict[str, type[Any]]] = {
+    "shape": {
+        "box": Box,
+        "cone": Cone,
+        "cylinder": Cylinder,
+        "ellipsoid": Ellipsoid,
+        "hemisphere": Hemisphere,
+        "hyperboloid": Hyperboloid,
+        "lathe": Lathe,
+        "rotated": Rotated,
+        "sphere": Sphere,
+        "torus": Torus,
+        "union": Union,
+    },
+    "field": {"gradient": Gradient, "layers": Layers, "random": RandomField},
 }
 
 
-def shape_to_config(shape: Shape) -> dict[str, Any]:
-    """Return the shape as `{"shape": name, field: number, list or shape, ...}`.
+def to_config(value: Any) -> dict[str, Any]:
+    """Return a shape or background as `{"shape": name, field: number, list or shape, ...}`.
+
+    Backgrounds have the key "field" in place of "shape".
 
     Raises:
-        ConfigError: The shape is none of `SHAPES`.
+        ConfigError: The class is none of `CLASSES`.
     """
-    for name, kind in SHAPES.items():
-        if isinstance(shape, kind):
-            values = {field.name: getattr(shape, field.name) for field in fields(kind)}
-            return {"shape": name, **{k: _plain(v) for k, v in values.items()}}
-    raise ConfigError(
-        f"{type(shape).__name__} has no configuration; shapes that have one: {', '.join(SHAPES)}."
-    )
+    for key, classes in CLASSES.items():
+        for name, cls in classes.items():
+            if isinstance(value, cls):
+                return {key: name, **{f.name: _plain(getattr(value, f.name)) for f in fields(cls)}}
+    known = ", ".join(cls.__name__ for classes in CLASSES.values() for cls in classes.values())
+    raise ConfigError(f"{type(value).__name__} has no configuration; use one of {known}.")
 
 
-def shape_from_config(config: Any, where: str) -> Shape:
-    """Make a shape from what `shape_to_config` returns; fields left out take their defaults.
+def from_config(key: str, config: Any, where: str) -> Any:
+    """Make a shape or background from what `to_config` returns; other fields have defaults.
 
     Args:
-        config: The dictionary.
-        where: What to call it in messages.
+        key: "shape" or "field".
+        config: Dictionary.
+        where: Name of the dictionary in messages.
 
     Raises:
-        ConfigError: The name or a field is unknown, or a value cannot be used.
+        ConfigError: The name or a field is unknown or missing, or a value is invalid.
     """
     values = as_mapping(config, where)
-    name = values.pop("shape", None)
-    if name not in SHAPES:
-        raise ConfigError(f"{where}: shape is {name!r}; choose one of {', '.join(SHAPES)}.")
-    kind = SHAPES[name]
-    refuse_unknown(values, {field.name for field in fields(kind)}, where)
-    inner = {key: _inner(value, f"{where}.{key}") for key, value in values.items()}
+    name, classes = values.pop(key, None), CLASSES[key]
+    if name not in classes:
+        raise ConfigError(f"{where}: {key} is {name!r}; choose one of {', '.join(classes)}.")
+    refuse_unknown(values, {field.name for field in fields(classes[name])}, where)
+    arguments = {k: _nested(key, value, f"{where}.{k}") for k, value in values.items()}
     try:
-        return kind(**inner)
+        return classes[name](**arguments)
     except TypeError as error:
         raise ConfigError(f"{where}: {name} lacks a field ({error}).") from error
     except ConfigError as error:
@@ -78,15 +83,15 @@ def shape_from_config(config: Any, where: str) -> Shape:
 def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
-    return shape_to_config(value) if isinstance(value, Shape) else value
+    return to_config(value) if isinstance(value, tuple(CLASSES["shape"].values())) else value
 
 
-def _inner(value: Any, where: str) -> Any:
-    """Make shapes of what describes one, alone or in a list."""
+def _nested(key: str, value: Any, where: str) -> Any:
+    """Make shapes of dictionaries, alone or in a list."""
     if isinstance(value, Mapping):
-        return shape_from_config(value, where)
+        return from_config(key, value, where)
     if isinstance(value, Sequence) and any(isinstance(item, Mapping) for item in value):
-        return [shape_from_config(item, f"{where}[{i}]") for i, item in enumerate(value)]
+        return [from_config(key, item, f"{where}[{i}]") for i, item in enumerate(value)]
     return value
 
 
@@ -98,7 +103,7 @@ def as_mapping(config: Any, where: str) -> dict[str, Any]:
 
 
 def refuse_unknown(values: Mapping[str, Any], known: set[str], where: str) -> None:
-    """Raise `ConfigError` for keys that mean nothing: a misspelt one would else be lost."""
+    """Raise `ConfigError` for unknown keys, such as misspelt ones."""
     unknown = sorted(str(key) for key in values if key not in known)
     if unknown:
         raise ConfigError(

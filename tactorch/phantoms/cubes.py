@@ -1,217 +1,275 @@
-"""The cubes of the paper (Section IV, V and VI) and simple relatives.
+"""Cubes of the paper (Sections IV, V and VI) and related phantoms.
 
-They stand with one corner at the origin and are pressed on top (z+). Positions and sizes of
-inclusions are shares of the cube's side; moduli default to 0.2 MPa and 1 MPa.
+One corner is at the origin; the top (z+) is pressed. Positions and sizes of inclusions are
+fractions of the cube's side.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from tactorch.mesh import Box, Cone, Cylinder, Ellipsoid, Sphere, Torus, Union
-from tactorch.mesh.values import Real, Vector, positive, unit_vector, vector
+from tactorch.config import Options, option
+from tactorch.mesh import Box, Cone, Cylinder, Ellipsoid, Shape, Sphere, Torus, Union
+from tactorch.mesh.values import Real, Vector, unit_vector, vector
 from tactorch.phantoms.background import Gradient, Layers
 from tactorch.phantoms.phantom import HOLE_MPA, Phantom
 
-_MIDDLE = (0.5, 0.5, 0.5)
+Triple = tuple[float, float, float]
+_CENTER = (0.5, 0.5, 0.5)
+_UP = (0.0, 0.0, 1.0)
 _SOFT, _HARD = 0.2, 1.0
 
 
-def _cube(side_mm: Real) -> Box:
-    side = positive("side_mm", side_mm)
-    return Box((side / 2,) * 3, (side,) * 3)
+def cube_body(side_mm: float) -> Box:
+    """Return a cube with one corner at the origin."""
+    return Box((side_mm / 2,) * 3, (side_mm,) * 3)
 
 
-def _scaled(side_mm: Real, shares: Sequence[Real]) -> tuple[float, ...]:
-    return tuple(float(side_mm) * float(share) for share in shares)
-
-
-def uniform_cube(side_mm: Real = 10.0, youngs_mpa: Real = _SOFT) -> Phantom:
-    """A cube without inclusion."""
-    return Phantom(_cube(side_mm), (), youngs_mpa)
-
-
-def cube_sphere(
-    depth: Real = 0.5,
-    radius: Real = 0.2,
-    side_mm: Real = 10.0,
-    youngs_mpa: Real = _SOFT,
-    inclusion_mpa: Real = _HARD,
-) -> Phantom:
-    """A cube with a ball whose centre is `depth` below the middle of the top, in sides."""
-    body = _cube(side_mm)
-    center = _scaled(side_mm, (0.5, 0.5, 1.0 - float(depth)))
-    ball = Sphere(center, float(radius) * float(side_mm))
-    return Phantom(body, [(ball, inclusion_mpa)], youngs_mpa)
-
-
-def cube_shallow_sphere(**changes: Any) -> Phantom:
-    """Model 1 of the depth study (Fig. 6a): a ball at depth 0.3; arguments of `cube_sphere`."""
-    return cube_sphere(**{"depth": 0.3, **changes})
-
-
-def cube_deep_sphere(**changes: Any) -> Phantom:
-    """Model 2 of the depth study (Fig. 6b): a ball at depth 0.6; arguments of `cube_sphere`."""
-    return cube_sphere(**{"depth": 0.6, **changes})
-
-
-def cube_box(
-    center: Sequence[Real] = _MIDDLE,
-    size: Sequence[Real] = (0.4, 0.4, 0.4),
-    side_mm: Real = 10.0,
-    youngs_mpa: Real = _SOFT,
-    inclusion_mpa: Real = _HARD,
-) -> Phantom:
-    """A cube with a cuboid; centre and edge lengths in sides."""
-    body = _cube(side_mm)
-    inside = Box(_scaled(side_mm, center), _scaled(side_mm, size))
-    return Phantom(body, [(inside, inclusion_mpa)], youngs_mpa)
-
-
-def cube_cylinder(
-    center: Sequence[Real] = _MIDDLE,
-    radius: Real = 0.2,
-    height: Real = 0.4,
-    axis: Sequence[Real] = (0.0, 0.0, 1.0),
-    side_mm: Real = 10.0,
-    youngs_mpa: Real = _SOFT,
-    inclusion_mpa: Real = _HARD,
-) -> Phantom:
-    """A cube with a cylinder; centre, radius and height in sides."""
-    body = _cube(side_mm)
-    r, h = _scaled(side_mm, (radius, height))
-    inside = Cylinder(_scaled(side_mm, center), r, h, axis)
-    return Phantom(body, [(inside, inclusion_mpa)], youngs_mpa)
-
-
-def cube_ellipsoid(
-    center: Sequence[Real] = _MIDDLE,
-    radii: Sequence[Real] = (0.3, 0.2, 0.15),
-    side_mm: Real = 10.0,
-    youngs_mpa: Real = _SOFT,
-    inclusion_mpa: Real = _HARD,
-) -> Phantom:
-    """A cube with an ellipsoid; centre and semi-axes in sides."""
-    body = _cube(side_mm)
-    inside = Ellipsoid(_scaled(side_mm, center), _scaled(side_mm, radii))
-    return Phantom(body, [(inside, inclusion_mpa)], youngs_mpa)
-
-
-def cake(center: Vector, radius: Real, height: Real, axis: Vector = (0.0, 0.0, 1.0)) -> Union:
-    """Two tiers of equal height, the upper half as wide: the inclusion of Fig. 4(a); mm.
+def two_tiers(center: Vector, radius: Real, height: Real, axis: Vector = _UP) -> Union:
+    """Return two coaxial cylinders of equal height, the upper half as wide (Fig. 4a); mm.
 
     Args:
-        center: Its middle.
-        radius: Of the lower tier.
-        height: Of both together.
-        axis: From the lower to the upper tier.
+        center: Centre of both tiers.
+        radius: Radius of the lower tier.
+        height: Height of both tiers together.
+        axis: Direction from the lower to the upper tier.
     """
     up = np.array(unit_vector("axis", axis)) * float(height) / 4
     middle = np.array(vector("center", center))
-    # The upper one goes through the lower: no seam where round-off would find no cake.
+    # The upper cylinder passes through the lower one, which leaves no gap by rounding.
     lower = Cylinder(middle - up, radius, float(height) / 2, axis)
     return Union((lower, Cylinder(middle, float(radius) / 2, height, axis)))
 
 
-def cube_two_tiers(
-    center: Sequence[Real] = _MIDDLE,
-    radius: Real = 0.3,
-    height: Real = 0.4,
-    axis: Sequence[Real] = (0.0, 0.0, 1.0),
-    side_mm: Real = 10.0,
-    youngs_mpa: Real = _SOFT,
-    inclusion_mpa: Real = _HARD,
-) -> Phantom:
-    """A cube with a cake of two tiers, in the manner of Fig. 4(a); lengths in sides."""
-    r, h = _scaled(side_mm, (radius, height))
-    inside = cake(_scaled(side_mm, center), r, h, axis)
-    return Phantom(_cube(side_mm), [(inside, inclusion_mpa)], youngs_mpa)
+@dataclass(frozen=True)
+class UniformCube(Options):
+    """Homogeneous cube."""
+
+    section = "phantom"
+    side_mm: float = option(10.0, "Side of the cube", unit="mm", gt=0)
+    youngs_mpa: float = option(_SOFT, "Young's modulus of the cube", unit="MPa", gt=0)
+
+    def scaled(self, *fractions: float) -> tuple[float, ...]:
+        """Return fractions of the side in mm."""
+        return tuple(self.side_mm * fraction for fraction in fractions)
+
+    def inclusions(self) -> list[tuple[Shape, float]]:
+        """Return pairs of a shape and its Young's modulus, MPa."""
+        return []
+
+    def build(self) -> Phantom:
+        """Return the phantom."""
+        return Phantom(cube_body(self.side_mm), self.inclusions(), self.youngs_mpa)
 
 
-def cube_torus(
-    center: Sequence[Real] = _MIDDLE,
-    radius: Real = 0.25,
-    tube: Real = 0.1,
-    axis: Sequence[Real] = (0.0, 0.0, 1.0),
-    side_mm: Real = 10.0,
-    youngs_mpa: Real = _SOFT,
-    inclusion_mpa: Real = _HARD,
-) -> Phantom:
-    """A cube with a torus, in the manner of Fig. 4(b); lengths in sides."""
-    r, t = _scaled(side_mm, (radius, tube))
-    inside = Torus(_scaled(side_mm, center), r, t, axis)
-    return Phantom(_cube(side_mm), [(inside, inclusion_mpa)], youngs_mpa)
+@dataclass(frozen=True)
+class _CubeWithInclusion(UniformCube):
+    inclusion_mpa: float = option(_HARD, "Young's modulus of the inclusion", unit="MPa", gt=0)
+
+    def shape(self) -> Shape:
+        """Return the inclusion's shape, mm."""
+        raise NotImplementedError
+
+    def inclusions(self) -> list[tuple[Shape, float]]:
+        return [(self.shape(), self.inclusion_mpa)]
 
 
-def cube_cone(
-    center: Sequence[Real] = _MIDDLE,
-    radius: Real = 0.3,
-    height: Real = 0.5,
-    axis: Sequence[Real] = (0.0, 0.0, 1.0),
-    side_mm: Real = 10.0,
-    youngs_mpa: Real = _SOFT,
-    inclusion_mpa: Real = _HARD,
-) -> Phantom:
-    """A cube with a cone, its point up, in the manner of Fig. 4(c); lengths in sides."""
-    r, h = _scaled(side_mm, (radius, height))
-    inside = Cone(_scaled(side_mm, center), r, h, axis)
-    return Phantom(_cube(side_mm), [(inside, inclusion_mpa)], youngs_mpa)
+@dataclass(frozen=True)
+class CubeSphere(_CubeWithInclusion):
+    """Cube with a ball below the centre of the top."""
+
+    depth: float = option(0.5, "Depth of the ball's centre below the top, in sides")
+    radius: float = option(0.2, "Radius of the ball, in sides", gt=0)
+
+    def shape(self) -> Shape:  # noqa: D102
+        return Sphere(self.scaled(0.5, 0.5, 1.0 - self.depth), self.radius * self.side_mm)
 
 
-def cube_soft_cone(**changes: Any) -> Phantom:
-    """A stiff cube with a softer cone, Fig. 4(d); arguments of `cube_cone`."""
-    return cube_cone(**{"youngs_mpa": _HARD, "inclusion_mpa": _SOFT, **changes})
+@dataclass(frozen=True)
+class CubeShallowSphere(CubeSphere):
+    """Model 1 of the study of design factors (Fig. 6a): ball at depth 0.3."""
+
+    depth: float = option(0.3, "Depth of the ball's centre below the top, in sides")
 
 
-def cube_gradient(side_mm: Real = 10.0, low_mpa: Real = _SOFT, high_mpa: Real = _HARD) -> Phantom:
-    """A cube that stiffens evenly from one vertical edge to the opposite one (as Fig. 5a)."""
-    side = positive("side_mm", side_mm)
-    field = Gradient((0.0, 0.0, side / 2), (side, side, side / 2), low_mpa, high_mpa)
-    return Phantom(_cube(side_mm), (), field)
+@dataclass(frozen=True)
+class CubeDeepSphere(CubeSphere):
+    """Model 2 of the study of design factors (Fig. 6b): ball at depth 0.6."""
+
+    depth: float = option(0.6, "Depth of the ball's centre below the top, in sides")
 
 
-def cube_layers(side_mm: Real = 10.0, youngs_mpa: Sequence[Real] = (1.0, 0.5, 0.2)) -> Phantom:
-    """A cube of equally thick layers, the lowest first (as Fig. 5b)."""
-    side, count = positive("side_mm", side_mm), len(youngs_mpa)
-    levels = [side * i / count for i in range(1, count)]
-    return Phantom(_cube(side_mm), (), Layers(levels, youngs_mpa))
+@dataclass(frozen=True)
+class _CubeWithCenteredInclusion(_CubeWithInclusion):
+    center: Triple = option(_CENTER, "Centre of the inclusion, in sides")
 
 
-def depth_cube(
-    depth: Real = 0.4,
-    offset: Sequence[Real] = (0.0, 0.0),
-    side_mm: Real = 10.0,
-    youngs_mpa: Real = 4.0,
-    inclusion_mpa: Real = 30.0,
-) -> Phantom:
-    """The cube of the depth study (Section V-A): 4 MPa with a ball of 30 MPa, radius 0.2.
+@dataclass(frozen=True)
+class _CubeWithAxialInclusion(_CubeWithCenteredInclusion):
+    axis: Triple = option(_UP, "Direction of the inclusion's axis")
 
-    Its centre is `depth` below the top and `offset` beside the middle, in sides.
+
+@dataclass(frozen=True)
+class CubeBox(_CubeWithCenteredInclusion):
+    """Cube with a cuboid."""
+
+    size: Triple = option((0.4, 0.4, 0.4), "Edge lengths of the cuboid, in sides", gt=0)
+
+    def shape(self) -> Shape:  # noqa: D102
+        return Box(self.scaled(*self.center), self.scaled(*self.size))
+
+
+@dataclass(frozen=True)
+class CubeCylinder(_CubeWithAxialInclusion):
+    """Cube with a cylinder."""
+
+    radius: float = option(0.2, "Radius of the cylinder, in sides", gt=0)
+    height: float = option(0.4, "Height of the cylinder, in sides", gt=0)
+
+    def shape(self) -> Shape:  # noqa: D102
+        return Cylinder(
+            self.scaled(*self.center),
+            self.radius * self.side_mm,
+            self.height * self.side_mm,
+            self.axis,
+        )
+
+
+@dataclass(frozen=True)
+class CubeEllipsoid(_CubeWithCenteredInclusion):
+    """Cube with an ellipsoid."""
+
+    radii: Triple = option((0.3, 0.2, 0.15), "Semi-axes of the ellipsoid, in sides", gt=0)
+
+    def shape(self) -> Shape:  # noqa: D102
+        return Ellipsoid(self.scaled(*self.center), self.scaled(*self.radii))
+
+
+@dataclass(frozen=True)
+class CubeTwoTiers(_CubeWithAxialInclusion):
+    """Cube with a cylinder of two tiers, similar to Fig. 4(a)."""
+
+    radius: float = option(0.3, "Radius of the lower tier, in sides", gt=0)
+    height: float = option(0.4, "Height of both tiers together, in sides", gt=0)
+
+    def shape(self) -> Shape:  # noqa: D102
+        return two_tiers(
+            self.scaled(*self.center),
+            self.radius * self.side_mm,
+            self.height * self.side_mm,
+            self.axis,
+        )
+
+
+@dataclass(frozen=True)
+class CubeTorus(_CubeWithAxialInclusion):
+    """Cube with a torus, similar to Fig. 4(b)."""
+
+    radius: float = option(0.25, "Major radius of the torus, in sides", gt=0)
+    tube: float = option(0.1, "Minor radius of the torus, in sides", gt=0)
+
+    def shape(self) -> Shape:  # noqa: D102
+        return Torus(
+            self.scaled(*self.center),
+            self.radius * self.side_mm,
+            self.tube * self.side_mm,
+            self.axis,
+        )
+
+
+@dataclass(frozen=True)
+class CubeCone(_CubeWithAxialInclusion):
+    """Cube with a cone, apex up, similar to Fig. 4(c)."""
+
+    radius: float = option(0.3, "Radius of the cone's base, in sides", gt=0)
+    height: float = option(0.5, "Height of the cone, in sides", gt=0)
+
+    def shape(self) -> Shape:  # noqa: D102
+        return Cone(
+            self.scaled(*self.center),
+            self.radius * self.side_mm,
+            self.height * self.side_mm,
+            self.axis,
+        )
+
+
+@dataclass(frozen=True)
+class CubeSoftCone(CubeCone):
+    """Stiff cube with a softer cone (Fig. 4d)."""
+
+    youngs_mpa: float = option(_HARD, "Young's modulus of the cube", unit="MPa", gt=0)
+    inclusion_mpa: float = option(_SOFT, "Young's modulus of the inclusion", unit="MPa", gt=0)
+
+
+@dataclass(frozen=True)
+class CubeGradient(Options):
+    """Cube with a linear modulus from one vertical edge to the opposite one (as Fig. 5a)."""
+
+    section = "phantom"
+    side_mm: float = option(10.0, "Side of the cube", unit="mm", gt=0)
+    low_mpa: float = option(_SOFT, "Young's modulus at the edge x = y = 0", unit="MPa", gt=0)
+    high_mpa: float = option(_HARD, "Young's modulus at the opposite edge", unit="MPa", gt=0)
+
+    def build(self) -> Phantom:
+        """Return the phantom."""
+        side = self.side_mm
+        ends = (0.0, 0.0, side / 2), (side, side, side / 2)
+        return Phantom(cube_body(side), (), Gradient(*ends, self.low_mpa, self.high_mpa))
+
+
+@dataclass(frozen=True)
+class CubeLayers(Options):
+    """Cube of equally thick layers (as Fig. 5b)."""
+
+    section = "phantom"
+    side_mm: float = option(10.0, "Side of the cube", unit="mm", gt=0)
+    youngs_mpa: tuple[float, ...] = option(
+        (1.0, 0.5, 0.2), "Young's modulus of each layer, the lowest first", unit="MPa", gt=0
+    )
+
+    def build(self) -> Phantom:
+        """Return the phantom."""
+        count = len(self.youngs_mpa)
+        levels = [self.side_mm * i / count for i in range(1, count)]
+        return Phantom(cube_body(self.side_mm), (), Layers(levels, self.youngs_mpa))
+
+
+@dataclass(frozen=True)
+class DepthCube(_CubeWithInclusion):
+    """Cube of the depth study (Section V-A): 4 MPa with a ball of 30 MPa and radius 0.2."""
+
+    youngs_mpa: float = option(4.0, "Young's modulus of the cube", unit="MPa", gt=0)
+    inclusion_mpa: float = option(30.0, "Young's modulus of the ball", unit="MPa", gt=0)
+    depth: float = option(0.4, "Depth of the ball's centre below the top, in sides")
+    offset: tuple[float, float] = option(
+        (0.0, 0.0), "Offset of the ball's centre along x and y, in sides"
+    )
+
+    def shape(self) -> Shape:  # noqa: D102
+        x, y = (0.5 + offset for offset in self.offset)
+        return Sphere(self.scaled(x, y, 1.0 - self.depth), 0.2 * self.side_mm)
+
+
+@dataclass(frozen=True)
+class SiliconeBall(_CubeWithCenteredInclusion):
+    """Silicone cube with a hard ball of 4 mm diameter (Fig. 14a): 0.2 MPa and 2.5 GPa.
+
+    The paper does not state the side; 15 mm is within the range of its sensor.
     """
-    x, y = (0.5 + float(share) for share in offset)
-    ball = Sphere(_scaled(side_mm, (x, y, 1.0 - float(depth))), 0.2 * float(side_mm))
-    return Phantom(_cube(side_mm), [(ball, inclusion_mpa)], youngs_mpa)
+
+    side_mm: float = option(15.0, "Side of the cube", unit="mm", gt=0)
+    inclusion_mpa: float = option(2500.0, "Young's modulus of the ball", unit="MPa", gt=0)
+
+    def shape(self) -> Shape:  # noqa: D102
+        return Sphere(self.scaled(*self.center), 2.0)
 
 
-def silicone_ball(
-    side_mm: Real = 15.0,
-    center: Sequence[Real] = _MIDDLE,
-    youngs_mpa: Real = _SOFT,
-    inclusion_mpa: Real = 2500.0,
-) -> Phantom:
-    """The silicone cube with a hard ball of 4 mm diameter (Fig. 14a): 0.2 MPa and 2.5 GPa.
+@dataclass(frozen=True)
+class SiliconeHole(UniformCube):
+    """Silicone cube with the hole of the removed ball near a corner (Fig. 14b)."""
 
-    The paper does not state the side; 15 mm lies within its sensor.
-    """
-    ball = Sphere(_scaled(side_mm, center), 2.0)
-    return Phantom(_cube(side_mm), [(ball, inclusion_mpa)], youngs_mpa)
+    side_mm: float = option(15.0, "Side of the cube", unit="mm", gt=0)
+    center: Triple = option((0.75, 0.75, 0.75), "Centre of the hole, in sides")
 
-
-def silicone_hole(
-    side_mm: Real = 15.0,
-    center: Sequence[Real] = (0.75, 0.75, 0.75),
-    youngs_mpa: Real = _SOFT,
-) -> Phantom:
-    """The silicone cube with the hole that the ball left near a corner (Fig. 14b)."""
-    return silicone_ball(side_mm, center, youngs_mpa, HOLE_MPA)
+    def inclusions(self) -> list[tuple[Shape, float]]:  # noqa: D102
+        return [(Sphere(self.scaled(*self.center), 2.0), HOLE_MPA)]

@@ -1,55 +1,52 @@
-"""Phantoms by name: the objects of the paper's figures and simple relatives."""
+"""Phantoms by name: the objects of the paper's figures and related ones."""
 
-from collections.abc import Callable
 from typing import Any
 
-from tactorch.errors import ConfigError
-from tactorch.phantoms import cubes, curved
+from tactorch.config import Registry
 from tactorch.phantoms.phantom import Phantom
 
-PHANTOMS: dict[str, Callable[..., Phantom]] = {
-    make.__name__: make
-    for make in (
-        cubes.uniform_cube,
-        cubes.cube_sphere,
-        cubes.cube_shallow_sphere,
-        cubes.cube_deep_sphere,
-        cubes.cube_box,
-        cubes.cube_cylinder,
-        cubes.cube_ellipsoid,
-        cubes.cube_two_tiers,
-        cubes.cube_torus,
-        cubes.cube_cone,
-        cubes.cube_soft_cone,
-        cubes.cube_gradient,
-        cubes.cube_layers,
-        cubes.depth_cube,
-        cubes.silicone_ball,
-        cubes.silicone_hole,
-        curved.cylinder_sphere,
-        curved.cylinder_hole_sphere,
-        curved.hyperboloid_sphere,
-        curved.hemisphere_spheres,
-        curved.hemisphere_random,
-        curved.hemisphere_two_spheres,
-        curved.toy_two_spheres,
-    )
-}
+PHANTOMS = Registry(
+    "phantom",
+    {
+        "uniform_cube": "tactorch.phantoms.cubes:UniformCube",
+        "cube_sphere": "tactorch.phantoms.cubes:CubeSphere",
+        "cube_shallow_sphere": "tactorch.phantoms.cubes:CubeShallowSphere",
+        "cube_deep_sphere": "tactorch.phantoms.cubes:CubeDeepSphere",
+        "cube_box": "tactorch.phantoms.cubes:CubeBox",
+        "cube_cylinder": "tactorch.phantoms.cubes:CubeCylinder",
+        "cube_ellipsoid": "tactorch.phantoms.cubes:CubeEllipsoid",
+        "cube_two_tiers": "tactorch.phantoms.cubes:CubeTwoTiers",
+        "cube_torus": "tactorch.phantoms.cubes:CubeTorus",
+        "cube_cone": "tactorch.phantoms.cubes:CubeCone",
+        "cube_soft_cone": "tactorch.phantoms.cubes:CubeSoftCone",
+        "cube_gradient": "tactorch.phantoms.cubes:CubeGradient",
+        "cube_layers": "tactorch.phantoms.cubes:CubeLayers",
+        "depth_cube": "tactorch.phantoms.cubes:DepthCube",
+        "silicone_ball": "tactorch.phantoms.cubes:SiliconeBall",
+        "silicone_hole": "tactorch.phantoms.cubes:SiliconeHole",
+        "cylinder_sphere": "tactorch.phantoms.curved:CylinderSphere",
+        "cylinder_hole_sphere": "tactorch.phantoms.curved:CylinderHoleSphere",
+        "hyperboloid_sphere": "tactorch.phantoms.curved:HyperboloidSphere",
+        "hemisphere_spheres": "tactorch.phantoms.curved:HemisphereSpheres",
+        "hemisphere_random": "tactorch.phantoms.curved:HemisphereRandom",
+        "hemisphere_two_spheres": "tactorch.phantoms.curved:HemisphereTwoSpheres",
+        "toy_two_spheres": "tactorch.phantoms.curved:ToyTwoSpheres",
+    },
+    "Phantoms",
+)
 
 
 def make_phantom(name: str, **changes: Any) -> Phantom:
-    """Make a phantom of `PHANTOMS` by name.
+    """Make a phantom by name.
 
     Args:
-        name: A key of `PHANTOMS`.
-        changes: Arguments of that function, such as `inclusion_mpa=2.0`.
+        name: Name in `PHANTOMS`.
+        changes: Settings of that phantom, such as `inclusion_mpa=2.0`.
+
+    Returns:
+        The phantom.
 
     Raises:
-        ConfigError: The name or an argument is unknown, or a value cannot be used.
+        ConfigError: The name or a setting is unknown, or a value is invalid.
     """
-    if name not in PHANTOMS:
-        raise ConfigError(f"phantom '{name}' is unknown; choose one of {', '.join(PHANTOMS)}.")
-    try:
-        return PHANTOMS[name](**changes)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"phantom '{name}' does not take these arguments: {error}.") from error
+    return PHANTOMS.build({"name": name, **changes}).build()

@@ -1,4 +1,4 @@
-"""A phantom: a body of one Young's modulus with inclusions of others."""
+"""Phantom: a body with inclusions of other Young's moduli."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,30 +9,21 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh import Shape, TetMesh
+from tactorch.mesh.quadrature import element_means
 from tactorch.mesh.values import Real, positive
-from tactorch.phantoms.background import (
-    Background,
-    background_from_config,
-    background_to_config,
-)
-from tactorch.phantoms.config import (
-    as_mapping,
-    refuse_unknown,
-    shape_from_config,
-    shape_to_config,
-)
-from tactorch.phantoms.extent import protrusion
+from tactorch.phantoms.background import Background
+from tactorch.phantoms.config import as_mapping, from_config, refuse_unknown, to_config
 from tactorch.phantoms.meshing import BODIES, mesh_body
-from tactorch.phantoms.sampling import element_means
+from tactorch.phantoms.overlap import protrusion
 
-#: The modulus of a hole: the lower bound of the paper's inversions (Section IV-A), MPa.
+#: Young's modulus of a hole: the lower bound of the paper's inversions (Section IV-A), MPa.
 HOLE_MPA = 1e-3
-#: How far a mesh's bounding box or an inclusion may leave the body, as a share of its diagonal.
-TOLERANCE = 5e-3
+#: Maximum difference of a mesh's bounding box from the body's, as a fraction of its diagonal.
+MAX_BOUNDS_DIFFERENCE = 5e-3
 
 
 class Inclusion(NamedTuple):
-    """A part of other stiffness: where it is, and its Young's modulus, MPa."""
+    """Part of other stiffness: its shape and Young's modulus, MPa."""
 
     shape: Shape
     youngs_mpa: float
@@ -40,17 +31,17 @@ class Inclusion(NamedTuple):
 
 @dataclass(frozen=True)
 class Phantom:
-    """A soft body with inclusions.
+    """Soft body with inclusions.
 
     Attributes:
-        body: The outer shape, one of `BODIES`: a box, cylinder, hemisphere or hyperboloid; mm.
-        inclusions: Pairs of a shape and its Young's modulus, MPa. Where two overlap the later one
-            counts. They may touch the body's surface but not reach out of it.
-        youngs_mpa: Young's modulus of all the rest, MPa; one number or a `Background`. A hole is
-            an inclusion of a modulus that bears nothing, such as `HOLE_MPA`.
+        body: Outer shape, one of `BODIES`: box, cylinder, hemisphere, hyperboloid or lathe; mm.
+        inclusions: Pairs of a shape and its Young's modulus, MPa. Where inclusions overlap, the
+            last one applies. They may touch the body's surface but not protrude from it.
+        youngs_mpa: Young's modulus elsewhere, MPa; a number or a `Background`. A hole is an
+            inclusion of negligible modulus, such as `HOLE_MPA`.
 
     Raises:
-        ConfigError: A modulus is not positive, an inclusion reaches out of the body, or the body
+        ConfigError: A modulus is not positive, an inclusion protrudes from the body, or the body
             cannot be meshed; the message names it.
     """
 
@@ -60,15 +51,15 @@ class Phantom:
 
     def __post_init__(self) -> None:
         if not isinstance(self.body, BODIES):
-            kinds = ", ".join(kind.__name__ for kind in BODIES)
+            names = ", ".join(cls.__name__ for cls in BODIES)
             raise ConfigError(
-                f"body is a {type(self.body).__name__}; use one of {kinds}, which can be meshed"
+                f"body is a {type(self.body).__name__}; use one of {names}, which can be meshed"
                 " and have flat sides."
             )
         if not isinstance(self.youngs_mpa, Background):
             object.__setattr__(self, "youngs_mpa", positive("youngs_mpa", self.youngs_mpa))
-        checked = tuple(self._inclusion(i, pair) for i, pair in enumerate(self.inclusions))
-        object.__setattr__(self, "inclusions", checked)
+        inclusions = tuple(self._inclusion(i, pair) for i, pair in enumerate(self.inclusions))
+        object.__setattr__(self, "inclusions", inclusions)
 
     @property
     def diagonal(self) -> float:
@@ -77,7 +68,7 @@ class Phantom:
         return float(np.linalg.norm(high - low))
 
     def youngs_at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-        """Return Young's modulus at points, MPa; points outside get that of the body.
+        """Return Young's modulus at points (mm), MPa; outside the body, that of the background.
 
         A point on the surface of an inclusion belongs to it.
         """
@@ -93,14 +84,14 @@ class Phantom:
         """Return Young's modulus of each element, MPa.
 
         Args:
-            mesh: A mesh of the body.
-            samples: 1 takes the value at the centroid, so that every element has the modulus of
-                one part. More take the mean over that many points along an edge, evenly spread
-                in the element (see `sampling.lattice`): elements that an inclusion cuts get the
-                volume average.
+            mesh: Mesh of the body.
+            samples: Number of sampling points along an edge of an element. With 1, elements have
+                the modulus at their centroid; with more, the mean over a lattice (see
+                `tactorch.mesh.quadrature.lattice`), so that elements cut by the surface of an
+                inclusion have the volume average.
 
         Raises:
-            MeshError: The mesh is not of this body.
+            MeshError: The mesh is not one of this body.
             ConfigError: `samples` is below 1.
         """
         self.check_mesh(mesh)
@@ -118,31 +109,30 @@ class Phantom:
         """Mesh the body.
 
         Args:
-            edge_length_mm: Mean edge length to stay below (structured) or aim at (tetwild).
-            relative_edge_length: The same as a share of the bounding box's diagonal, where
-                `edge_length_mm` is not given; the paper's 10 % by default.
-            generator: "structured" (boxes only; five tetrahedra per cell; the same every time),
+            edge_length_mm: Upper limit (structured) or target (tetwild) of the mean edge length.
+            relative_edge_length: The same as a fraction of the bounding box's diagonal, where
+                `edge_length_mm` is not given; default: the paper's 10 %.
+            generator: "structured" (boxes only; five tetrahedra per cell; reproducible),
                 "tetwild" (`tetrahedralize`; any body), or "auto": structured where possible.
-            conforming: Whether elements follow the surfaces of the inclusions, so that none is of
-                two moduli; by tetwild. To invert on such a mesh leaks the truth.
+            conforming: Whether element faces conform to the surfaces of the inclusions; with
+                tetwild only. An inversion on such a mesh has prior knowledge of the truth.
             cache: Whether `tetrahedralize` looks up and stores its result.
 
         Raises:
-            ConfigError: A setting cannot be used, or pytetwild is not installed.
+            ConfigError: A setting is invalid, or pytetwild is not installed.
             MeshError: Meshing failed.
         """
-        inside = [shape for shape, _ in self.inclusions] if conforming else []
-        return mesh_body(self.body, edge_length_mm, relative_edge_length, generator, cache, inside)
+        inner = [shape for shape, _ in self.inclusions] if conforming else []
+        return mesh_body(self.body, edge_length_mm, relative_edge_length, generator, cache, inner)
 
     def check_mesh(self, mesh: TetMesh) -> None:
         """Refuse a mesh whose bounding box is not that of the body.
 
         Raises:
-            MeshError: It is not; the message gives both.
+            MeshError: The bounding boxes differ; the message gives both.
         """
         bounds = self.body.bounds()
-        off = float(np.abs(mesh.bounds - bounds).max())
-        if off > TOLERANCE * self.diagonal:
+        if float(np.abs(mesh.bounds - bounds).max()) > MAX_BOUNDS_DIFFERENCE * self.diagonal:
             raise MeshError(
                 f"The mesh spans {_corners(mesh.bounds)} mm but the phantom's body"
                 f" {_corners(bounds)} mm; mesh the phantom itself, or check position and units."
@@ -152,17 +142,13 @@ class Phantom:
         """Return a dictionary of plain values, from which `from_config` makes an equal phantom.
 
         Raises:
-            ConfigError: A shape is of no kind that has a configuration.
+            ConfigError: A shape or the background has no configuration.
         """
-        inclusions = [
-            {**shape_to_config(shape), "youngs_mpa": youngs} for shape, youngs in self.inclusions
-        ]
+        youngs = self.youngs_mpa
         return {
-            "body": shape_to_config(self.body),
-            "youngs_mpa": background_to_config(self.youngs_mpa)
-            if isinstance(self.youngs_mpa, Background)
-            else self.youngs_mpa,
-            "inclusions": inclusions,
+            "body": to_config(self.body),
+            "youngs_mpa": to_config(youngs) if isinstance(youngs, Background) else youngs,
+            "inclusions": [{**to_config(s), "youngs_mpa": e} for s, e in self.inclusions],
         }
 
     @classmethod
@@ -170,26 +156,24 @@ class Phantom:
         """Make a phantom from a dictionary such as `to_config` returns.
 
         Args:
-            config: `body` (a shape: `shape` is one of `config.SHAPES`, beside its fields),
-                `youngs_mpa` (a number, or a background: `field` is one of
-                `background.BACKGROUNDS`, beside its fields), and `inclusions` (shapes, each with
-                a `youngs_mpa`). Whatever is left out takes its default; `body` and an inclusion's
-                `youngs_mpa` must be there.
+            config: `body` (key `shape` and the fields of that shape), `youngs_mpa` (a number, or
+                a background: key `field` and its fields), and `inclusions` (shapes, each with a
+                `youngs_mpa`). Only `body` and the `youngs_mpa` of inclusions are required. See
+                `tactorch.phantoms.config.CLASSES` for the names.
 
         Raises:
-            ConfigError: A key is missing or unknown, or a value cannot be used.
+            ConfigError: A key is missing or unknown, or a value is invalid.
         """
         values = as_mapping(config, "phantom")
         refuse_unknown(values, {"body", "youngs_mpa", "inclusions"}, "phantom")
         if "body" not in values:
             raise ConfigError("phantom: body is missing; give its shape and size.")
-        body = shape_from_config(values["body"], "phantom.body")
-        given = values.get("youngs_mpa", cls.youngs_mpa)
-        youngs: Real | Background
-        if isinstance(given, Mapping):
-            youngs = background_from_config(given, "phantom.youngs_mpa")
+        body = from_config("shape", values["body"], "phantom.body")
+        youngs = values.get("youngs_mpa", cls.youngs_mpa)
+        if isinstance(youngs, Mapping):
+            youngs = from_config("field", youngs, "phantom.youngs_mpa")
         else:
-            youngs = _number(given, "phantom.youngs_mpa")
+            youngs = _number(youngs, "phantom.youngs_mpa")
         entries = values.get("inclusions") or ()
         if isinstance(entries, Mapping | str) or not isinstance(entries, Sequence):
             raise ConfigError(f"phantom.inclusions is {entries!r}; give a list of shapes.")
@@ -198,11 +182,10 @@ class Phantom:
     def _inclusion(self, index: int, pair: tuple[Shape, Real]) -> Inclusion:
         shape, youngs = pair
         modulus = positive(f"inclusions[{index}].youngs_mpa", youngs)
-        out = protrusion(shape, self.body)
-        # Flush is fine: rounding must not refuse it.
-        if out > 1e-9 * self.diagonal:
+        outside = protrusion(shape, self.body)
+        if outside > 1e-9 * self.diagonal:  # tolerates the rounding of flush surfaces
             raise ConfigError(
-                f"inclusions[{index}] ({shape}) reaches {out:.4g} mm out of the body"
+                f"inclusions[{index}] ({shape}) protrudes {outside:.4g} mm out of the body"
                 f" ({self.body}); move or shrink it."
             )
         return Inclusion(shape, modulus)
@@ -214,7 +197,7 @@ def _entry(entry: Any, index: int) -> tuple[Shape, float]:
     if "youngs_mpa" not in values:
         raise ConfigError(f"{where}: youngs_mpa is missing; give the inclusion's modulus in MPa.")
     youngs = _number(values.pop("youngs_mpa"), f"{where}.youngs_mpa")
-    return shape_from_config(values, where), youngs
+    return from_config("shape", values, where), youngs
 
 
 def _number(value: Any, where: str) -> float:

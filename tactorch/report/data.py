@@ -12,7 +12,7 @@ from tactorch.report.belief import Judgement, UncertaintySummary
 from tactorch.report.encode import indices, packed, quantised, rows
 from tactorch.report.finding import Finding
 from tactorch.report.runs import Run
-from tactorch.viz.contact import contact_patches, pushed_nodes
+from tactorch.viz.contact import contact_patches, total_forces
 from tactorch.viz.outline import Outline
 
 #: Of each field that a page can show: title, unit, and what its colours tell.
@@ -131,7 +131,7 @@ def _skin(tets: Int[np.ndarray, "k 4"]) -> Int[np.ndarray, "f 3"]:
 
 
 def _contact(mesh: TetMesh, recording: Recording) -> list[dict[str, Any]]:
-    pushed = pushed_nodes(recording.presses)
+    pushed = total_forces(recording.presses)
     if not pushed.any():
         return []
     return [

@@ -26,7 +26,7 @@ from tactorch.report.tables import (
     versions_table,
 )
 from tactorch.versions import versions
-from tactorch.viz.scale import colour_scale
+from tactorch.viz.slicing import colour_scale
 
 _SCRIPTS = ("core.js", "mesh.js", "slices.js", "solid.js", "charts.js", "main.js")
 _MODULI = ("youngs", "truth", "reference")

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.mesh.spread import farthest_order
+from tactorch.mesh.geometry import farthest_point_order
 from tactorch.mesh.values import Real, positive
 
 _CUTS = 8  # parts along a triangle's edge, each counted in or out of the patch
@@ -120,7 +120,7 @@ def candidate_patches(
         )
     centers = np.array([patch.center for patch in fitting])
     gaps = np.linalg.norm(centers[:, None] - mesh.points[held], axis=2).min(axis=1)
-    return [fitting[i] for i in farthest_order(centers, count, int(gaps.argmax()))]
+    return [fitting[i] for i in farthest_point_order(centers, count, int(gaps.argmax()))]
 
 
 def _vertex_normals(mesh: TetMesh) -> Float[np.ndarray, "n 3"]:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from tactorch.errors import ConfigError
 from tactorch.inverse.parameterization import Parameterization
 from tactorch.mesh import TetMesh
-from tactorch.mesh.spread import farthest_order
+from tactorch.mesh.geometry import farthest_point_order
 from tactorch.mesh.values import Real, positive
 from tactorch.sampling.candidates import Patch
 from tactorch.uncertainty.gaussian_state import GaussianState
@@ -173,7 +173,7 @@ class UniformGrid:
             )
         centers = np.array([patch.center for patch in candidates])
         gaps = np.linalg.norm(centers[:, None] - centers, axis=2)
-        places = farthest_order(centers, self.budget, 0)
+        places = farthest_point_order(centers, self.budget, 0)
         for _ in range(len(gaps)):
             owner = gaps[:, places].argmin(axis=1)
             groups = [np.flatnonzero(owner == k) for k in range(self.budget)]
@@ -185,7 +185,7 @@ class UniformGrid:
                 break
             places = moved
         first = int(gaps[0, places].argmin())
-        return [places[i] for i in farthest_order(centers[places], self.budget, first)]
+        return [places[i] for i in farthest_point_order(centers[places], self.budget, first)]
 
     def first(self, candidates: Sequence[Patch]) -> int:
         """See `Rule.first`."""

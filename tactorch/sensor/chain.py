@@ -13,9 +13,8 @@ from tactorch.sensor.calibration import Calibration
 from tactorch.sensor.contact import carry_displacements
 from tactorch.sensor.depth import STEEP, Height, height_of
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame
+from tactorch.sensor.frames import Frame, Image
 from tactorch.sensor.gel import Contact, GelModel
-from tactorch.sensor.image import Image
 from tactorch.sensor.markers import MarkerLook, MarkerTracker, TrackOptions, displacement_mm
 
 _OUT = np.array([0.0, 0.0, 1.0])  # of the sensor

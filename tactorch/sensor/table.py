@@ -1,12 +1,14 @@
-"""Tables in CSV files that people and other programs write: read, or refused by line and column."""
+"""Reading of CSV tables; error messages name the file, the line and the column."""
 
 import csv
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tactorch.errors import FileError
 from tactorch.files import require_file
+
+_MAX_BYTES = 256_000_000
 
 
 @dataclass(frozen=True)
@@ -14,76 +16,81 @@ class Row:
     """A line of a table.
 
     Attributes:
-        where: The file and the line, for messages.
-        values: Text of each column; None where the line ends before.
+        location: File and line, for messages.
+        values: Text of each column; None where the line ends early.
     """
 
-    where: str
+    location: str
     values: Mapping[str, str | None]
 
     def text(self, column: str) -> str:
-        """Return what a column says.
+        """Return the text in a column.
 
         Raises:
-            FileError: It is empty.
+            FileError: The column is empty.
         """
         value = self.values[column]
         if value is None or not value.strip():
-            raise FileError(f"{self.where}: {column} is missing.")
+            raise FileError(f"{self.location}: {column} is missing.")
         return value.strip()
 
     def number(self, column: str) -> float:
         """Return the number in a column.
 
         Raises:
-            FileError: There is none.
+            FileError: The column does not contain a number.
         """
         try:
             return float(self.text(column))
         except ValueError as error:
-            raise FileError(f"{self.where}: {error}; {column} must be a number.") from error
+            raise FileError(f"{self.location}: {error}; {column} must be a number.") from error
 
 
-def rows_of(
+def read_rows(
     path: str | Path,
-    what: str,
+    kind: str,
     columns: Sequence[str],
-    also_called: Mapping[str, str] | None = None,
+    aliases: Mapping[str, str] | None = None,
     *,
     growing: bool = False,
 ) -> Iterator[Row]:
-    """Yield the lines of a CSV file that has some columns.
+    """Yield the lines of a CSV file.
 
     Args:
-        path: The file.
-        what: It is, for messages.
-        columns: That it must have.
-        also_called: Other people's names of columns, and ours.
-        growing: Whether somebody still writes it; then a last line without an end is left out.
+        path: Path of the file.
+        kind: Kind of the table, for messages.
+        columns: Names of the required columns.
+        aliases: Required name by alternative name of a column.
+        growing: Whether another program still appends lines; an unterminated last line is then
+            ignored.
+
+    Yields:
+        Each line.
 
     Raises:
-        FileError: The file is missing, no text, or lacks a column.
+        FileError: The file is missing, too large or not text, or lacks a column.
     """
-    file, names = require_file(path, what), also_called or {}
+    file = require_file(path, kind)
+    if file.stat().st_size > _MAX_BYTES:
+        raise FileError(
+            f"{kind} '{path}' has {file.stat().st_size} bytes; give one of up to {_MAX_BYTES}."
+        )
     try:
-        # Spreadsheets begin files with a mark that is no part of the first column's name.
+        # Spreadsheets start files with a byte order mark.
         with open(file, newline="", encoding="utf-8-sig") as text:
-            lines = csv.DictReader(_whole(text) if growing else text)
-            header = [names.get(name, name).strip() for name in lines.fieldnames or []]
+            terminated = (line for line in text if line.endswith(("\n", "\r")))
+            lines = csv.DictReader(terminated if growing else text)
+            header = [(aliases or {}).get(name, name).strip() for name in lines.fieldnames or []]
             missing = [name for name in columns if name not in header]
             if missing:
                 raise FileError(
-                    f"{what} '{path}' lacks the column {missing[0]}; it needs"
-                    f" {', '.join(columns)}, divided by commas."
+                    f"{kind} '{path}' lacks the column {missing[0]}; it needs"
+                    f" {', '.join(columns)}, separated by commas."
                 )
             lines.fieldnames = header
             for values in lines:
-                yield Row(f"{what} '{path}', line {lines.line_num}", values)
+                yield Row(f"{kind} '{path}', line {lines.line_num}", values)
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(
-            f"{what} '{path}' is no text that can be read ({error}); save it as CSV in UTF-8."
+            f"{kind} '{path}' is not readable text ({error}); save it as CSV in UTF-8."
         ) from error
-
-
-def _whole(lines: Iterable[str]) -> Iterator[str]:
-    return (line for line in lines if line.endswith(("\n", "\r")))

@@ -1,16 +1,14 @@
-"""Pictures of results: slices, convergence, credibility by depth, calibration, active sampling."""
+"""Figures of results.
 
-from tactorch.viz.active import plot_sampling, sampling_figure
+Functions named `..._figure` return a matplotlib figure for `save_figure`, functions named
+`plot_...` write a file. No text is parsed as mathtext, because names may come from files.
+"""
+
+from tactorch.viz.active import sampling_figure
+from tactorch.viz.calibration import calibration_figure
 from tactorch.viz.convergence import convergence_figure, plot_convergence
-from tactorch.viz.credibility import (
-    calibration_figure,
-    credibility_figure,
-    depth_figure,
-    layer_figure,
-    plot_calibration,
-    plot_depths,
-    plot_layers,
-)
+from tactorch.viz.credibility import credibility_figure, depth_figure, layer_figure
+from tactorch.viz.figure import save_figure
 from tactorch.viz.slices import plot_slices, slice_figure
 
 __all__ = [
@@ -19,12 +17,9 @@ __all__ = [
     "credibility_figure",
     "depth_figure",
     "layer_figure",
-    "plot_calibration",
     "plot_convergence",
-    "plot_depths",
-    "plot_layers",
-    "plot_sampling",
     "plot_slices",
     "sampling_figure",
+    "save_figure",
     "slice_figure",
 ]

@@ -1,70 +1,55 @@
-"""Pictures of active sampling: error against presses, and the places pressed."""
+"""Figures of active sampling: error against presses, and the positions of the presses."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tactorch.errors import ConfigError
 from tactorch.mesh import Sphere
-from tactorch.viz._figure import new_figure, save_figure
+from tactorch.viz.figure import new_figure, require_curves
 
-_ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
-
-
-def plot_sampling(
-    curves: Mapping[str, Float[np.ndarray, "runs presses"]],
-    places: Mapping[str, Float[np.ndarray, "presses 3"]],
-    path: str | Path,
-    *,
-    target: float | None = None,
-    balls: Sequence[Sphere] = (),
-    radius_mm: float = 1.0,
-    outline_mm: float | None = None,
-) -> Path:
-    """Draw `sampling_figure` to a file (png, pdf or svg) and return its path."""
-    figure = sampling_figure(
-        curves, places, target=target, balls=balls, radius_mm=radius_mm, outline_mm=outline_mm
-    )
-    return save_figure(figure, path)
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, 73)
 
 
 def sampling_figure(
     curves: Mapping[str, Float[np.ndarray, "runs presses"]],
-    places: Mapping[str, Float[np.ndarray, "presses 3"]],
+    centers: Mapping[str, Float[np.ndarray, "presses 3"]],
     *,
     target: float | None = None,
     balls: Sequence[Sphere] = (),
     radius_mm: float = 1.0,
     outline_mm: float | None = None,
 ) -> Figure:
-    """Draw errors against presses by rule, above the places each rule pressed, from above.
+    """Draw the error against the number of presses, and the positions of the presses, by rule.
 
-    The line is the mean over runs, the band from the least to the largest of them.
+    Lines are means over runs, bands their range.
 
     Args:
-        curves: Per rule, the error of each run after 1, 2, ... presses.
-        places: Per rule, centres of the presses of one run in turn, mm.
-        target: An error to mark.
-        balls: True inclusions, outlined in the maps.
-        radius_mm: Of the sensor, for the size of its marks.
-        outline_mm: Radius of the body's outline around the origin.
+        curves: Error of each run after 1, 2, ... presses by rule, (runs, presses).
+        centers: Centres of the presses of one run by rule, in order, (presses, 3) mm.
+        target: Error that is marked by a line.
+        balls: True inclusions, drawn in the maps.
+        radius_mm: Radius of the sensor, mm.
+        outline_mm: Radius of the outline of the body around the origin, mm.
+
+    Returns:
+        The figure.
 
     Raises:
-        ConfigError: no curve is given.
+        ConfigError: There is no curve.
     """
-    if not curves:
-        raise ConfigError("sampling_figure: no curve given; pass at least one rule's.")
-    figure = new_figure(max(2.4 * len(places), 6.0), 6.8 if places else 4.0)
-    rows = figure.add_gridspec(2 if places else 1, 1, height_ratios=[1.5, 1.0][: 1 + bool(places)])
+    require_curves("sampling_figure", curves)
+    figure = new_figure(max(2.4 * len(centers), 6.0), 6.8 if centers else 4.0)
+    rows = figure.add_gridspec(
+        2 if centers else 1, 1, height_ratios=[1.5, 1.0][: 1 + bool(centers)]
+    )
     _draw_curves(figure.add_subfigure(rows[0]).subplots(), curves, target)
-    if places:
-        panels = figure.add_subfigure(rows[1]).subplots(1, len(places), squeeze=False)[0]
-        for axes, (name, centers) in zip(panels, places.items(), strict=True):
-            _draw_places(axes, centers, balls, radius_mm, outline_mm)
+    if centers:
+        panels = figure.add_subfigure(rows[1]).subplots(1, len(centers), squeeze=False)[0]
+        for axes, (name, points) in zip(panels, centers.items(), strict=True):
+            _draw_positions(axes, points, balls, radius_mm, outline_mm)
             axes.set_title(name, fontsize=9)
         panels[0].set_ylabel("y (mm)")
     return figure
@@ -85,15 +70,15 @@ def _draw_curves(axes: Axes, curves: Mapping[str, np.ndarray], target: float | N
     axes.legend(frameon=False, fontsize=8)
 
 
-def _draw_places(
+def _draw_positions(
     axes: Axes,
     centers: np.ndarray,
     balls: Sequence[Sphere],
     radius_mm: float,
     outline_mm: float | None,
 ) -> None:
-    """Draw the places from above, numbered in turn, over the true inclusions."""
-    cos, sin = np.cos(_ROUND), np.sin(_ROUND)
+    """Draw the numbered positions from above, over the true inclusions."""
+    cos, sin = np.cos(_ANGLES), np.sin(_ANGLES)
     for ball in balls:
         x, y, _ = ball.center_mm
         axes.fill(x + ball.radius_mm * cos, y + ball.radius_mm * sin, color="tab:red", alpha=0.3)

@@ -1,4 +1,4 @@
-"""Pictures in the form of the paper's figures: rows of slices, box plots, matrices, curves."""
+"""Figures in the form of the paper's: rows of slices, box plots, matrices, curves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,13 +11,20 @@ from matplotlib.colors import Normalize
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.viz._figure import new_figure, save_figure
-from tactorch.viz.sampling import slice_body
-from tactorch.viz.slices import LABEL
+from tactorch.viz.figure import (
+    BLUE,
+    GREEN,
+    MODULUS_LABEL,
+    VERMILION,
+    new_figure,
+    require_curves,
+    save_figure,
+)
+from tactorch.viz.learning import draw_matrix
+from tactorch.viz.slicing import slice_body
 
 _PIXELS, _INCHES = 90, 1.55
-_BLUE, _ORANGE = "#0072B2", "#D55E00"  # told apart by those who do not see red from green
-_LINES = ((_BLUE, "-"), (_ORANGE, "--"), ("#009E73", "-."), ("black", ":"))
+_LINES = ((BLUE, "-"), (VERMILION, "--"), (GREEN, "-."), ("black", ":"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +32,13 @@ class Panel:
     """One slice.
 
     Attributes:
-        mesh: The body.
-        values: Of each element, MPa (m,).
-        limits: Ends of the colours, MPa.
-        axis: That it cuts across, in the middle.
-        title: Above it.
-        caption: Below it.
-        marks_mm: Points to mark, projected along the axis, (k, 3), mm.
+        mesh: Mesh of the body.
+        values: Value of each element, MPa (m,).
+        limits: Ends of the colour scale, MPa.
+        axis: Axis normal to the slice, which is in the middle of the body.
+        title: Text above the panel.
+        caption: Text below the panel.
+        marks_mm: Points that are numbered, projected along the axis, (k, 3) mm.
     """
 
     mesh: TetMesh
@@ -44,10 +51,18 @@ class Panel:
 
 
 def plot_panels(rows: Sequence[Sequence[Panel]], names: Sequence[str], path: str | Path) -> Path:
-    """Draw rows of slices, each under its name; a colour bar serves all of the same limits.
+    """Draw named rows of slices, with a colour bar if all have the same limits.
+
+    Args:
+        rows: Panels of each row.
+        names: Name of each row.
+        path: Path of the png, pdf or svg file.
+
+    Returns:
+        The path.
 
     Raises:
-        ConfigError: There is nothing to draw.
+        ConfigError: There is no row, or one is empty.
     """
     if not rows or not all(rows):
         raise ConfigError("plot_panels: a row is empty; give each at least one panel.")
@@ -62,25 +77,18 @@ def plot_panels(rows: Sequence[Sequence[Panel]], names: Sequence[str], path: str
         line[0].set_ylabel(name, fontsize=9)
     limits = {panel.limits for row in rows for panel in row}
     if len(limits) == 1:
-        kept = [axes for line, row in zip(grid, rows, strict=True) for axes in line[: len(row)]]
-        figure.colorbar(kept[0].images[0], ax=kept, label=LABEL, aspect=40, pad=0.02)
+        used = [axes for line, row in zip(grid, rows, strict=True) for axes in line[: len(row)]]
+        figure.colorbar(used[0].images[0], ax=used, label=MODULUS_LABEL, aspect=40, pad=0.02)
     return save_figure(figure, path)
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
     (middle,) = slice_body(panel.mesh, 1, _PIXELS)[panel.axis]
-    axes.imshow(
-        middle.values(panel.values),
-        extent=middle.extent_mm,
-        origin="lower",
-        cmap="viridis",
-        norm=Normalize(*panel.limits),
-        interpolation="nearest",
-    )
+    middle.draw(axes, panel.values, cmap="viridis", norm=Normalize(*panel.limits))
     if panel.marks_mm is not None:
         across = [i for i in range(3) if i != panel.axis]
         for number, (x, y) in enumerate(panel.marks_mm[:, across], start=1):
-            axes.text(x, y, str(number), color=_ORANGE, fontsize=8, ha="center", va="center")
+            axes.text(x, y, str(number), color=VERMILION, fontsize=8, ha="center", va="center")
     axes.set(xticks=[], yticks=[])
     axes.set_title(panel.title, fontsize=8)
     axes.set_xlabel(panel.caption, fontsize=7)
@@ -89,12 +97,20 @@ def _draw(axes: Axes, panel: Panel) -> None:
 def plot_boxes(
     estimates: Mapping[float, Sequence[float]], path: str | Path, *, reference: str = ""
 ) -> Path:
-    """Draw box plots of estimated depths over the true ones (Fig. 10), mm.
+    """Draw box plots of estimated against true depths (Fig. 10 of the paper).
 
-    Whiskers reach the least and the largest; each sample is a dot.
+    Whiskers extend to the minimum and maximum; dots are samples.
+
+    Args:
+        estimates: Estimated depths by true depth, mm.
+        path: Path of the png, pdf or svg file.
+        reference: Title of the figure.
+
+    Returns:
+        The path.
 
     Raises:
-        ConfigError: There is no estimate.
+        ConfigError: A depth has no estimate.
     """
     if not estimates or not all(estimates.values()):
         raise ConfigError("plot_boxes: a depth has no estimate.")
@@ -108,13 +124,13 @@ def plot_boxes(
         widths=0.5,
         whis=(0, 100),
         manage_ticks=False,
-        medianprops={"color": _ORANGE},
-        boxprops={"color": _BLUE},
+        medianprops={"color": VERMILION},
+        boxprops={"color": BLUE},
     )
     for depth in depths:
-        found = estimates[depth]
-        aside = depth + np.linspace(-0.15, 0.15, len(found))
-        axes.plot(aside, found, ".", color=_BLUE, markersize=3, alpha=0.6)
+        samples = estimates[depth]
+        positions = depth + np.linspace(-0.15, 0.15, len(samples))
+        axes.plot(positions, samples, ".", color=BLUE, markersize=3, alpha=0.6)
     axes.set(xlabel="true depth (mm)", ylabel="estimated depth (mm)", aspect="equal")
     axes.set_xticks(depths)
     axes.set_yticks(depths)
@@ -129,23 +145,29 @@ def plot_matrices(
     *,
     digits: int = 2,
 ) -> Path:
-    """Draw matrices of shares or similarities, 0 to 1, beside one another (Fig. 11).
+    """Draw matrices of fractions or similarities side by side (Fig. 11 of the paper).
+
+    Args:
+        matrices: Values, 0 to 1, and the names of rows and columns by title.
+        path: Path of the png, pdf or svg file.
+        digits: Number of decimals of the cells.
+
+    Returns:
+        The path.
 
     Raises:
-        ConfigError: There is none.
+        ConfigError: There is no matrix.
     """
     if not matrices:
         raise ConfigError("plot_matrices: no matrix given.")
     figure = new_figure(3.4 * len(matrices), 3.4)
     panels = figure.subplots(1, len(matrices), squeeze=False)[0]
     for axes, (title, (values, names)) in zip(panels, matrices.items(), strict=True):
-        axes.imshow(values, cmap="cividis", vmin=0.0, vmax=1.0)
-        for i, j in np.ndindex(*values.shape):
-            colour = "black" if values[i, j] > 0.5 else "white"
-            text = f"{values[i, j]:.{digits}f}"
-            axes.text(j, i, text, ha="center", va="center", color=colour, fontsize=9)
-        axes.set_xticks(range(len(names)), list(names), fontsize=8)
-        axes.set_yticks(range(len(names)), list(names), fontsize=8, rotation=90, va="center")
+        cells = (f"{value:.{digits}f}" for value in values.ravel())
+        draw_matrix(axes, values, names, cells, fontsize=9)
+        axes.tick_params(labelsize=8)
+        for label in axes.get_yticklabels():
+            label.set(rotation=90, va="center")
         axes.set_title(title, fontsize=9)
     return save_figure(figure, path)
 
@@ -158,13 +180,22 @@ def plot_curves(
     across: str,
     up: str,
 ) -> Path:
-    """Draw curves over the depth from 0 to 1, a panel a title (Fig. 8).
+    """Draw curves over the relative depth, one panel per title (Fig. 8 of the paper).
+
+    Args:
+        panels: Values of equal layers, the top one first, by title and label.
+        path: Path of the png, pdf or svg file.
+        columns: Number of panels side by side.
+        across: Label of the horizontal axes.
+        up: Label of the vertical axes.
+
+    Returns:
+        The path.
 
     Raises:
-        ConfigError: There is no curve.
+        ConfigError: There is no panel, or one has no curve.
     """
-    if not panels or not all(panels.values()):
-        raise ConfigError("plot_curves: a panel has no curve.")
+    require_curves("plot_curves", panels)
     rows = -(-len(panels) // columns)
     figure = new_figure(3.6 * columns, 2.9 * rows)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)

@@ -1,59 +1,209 @@
-"""A session of a sensor over time: how deep it pressed, its contacts, and what was kept."""
+"""Figures of a sensor session: measurements over time, contacts, and the recorded presses."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
 
+from tactorch.errors import ConfigError
+from tactorch.recording import Press, Recording
 from tactorch.sensor.recorder import Recorded
-from tactorch.viz._figure import new_figure, save_figure
+from tactorch.text import one_line
+from tactorch.viz.figure import BLUE, COLOURS, GREEN, VERMILION, new_figure, save_figure
+from tactorch.viz.slicing import AXES
 
-_DEPTH, _KEPT, _CONTACT = "#0072B2", "#D55E00", "0.88"
-_FORCES = (("along the press", "o", "#0072B2"), ("across it", "s", "#009E73"))
+_MAX_PRESSES = 6
+_WIDTH, _HEIGHT = 2.8, 6.4  # inches per press
+_MAX_NAME = 30
+_LEGEND = {"fontsize": 8, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
 
 
-def plot_session(found: Recorded, path: str | Path) -> Path:
-    """Draw depth over time with the contacts and the frames kept, and the forces of the presses.
+def plot_over_time(
+    panels: Mapping[str, Mapping[str, Float[np.ndarray, " f"]]],
+    time_s: Float[np.ndarray, " f"] | None,
+    faulty: Sequence[int],
+    path: str | Path,
+) -> Path:
+    """Draw measurements over time, or over frame numbers if times are unknown.
 
     Args:
-        found: A recorded session.
-        path: Of the picture.
+        panels: Values of each line by the label of the vertical axis and the name of the line.
+        time_s: Time of each frame, s (f,), or None.
+        faulty: Indices of the faulty frames, which are marked.
+        path: Path of the png, pdf or svg file.
+
+    Returns:
+        The path.
     """
-    glances = found.session.glances
-    times = [one.time_s for one in glances]
-    known = all(time is not None for time in times)
-    across = np.array(times if known else range(len(glances)), dtype=float)
-    place = {one.name: across[i] for i, one in enumerate(glances)}
+    count = len(next(iter(next(iter(panels.values())).values())))
+    across = np.arange(count, dtype=float) if time_s is None else time_s
+    figure = new_figure(8.0, 0.8 + 2.1 * len(panels))
+    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (label, lines) in zip(grid, panels.items(), strict=True):
+        for colour, (name, values) in zip(COLOURS, lines.items(), strict=False):
+            marker = "." if count <= 60 else None
+            axes.plot(across, values, color=colour, label=name, marker=marker, lw=1.4)
+        _mark_faulty(axes, across[list(faulty)])
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3)
+        if len(lines) > 1 or len(faulty):
+            axes.legend(fontsize=8)
+    axes.set_xlabel("frame" if time_s is None else "time, s")
+    return save_figure(figure, path)
+
+
+def _mark_faulty(axes: Axes, positions: Float[np.ndarray, " k"]) -> None:
+    for number, x in enumerate(positions):
+        label = "faulty frame" if number == 0 else None
+        axes.axvline(x, color="0.6", lw=0.8, ls=":", label=label, zorder=0)
+
+
+def plot_session(recorded: Recorded, path: str | Path) -> Path:
+    """Draw the depth over time with contacts and recorded frames, and the forces of the presses.
+
+    Args:
+        recorded: Result of recording a session.
+        path: Path of the png, pdf or svg file.
+
+    Returns:
+        The path.
+    """
+    frames = recorded.session.glances
+    times = [frame.time_s for frame in frames]
+    timed = all(time is not None for time in times)
+    across = np.array(times if timed else range(len(frames)), dtype=float)
+    position = {frame.name: across[i] for i, frame in enumerate(frames)}
+    presses = [position[row["frame"]] for row in recorded.presses]
     figure = new_figure(8.0, 5.0)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    depths = np.array([one.depth_mm for one in glances])
-    upper.plot(across, depths, color=_DEPTH, marker=".", lw=1.4, label="depth")
-    kept = [row["frame"] for row in found.presses]
+    depths = np.array([frame.depth_mm for frame in frames])
+    upper.plot(across, depths, color=BLUE, marker=".", lw=1.4, label="depth")
     upper.plot(
-        [place[name] for name in kept], [row["depth_mm"] for row in found.presses],
-        ls="none", marker="o", mfc="none", mew=1.6, ms=9, color=_KEPT, label="kept as a press",
+        presses, [row["depth_mm"] for row in recorded.presses], ls="none", marker="o", mfc="none",
+        mew=1.6, ms=9, color=VERMILION, label="recorded press",
     )  # fmt: skip
-    faulty = [i for i, one in enumerate(glances) if one.fault]
-    for number, i in enumerate(faulty):
-        label = "faulty frame" if number == 0 else None
-        upper.axvline(across[i], color="0.5", ls=":", lw=0.9, label=label, zorder=0)
+    _mark_faulty(upper, across[[i for i, frame in enumerate(frames) if frame.fault]])
     upper.set_ylabel("depth of the gel, mm")
-    upper.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3)
-    forces = np.array([row["force_n"] for row in found.presses])
-    pushes = np.array([press.direction for press in found.recording.presses])
-    along = (forces * pushes).sum(axis=1)
-    parts = (along, np.linalg.norm(forces - along[:, None] * pushes, axis=1))
-    for (label, mark, colour), values in zip(_FORCES, parts, strict=True):
-        lower.plot(
-            [place[name] for name in kept], values, ls="none", marker=mark, color=colour,
-            label=label,
-        )  # fmt: skip
+    upper.legend(ncol=3, **_LEGEND)
+    forces = np.array([row["force_n"] for row in recorded.presses])
+    directions = np.array([press.direction for press in recorded.recording.presses])
+    normal = (forces * directions).sum(axis=1)
+    tangential = np.linalg.norm(forces - normal[:, None] * directions, axis=1)
+    for label, marker, colour, values in (
+        ("along the press", "o", BLUE, normal),
+        ("across the press", "s", GREEN, tangential),
+    ):
+        lower.plot(presses, values, ls="none", marker=marker, color=colour, label=label)
     lower.set_ylabel("force on the object, N")
-    lower.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=2)
+    lower.legend(ncol=2, **_LEGEND)
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
         axes.margins(y=0.15)
-        for number in range(len(found.session.contacts)):
-            own = [i for i, one in enumerate(glances) if one.contact == number]
-            axes.axvspan(across[own[0]], across[own[-1]], color=_CONTACT, zorder=-1)
-    lower.set_xlabel("time, s" if known else "frame")
+        for number in range(len(recorded.session.contacts)):
+            contact = across[[i for i, frame in enumerate(frames) if frame.contact == number]]
+            axes.axvspan(contact[0], contact[-1], color="0.88", zorder=-1)
+    lower.set_xlabel("time, s" if timed else "frame")
     return save_figure(figure, path)
+
+
+def plot_presses(recording: Recording, path: str | Path, max_presses: int = _MAX_PRESSES) -> Path:
+    """Draw displacement and force of presses side by side, seen along the press.
+
+    Colours show the components along the press, arrows those across it.
+
+    Args:
+        recording: Recording whose presses are drawn; a press without direction is seen along its
+            total force.
+        path: Path of the png, pdf or svg file.
+        max_presses: Maximum number of presses, the last step of each contact first.
+
+    Returns:
+        The path.
+
+    Raises:
+        ConfigError: `max_presses` is below 1.
+    """
+    if max_presses < 1:
+        raise ConfigError(f"max_presses={max_presses} must be at least 1.")
+    presses = _select(recording, max_presses)
+    figure = new_figure(_WIDTH * len(presses) + 0.8, _HEIGHT)
+    grid = figure.subplots(2, len(presses), squeeze=False)
+    displacements = [np.where(p.observed, p.displacement, np.nan) for p in presses]
+    rows = (
+        (displacements, [p.observed for p in presses], "displacement along the press, mm", "mm"),
+        ([p.forces for p in presses], [p.forces for p in presses], "force along the press, N", "N"),
+    )
+    for axes_row, (values, masks, label, unit) in zip(grid, rows, strict=True):
+        along = [value @ _direction(press) for value, press in zip(values, presses, strict=True)]
+        top = max(float(np.nanmax(np.abs(one))) for one in along) or 1.0
+        for axes, press, value, mask, colours in zip(
+            axes_row, presses, values, masks, along, strict=True
+        ):
+            shown = np.any(mask, axis=1)
+            across = _across(_direction(press))
+            flat = recording.mesh.points @ across.T
+            dots = axes.scatter(
+                *flat[shown].T, c=colours[shown], cmap="cividis", vmin=min(0.0, -0.1 * top),
+                vmax=top, s=26, edgecolor="0.25", linewidth=0.3,
+            )  # fmt: skip
+            _draw_arrows(axes, flat, np.nan_to_num(value @ across.T), shown, unit)
+            horizontal, vertical = (_axis_name(vector) for vector in across)
+            axes.set_xlabel(f"{horizontal}, mm", fontsize=8)
+            axes.set_ylabel(f"{vertical}, mm", fontsize=8)
+            axes.tick_params(labelsize=7)
+        figure.colorbar(dots, ax=axes_row, label=label, shrink=0.9, pad=0.02)
+    for number, (axes, press) in enumerate(zip(grid[0], presses, strict=True), start=1):
+        axes.set_title(one_line(press.name, _MAX_NAME) or f"press {number}", fontsize=9)
+    return save_figure(figure, path)
+
+
+def _draw_arrows(
+    axes: Axes, flat: np.ndarray, vectors: np.ndarray, shown: np.ndarray, unit: str
+) -> None:
+    """Draw in-plane vectors of the nodes shown, and the extent of the object."""
+    arrows = vectors[shown]
+    longest = max(float(np.linalg.norm(arrows, axis=1).max(initial=0.0)), 1e-12)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    reach = 0.12 * float((high - low).max())
+    axes.quiver(
+        *flat[shown].T, *arrows.T, angles="xy", scale_units="xy", scale=longest / reach,
+        color=VERMILION, width=0.006,
+    )  # fmt: skip
+    low, high = low - 0.06 * (high - low), high + 0.06 * (high - low)
+    axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor="0.94")
+    axes.text(
+        0.02, 0.02, f"longest arrow {longest:.2g} {unit}", transform=axes.transAxes, fontsize=7
+    )
+
+
+def _select(recording: Recording, count: int) -> list[Press]:
+    """Return up to `count` presses of the highest steps, in their order."""
+    order = sorted(range(len(recording.presses)), key=lambda i: -recording.presses[i].step)
+    return [recording.presses[i] for i in sorted(order[:count])]
+
+
+def _direction(press: Press) -> Float[np.ndarray, "3"]:
+    if press.direction is not None:
+        return press.direction
+    total = press.total_force
+    size = float(np.linalg.norm(total))
+    return total / size if size > 0 else np.array([0.0, 0.0, -1.0])
+
+
+def _across(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:
+    """Return two unit vectors normal to a direction, close to axes of the object."""
+    main = int(np.argmax(np.abs(direction)))
+    first = np.eye(3)[(main + 1) % 3]
+    first = first - (first @ direction) * direction
+    first /= np.linalg.norm(first)
+    second = np.cross(direction, first)
+    second *= np.sign(second[(main + 2) % 3]) or 1.0
+    return np.stack([first, second])
+
+
+def _axis_name(vector: Float[np.ndarray, "3"]) -> str:
+    main = int(np.argmax(np.abs(vector)))
+    exact = abs(abs(vector[main]) - 1.0) < 1e-3
+    return AXES[main] if exact else f"about {AXES[main]}"

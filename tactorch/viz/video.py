@@ -1,4 +1,4 @@
-"""Videos, whole or not at all."""
+"""Videos, written atomically."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
 
-# VP9 plays in browsers; the others are in nearly every build of OpenCV.
+# VP9 plays in browsers; nearly every build of OpenCV has the others.
 _CODECS = ((".mp4", "vp09"), (".mp4", "mp4v"), (".avi", "MJPG"))
 
 
@@ -19,14 +19,17 @@ _CODECS = ((".mp4", "vp09"), (".mp4", "mp4v"), (".avi", "MJPG"))
 def writing_video(
     path: str | Path, rate_hz: float
 ) -> Iterator[Callable[[UInt8[np.ndarray, "h w 3"]], None]]:
-    """Give a function that adds an RGB image to a video; the file appears when all are added.
+    """Provide a function that appends an RGB image to a video; the file appears at the end.
 
     Args:
-        path: Of the video; its suffix must be that of a codec that is there, see `video_suffix`.
-        rate_hz: Images a second.
+        path: Path of the video, with the suffix of an available codec; see `video_suffix`.
+        rate_hz: Frame rate, 1/s.
+
+    Yields:
+        The function that appends an image.
 
     Raises:
-        FileError: No codec for the suffix is there, or the file cannot be written.
+        FileError: There is no codec for the suffix, or the file cannot be written.
     """
     import cv2
 
@@ -35,7 +38,7 @@ def writing_video(
     def add(image: UInt8[np.ndarray, "h w 3"]) -> None:
         nonlocal writer
         if writer is None:
-            writer = _opened(temporary, rate_hz, image)
+            writer = _open_writer(temporary, rate_hz, image)
         writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
 
     with atomic_path(path) as temporary:
@@ -48,7 +51,7 @@ def writing_video(
             raise FileError(f"video '{path}' has no image.")
 
 
-def _opened(path: Path, rate_hz: float, image: UInt8[np.ndarray, "h w 3"]) -> Any:
+def _open_writer(path: Path, rate_hz: float, image: UInt8[np.ndarray, "h w 3"]) -> Any:
     import cv2
 
     size = (image.shape[1], image.shape[0])
@@ -63,14 +66,14 @@ def _opened(path: Path, rate_hz: float, image: UInt8[np.ndarray, "h w 3"]) -> An
 
 
 def video_suffix() -> str | None:
-    """Return the suffix of videos that can be written here; None where none can."""
+    """Return the suffix of an available video codec, or None."""
     import tempfile
 
-    nothing = np.zeros((64, 64, 3), np.uint8)
+    blank = np.zeros((64, 64, 3), np.uint8)
     with tempfile.TemporaryDirectory() as folder:
         for suffix in dict.fromkeys(suffix for suffix, _ in _CODECS):
             try:
-                _opened(Path(folder) / f"x{suffix}", 10.0, nothing).release()
+                _open_writer(Path(folder) / f"x{suffix}", 10.0, blank).release()
             except FileError:
                 continue
             return suffix

@@ -542,7 +542,11 @@ TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=nul
         ("hold='glue'", "springs, fixed, roller"),
         settings=("press.hold=glue",),
     ),
-    Case("negative modulus", ("youngs_mpa=-1", "positive"), settings=("phantom.inclusion_mpa=-1",)),
+    Case(
+        "negative modulus",
+        ("phantom.inclusion_mpa=-1", "above 0"),
+        settings=("phantom.inclusion_mpa=-1",),
+    ),
     Case(
         "edge length of a hundredth of a micrometre",
         ("edge length", "check the units"),

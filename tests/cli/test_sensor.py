@@ -46,7 +46,7 @@ SHIFT_MM = (0.15, -0.1)
 
 
 def still() -> Face:
-    return Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.places_mm))
+    return Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
 
 
 def pressed(center: tuple[float, float], contact_px: float) -> Face:
@@ -323,7 +323,7 @@ def test_force_is_told_of_each_frame(
 def test_ctrl_c_leaves_nothing_half_written(
     tactorch: Any, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tactorch.viz.sensor_markers import MarkerView
+    from tactorch.viz.sensor_frames import MarkerView
 
     shown: list[str] = []
     show = MarkerView.show

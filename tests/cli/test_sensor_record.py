@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tactorch.recording import Recording
-from tactorch.sensor.frames import camera
+from tactorch.sensor.frames import sources
 
 from .test_sensor import calibration, files, given, table
 
@@ -150,7 +150,7 @@ def test_a_camera_and_poses_by_unix_time(
     drawn = DrawnCamera(files / "frames")
     poses(Path("poses.csv"), began_s=drawn.began_unix_s)
     monkeypatch.setattr(cv2, "VideoCapture", drawn.VideoCapture)
-    monkeypatch.setattr(camera, "time", drawn)
+    monkeypatch.setattr(sources, "time", drawn)
     unix = ("frames=0", "max_frames=5", "poses_clock=unix", f"as_they_end={as_they_end}")
     done = tactorch(*settings(files, calibration, taken, *more, *unix))
     assert done.status == 0, done.err

@@ -65,9 +65,7 @@ def test_wrong_values_are_refused_by_name(values: dict[str, Any], message: str) 
 
 
 def test_a_missing_setting_is_named() -> None:
-    with pytest.raises(
-        ConfigError, match=r"'recording' is missing; give .*\(a path"
-    ):
+    with pytest.raises(ConfigError, match=r"'recording' is missing; give .*\(a path"):
         build(Whole, {})
 
 

@@ -127,5 +127,5 @@ def test_triangles_that_are_not_there_are_refused(body, chosen):
 def test_round_sides_are_refused():
     corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     body = SoftBody(TetMesh.create(corner, np.array([[0, 1, 2, 3]])), make_material("linear", 0.3))
-    with pytest.raises(MeshError, match=r"No boundary triangle lies on side 'x\+'"):
+    with pytest.raises(MeshError, match=r"No boundary triangle is on side 'x\+'"):
         body.pressure("x+", 0.1)

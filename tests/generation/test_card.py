@@ -3,7 +3,7 @@ from pathlib import Path
 
 from tactorch.generation import Recipe, generate
 from tactorch.generation.card import looked_at, write_card
-from tactorch.viz.samples import plot_samples
+from tactorch.viz.learning import plot_samples
 
 
 def test_card_says_what_is_inside(make_recipe: Callable[..., Recipe], tmp_path: Path) -> None:

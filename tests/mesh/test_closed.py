@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from tactorch.errors import MeshError
 from tactorch.mesh import box_surface, tetrahedralize
-from tactorch.mesh.closed import closed_surface, enclosed_volume
+from tactorch.mesh.checks import closed_surface, enclosed_volume
 
 quick = settings(deadline=None, max_examples=25)
 VERTICES, TRIANGLES = box_surface(10.0)
@@ -35,7 +35,7 @@ def test_open(missing: set[int]) -> None:
 def test_inconsistent(turned: int) -> None:
     faces = TRIANGLES.copy()
     faces[turned] = faces[turned, ::-1]
-    with pytest.raises(MeshError, match="not turned the same way"):
+    with pytest.raises(MeshError, match="not oriented consistently"):
         tetrahedralize(VERTICES, faces)
 
 

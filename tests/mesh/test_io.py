@@ -212,9 +212,9 @@ def test_writing_refuses_what_it_cannot_keep(mesh: TetMesh, tmp_path: Path) -> N
     values = np.ones(mesh.n_tets)
     with pytest.raises(FileError, match=r"\.inp files cannot hold fields"):
         write_mesh(tmp_path / "a.inp", mesh, {"youngs": values})
-    with pytest.raises(MeshError, match=r"cell_data 'youngs' must hold 216 rows .* \(215,\)"):
+    with pytest.raises(MeshError, match=r"cell_data 'youngs' must have 216 rows .* \(215,\)"):
         write_mesh(tmp_path / "a.vtu", mesh, {"youngs": values[:-1]})
-    with pytest.raises(MeshError, match=r"point_data 'name' must hold 80 rows"):
+    with pytest.raises(MeshError, match=r"point_data 'name' must have 80 rows"):
         write_mesh(tmp_path / "a.vtu", mesh, point_data={"name": ["a"] * 80})
     with pytest.raises(FileError, match=r"unknown suffix '\.stl'"):
         write_mesh(tmp_path / "a.stl", mesh)
@@ -291,7 +291,7 @@ def test_obj_line_that_makes_no_sense_is_named(tmp_path: Path, line: str) -> Non
 def test_surfaces_that_are_none(tmp_path: Path) -> None:
     path = tmp_path / "points.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
-    with pytest.raises(MeshError, match=r"points\.obj': it holds no triangles"):
+    with pytest.raises(MeshError, match=r"points\.obj': it contains no triangles"):
         read_surface(path)
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv -1 1 0\nf 1 2 3 4 5\n")
     with pytest.raises(MeshError, match=r"points\.obj': .*other than triangles.*polygon"):

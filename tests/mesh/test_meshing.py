@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, MeshError
+from tactorch.files import cache_folder
 from tactorch.mesh import (
     FACE_NAMES,
     TetMesh,
     box_mesh,
     box_surface,
-    cache_folder,
     cylinder_surface,
     meshing,
     select_face,
@@ -182,7 +182,7 @@ def test_slivers_are_refused(monkeypatch: pytest.MonkeyPatch, cache: Path) -> No
     sliver = np.union1d(first, second)
     assert len(sliver) == 4
     replace_result(monkeypatch, BOX.points, np.vstack((BOX.tets, sliver)))
-    with pytest.raises(MeshError, match=r"fTetWild cannot be used.*degenerate.*\(162\)"):
+    with pytest.raises(MeshError, match=r"fTetWild is invalid.*degenerate.*\(162\)"):
         tetrahedralize(VERTICES, TRIANGLES)
     assert not cache.exists()
 
@@ -192,7 +192,7 @@ def test_lost_parts_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(MeshError, match=r"fills 900 mm\^3 where the surface encloses 1000 mm\^3"):
         tetrahedralize(VERTICES, TRIANGLES, cache=False)
     replace_result(monkeypatch, np.empty((0, 3)), np.empty((0, 4), int))
-    with pytest.raises(MeshError, match="found no inside"):
+    with pytest.raises(MeshError, match="returned no elements"):
         tetrahedralize(VERTICES, TRIANGLES, cache=False)
 
 

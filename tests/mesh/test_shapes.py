@@ -19,9 +19,9 @@ from tactorch.mesh import (
     Union,
     box_surface,
     cylinder_surface,
-    skin,
+    shape_surface,
 )
-from tactorch.mesh.closed import closed_surface, enclosed_volume
+from tactorch.mesh.checks import closed_surface, enclosed_volume
 
 quick = settings(deadline=None, max_examples=30)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -202,7 +202,7 @@ def test_cylinder_surface(radius: float, height: float, seed: int, segments: int
 @pytest.mark.parametrize("shape", [*SHAPES, JOINED], ids=repr)
 def test_skin_is_the_surface_outward(shape: Shape) -> None:
     """Closed, on the shape's surface, and of its volume."""
-    vertices, triangles = skin(shape, 72)
+    vertices, triangles = shape_surface(shape, 72)
     closed_surface(vertices, triangles)
     assert enclosed_volume(vertices, triangles) == pytest.approx(
         volume_by_sampling(shape), rel=0.015

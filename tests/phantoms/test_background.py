@@ -48,7 +48,7 @@ def test_backgrounds_survive_their_configuration(field: object) -> None:
         ({"field": "waves"}, "field is 'waves'"),
         ({"field": "gradient"}, "lacks a field"),
         ({"field": "gradient", "start_mm": [0, 0, 0], "end_mm": [0, 0, 0]}, "no direction"),
-        ({"field": "layers", "levels_mm": [2, 1], "youngs_mpa": [1, 2, 3]}, "must rise"),
+        ({"field": "layers", "levels_mm": [2, 1], "youngs_mpa": [1, 2, 3]}, "must increase"),
         ({"field": "layers", "levels_mm": [1], "youngs_mpa": [1]}, "give 2"),
         ({"field": "random", "spread": 0}, "spread"),
         ({"field": "random", "seed": -1}, "seed=-1"),

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
 from tactorch.phantoms import Phantom, draw_phantom
-from tactorch.phantoms.extent import clearance, protrusion
+from tactorch.phantoms.overlap import clearance, protrusion
 
 SEEDS = st.integers(0, 2**32 - 1)
 quick = settings(deadline=None, max_examples=15)
@@ -19,7 +19,7 @@ def test_objects_are_sound_and_repeatable(family: str, seed: int) -> None:
     drawn = draw_phantom(family, np.random.default_rng(seed))
     again = draw_phantom(family, np.random.default_rng(seed))
     assert again.phantom == drawn.phantom
-    assert again.facts == drawn.facts
+    assert again.parameters == drawn.parameters
     phantom = drawn.phantom
     shapes = [shape for shape, _ in phantom.inclusions]
     assert all(protrusion(shape, phantom.body) <= 0 for shape in shapes)
@@ -44,18 +44,18 @@ def test_options_reach_the_objects() -> None:
 
 def test_contrast_can_be_told() -> None:
     for seed in range(40):
-        facts = draw_phantom("inclusions", np.random.default_rng(seed)).facts
-        for part in facts["parts"]:
-            assert abs(np.log(part["inclusion_mpa"] / facts["youngs_mpa"])) >= np.log(1.25)
+        parameters = draw_phantom("inclusions", np.random.default_rng(seed)).parameters
+        for part in parameters["parts"]:
+            assert abs(np.log(part["inclusion_mpa"] / parameters["youngs_mpa"])) >= np.log(1.25)
 
 
 @pytest.mark.parametrize(
     ("family", "options", "message"),
     [
-        ("cats", {}, "'cats' is unknown; choose one of recognition"),
+        ("cats", {}, "family=cats is unknown; choose one of recognition"),
         ("recognition", {"shapes": ["cube"]}, "'cube' is unknown"),
         ("recognition", {"sise": 1}, "sise"),
-        ("recognition", {"size": (3.0, 4.0)}, "found room"),
+        ("recognition", {"size": (3.0, 4.0)}, "No inclusion fits"),
         ("recognition", {"size": (2.0, 1.0)}, "lower and the upper"),
         ("inclusions", {"shapes": ["cube"]}, "'cube' is unknown"),
         ("inclusions", {"backgrounds": ["blue"]}, "'blue' is unknown"),

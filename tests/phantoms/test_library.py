@@ -27,10 +27,10 @@ def test_changes_reach_the_phantom() -> None:
 @pytest.mark.parametrize(
     ("name", "changes", "message"),
     [
-        ("cube_spher", {}, "'cube_spher' is unknown; choose one of uniform_cube"),
+        ("cube_spher", {}, "phantom=cube_spher is unknown; choose one of uniform_cube"),
         ("cube_sphere", {"widht": 1}, "widht"),
         ("cube_sphere", {"radius": 0.6}, "out of the body"),
-        ("cube_sphere", {"radius": -0.2}, "radius_mm"),
+        ("cube_sphere", {"radius": -0.2}, "phantom.radius=-0.2: give a number above 0"),
         ("cube_sphere", {"side_mm": 0.0}, "side_mm"),
         ("cube_box", {"youngs_mpa": -1.0}, "youngs_mpa"),
     ],
@@ -40,7 +40,9 @@ def test_wrong_names_and_values_are_refused(name: str, changes: dict, message: s
         make_phantom(name, **changes)
 
 
-@pytest.mark.parametrize("name", sorted({*PHANTOMS} - {"cube_sphere"}))  # the demo's is less deep
+@pytest.mark.parametrize(
+    "name", sorted({*PHANTOMS.names()} - {"cube_sphere"})
+)  # the demo's is less deep
 def test_each_has_a_configuration_with_its_own_defaults(name: str) -> None:
     settings = OmegaConf.to_container(OmegaConf.load(conf_folder() / "phantom" / f"{name}.yaml"))
     assert settings.pop("name") == name

@@ -74,7 +74,7 @@ def half_space(one: SensorDescription, corners_mm: np.ndarray, depth_mm: float =
 
 def image(one: SensorDescription, height_mm: np.ndarray, seed: int) -> np.ndarray:
     """The image of such heights."""
-    places = np.zeros((0, 2)) if one.markers is None else one.markers.places_mm
+    places = np.zeros((0, 2)) if one.markers is None else one.markers.positions_mm
     return render(one, Face(height_mm, one.to_px(places)), Look(noise=1.5), seed=seed)
 
 

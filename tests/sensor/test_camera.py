@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from tactorch.errors import FileError
-from tactorch.sensor.frames import camera
-from tactorch.sensor.frames.raw import RawFrame
-from tactorch.sensor.frames.source import frames_of
+from tactorch.sensor.frames import Frame, sources
+from tactorch.sensor.frames.sources import open_source
 
 _PERIOD_S = 0.01
 
@@ -41,14 +40,14 @@ class Capture:
 def capture(monkeypatch: pytest.MonkeyPatch) -> Iterator[Capture]:
     found = Capture(8)
     monkeypatch.setattr(cv2, "VideoCapture", lambda number: found)
-    monkeypatch.setattr(camera, "_GONE_S", 0.2)
-    monkeypatch.setattr(camera, "_PAUSE_S", 0.05)
+    monkeypatch.setattr(sources, "_CAMERA_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(sources, "_CAMERA_RETRY_S", 0.05)
     return found
 
 
 def test_slow_work_on_a_frame_neither_loses_nor_delays_the_others(capture: Capture) -> None:
     frames = []
-    for frame in frames_of(0):
+    for frame in open_source(0):
         frames.append(frame)
         time.sleep(6 * _PERIOD_S if len(frames) < 3 else 0.0)
         if len(frames) == 8:
@@ -62,7 +61,7 @@ def test_slow_work_on_a_frame_neither_loses_nor_delays_the_others(capture: Captu
 
 
 def test_a_camera_that_is_left_is_let_go(capture: Capture) -> None:
-    frames = frames_of(0)
+    frames = open_source(0)
     next(frames)
     assert not capture.released
     del frames
@@ -70,9 +69,9 @@ def test_a_camera_that_is_left_is_let_go(capture: Capture) -> None:
 
 
 def test_a_camera_that_is_unplugged_is_told(capture: Capture) -> None:
-    seen: list[RawFrame] = []
+    seen: list[Frame] = []
     with pytest.raises(FileError, match=r"camera 0 gave no image for 0\.2 s"):
-        seen.extend(frames_of(0))
+        seen.extend(open_source(0))
     assert [frame.fault for frame in seen[:9]] == [""] * 8 + ["the camera gave no image"]
     assert capture.released
 
@@ -80,8 +79,8 @@ def test_a_camera_that_is_unplugged_is_told(capture: Capture) -> None:
 def test_frames_that_nobody_takes_are_dropped(
     capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(camera, "_MOST_WAITING", 2)
-    frames = frames_of(0)
+    monkeypatch.setattr(sources, "_MAX_QUEUED_FRAMES", 2)
+    frames = open_source(0)
     first = next(frames)
     time.sleep(7 * _PERIOD_S)
     rest = [next(frames) for _ in range(2)]

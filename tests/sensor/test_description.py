@@ -30,7 +30,7 @@ def test_shipped_descriptions_are_sound(name: str, tmp_path: Path) -> None:
     found = load_sensor(name)
     assert found.name == name
     assert found.markers is not None
-    inside = found.gel.covers(found.markers.places_mm)
+    inside = found.gel.covers(found.markers.positions_mm)
     assert inside.all()
     save_sensor(found, tmp_path / "sensor.yaml")
     assert load_sensor(tmp_path / "sensor.yaml") == found
@@ -48,7 +48,7 @@ def test_every_field_is_kept(tmp_path: Path) -> None:
 
 def test_the_papers_finger() -> None:
     finger = load_sensor("finger")
-    assert len(finger.markers.places_mm) == 145
+    assert len(finger.markers.positions_mm) == 145
     assert (finger.gel.youngs_mpa, finger.gel.radius_mm, finger.frame_rate_hz) == (0.12, 15.0, 30.0)
 
 
@@ -69,8 +69,8 @@ def test_a_curved_face_falls_away_from_the_middle() -> None:
 
 def test_markers_lie_about_the_middle() -> None:
     grid = MarkerGrid(3, 2, (2.0, 1.0), 0.4, shift_mm=(0.5, 0.0))
-    np.testing.assert_allclose(grid.places_mm.mean(axis=0), (0.5, 0.0), atol=1e-12)
-    np.testing.assert_allclose(grid.places_mm[:3, 0], (-1.5, 0.5, 2.5))
+    np.testing.assert_allclose(grid.positions_mm.mean(axis=0), (0.5, 0.0), atol=1e-12)
+    np.testing.assert_allclose(grid.positions_mm[:3, 0], (-1.5, 0.5, 2.5))
 
 
 @pytest.mark.parametrize(
@@ -82,10 +82,10 @@ def test_markers_lie_about_the_middle() -> None:
         ({"mm_per_px": (0.1, -0.1)}, r"mm_per_px\[1\]=-0.1 must be a positive"),
         ({"frame_rate_hz": 0.0}, "frame_rate_hz"),
         ({"distortion": (0.1, 0, 0, 0)}, "without intrinsics_px"),
-        ({"intrinsics_px": (0, 50, 32, 24)}, "focal lengths must be positive"),
+        ({"intrinsics_px": (0, 50, 32, 24)}, "give positive focal lengths"),
         ({"intrinsics_px": (50, 50, 32, 24), "distortion": (0.1,)}, "distortion has 1 number"),
         ({"raw_size_px": (80, 60)}, "give crop_px or warped_size_px"),
-        ({"raw_size_px": (80, 60), "crop_px": (20, 0, 64, 48)}, "reaches beyond the 80 x 60"),
+        ({"raw_size_px": (80, 60), "crop_px": (20, 0, 64, 48)}, "exceeds the warped image"),
         ({"raw_size_px": (80, 60), "crop_px": (0, 0, 60, 48)}, "keeps 60 x 48"),
         ({"warp_corners_px": [(0, 0), (9, 0), (9, 9)]}, "3 points; give four"),
         ({"warp_corners_px": [(0, 0), (0, 9), (9, 9), (9, 0)]}, "go round a convex figure"),
@@ -116,8 +116,8 @@ def test_wrong_gels_are_refused(changes: dict, message: str) -> None:
     ("changes", "message"),
     [
         ({"columns": 0}, "columns=0"),
-        ({"diameter_mm": 2.0}, "markers would touch"),
-        ({"within_mm": 0.1}, "leaves no marker"),
+        ({"diameter_mm": 2.0}, "markers would overlap"),
+        ({"within_mm": 0.1}, "excludes every marker"),
     ],
 )
 def test_wrong_markers_are_refused(changes: dict, message: str) -> None:
@@ -129,8 +129,8 @@ def test_wrong_markers_are_refused(changes: dict, message: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("name: s\n  gel: [", "is no YAML"),
-        ("- a\n", "holds no fields"),
+        ("name: s\n  gel: [", "is not valid YAML"),
+        ("- a\n", "has no fields"),
         ("name: s\nimage_size_px: [64, 48]\nmm_per_px: [.1, .1]\n", "gel is missing"),
         ("gel: {thickness_mm: 2, youngs_mpa: 0.1}\nname: s\n", "gel: give size_mm"),
         ("gel: {thickness_mm: 2}\n", "gel: youngs_mpa is missing"),

@@ -9,7 +9,7 @@ import pytest
 
 from tactorch.errors import FileError
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import fault_of, read_frames, read_image, read_reference
+from tactorch.sensor.frames import detect_fault, read_frames, read_image, read_reference
 
 MakeSensor = Callable[..., SensorDescription]
 
@@ -120,7 +120,7 @@ def test_faults_are_told_and_the_rest_goes_on(
     assert "torn at row 20" in said["3.png"]
     assert "damaged or no image" in said["4.png"]
     assert "frozen" in said["6.png"]
-    sound = [name for name, one in found.items() if one.sound]
+    sound = [name for name, one in found.items() if one.usable]
     assert sound == ["0.png", "2.png", "5.png"]  # what saturates can be measured on, for the most
     assert "64 x 40 px, but the sensor 'small' gives 64 x 48" in said["7.png"]
     assert [name for name, one in found.items() if one.image is None] == ["4.png", "7.png"]
@@ -130,14 +130,14 @@ def test_a_press_is_no_fault(gel_image: np.ndarray) -> None:
     y, x = np.mgrid[:48, :64]
     dent = np.exp(-((x - 30) ** 2 + (y - 20) ** 2) / 60)[..., None]
     pressed = np.clip(gel_image + dent * (60, -50, 40), 0, 255).astype(np.uint8)
-    assert fault_of(pressed, gel_image, gel_image) == ""
+    assert detect_fault(pressed, gel_image, gel_image) == ""
 
 
 def test_dropped_frames_are_counted(gel_image: np.ndarray, make_sensor: MakeSensor) -> None:
-    from tactorch.sensor.frames import frames as module
+    from tactorch.sensor.frames import reading as module
 
-    assert module._dropped(0.1, 0.0667, 30.0) == ""
-    assert "2 frames were dropped" in module._dropped(0.1667, 0.0667, 30.0)
+    assert module._dropped_frames(0.1, 0.0667, 30.0) == ""
+    assert "2 frames were dropped" in module._dropped_frames(0.1667, 0.0667, 30.0)
 
 
 def test_a_video_that_is_cut_short(

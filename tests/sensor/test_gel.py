@@ -71,7 +71,7 @@ def test_what_is_not_seen_is_free(model: GelModel, pushed: tuple[np.ndarray, np.
 def test_shipped_gels_are_meshed(name: str) -> None:
     gel = load_sensor(name).gel
     meshed = gel_mesh(gel, 2.0, 2)
-    width, height = gel.half_mm
+    width, height = gel.half_size_mm
     area = np.pi * width * height if gel.radius_mm is not None else 4 * width * height
     volume = meshed.mesh.volumes.sum()
     assert volume == pytest.approx(area * float(gel.thickness_mm), rel=0.03)

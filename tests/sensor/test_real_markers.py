@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tactorch.sensor.frames import read_image
-from tactorch.sensor.frames.source import frames_of
+from tactorch.sensor.frames.sources import open_source
 from tactorch.sensor.markers import MarkerLook, MarkerTracker, detect_markers, track
 
 pytestmark = pytest.mark.external
@@ -32,7 +32,7 @@ def test_all_markers_are_found(shared_data: Path, name: str, diameter: float, co
 @pytest.fixture(scope="module")
 def images(shared_data: Path) -> list[np.ndarray]:
     video = shared_data / "bnz-ball-markers/track_markers/video.avi"
-    return [frame.image for frame in frames_of(video)]
+    return [frame.image for frame in open_source(video)]
 
 
 @pytest.fixture(scope="module")

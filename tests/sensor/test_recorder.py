@@ -94,7 +94,7 @@ def ball_mesh(radius_mm: float) -> TetMesh:
 
 
 def frames(**changes: object) -> list[Frame]:
-    fields = {"image": STILL, "fault": "", "sound": True}
+    fields = {"image": STILL, "fault": "", "usable": True}
     return [
         Frame(i, f"{i:03d}.png", time_s=float(t), **{**fields, **changes})
         for i, t in enumerate(TIMES)
@@ -182,9 +182,9 @@ def test_steps_are_even_in_depth(pairs: dict[float, Pair], poses: Poses) -> None
 
 def test_faulty_frames_do_not_count(pairs: dict[float, Pair], poses: Poses) -> None:
     session = frames()
-    bad = Frame(4, "004.png", STILL, 0.4, "dark: 10% of the reference's brightness", sound=False)
+    bad = Frame(4, "004.png", STILL, 0.4, "dark: 10% of the reference's brightness", usable=False)
     session[4] = bad
-    session[9] = Frame(9, "009.png", None, 0.9, "cannot be read", sound=False)
+    session[9] = Frame(9, "009.png", None, 0.9, "cannot be read", usable=False)
     dropped = Frame(3, "003.png", STILL, 0.3, "2 frames were dropped before it")
     session[3] = dropped
     found = record(session, Chain(pairs), poses, pairs[0.2].cube, SPEC, RecordOptions(steps=1))
@@ -328,7 +328,7 @@ def test_sessions_without_a_press(pairs: dict[float, Pair], poses: Poses) -> Non
         record(frames()[:3], chain, poses, cube, SPEC)
     with pytest.raises(ConfigError, match="none of 0 frames"):
         record([], chain, poses, cube, SPEC)
-    dark = frames(sound=False, fault="dark")
+    dark = frames(usable=False, fault="dark")
     with pytest.raises(ConfigError, match="none of 11 frames, 11 of them faulty, shows contact"):
         record(dark, chain, poses, cube, SPEC)
     timeless = [Frame(i, f"{i}.png", STILL, None) for i in range(4)]

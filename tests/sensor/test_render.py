@@ -42,7 +42,9 @@ def test_the_face_is_where_its_nodes_went() -> None:
     assert face.height_mm.min() == pytest.approx(-1.0, abs=0.03)
     still = face_of(SENSOR, points, np.zeros_like(points))
     np.testing.assert_allclose(still.height_mm, 0.0, atol=1e-12)
-    np.testing.assert_allclose(SENSOR.to_mm(still.markers_px), SENSOR.markers.places_mm, atol=1e-9)
+    np.testing.assert_allclose(
+        SENSOR.to_mm(still.markers_px), SENSOR.markers.positions_mm, atol=1e-9
+    )
 
 
 def test_a_side_that_faces_a_lamp_is_lit_by_it() -> None:

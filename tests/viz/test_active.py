@@ -5,7 +5,7 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import Sphere
-from tactorch.viz.active import plot_sampling, sampling_figure
+from tactorch.viz import sampling_figure, save_figure
 
 CURVES = {"uniform": np.array([[3.0, 2.0], [5.0, 4.0]]), "ours": np.array([[3.0, 1.0]])}
 PLACES = {"ours": np.array([[0.0, 0.0, 10.0], [4.0, 0.0, 9.0]])}
@@ -30,6 +30,6 @@ def test_places_are_numbered_over_the_inclusions() -> None:
 
 
 def test_is_written_and_needs_a_curve(tmp_path: Path) -> None:
-    assert plot_sampling(CURVES, PLACES, tmp_path / "a.png").stat().st_size > 1000
+    assert save_figure(sampling_figure(CURVES, PLACES), tmp_path / "a.png").stat().st_size > 1000
     with pytest.raises(ConfigError, match="no curve"):
         sampling_figure({}, {})

@@ -3,7 +3,7 @@ import pytest
 
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.mesh import TetMesh, face_nodes
-from tactorch.viz.contact import arrow_places, contact_patches, cut_triangles
+from tactorch.viz.contact import arrow_positions, contact_patches, cut_triangles
 
 
 def forces_on(cube: TetMesh, face: str, force: list[float]) -> np.ndarray:
@@ -55,7 +55,7 @@ def test_no_force_means_no_contact(cube: TetMesh) -> None:
 def test_arrows_spread_over_the_contact_and_point_along_the_push(cube: TetMesh) -> None:
     (patch,) = contact_patches(cube, ["z+"])
     segments = cut_triangles(cube.points, patch.triangles, 0, 6.0)
-    tips, along = arrow_places(segments, patch.direction, 0, 3)
+    tips, along = arrow_positions(segments, patch.direction, 0, 3)
     np.testing.assert_allclose(along, [0.0, -1.0])
     np.testing.assert_allclose(np.sort(tips[:, 0]), [10 / 3, 10.0, 50 / 3], atol=1.3)
     np.testing.assert_allclose(tips[:, 1], 20.0)
@@ -64,7 +64,7 @@ def test_arrows_spread_over_the_contact_and_point_along_the_push(cube: TetMesh) 
 def test_push_across_the_slice_has_no_arrow(cube: TetMesh) -> None:
     (patch,) = contact_patches(cube, ["x-"])
     segments = cut_triangles(cube.points, cube.surface.triangles, 0, 6.0)
-    tips, _ = arrow_places(segments, patch.direction, 0, 3)
+    tips, _ = arrow_positions(segments, patch.direction, 0, 3)
     assert len(tips) == 0
 
 

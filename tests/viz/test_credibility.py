@@ -5,23 +5,23 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.viz.credibility import (
-    METRIC,
+from tactorch.viz import (
     calibration_figure,
     credibility_figure,
     depth_figure,
-    plot_calibration,
-    plot_depths,
-    plot_layers,
+    layer_figure,
+    save_figure,
 )
+from tactorch.viz.credibility import METRIC
 
 
 def test_layer_curves_are_written(tmp_path: Path) -> None:
     curve = (np.arange(5.0), np.geomspace(1, 100, 5))
-    path = plot_layers({"0.1 MPa": curve, "0.2 MPa": (curve[0], 2 * curve[1])}, tmp_path / "a.png")
+    figure = layer_figure({"0.1 MPa": curve, "0.2 MPa": (curve[0], 2 * curve[1])})
+    path = save_figure(figure, tmp_path / "a.png")
     assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     with pytest.raises(ConfigError, match="no curve"):
-        plot_layers({}, tmp_path / "b.png")
+        layer_figure({})
 
 
 def test_slices_name_the_metric(cube: TetMesh) -> None:
@@ -34,7 +34,7 @@ def test_calibration_curves_stand_at_their_levels(tmp_path: Path) -> None:
     figure = calibration_figure({"bold": levels**2})
     line = next(line for line in figure.axes[0].lines if line.get_label() == "bold")
     np.testing.assert_allclose(line.get_xdata(), levels)
-    assert plot_calibration({"bold": levels}, tmp_path / "c.png").stat().st_size > 0
+    assert save_figure(figure, tmp_path / "c.png").stat().st_size > 0
     with pytest.raises(ConfigError, match="no curve"):
         calibration_figure({})
 
@@ -48,6 +48,6 @@ def test_depths_run_downwards_from_the_top(cube: TetMesh, tmp_path: Path) -> Non
     titles = [axes.get_title() for axes in figure.axes if axes.images]
     heights = [float(title.split()[2]) for title in titles]
     assert heights == sorted(heights, reverse=True)
-    assert plot_depths(groups, cube, values, tmp_path / "d.png").stat().st_size > 0
+    assert save_figure(figure, tmp_path / "d.png").stat().st_size > 0
     with pytest.raises(ConfigError, match="no curve"):
         depth_figure({"soft": {}}, cube, values)

@@ -6,7 +6,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from tactorch.mesh import TetMesh
-from tactorch.viz.live import live_figure, plot_live
+from tactorch.viz import save_figure
+from tactorch.viz.live import live_figure
 
 
 def test_the_next_press_is_drawn_where_it_is_and_the_inclusion_crossed(
@@ -16,16 +17,16 @@ def test_the_next_press_is_drawn_where_it_is_and_the_inclusion_crossed(
     pressed[cube.points[:, 2] > cube.bounds[1, 2] - 1e-9, 2] = -1.0
     low, high = cube.bounds
     place = np.array([high[0], *(0.5 * (low + high))[1:]])
-    path = plot_live(
+    figure = live_figure(
         cube,
         sphere_map,
-        tmp_path / "live.png",
         pressed=pressed,
-        found_mm=cube.bounds.mean(axis=0),
+        inclusion_mm=cube.bounds.mean(axis=0),
         next_mm=place,
         inward=np.array([-1.0, 0.0, 0.0]),
         radius_mm=2.0,
     )
+    path = save_figure(figure, tmp_path / "live.png")
     picture = imread(path)[..., :3]
     marked = (np.abs(picture - to_rgb("#CC3399")).max(axis=-1) < 0.02).sum()
     assert marked > 100

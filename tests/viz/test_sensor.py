@@ -9,12 +9,18 @@ import pytest
 from tactorch.errors import FileError
 from tactorch.sensor.calibration import Ball, Circle
 from tactorch.sensor.description import GelLayer, SensorDescription
-from tactorch.viz.sensor_calibration import SeenPress, plot_presses
-from tactorch.viz.sensor_depth import DepthView
-from tactorch.viz.sensor_force import ForceView, node_areas
-from tactorch.viz.sensor_frame import as_image, extent_of, faded, largest
-from tactorch.viz.sensor_markers import MarkerView
-from tactorch.viz.sensor_time import plot_over_time
+from tactorch.viz.sensor_calibration import BallPress, plot_ball_presses
+from tactorch.viz.sensor_frames import (
+    DepthView,
+    ForceView,
+    MarkerView,
+    colour_limit,
+    faded,
+    image_extent,
+    node_areas,
+    render,
+)
+from tactorch.viz.session import plot_over_time
 from tactorch.viz.video import video_suffix, writing_video
 
 SENSOR = SensorDescription("s", (60, 40), (0.2, 0.25), GelLayer(3.0, 0.2, size_mm=(12.0, 10.0)))
@@ -22,7 +28,7 @@ IMAGE = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
 
 
 def test_axes_are_in_mm_and_y_points_down() -> None:
-    left, right, bottom, top = extent_of(SENSOR)
+    left, right, bottom, top = image_extent(SENSOR)
     assert (left, right) == pytest.approx((-6.0, 6.0))
     assert (bottom, top) == pytest.approx((5.0, -5.0))
 
@@ -37,8 +43,8 @@ def test_faded_images_are_light_and_keep_their_order() -> None:
 
 def test_a_lone_outlier_does_not_stretch_colours() -> None:
     values = np.append(np.linspace(0.0, 1.0, 20_000), [1e6, np.nan])
-    assert largest(values, 0.05) == pytest.approx(1.0, rel=0.01)
-    assert largest(np.full(3, np.nan), 0.05) == 0.05
+    assert colour_limit(values, 0.05) == pytest.approx(1.0, rel=0.01)
+    assert colour_limit(np.full(3, np.nan), 0.05) == 0.05
 
 
 def test_arrows_are_as_markers_moved_and_lost_ones_are_marked() -> None:
@@ -55,10 +61,10 @@ def test_arrows_are_as_markers_moved_and_lost_ones_are_marked() -> None:
     assert np.asarray(arrows.Umask)[2]
     np.testing.assert_allclose(np.transpose(view._lost.get_data()), SENSOR.to_mm(begin[2:]))
     assert view._title.get_text() == "caption"
-    seen = as_image(view.figure)
+    seen = render(view.figure)
     assert seen.shape[0] % 2 == seen.shape[1] % 2 == 0
     view.show(None, np.full((3, 2), np.nan), "none")
-    assert (as_image(view.figure) != seen).any()
+    assert (render(view.figure) != seen).any()
 
 
 def test_depth_is_what_is_pressed_in() -> None:
@@ -111,10 +117,10 @@ def test_presses_are_drawn_beside_the_ball(tmp_path: Path, monkeypatch: pytest.M
     ball, circle = Ball(2.0, (0.1, 0.1)), Circle((30.0, 20.0), 10.0)
     slopes, height = ball.slopes((40, 60), circle), ball.heights((40, 60), circle)
     known = np.ones((40, 60), dtype=bool)
-    press = SeenPress("p.png", IMAGE, circle, circle, known, slopes, height)
-    monkeypatch.setattr("tactorch.viz.sensor_calibration._MOST", 2)
-    one = plot_presses([press], ball, "title", tmp_path / "one.png")
-    many = plot_presses([press] * 12, ball, "title", tmp_path / "many.png")
+    press = BallPress("p.png", IMAGE, circle, circle, known, slopes, height)
+    monkeypatch.setattr("tactorch.viz.sensor_calibration._MAX_PRESSES", 2)
+    one = plot_ball_presses([press], ball, "title", tmp_path / "one.png")
+    many = plot_ball_presses([press] * 12, ball, "title", tmp_path / "many.png")
     sizes = [cv2.imread(str(path)).shape for path in (one, many)]
     assert 1.7 < sizes[1][0] / sizes[0][0] < 2.0  # two rows of twelve
 

@@ -9,8 +9,8 @@ from matplotlib.image import imread
 from tactorch.errors import ConfigError
 from tactorch.mesh import box_mesh
 from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.viz import presses as drawing
-from tactorch.viz.presses import plot_presses
+from tactorch.viz import session as drawing
+from tactorch.viz.session import plot_presses
 
 MESH = box_mesh(10.0, 3)
 TOP = MESH.points[:, 2] > 9.99
@@ -34,19 +34,19 @@ def recording() -> Recording:
 def test_presses_are_drawn(recording: Recording, tmp_path: Path) -> None:
     image = imread(plot_presses(recording, tmp_path / "presses.png"))
     assert image.shape[1] > image.shape[0]  # three side by side
-    one = imread(plot_presses(recording, tmp_path / "one.png", most=1))
+    one = imread(plot_presses(recording, tmp_path / "one.png", max_presses=1))
     assert one.shape[1] < image.shape[1] / 1.8
     assert image[..., :3].std() > 0.05
-    with pytest.raises(ConfigError, match="most=0 must be at least 1"):
-        plot_presses(recording, tmp_path / "none.png", most=0)
+    with pytest.raises(ConfigError, match="max_presses=0 must be at least 1"):
+        plot_presses(recording, tmp_path / "none.png", max_presses=0)
 
 
 def test_the_hardest_are_drawn_where_there_are_too_many(recording: Recording) -> None:
-    assert [one.step for one in drawing._chosen(recording, 2)] == [1, 2]
+    assert [one.step for one in drawing._select(recording, 2)] == [1, 2]
 
 
 @pytest.mark.parametrize("push", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (0.6, 0.0, -0.8)])
-def test_axes_across_a_push(push: tuple[float, float, float]) -> None:
+def test_axes_across_a_direction(push: tuple[float, float, float]) -> None:
     along = np.array(push)
     across = drawing._across(along)
     np.testing.assert_allclose(across @ along, 0.0, atol=1e-12)
@@ -56,4 +56,4 @@ def test_axes_across_a_push(push: tuple[float, float, float]) -> None:
 
 def test_a_press_without_direction_is_seen_along_its_force() -> None:
     lone = press(0.2, 0.5, 0, direction=None)
-    np.testing.assert_allclose(drawing._push(lone), (0, 0, -1))
+    np.testing.assert_allclose(drawing._direction(lone), (0, 0, -1))

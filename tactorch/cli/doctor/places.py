@@ -96,7 +96,7 @@ def _video() -> str:
     """Write a video and read it back."""
     import numpy as np
 
-    from tactorch.sensor.frames.source import frames_of
+    from tactorch.sensor.frames.sources import open_source
     from tactorch.viz.video import video_suffix, writing_video
 
     suffix = video_suffix()
@@ -108,7 +108,7 @@ def _video() -> str:
         with writing_video(path, 10.0) as add:
             for _ in range(3):
                 add(grey)
-        frames = [frame.image for frame in frames_of(path)]
+        frames = [frame.image for frame in open_source(path)]
     seen = [image for image in frames if image is not None]
     if len(seen) != 3 or not all(abs(float(image.mean()) - 120) < 8 for image in seen):
         raise ConfigError(f"of 3 frames written to a {suffix} video, {len(seen)} can be read")

@@ -16,8 +16,8 @@ from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.files import atomic_path
 from tactorch.sensor.frames import Frame
-from tactorch.viz._figure import save_figure
-from tactorch.viz.sensor_frame import DPI, as_image
+from tactorch.viz.figure import save_figure
+from tactorch.viz.sensor_frames import DPI, render
 from tactorch.viz.video import video_suffix, writing_video
 
 SUMMARY, TEXT, OVER_TIME = "summary.json", "summary.txt", "over_time.png"
@@ -73,7 +73,7 @@ def draw(
             if add is not None or number in picked:
                 show(frame)
             if add is not None:
-                add(as_image(view.figure))
+                add(render(view.figure))
             if number in picked:
                 save_figure(view.figure, place / f"{stem}-{frame.index:04d}.png", DPI)
             tell(number + 1, total)

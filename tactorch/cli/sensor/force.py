@@ -35,9 +35,8 @@ from tactorch.errors import ConvergenceError
 from tactorch.sensor.chain import ChainOptions, Seen, SensorChain
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.gel import GelModel
-from tactorch.viz.sensor_force import ForceView, node_areas
-from tactorch.viz.sensor_frame import largest
-from tactorch.viz.sensor_time import plot_over_time
+from tactorch.viz.sensor_frames import ForceView, colour_limit, node_areas
+from tactorch.viz.session import plot_over_time
 
 _STEM = "force"
 _TABLE, _ARRAYS = "forces.csv", "forces.npz"
@@ -173,7 +172,7 @@ def _draw(
     points = chain.model.points
     traction = np.stack([one.forces for one in found]) / node_areas(points, triangles)[:, None]
     tops = (-traction[..., 2], np.linalg.norm(traction[..., :2], axis=-1))
-    pressure, shear = (largest(top, _LEAST_MPA) for top in tops)
+    pressure, shear = (colour_limit(top, _LEAST_MPA) for top in tops)
     view = ForceView(chain.sensor, points, triangles, (pressure, shear))
     totals = np.stack([one.forces.sum(axis=0) for one in found])
 

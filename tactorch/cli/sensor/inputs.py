@@ -9,8 +9,7 @@ from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.description import SensorDescription, load_sensor
-from tactorch.sensor.frames import read_reference
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image, read_reference
 from tactorch.sensor.markers import MarkerLook
 
 

@@ -22,8 +22,7 @@ from tactorch.sensor.calibration import (
     read_labels,
 )
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame, read_frames
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Frame, Image, read_frames
 from tactorch.sensor.markers import MarkerLook
 
 

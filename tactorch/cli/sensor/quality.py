@@ -13,7 +13,7 @@ from tactorch.cli.tables import Table
 from tactorch.files import atomic_path
 from tactorch.sensor.calibration import Ball, Circle, Quality, SlopeMap, judge, seen_slopes
 from tactorch.sensor.depth import integrate
-from tactorch.viz.sensor_calibration import SeenPress, plot_presses
+from tactorch.viz.sensor_calibration import BallPress, plot_ball_presses
 
 REPORT, TEXT, CIRCLES, PICTURE = "quality.json", "quality.txt", "circles.csv", "held_out.png"
 #: What a command of presses leaves in its folder.
@@ -68,7 +68,7 @@ def write_report(
     with atomic_path(folder / TEXT) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
     write_circles(folder / CIRCLES, circles)
-    plot_presses([_seen(one, ball) for one in judged], ball, title, folder / PICTURE)
+    plot_ball_presses([_seen(one, ball) for one in judged], ball, title, folder / PICTURE)
     log_text(text, table)
     log.info("pictures of them: %s", folder / PICTURE)
 
@@ -93,10 +93,10 @@ def _text(title: str, quality: Quality, table: Table) -> str:
     return "\n".join(lines)
 
 
-def _seen(one: Judged, ball: Ball) -> SeenPress:
+def _seen(one: Judged, ball: Ball) -> BallPress:
     touch = one.pressed.touch
     slopes = seen_slopes(one.map, touch.changed)
     height = integrate(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
-    return SeenPress(
+    return BallPress(
         touch.name, one.pressed.image, touch.circle, one.circle, touch.known, slopes, height
     )

@@ -32,10 +32,9 @@ from tactorch.cli.settings import log, run_folder
 from tactorch.sensor.calibration import Calibration
 from tactorch.sensor.depth import height_of
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame
-from tactorch.sensor.image import Image
-from tactorch.viz.sensor_depth import DepthView
-from tactorch.viz.sensor_time import plot_over_time
+from tactorch.sensor.frames import Frame, Image
+from tactorch.viz.sensor_frames import DepthView
+from tactorch.viz.session import plot_over_time
 
 _STEM = "depth"
 _TABLE, _MAPS = "depth.csv", "heights"

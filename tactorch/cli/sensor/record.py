@@ -45,8 +45,7 @@ from tactorch.sensor.recorder import (
     contacts_as_they_end,
     record,
 )
-from tactorch.viz.presses import plot_presses
-from tactorch.viz.session import plot_session
+from tactorch.viz.session import plot_presses, plot_session
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
 _STEM = "record"

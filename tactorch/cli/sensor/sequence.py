@@ -11,9 +11,8 @@ from jaxtyping import Float
 from tactorch.cli.sensor.options import SequenceSettings
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame, read_frames
-from tactorch.sensor.frames.source import IMAGES, VIDEOS
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Frame, Image, read_frames
+from tactorch.sensor.frames.sources import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_video, video_length
 
 _RATE_HZ = 10.0  # of a video of frames without times
 _LISTED = 20  # faulty frames named in a text
@@ -72,12 +71,10 @@ class FrameSequence:
         if isinstance(self.source, int):
             found = int(self.most)
         elif isinstance(self.source, Path) and self.source.is_dir():
-            found = sum(p.suffix.lower() in IMAGES for p in self.source.iterdir())
-        elif isinstance(self.source, Path) and self.source.suffix.lower() in VIDEOS:
-            import cv2
-
-            capture = cv2.VideoCapture(str(self.source))
-            found = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+            found = sum(p.suffix.lower() in IMAGE_SUFFIXES for p in self.source.iterdir())
+        elif isinstance(self.source, Path) and self.source.suffix.lower() in VIDEO_SUFFIXES:
+            capture = open_video(self.source)
+            found = video_length(capture)
             capture.release()
         return found if self.most is None else min(found, self.most)
 

@@ -33,12 +33,10 @@ from tactorch.cli.sensor.tables import write_arrays, write_table
 from tactorch.cli.settings import log, run_folder
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Frame, Image
 from tactorch.sensor.markers import MarkerLook, MarkerTracker, displacement_mm
-from tactorch.viz.sensor_frame import largest
-from tactorch.viz.sensor_markers import MarkerView
-from tactorch.viz.sensor_time import plot_over_time
+from tactorch.viz.sensor_frames import MarkerView, colour_limit
+from tactorch.viz.session import plot_over_time
 
 _STEM = "markers"
 _TABLE, _ARRAYS = "tracks.csv", "tracks.npz"
@@ -189,7 +187,7 @@ def _draw(
     moved: Places,
 ) -> None:
     size, seen = np.linalg.norm(moved, axis=2), np.isfinite(places[..., 0])
-    view = MarkerView(sensor, tracker.begin, largest(size, _LEAST_MM), float(cfg.magnify))
+    view = MarkerView(sensor, tracker.begin, colour_limit(size, _LEAST_MM), float(cfg.magnify))
 
     def show(frame: Frame) -> None:
         k = frame.index

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.sensor.description.numbers import pixel_size
-from tactorch.sensor.table import rows_of
+from tactorch.sensor.description import pixel_size
+from tactorch.sensor.table import read_rows
 
 _COLUMNS = ("image", "center_x_px", "center_y_px", "radius_px")
 
@@ -108,14 +108,16 @@ def read_labels(path: str | Path) -> Mapping[str, Circle]:
     found: dict[str, Circle] = {}
     # Other people's tables call a contact's radius that.
     also = {"contact_radius_px": "radius_px"}
-    for row in rows_of(path, "table of contacts", _COLUMNS, also):
+    for row in read_rows(path, "table of contacts", _COLUMNS, also):
         name, (x, y, radius) = row.text("image"), [row.number(one) for one in _COLUMNS[1:]]
         if name in found:
-            raise FileError(f"{row.where}: {name} has a contact already; give one for each image.")
+            raise FileError(
+                f"{row.location}: {name} has a contact already; give one for each image."
+            )
         try:
             found[name] = Circle((x, y), radius)
         except ConfigError as error:
-            raise FileError(f"{row.where}: {error}") from error
+            raise FileError(f"{row.location}: {error}") from error
     if not found:
         raise FileError(f"table of contacts '{path}' has no line; give one for each image.")
     return found

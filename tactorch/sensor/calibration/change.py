@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.depth import filled
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.sensor.markers import MarkerLook, marker_mask
 
 #: What a slope is read from: change of the three colours, and the place.

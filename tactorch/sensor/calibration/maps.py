@@ -150,8 +150,10 @@ class LookupMap:
 
     def restore(self, arrays: Arrays) -> None:
         """Take up what was stored."""
-        self.table, self.plane = arrays["table"], arrays["plane"]
-        self.bins, self.most = len(self.table), float(arrays["most"])
+        table, plane, most = arrays["table"], arrays["plane"], arrays["most"]
+        if table.shape != (len(table),) * 3 + (2,) or plane.shape != (9, 2) or not most > 0:
+            raise ValueError(f"its table is {table.shape}, its plane {plane.shape}, most={most}")
+        self.table, self.plane, self.bins, self.most = table, plane, len(table), float(most)
 
     def _places(self, seen: Samples) -> np.ndarray:
         middle = (self.bins - 1) / 2

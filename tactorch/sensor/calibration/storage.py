@@ -1,6 +1,7 @@
 """A calibration on disk: `calib.npz`, arrays and one text in JSON, nothing that runs when read."""
 
 import json
+import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,14 @@ from tactorch.files import atomic_path, require_file
 from tactorch.sensor.calibration.change import change
 from tactorch.sensor.calibration.fit import seen_slopes
 from tactorch.sensor.calibration.maps import SlopeMap, make_map
-from tactorch.sensor.description.numbers import pixel_size
-from tactorch.sensor.image import Image
+from tactorch.sensor.description import pixel_size
+from tactorch.sensor.frames import Image
 from tactorch.sensor.markers import MarkerLook
 from tactorch.versions import versions
 
 FORMAT, VERSION = "tactorch-calibration", 1
 _PREFIX = "map/"
+_MAX_BYTES = 500_000_000  # of the unpacked arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +92,10 @@ def load_calibration(path: str | Path) -> Calibration:
     """
     file = require_file(path, "calibration")
     try:
+        with zipfile.ZipFile(file) as archive:
+            size = sum(part.file_size for part in archive.infolist())
+        if size > _MAX_BYTES:
+            raise ValueError(f"its arrays have {size} bytes, more than {_MAX_BYTES}")
         with np.load(file, allow_pickle=False) as found:
             content = {name: found[name] for name in found.files}
         about = json.loads(str(content.pop("about")))
@@ -100,11 +106,13 @@ def load_calibration(path: str | Path) -> Calibration:
                 f"calibration '{path}' is of version {about['version']}, this tactorch reads"
                 f" {VERSION}; calibrate again."
             )
+        if not isinstance(about["facts"], dict):
+            raise ValueError("its facts are not a table")
         found_map = make_map(about["map"])
+        _check_arrays(content)
         found_map.restore({k[len(_PREFIX) :]: v for k, v in content.items() if k != "reference"})
         look = None if about["look"] is None else MarkerLook(**about["look"])
         scale = pixel_size("mm_per_px", about["mm_per_px"])
-        _check_arrays(content)
         return Calibration(found_map, content["reference"], scale, look, about["facts"])
     except FileError:
         raise

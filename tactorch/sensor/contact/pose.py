@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.sensor.table import rows_of
+from tactorch.sensor.table import read_rows
 
 _EXACT = 1e-4  # of a rotation's orthonormality
 _FAR_MM = 1e4  # poses farther off look like metres taken for millimetres, or a wrong frame
@@ -145,15 +145,15 @@ def read_poses(path: str | Path, *, growing: bool = False) -> Poses:
         FileError: The file is missing or a line cannot be read.
         ConfigError: A pose cannot be used.
     """
-    rows = list(rows_of(path, "table of poses", _QUATERNION, growing=growing))
+    rows = list(read_rows(path, "table of poses", _QUATERNION, growing=growing))
     numbers = [[row.number(name) for name in _QUATERNION] for row in rows]
     table = np.array(numbers).reshape(-1, len(_QUATERNION))
     sizes = np.linalg.norm(table[:, 4:], axis=1)
     bad = np.flatnonzero(~(np.abs(sizes - 1.0) < 1e-2))
     if len(bad):
         raise FileError(
-            f"{rows[bad[0]].where}: the quaternion has length {sizes[bad[0]]:.4g}, not 1; give qw,"
-            " qx, qy, qz in the columns of these names."
+            f"{rows[bad[0]].location}: the quaternion has length {sizes[bad[0]]:.4g}, not 1; give"
+            " qw, qx, qy, qz in the columns of these names."
         )
     poses = np.tile(np.eye(4), (len(table), 1, 1))
     if len(table):

@@ -1,9 +1,8 @@
-"""What a sensor is, and the files that say so."""
+"""Sensor descriptions and their YAML files."""
 
+from tactorch.sensor.description.checks import pixel_size
 from tactorch.sensor.description.files import SENSORS, load_sensor, save_sensor
-from tactorch.sensor.description.gel_layer import GelLayer
-from tactorch.sensor.description.marker_grid import MarkerGrid
-from tactorch.sensor.description.sensor import SensorDescription
+from tactorch.sensor.description.sensor import GelLayer, MarkerGrid, SensorDescription
 
 __all__ = [
     "SENSORS",
@@ -11,5 +10,6 @@ __all__ = [
     "MarkerGrid",
     "SensorDescription",
     "load_sensor",
+    "pixel_size",
     "save_sensor",
 ]

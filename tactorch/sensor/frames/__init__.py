@@ -1,14 +1,19 @@
-"""Frames from files, videos and cameras, and what is wrong with them."""
+"""Frames of image files, videos and cameras, rectified and checked for faults."""
 
-from tactorch.sensor.frames.faults import FaultLimits, fault_of
-from tactorch.sensor.frames.frames import Frame, read_frames, read_reference
-from tactorch.sensor.frames.source import SourceLike, read_image
+from tactorch.sensor.frames.reading import (
+    FaultLimits,
+    detect_fault,
+    read_frames,
+    read_reference,
+)
+from tactorch.sensor.frames.sources import Frame, Image, Source, read_image
 
 __all__ = [
     "FaultLimits",
     "Frame",
-    "SourceLike",
-    "fault_of",
+    "Image",
+    "Source",
+    "detect_fault",
     "read_frames",
     "read_image",
     "read_reference",

@@ -43,7 +43,7 @@ def gel_mesh(gel: GelLayer, edge_mm: Real = 1.0, layers: int = 4) -> GelMesh:
         ConfigError: The cells are too large or too many.
     """
     edge = positive("edge_mm", edge_mm)
-    half = np.array(gel.half_mm)
+    half = np.array(gel.half_size_mm)
     counts = np.maximum(np.round(2 * half / edge).astype(int), 1)
     if counts.min() < 4 or layers < 1:
         raise ConfigError(

@@ -69,7 +69,9 @@ class GelModel:
     ) -> None:
         self.gel = gel
         self.meshed: GelMesh = gel_mesh(gel, edge_mm, layers)
-        law = make_material(gel.spec.name, gel.spec.poisson, **gel.spec.parameters)
+        law = make_material(
+            gel.material_spec.name, gel.material_spec.poisson, **gel.material_spec.parameters
+        )
         newton = NewtonOptions(rtol=_BALANCED)
         self.body = SoftBody(self.meshed.mesh, law, element=element, newton=newton)
         self.face = GelFace(self.meshed, self.body)

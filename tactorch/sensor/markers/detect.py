@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 
 _LEAST = 10.0  # grey values: darker surroundings tell nothing
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 
 _LEVELS = 3
 

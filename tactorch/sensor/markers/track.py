@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.sensor.markers.detect import MarkerLook, darkness, markers_in
 from tactorch.sensor.markers.flow import followed, sharpened
 

@@ -149,7 +149,7 @@ class ContactDetector:
             ConfigError: The frame has no time, or another size than the reference.
         """
         depth_mm, steepest, number, ended = float("nan"), float("nan"), None, None
-        if frame.image is not None and frame.sound:
+        if frame.image is not None and frame.usable:
             time_s, look = _time(frame), self.chain.deformed(frame)
             if look.height is not None:
                 depth_mm, steepest = -float(look.height.height_mm.min()), look.height.steepest

@@ -8,7 +8,7 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.image import Image
+from tactorch.sensor.frames import Image
 from tactorch.sensor.render.light import Lamps
 
 _SOFT_PX = 0.5  # of a marker's edge
@@ -68,7 +68,7 @@ def face_of(
     risen = LinearNDInterpolator(now[:, :2], now[:, 2], fill_value=np.nan)(places)
     rest = sensor.gel.height_mm(places)
     height = np.where(np.isfinite(risen), risen - rest, 0.0).reshape(sensor.shape)
-    markers = np.zeros((0, 2)) if sensor.markers is None else sensor.markers.places_mm
+    markers = np.zeros((0, 2)) if sensor.markers is None else sensor.markers.positions_mm
     return Face(height, sensor.to_px(markers + _at(points, displacement, markers)))
 
 

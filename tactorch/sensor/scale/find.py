@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.description.numbers import pixel_size
+from tactorch.sensor.description import pixel_size
 from tactorch.sensor.scale.edges import refined
 from tactorch.sensor.scale.shape import KnownShape, Outline
 

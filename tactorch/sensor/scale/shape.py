@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.mesh.values import Real, positive
-from tactorch.sensor.table import rows_of
+from tactorch.sensor.table import read_rows
 
 _SMALLEST_MM, _LARGEST_MM = 0.5, 200.0
 _COLUMNS = ("image", "corner", "x_px", "y_px")
@@ -156,11 +156,11 @@ def read_corners(path: str | Path) -> Mapping[str, Outline]:
         ConfigError: Corners of an image are no convex polygon; the message names the image.
     """
     found: dict[str, dict[str, tuple[float, float]]] = {}
-    for row in rows_of(path, "table of corners", _COLUMNS):
+    for row in read_rows(path, "table of corners", _COLUMNS):
         image, corner = row.text("image"), row.text("corner")
         own = found.setdefault(image, {})
         if corner in own:
-            raise FileError(f"{row.where}: corner {corner} of {image} is there twice.")
+            raise FileError(f"{row.location}: corner {corner} of {image} is there twice.")
         own[corner] = (row.number("x_px"), row.number("y_px"))
     if not found:
         raise FileError(f"table of corners '{path}' has no line; give one for each corner.")

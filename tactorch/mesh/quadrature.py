@@ -1,4 +1,4 @@
-"""Averages over tetrahedra, by points spread evenly in each."""
+"""Averages of fields over tetrahedra, from points on an even lattice in each element."""
 
 from collections.abc import Callable
 
@@ -6,18 +6,18 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
-from tactorch.mesh import TetMesh
+from tactorch.mesh.tetmesh import TetMesh
 
-# Points evaluated at once; bounds the memory.
-_CHUNK = 500_000
+# Points evaluated at once; limits the memory.
+_MAX_POINTS = 500_000
 
 
 def lattice(samples: int) -> Float[np.ndarray, "p 4"]:
     """Return barycentric coordinates of an even lattice within a tetrahedron.
 
     There are `samples` points along an edge, samples (samples + 1) (samples + 2) / 6 in all: the
-    centroid alone for 1, four for 2, ten for 3. The margin to the faces is such that the mean of
-    a quadratic is exact (for 2 this is the well-known rule of four points).
+    centroid alone for 1, four for 2, ten for 3. The margin to the faces makes the mean of a
+    quadratic exact; for 2 this is the four-point Gauss rule.
 
     Raises:
         ConfigError: `samples` is below 1.
@@ -27,10 +27,10 @@ def lattice(samples: int) -> Float[np.ndarray, "p 4"]:
     n = samples - 1
     r = range(samples)
     counts = np.array([(i, j, k, n - i - j - k) for i in r for j in r for k in r])
-    kept = counts[counts[:, 3] >= 0]
+    counts = counts[counts[:, 3] >= 0]
     # The positive root of margin^2 + n margin / 2 = n / 4 makes the mean of L^2 one tenth.
     margin = (np.sqrt(0.25 * n * n + n) - 0.5 * n) / 2.0 if n else 0.25
-    return (kept + margin) / (n + 4.0 * margin)
+    return (counts + margin) / (n + 4.0 * margin)
 
 
 def element_means(
@@ -38,12 +38,18 @@ def element_means(
     values_at: Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]],
     samples: int,
 ) -> Float[np.ndarray, " m"]:
-    """Return the mean over each element of a field, sampled at `lattice(samples)`."""
-    shares = lattice(samples)
+    """Return the mean of a field over each element.
+
+    Args:
+        mesh: Mesh of m elements.
+        values_at: Values of the field at points, mm.
+        samples: Number of points along an edge, see `lattice`.
+    """
+    weights = lattice(samples)
     means = np.empty(mesh.n_tets)
-    step = max(1, _CHUNK // len(shares))
+    step = max(1, _MAX_POINTS // len(weights))
     for start in range(0, mesh.n_tets, step):
         corners = mesh.points[mesh.tets[start : start + step]]
-        points = np.einsum("pc,mcd->mpd", shares, corners).reshape(-1, 3)
-        means[start : start + step] = values_at(points).reshape(-1, len(shares)).mean(axis=1)
+        points = np.einsum("pc,mcd->mpd", weights, corners).reshape(-1, 3)
+        means[start : start + step] = values_at(points).reshape(-1, len(weights)).mean(axis=1)
     return means

@@ -1,4 +1,4 @@
-"""Structured meshes: the same every time, for tests, convergence studies and benchmarks."""
+"""Structured, reproducible meshes for tests, convergence studies and benchmarks."""
 
 from collections.abc import Sequence
 from itertools import permutations
@@ -29,14 +29,14 @@ def box_mesh(
         divisions: Cells along each edge, three or one for all.
         origin_mm: Lowest corner; the default is (0, 0, 0).
         center_mm: Centre, instead of `origin_mm`.
-        tets_per_cell: 6 (all around the cell's long diagonal) or 5 (mirrored from cell to cell,
-            which favours no direction).
+        tets_per_cell: 6 (around the cell's space diagonal) or 5 (mirrored from cell to cell,
+            without a preferred direction).
 
     Returns:
         The mesh; node (ix, iy, iz) has index (ix (ny + 1) + iy) (nz + 1) + iz.
 
     Raises:
-        ConfigError: A value cannot be used.
+        ConfigError: A value is invalid.
     """
     size = np.array(sizes("size_mm", size_mm))
     counts = _counts(divisions)
@@ -66,10 +66,10 @@ def _cells(
 
 
 def _six() -> Int[np.ndarray, "6 4"]:
-    """Kuhn's division: one path from corner 0 to corner 7 for each order of the axes."""
+    """Kuhn subdivision: one path from corner 0 to corner 7 for each order of the axes."""
     steps = [4, 2, 1]
     paths = np.array([(0, a, a + b, 7) for a, b, _ in permutations(steps)])
-    # An odd permutation turns the other way round.
+    # An odd permutation has the opposite orientation.
     odd = [(a < b) ^ (b < c) ^ (a < c) for a, b, c in permutations(steps)]
     paths[odd] = paths[odd][:, [0, 1, 3, 2]]
     return paths

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactorch.mesh import TetMesh, compact
-from tactorch.viz.sampling import IN_PLANE, slice_body
+from tactorch.viz.slicing import IN_PLANE, slice_body
 
 CENTRE, RADIUS = np.array([14.0, 6.0, 12.0]), 4.0
 

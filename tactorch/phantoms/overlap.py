@@ -1,0 +1,49 @@
+"""Protrusion of one shape out of another, and clearance between two shapes."""
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.mesh import Hyperboloid, Lathe, Shape, Union, shape_surface
+
+# Sides of round shapes: results are short by 0.1 % of the radius at most.
+_SEGMENTS = 72
+_COARSE_SEGMENTS = 24
+_MAX_EDGE_STEPS = 7  # of points along an edge of a triangle, for bodies that are not convex
+_MIN_STEPS_ACROSS = 20  # of the shape's extent
+
+
+def protrusion(shape: Shape, body: Shape) -> float:
+    """Return the largest distance of `shape` outside a body, mm; negative where it is inside.
+
+    The distance to a convex body is convex and largest at an extreme point of the shape. For
+    bodies that are not convex, the whole surface of the shape is sampled.
+    """
+    steps = _MAX_EDGE_STEPS if isinstance(body, Hyperboloid | Lathe) else 1
+    return float(body.signed_distance(_surface_points(shape, _SEGMENTS, steps)).max())
+
+
+def clearance(shape: Shape, other: Shape) -> float:
+    """Return the approximate distance between two shapes, mm; negative where they overlap."""
+    first, second = (_surface_points(s, _COARSE_SEGMENTS, 3) for s in (shape, other))
+    return float(min(other.signed_distance(first).min(), shape.signed_distance(second).min()))
+
+
+def _surface_points(shape: Shape, segments: int, steps: int) -> Float[np.ndarray, "p 3"]:
+    """Points on the surface (of a union: of its parts), up to `steps` along a triangle's edge."""
+    if isinstance(shape, Union):
+        return np.concatenate([_surface_points(part, segments, steps) for part in shape.parts])
+    vertices, triangles = shape_surface(shape, segments)
+    if steps == 1:
+        return vertices
+    corners = vertices[triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    step = np.linalg.norm(np.ptp(vertices, axis=0)) / _MIN_STEPS_ACROSS
+    counts = np.clip(np.ceil(longest / step), 1, steps).astype(int)
+    return np.concatenate([_subdivide(corners[counts == n], int(n)) for n in np.unique(counts)])
+
+
+def _subdivide(corners: Float[np.ndarray, "k 3 3"], steps: int) -> Float[np.ndarray, "p 3"]:
+    """Points of triangles, `steps` intervals along each edge."""
+    counts = [(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]
+    weights = np.array(counts) / steps
+    return np.einsum("pc,kcd->kpd", weights, corners).reshape(-1, 3)

@@ -1,0 +1,278 @@
+"""Damaged and hostile files of the sensor: a `TactorchError` that names the file, or a result."""
+
+import json
+import struct
+import subprocess
+import sys
+import textwrap
+import warnings
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tactorch.errors import FileError, TactorchError
+from tactorch.sensor.calibration import Calibration, load_calibration, read_labels, save_calibration
+from tactorch.sensor.calibration.maps import make_map
+from tactorch.sensor.contact import read_poses
+from tactorch.sensor.description import GelLayer, SensorDescription, load_sensor
+from tactorch.sensor.frames import read_frames, read_image
+from tactorch.sensor.scale import read_corners
+
+SENSOR = SensorDescription("small", (64, 48), (0.3, 0.3), GelLayer(3.0, 0.2, size_mm=(20.0, 16.0)))
+YAML = """name: s
+image_size_px: [64, 48]
+mm_per_px: [0.3, 0.3]
+gel: {thickness_mm: 3.0, youngs_mpa: 0.2, size_mm: [20.0, 16.0]}
+markers: {columns: 5, rows: 4, pitch_mm: [3.0, 3.0], diameter_mm: 1.2}
+"""
+POSES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz\n0,1,2,3,1,0,0,0\n0.5,1,2,2.5,1,0,0,0\n"
+LABELS = "image,center_x_px,center_y_px,radius_px\na.png,30,20,9\nb.png,28,21,8.5\n"
+CORNERS = "image,corner,x_px,y_px\np,1,5,5\np,2,50,5\np,3,50,40\np,4,5,40\n"
+FLIPS, CUTS = 60, 20
+
+
+def gel_image() -> np.ndarray:
+    y, x = np.mgrid[:48, :64]
+    light = np.stack([120 + x, 120 + y, 160 - 0.5 * x], axis=2)
+    noise = np.random.default_rng(0).normal(0, 1.5, light.shape)
+    return np.clip(light + noise, 0, 255).astype(np.uint8)
+
+
+IMAGE = gel_image()
+
+
+def encoded(suffix: str) -> bytes:
+    return cv2.imencode(suffix, IMAGE[..., ::-1])[1].tobytes()
+
+
+def calibration(folder: Path, name: str) -> bytes:
+    path = folder / "whole.npz"
+    save_calibration(Calibration(make_map(name), IMAGE, (0.3, 0.3)), path)
+    return path.read_bytes()
+
+
+def video(folder: Path) -> bytes:
+    path = folder / "whole.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (64, 48))
+    for i in range(5):
+        writer.write(np.clip(IMAGE.astype(int) + i, 0, 255).astype(np.uint8))
+    writer.release()
+    return path.read_bytes()
+
+
+def check_calibration(path: Path) -> None:
+    assert np.isfinite(load_calibration(path).slopes(IMAGE, IMAGE)).all()
+
+
+def check_image(path: Path) -> None:
+    image = read_image(path)
+    assert image.dtype == np.uint8
+    assert image.ndim == 3
+
+
+def check_frames(path: Path) -> None:
+    for frame in read_frames(path, SENSOR, IMAGE):
+        assert frame.image is not None or frame.fault
+
+
+#: Kind of file, its content, and a function that reads it.
+KINDS: dict[str, tuple[Callable[[Path], bytes], Callable[[Path], object]]] = {
+    "sensor.yaml": (lambda d: YAML.encode(), load_sensor),
+    "poses.csv": (lambda d: POSES.encode(), read_poses),
+    "labels.csv": (lambda d: LABELS.encode(), read_labels),
+    "corners.csv": (lambda d: CORNERS.encode(), read_corners),
+    "image.png": (lambda d: encoded(".png"), check_image),
+    "image.jpg": (lambda d: encoded(".jpg"), check_image),
+    "image.bmp": (lambda d: encoded(".bmp"), check_image),
+    "image.tif": (lambda d: encoded(".tif"), check_image),
+    "press.avi": (video, check_frames),
+    "lookup.npz": (lambda d: calibration(d, "lookup"), check_calibration),
+    "mlp.npz": (lambda d: calibration(d, "mlp"), check_calibration),
+}
+
+
+def damaged(content: bytes, seed: int) -> list[bytes]:
+    """The content with single and multiple byte flips, and cut short."""
+    rng = np.random.default_rng(seed)
+    variants = []
+    for number in range(FLIPS):
+        flipped = bytearray(content)
+        # Headers decide more than data, so half of the flips are among the first bytes.
+        reach = len(content) if number % 2 else min(len(content), 128)
+        for place in rng.integers(reach, size=1 + number % 3):
+            flipped[place] ^= int(rng.integers(1, 256))
+        variants.append(bytes(flipped))
+    return variants + [content[:cut] for cut in rng.integers(len(content), size=CUTS)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damaged_files_are_refused_or_read(kind: str, tmp_path: Path) -> None:
+    make, read = KINDS[kind]
+    content, path = make(tmp_path), tmp_path / kind
+    path.write_bytes(content)
+    read(path)  # whole, it is read
+    messages = []
+    for variant in damaged(content, seed=len(kind)):
+        path.write_bytes(variant)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            try:
+                read(path)
+            except TactorchError as error:
+                messages.append(str(error))
+    assert messages
+    assert all(kind in message for message in messages)
+
+
+NESTED = "name: " + "[" * 5000 + "]" * 5000
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("gel: &a [*a]", "uses the alias '\\*a'"),
+        ("&a name: 1\ngel: &b {<<: *b}", "uses the alias '\\*b'"),
+        ("a: &a [1, 1]\nb: &b [*a, *a]\nc: [*b, *b]", "uses the alias"),
+        (NESTED, "nested deeper than 10 levels"),
+        ("name: 2001-99-99", "not valid YAML"),
+        ("name: " + "1" * 5000, "not valid YAML"),
+        ("name: " + "x" * 1_100_000, "1100006 bytes"),
+    ],
+    ids=["recursive", "merge", "shared", "nested", "date", "digits", "size"],
+)
+def test_hostile_descriptions(content: str, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / "sensor.yaml"
+    path.write_text(content)
+    with pytest.raises(FileError, match=f"sensor.yaml'.*{reason}"):
+        load_sensor(path)
+
+
+def test_number_beyond_the_floats(tmp_path: Path) -> None:
+    path = tmp_path / "sensor.yaml"
+    path.write_text(YAML.replace("thickness_mm: 3.0", "thickness_mm: " + "9" * 400))
+    with pytest.raises(TactorchError, match=r"sensor\.yaml"):
+        load_sensor(path)
+
+
+def huge_png(side: int) -> bytes:
+    """A small PNG whose header declares many black pixels, and holds them."""
+
+    def chunk(name: bytes, content: bytes) -> bytes:
+        checksum = zlib.crc32(name + content)
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", checksum)
+
+    packer = zlib.compressobj(9)
+    row = b"\0" * (1 + side)
+    rows = b"".join([*(packer.compress(row) for _ in range(side)), packer.flush()])
+    header = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+    parts = chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + parts
+
+
+def peak_memory_mb(code: str) -> float:
+    """Run code in a process of its own and return the growth of its peak memory, MB."""
+    program = (
+        "import resource, cv2, numpy\n"
+        "from tactorch.sensor.frames import read_image\n"
+        "from tactorch.errors import FileError\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        f"{textwrap.dedent(code)}\n"
+        "print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return float(done.stdout.splitlines()[-1])
+
+
+def test_large_images_are_refused_by_their_header(tmp_path: Path) -> None:
+    path = tmp_path / "large.png"
+    path.write_bytes(huge_png(12_000))  # 430 MB as RGB
+    code = f"""
+    try:
+        read_image({str(path)!r})
+    except FileError as error:
+        assert "12000 x 12000 px" in str(error), error
+    else:
+        raise SystemExit("it was read")
+    """
+    assert peak_memory_mb(code) < 60
+
+
+def test_arrays_too_large_to_unpack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tactorch.sensor.calibration import storage
+
+    path = tmp_path / "calib.npz"
+    path.write_bytes(calibration(tmp_path, "lookup"))
+    monkeypatch.setattr(storage, "_MAX_BYTES", 1000)
+    with pytest.raises(FileError, match=r"calib\.npz.*more than 1000"):
+        load_calibration(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("map/table", np.zeros((24, 24, 24))),
+        ("map/table", np.zeros((24, 24, 3, 2))),
+        ("map/plane", np.zeros((2, 9))),
+        ("map/most", np.array(0.0)),
+    ],
+)
+def test_arrays_of_another_shape(name: str, values: np.ndarray, tmp_path: Path) -> None:
+    calibration(tmp_path, "lookup")
+    with np.load(tmp_path / "whole.npz") as archive:
+        content = {key: archive[key] for key in archive.files}
+    np.savez(tmp_path / "calib.npz", **{**content, name: values})
+    with pytest.raises(FileError, match=r"calib\.npz"):
+        load_calibration(tmp_path / "calib.npz")
+
+
+def test_calibration_text_of_another_kind(tmp_path: Path) -> None:
+    np.savez(tmp_path / "calib.npz", about=np.array(json.dumps([1, 2])))
+    with pytest.raises(FileError, match=r"calib\.npz"):
+        load_calibration(tmp_path / "calib.npz")
+
+
+@pytest.mark.parametrize("declared", [1e9, float("nan"), -5.0])
+def test_videos_that_declare_absurd_lengths(
+    declared: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Capture:
+        """A capture of two frames whose header declares another number."""
+
+        def __init__(self, path: str) -> None:
+            self.left = 2
+
+        def isOpened(self) -> bool:
+            return True
+
+        def get(self, key: int) -> float:
+            sizes = {cv2.CAP_PROP_FRAME_WIDTH: 64.0, cv2.CAP_PROP_FRAME_HEIGHT: 48.0}
+            return sizes.get(key, declared)
+
+        def read(self) -> tuple[bool, np.ndarray]:
+            self.left -= 1
+            return self.left >= 0, IMAGE
+
+        def release(self) -> None:
+            pass
+
+    path = tmp_path / "press.avi"
+    path.write_bytes(b"RIFF")
+    monkeypatch.setattr(cv2, "VideoCapture", Capture)
+    frames = list(read_frames(path, SENSOR, IMAGE))
+    assert 2 <= len(frames) <= 20_000
+    assert all(frame.time_s is None for frame in frames)
+
+
+def test_videos_of_too_many_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tactorch.sensor.frames import sources
+
+    path = tmp_path / "press.avi"
+    path.write_bytes(video(tmp_path))
+    monkeypatch.setattr(sources, "_MAX_PIXELS", 1000)
+    with pytest.raises(FileError, match=r"press\.avi' is too large: 64 x 48 px"):
+        list(read_frames(path, SENSOR, IMAGE))
