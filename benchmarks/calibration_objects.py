@@ -11,13 +11,13 @@ import scipy.sparse as sp
 from tactorch.inverse import (
     GaussNewton,
     InverseProblem,
+    Log,
     Monitor,
     Objective,
     Settings,
     homogeneous,
     invert,
     make_objective,
-    make_parameterization,
 )
 from tactorch.inverse.regularization import Smoothness
 from tactorch.mesh import Box, Shape, Sphere, TetMesh, box_mesh
@@ -161,10 +161,10 @@ def judge_gaussian(divisions: int, seed: int, index: int) -> Outcome:
         noisy = exact + sigma * rng.standard_normal(exact.shape)
         presses.append(replace(press, displacement=noisy, noise_mm=sigma))
     problem = InverseProblem(replace(blank, presses=tuple(presses), truth=None))
-    objective = Objective(problem, make_parameterization("log"), prior)
+    objective = Objective(problem, Log(), prior, weight=1.0)
     monitor = Monitor()
     start = objective.start(np.full(mesh.n_tets, 0.2))
-    GaussNewton(weight=1.0, tolerance=1e-6).minimize(objective, start, monitor)
+    GaussNewton(tolerance=1e-6).minimize(objective, start, monitor)
     assert monitor.point is not None
     found = LaplacePosterior.at(monitor.point, 1.0)
     posteriors = {"laplace": (found.mean, found.deviation())}

@@ -26,7 +26,7 @@ from tactorch.reproduce.design import CELLS, METRICS, MODELS, Cell, record
 from tactorch.reproduce.paper import paper
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
-_DEFAULT = Settings().regularization
+_DEFAULT = "total_variation"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

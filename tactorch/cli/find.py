@@ -19,8 +19,9 @@ from tactorch.config import option
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
 from tactorch.findings import Finding, finding_of
+from tactorch.inverse import settings_from
 from tactorch.recording import Recording
-from tactorch.report import Run, load_run, settings_of
+from tactorch.report import Run, load_run
 from tactorch.uncertainty import GaussianPosterior, posterior_of
 from tactorch.uncertainty.select import UNCOMPUTABLE
 
@@ -75,7 +76,7 @@ def _posterior(found: Run, recording: Recording) -> GaussianPosterior | None:
     """Return the posterior of the map; None, with the reason in the log, where it has none."""
     complete = with_settings(found)
     try:
-        settings = complete.settings or settings_of(complete.found.config)
+        settings = complete.settings or settings_from(complete.found.config)
         return posterior_of(recording, complete.found, settings)
     except UNCOMPUTABLE as error:
         reason = str(error) or "not enough memory"

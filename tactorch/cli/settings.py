@@ -7,7 +7,8 @@ from hydra.core.hydra_config import HydraConfig
 
 from tactorch.cli.logs import log as log
 from tactorch.config import settings_of, to_mapping
-from tactorch.inverse import Settings, Start
+from tactorch.inverse import Settings, Start, homogeneous
+from tactorch.inverse.starts import Uniform
 from tactorch.recording import MaterialSpec, Recording
 
 if TYPE_CHECKING:
@@ -40,10 +41,10 @@ def make_start(
 
     The map of a surrogate may be the mean of the prior.
     """
-    from tactorch.learning.surrogate import SurrogateStart
-
     start = options.initialization
-    if not isinstance(start, SurrogateStart):
+    if isinstance(start, Uniform):
+        return homogeneous if isinstance(start.start_mpa, str) else start.start_mpa, settings
+    if not hasattr(start, "with_prior_mean"):
         return start, settings
     if options.resume is None:
         start.network  # noqa: B018  (weights that cannot be used are reported at once)

@@ -10,6 +10,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, make_material
 from tactorch.generation.plans import PressDraw
 from tactorch.inverse import Settings
+from tactorch.inverse.settings import stored_settings
 from tactorch.mesh import TetMesh
 from tactorch.mesh.values import Real, positive
 from tactorch.phantoms import Phantom, RandomPhantom, draw_phantom
@@ -147,8 +148,5 @@ class Recipe:
         config = plain(self)
         assert isinstance(config, dict)
         if isinstance(self.inversion, Settings):
-            optimizer = self.inversion.optimizer
-            name = optimizer if isinstance(optimizer, str) else optimizer.name
-            config["inversion"] = {**plain(self.inversion), "optimizer": name}
-            config["inversion"]["optimizer_settings"] = plain(optimizer)
+            config["inversion"] = stored_settings(self.inversion)
         return config

@@ -39,7 +39,9 @@ def adapt(objective: Objective) -> Float[np.ndarray, " presses"]:
     fit = uniform_fit(problem, objective.parameterization.bounds, objective.nuisance)
     monitor = Monitor()
     start = objective.start(np.full(problem.n_elements, fit.youngs_mpa))
-    GaussNewton(max_iterations=_ITERATIONS).minimize(objective, start, monitor)
+    GaussNewton(max_iterations=_ITERATIONS).minimize(
+        replace(objective, weight=None), start, monitor
+    )
     assert monitor.point is not None
     found = monitor.point.evaluation.chi2_of_presses
     factors = np.sqrt(np.maximum(1.0, found / max(1.0, float(np.median(found)))))

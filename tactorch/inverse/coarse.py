@@ -6,12 +6,14 @@ inversion proper, in the manner of multilevel inversion (Liu, 1993).
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.evaluation import Evaluation
 from tactorch.inverse.parameterization import Bounds
@@ -49,16 +51,17 @@ def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
 
 
 @dataclass(frozen=True)
-class CoarseStart:
-    """A start for `invert`: the map of few moduli that fits best.
+class CoarseStart(Options):
+    """The map of few moduli that fits best, each shared by a cluster of elements.
 
     Attributes:
         groups: Number of clusters.
         steps: Limit of Gauss-Newton steps.
     """
 
-    groups: int = 64
-    steps: int = 6
+    section: ClassVar[str] = "initialization"
+    groups: int = option(64, "Number of clusters of elements", gt=0)
+    steps: int = option(6, "Limit of Gauss-Newton steps", gt=0)
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
         """Return the map, MPa.

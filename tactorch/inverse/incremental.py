@@ -18,8 +18,6 @@ from jaxtyping import Float
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse.invert import (
     INTERRUPTED,
-    START_MPA,
-    Settings,
     combine,
     make_problem,
     result_of,
@@ -34,11 +32,12 @@ from tactorch.inverse.model_error import (
 )
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import GaussNewton, NewtonCG, make_optimizer
+from tactorch.inverse.optimizers import OPTIMIZERS, GaussNewton, NewtonCG
 from tactorch.inverse.optimizers.weight import warm_start_state
 from tactorch.inverse.problem import body_of
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.starts import Start, homogeneous, start_map
+from tactorch.inverse.settings import Settings
+from tactorch.inverse.starts import START_MPA, Start, homogeneous, start_map
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.recording import Press, Recording
 
@@ -308,11 +307,10 @@ def _optimizer_of(settings: Settings, max_iterations: int) -> GaussNewton | Newt
         )
     if max_iterations < 1:
         raise ConfigError(f"max_iterations={max_iterations}: give at least 1.")
-    found = settings.optimizer
-    found = make_optimizer(found) if isinstance(found, str) else found
-    if not isinstance(found, GaussNewton | NewtonCG):
+    optimizer = settings.optimizer
+    if not isinstance(optimizer, GaussNewton | NewtonCG):
         raise ConfigError(
-            f"optimizer={found.name} starts anew with every press; choose gauss_newton, or "
-            "newton_cg past some ten thousand elements."
+            f"optimizer={OPTIMIZERS.name_of(type(optimizer))} cannot continue from the map before; "
+            "choose gauss_newton, or newton_cg beyond ten thousand elements."
         )
-    return found
+    return optimizer

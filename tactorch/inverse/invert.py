@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -10,80 +10,31 @@ from typing import Any
 import numpy as np
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import NewtonOptions, SoftBody
+from tactorch.fem import SoftBody
 from tactorch.inverse.adaptive import adapt
-from tactorch.inverse.misfit import make_misfit
+from tactorch.inverse.misfit import MISFITS, Adaptive
 from tactorch.inverse.model_error import (
-    LEFT,
     apply_model_error,
     discretisation_error,
     resolve_model_error,
 )
 from tactorch.inverse.monitor import Monitor, StopOptimization
 from tactorch.inverse.noise import NoiseModel
-from tactorch.inverse.nuisance import NuisancePrior
 from tactorch.inverse.nuisance_estimate import estimates
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import GaussNewton, Optimizer, make_optimizer
-from tactorch.inverse.parameterization import Bounds, make_parameterization
+from tactorch.inverse.optimizers import OPTIMIZERS, Optimizer
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.progress import progress
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.regularization import Prior, PriorOptions, make_regularizer
-from tactorch.inverse.starts import Start, start_map
+from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings, stored_settings
+from tactorch.inverse.starts import START_MPA, Start, start_map
 from tactorch.inverse.uniform import uniform_fit
-from tactorch.plain import plain, plain_fields
+from tactorch.plain import plain
 from tactorch.recording import Recording
 from tactorch.versions import versions
 
 _log = logging.getLogger(__name__)
-START_MPA = 0.2
 INTERRUPTED = "interrupted"
-
-
-@dataclass
-class Settings:
-    """Everything but the recording that decides an inversion.
-
-    Attributes:
-        optimizer: A name ("gauss_newton", "newton_cg", "tnc", "lbfgs") or an optimizer.
-        parameterization: "log", "scaled" or "identity".
-        regularization: A name of `tactorch.inverse.REGULARIZERS`, or a prior of your own: a
-            function of the mesh that makes one (see `tactorch.inverse.Regularizer`).
-        edge: Where priors turn from smooth to sharp (log-modulus), or None for each one's own.
-        prior: What else some priors need.
-        bounds: Limits of Young's modulus.
-        noise: Standard deviations for presses that do not state theirs.
-        misfit: "squares", "huber" for outlying markers, or "adaptive" for presses that are worse
-            than stated; see `tactorch.inverse.misfit` and `tactorch.inverse.adaptive`.
-        model_error: "discretisation" corrects for what the mesh gets wrong, "none" does not, and
-            "auto" does unless the presses were computed on the same mesh; see
-            `tactorch.inverse.model_error`.
-        residual_model_error_fraction: Share of the mesh's error that stays as uncertainty once it
-            is subtracted, 0 to 1: less than the default where elements are small beside the
-            features sought.
-        element: "tet4" or "tet10".
-        solver: "auto", "pardiso", "superlu" or "multigrid".
-        newton: Settings of the equilibrium search.
-        nuisance: Nuisance parameters to be estimated beside the map; none by default.
-        max_seconds: Time limit, or None.
-    """
-
-    optimizer: str | Optimizer = field(default_factory=GaussNewton)
-    parameterization: str = "log"
-    regularization: Prior = "total_variation"
-    edge: float | None = None
-    prior: PriorOptions = field(default_factory=PriorOptions)
-    bounds: Bounds = field(default_factory=Bounds)
-    noise: NoiseModel = field(default_factory=NoiseModel)
-    misfit: str = "squares"
-    model_error: str = "auto"
-    residual_model_error_fraction: float = LEFT
-    element: str = "tet4"
-    solver: str = "auto"
-    newton: NewtonOptions = field(default_factory=NewtonOptions)
-    nuisance: NuisancePrior = field(default_factory=NuisancePrior)
-    max_seconds: float | None = None
 
 
 def invert(
@@ -119,8 +70,6 @@ def invert(
     settings = settings or Settings()
     objective = make_objective(recording, settings)
     optimizer = settings.optimizer
-    if isinstance(optimizer, str):
-        optimizer = make_optimizer(optimizer)
     path = None if checkpoint is None else Path(checkpoint)
     monitor = Monitor(
         max_seconds=settings.max_seconds,
@@ -131,7 +80,7 @@ def invert(
             "parameterization": str(objective.parameterization),
             "model error": _of_model(recording, settings),
             "set of unknowns": str(settings.nuisance),
-            "misfit": settings.misfit,
+            "misfit": MISFITS.name_of(type(settings.misfit)),
         },
         task=_task(recording, settings, optimizer),
     )
@@ -145,7 +94,7 @@ def invert(
     tell_assumed_noise(settings.noise, recording)
     reason = monitor.ended
     if not reason:
-        with progress(optimizer.name, show_progress) as update:
+        with progress(OPTIMIZERS.name_of(type(optimizer)), show_progress) as update:
             monitor.on_record = update
             reason = run_to_end(optimizer, objective, x, monitor)
         monitor.save()
@@ -199,7 +148,7 @@ def make_problem(
         solver=settings.solver,
         noise=settings.noise,
         newton=settings.newton,
-        misfit=make_misfit(settings.misfit),
+        misfit=settings.misfit,
         body=body,
     )
     problem.nuisance = settings.nuisance
@@ -215,11 +164,12 @@ def combine(problem: InverseProblem, settings: Settings) -> Objective:
     mesh = problem.recording.mesh
     objective = Objective(
         problem,
-        make_parameterization(settings.parameterization, settings.bounds),
-        make_regularizer(settings.regularization, mesh, edge=settings.edge, options=settings.prior),
+        replace(settings.parameterization, bounds=settings.bounds),
+        settings.regularization.on(mesh),
         settings.nuisance,
+        settings.regularization.weight,
     )
-    if settings.misfit == "adaptive":
+    if isinstance(settings.misfit, Adaptive):
         adapt(objective)
     return objective
 
@@ -254,14 +204,14 @@ def solution(recording: Recording, found: Reconstruction, settings: Settings) ->
 def _of_model(recording: Recording, settings: Settings) -> str:
     """What is done about the model's error, in words by which runs are told apart."""
     name = resolve_model_error(settings.model_error, recording, settings.element)
-    usual = name == "none" or settings.residual_model_error_fraction == LEFT
+    usual = name == "none" or settings.residual_model_error_fraction == RESIDUAL_MODEL_ERROR
     return name if usual else f"{name}, {settings.residual_model_error_fraction:g} left"
 
 
 def _task(recording: Recording, settings: Settings, optimizer: Optimizer) -> str:
     """Everything but the start that decides the result, in few characters."""
-    digest = sha256(repr(plain(replace(settings, optimizer="", max_seconds=None))).encode())
-    digest.update(repr((optimizer.name, plain_fields(optimizer), recording.material)).encode())
+    digest = sha256(repr(stored_settings(replace(settings, max_seconds=None))).encode())
+    digest.update(repr(recording.material).encode())
     digest.update(repr(settings.noise.deviations(recording)).encode())
     for press in recording.presses:
         held = (press.springs, press.fixed, press.prescribed)
@@ -318,8 +268,8 @@ def result_of(
         seconds=monitor.seconds,
         nuisance=estimates(point, monitor.history[-1].get("weight", 0.0)),
         config={
-            "settings": plain(settings),
-            "optimizer": {"name": optimizer.name, **plain_fields(optimizer)},
+            "settings": stored_settings(settings),
+            "optimizer": stored_settings(optimizer, "optimizer"),
             "material": plain(recording.material),
             "recording": recording.provenance,
             "versions": versions(),

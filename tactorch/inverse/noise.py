@@ -1,11 +1,13 @@
-"""How far each datum is believed: the standard deviation of every observed displacement."""
+"""Noise: the standard deviation of every observed displacement."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.recording import Press, Recording
 
@@ -13,29 +15,26 @@ _MEDIAN = float(ndtri(0.75))  # median size of a standard normal number
 
 
 @dataclass(frozen=True)
-class NoiseModel:
+class NoiseModel(Options):
     """Standard deviations of the observed displacements.
 
-    In this order: `mm`, where given; what the press states; what the recording's unloaded frames
-    show; `relative`.
+    The first that applies: `mm`, where given; the value stated by the press; the estimate from the
+    recording's unloaded frames; `relative`.
 
     Attributes:
         relative: Noise as a fraction of the root mean square of all observed displacements; also
             a floor for stated and estimated noise, since no model is exact.
-        mm: Noise in mm, overriding what the recording says.
+        mm: Noise in mm, which overrides the recording's.
     """
 
-    relative: float = 1e-4
-    mm: float | None = None
-
-    def __post_init__(self) -> None:
-        """Check ranges."""
-        if not 0 < self.relative < 1:
-            raise ConfigError(
-                f"noise.relative={self.relative}: give a fraction of the signal in (0, 1)."
-            )
-        if self.mm is not None and not self.mm > 0:
-            raise ConfigError(f"noise.mm={self.mm}: give a standard deviation above 0 mm, or null.")
+    section: ClassVar[str] = "noise"
+    relative: float = option(
+        1e-4, "Noise as a fraction of the signal where it is not stated; a floor elsewhere",
+        gt=0, lt=1,
+    )  # fmt: skip
+    mm: float | None = option(
+        None, "Noise, which overrides what the recording states", unit="mm", gt=0
+    )
 
     def deviations(self, recording: Recording) -> list[float]:
         """Return the standard deviation of each press's displacements, mm."""

@@ -133,6 +133,7 @@ class Objective:
         problem: The data.
         parameterization: What the elements' part of x means.
         prior: The penalty on log-moduli.
+        weight: Weight of the prior; None where the optimizer chooses it.
         nuisance: Nuisance parameters that are estimated too.
     """
 
@@ -140,6 +141,7 @@ class Objective:
     parameterization: Parameterization
     prior: Regularizer
     nuisance: NuisancePrior = field(default_factory=NuisancePrior)
+    weight: float | None = None
 
     @property
     def size(self) -> int:

@@ -1,24 +1,37 @@
-"""What the optimizer moves instead of Young's modulus itself."""
+"""Parameterisations: the variables of the optimization that stand for Young's moduli."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class Bounds:
-    """Limits of Young's modulus, MPa; the paper's by default."""
+class Bounds(Options):
+    """Limits of Young's modulus, MPa; the paper's by default.
 
-    lower: float = 0.001
-    upper: float = 100.0
+    Attributes:
+        lower: Lower limit, MPa; the default is that of a hole.
+        upper: Upper limit, MPa.
+    """
+
+    section: ClassVar[str] = "bounds"
+    lower: float = option(0.001, "Lower limit of Young's modulus", unit="MPa", gt=0)
+    upper: float = option(100.0, "Upper limit of Young's modulus", unit="MPa", gt=0)
 
     def __post_init__(self) -> None:
-        """Check that both are positive and ordered."""
-        if not 0 < self.lower < self.upper < np.inf:
+        """Check the order.
+
+        Raises:
+            ConfigError: a limit is not positive, or they are not in order.
+        """
+        super().__post_init__()
+        if not self.lower < self.upper:
             raise ConfigError(
                 f"bounds [{self.lower}, {self.upper}] MPa: need 0 < lower < upper; use 0.001 for "
                 "the modulus of a hole."
@@ -26,13 +39,14 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Parameterization(ABC):
-    """A map, element by element, from a parameter x to Young's modulus (MPa).
+class Parameterization(Options, ABC):
+    """Relation, element by element, between a parameter x and Young's modulus (MPa).
 
     Attributes:
-        bounds: Limits of the modulus.
+        bounds: Limits of the modulus; an inversion sets those of its settings.
     """
 
+    section: ClassVar[str] = "parameterization"
     bounds: Bounds = Bounds()
 
     @abstractmethod
@@ -148,21 +162,10 @@ class Log(Parameterization):
         return np.log(youngs)
 
 
-PARAMETERIZATIONS: dict[str, type[Parameterization]] = {
-    "identity": Identity,
-    "scaled": Scaled,
-    "log": Log,
-}
-
-
-def make_parameterization(name: str, bounds: Bounds | None = None) -> Parameterization:
-    """Make a parameterisation by name.
-
-    Raises:
-        ConfigError: the name is unknown.
-    """
-    if name not in PARAMETERIZATIONS:
-        raise ConfigError(
-            f"parameterization '{name}' is unknown; choose one of {', '.join(PARAMETERIZATIONS)}."
-        )
-    return PARAMETERIZATIONS[name](bounds or Bounds())
+_HERE = "tactorch.inverse.parameterization"
+#: Settings of the parameterisations by name.
+PARAMETERIZATIONS = Registry(
+    "parameterization",
+    {"log": f"{_HERE}:Log", "scaled": f"{_HERE}:Scaled", "identity": f"{_HERE}:Identity"},
+    "parameters of the map",
+)

@@ -5,11 +5,13 @@ A start is a function of the inverse problem, so a learned one plugs in the same
 
 import logging
 from collections.abc import Callable
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import map_cases, worker_count
 from tactorch.inverse.parameterization import Bounds
@@ -17,8 +19,41 @@ from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.uniform import uniform_fit
 
 _log = logging.getLogger(__name__)
-_ROUNDED = 1e-9  # share of a bound by which a map that lies on it may miss it
+START_MPA = 0.2
+_BOUND_RTOL = 1e-9  # relative excess over a bound that counts as rounding
 Start: TypeAlias = float | np.ndarray | Callable[[InverseProblem, Bounds], np.ndarray]
+
+
+#: Settings of the starts by name; each is a function of the problem and the bounds.
+INITIALIZATIONS = Registry(
+    "initialization",
+    {
+        "uniform": "tactorch.inverse.starts:Uniform",
+        "coarse": "tactorch.inverse.coarse:CoarseStart",
+        "surrogate": "tactorch.learning.surrogate:SurrogateStart",
+    },
+    "starts of an inversion",
+)
+
+
+@dataclass(frozen=True)
+class Uniform(Options):
+    """One modulus for all elements.
+
+    Attributes:
+        start_mpa: The modulus, MPa, or "homogeneous" for the one that fits best.
+    """
+
+    section: ClassVar[str] = "initialization"
+    start_mpa: float | Literal["homogeneous"] = option(
+        START_MPA, "Modulus of the start; homogeneous: the one that fits best", unit="MPa", gt=0
+    )
+
+    def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
+        """Return the map, MPa."""
+        if isinstance(self.start_mpa, str):
+            return homogeneous(problem, bounds)
+        return np.full(problem.n_elements, self.start_mpa)
 
 
 def best_uniform(
@@ -128,7 +163,7 @@ def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np
     values = np.asarray(found, dtype=np.float64)
     if values.ndim and values.shape != (m,):
         raise ConfigError(f"start_mpa has shape {values.shape}; expected one modulus or ({m},).")
-    low, high = bounds.lower * (1 - _ROUNDED), bounds.upper * (1 + _ROUNDED)
+    low, high = bounds.lower * (1 - _BOUND_RTOL), bounds.upper * (1 + _BOUND_RTOL)
     if not np.all((values >= low) & (values <= high)):
         raise ConfigError(
             f"start_mpa spans {values.min():g} to {values.max():g} MPa, outside the bounds "

@@ -10,12 +10,11 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import TactorchError
 from tactorch.findings import Confidence, confidence_of, find_lump
-from tactorch.inverse import NoiseModel, Point, Settings, solution
+from tactorch.inverse import NoiseModel, Point, Settings, settings_from, solution
 from tactorch.inverse.nuisance.press_model import PressModelFactory
 from tactorch.inverse.nuisance.values import Nuisance
 from tactorch.recording import Recording
 from tactorch.report.runs import Run
-from tactorch.report.settings import settings_of
 from tactorch.uncertainty import credibility
 from tactorch.uncertainty.select import UNCOMPUTABLE, posterior_at
 
@@ -123,7 +122,7 @@ def judge(run: Run, *, uncertainty: bool = True, tell: ProgressCallback | None =
 
 def _believed(run: Run, recording: Recording, tell: ProgressCallback) -> Judgement:
     tell("presses at the map", 0, _STEPS)
-    point = solution(recording, run.found, run.settings or settings_of(run.found.config))
+    point = solution(recording, run.found, run.settings or settings_from(run.found.config))
     tell("credibility", 1, _STEPS)
     felt = credibility(point.evaluation).values
     tell("posterior", 2, _STEPS)

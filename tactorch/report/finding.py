@@ -204,7 +204,8 @@ def _cautions(run: Run, judged: Judgement, inclusion: Inclusion | None, fit: flo
 
 
 def _prior(run: Run) -> object:
-    return run.found.config.get("settings", {}).get("regularization", "")
+    prior = run.found.config.get("settings", {}).get("regularization", "")
+    return prior.get("name", "") if isinstance(prior, dict) else prior
 
 
 def _noise_assumed(run: Run, recording: Recording) -> bool:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.inverse import TNC, NoiseModel, Settings
+from tactorch.inverse import TNC, NoiseModel, NoPrior, Scaled, Settings
 from tactorch.metrics import scores
 from tactorch.recording import Recording
 from tactorch.reproduce.cases import Case, Outcome
@@ -86,8 +86,8 @@ def _truncated_newton(
     """The paper's method, for its number of solves; and on, until it has had time enough."""
     paper = Settings(
         optimizer=TNC(max_evaluations=settings["tnc_evaluations"]),
-        parameterization="scaled",
-        regularization="none",
+        parameterization=Scaled(),
+        regularization=NoPrior(),
         model_error="none",
     )
     found = run_with_trace(recording, paper, scratch)

@@ -29,8 +29,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Point
-from tactorch.inverse.regularization import TotalVariation
-from tactorch.inverse.regularization.base import jumps, relative_areas
+from tactorch.inverse.regularization.jumps import jumps, relative_areas
 from tactorch.linalg import DenseCholesky
 from tactorch.uncertainty.laplace import LaplacePosterior
 
@@ -104,7 +103,7 @@ class _Jumps:
 
 def has_variational_posterior(point: Point, weight: float) -> bool:
     """Whether `variational_posterior` applies: total variation without a mean, of some weight."""
-    return weight > 0 and isinstance(point.objective.prior, TotalVariation)
+    return weight > 0 and point.objective.prior.variation is not None
 
 
 def variational_posterior(
@@ -130,17 +129,17 @@ def variational_posterior(
         ConfigError: the prior is not total variation, the weight is not positive, or data and
             prior leave something undetermined.
     """
-    prior = point.objective.prior
-    if not isinstance(prior, TotalVariation):
+    variation = point.objective.prior.variation
+    if variation is None:
         raise ConfigError(
-            f"regularization={prior.name} ({type(prior).__name__}): the variational posterior is "
-            "that of total variation without a mean; use LaplacePosterior with other priors."
+            "the variational posterior is that of total variation without a mean; use "
+            "LaplacePosterior with other priors."
         )
     if not weight > 0:
         raise ConfigError(f"weight={weight} of the prior must be above 0.")
     parts = _Jumps.at(point)
     if sizes is None:
-        sizes = np.maximum(np.abs(parts.now), prior.edge)
+        sizes = np.maximum(np.abs(parts.now), variation.edge)
     sizes = np.maximum(sizes, _MIN_SIZE)  # a uniform map has no jumps
     hessian, iterations = point.jacobian.T @ point.jacobian, 0
     while iterations < max_iterations:

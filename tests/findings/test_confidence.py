@@ -5,8 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from tactorch.findings import confidence_of, find_lump, finding_of
-from tactorch.inverse import Bounds
-from tactorch.inverse.parameterization import make_parameterization
+from tactorch.inverse.parameterization import Log
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.uncertainty import LaplacePosterior
@@ -21,7 +20,7 @@ def youngs(inside=0.5, outside=0.2):
 
 def posterior(map_mpa, deviation):
     """Each element's logarithm by itself, all as uncertain as one another."""
-    log = make_parameterization("log", Bounds())
+    log = Log()
     mean = log.parameters(map_mpa)
     nothing = np.zeros((1, MESH.n_tets))
     prior = sp.identity(MESH.n_tets, format="csr") / deviation**2

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import InverseProblem, Settings, invert, make_objective
-from tactorch.inverse.misfit import MISFITS, Adaptive, Huber, make_misfit
+from tactorch.inverse.misfit import MISFITS, Adaptive, Huber
 from tactorch.recording import Recording
 
 BEGINS = np.array([0, 7, 12])
@@ -20,13 +20,13 @@ def white_of(seed: int, spread: float) -> np.ndarray:
     return spread * np.random.default_rng(seed).standard_normal(20)
 
 
-@pytest.mark.parametrize("name", MISFITS)
+@pytest.mark.parametrize("name", MISFITS.names())
 @given(seed=st.integers(0, 2**32 - 1), spread=st.sampled_from([0.3, 1.0, 4.0, 100.0]))
 @settings(max_examples=20, deadline=None)
 def test_derivative_is_symmetric_and_the_finite_difference(
     name: str, seed: int, spread: float
 ) -> None:
-    misfit, white = make_misfit(name), white_of(seed, spread)
+    misfit, white = MISFITS.build(name), white_of(seed, spread)
     matrix = misfit.derivative(white, BEGINS, np.eye(20))
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
     h = 1e-6 * spread
@@ -59,11 +59,11 @@ def test_half_the_square_is_the_cost(seed: int, spread: float) -> None:
 def test_chi2_of_normal_noise_is_one() -> None:
     noise = np.random.default_rng(0).standard_normal(20_000)
     begins = np.arange(0, 20_000, 2_000)
-    for name in MISFITS:
-        assert make_misfit(name).chi2(noise, begins) == pytest.approx(1.0, abs=0.03)
+    for name in MISFITS.names():
+        assert MISFITS.build(name).chi2(noise, begins) == pytest.approx(1.0, abs=0.03)
     astray = np.where(np.arange(20_000) % 50 == 0, 100.0, noise)
-    assert make_misfit("huber").chi2(astray, begins) == pytest.approx(1.0, abs=0.1)
-    assert make_misfit("squares").chi2(astray, begins) > 100
+    assert MISFITS.build("huber").chi2(astray, begins) == pytest.approx(1.0, abs=0.1)
+    assert MISFITS.build("squares").chi2(astray, begins) > 100
 
 
 def error_of(recording: Recording, misfit: str) -> float:
@@ -109,11 +109,11 @@ def test_adaptive_weights_bear_a_bad_press(make_cube: Callable[..., Recording]) 
     assert factors[1] > 5.0
 
 
-@pytest.mark.parametrize("name", MISFITS)
+@pytest.mark.parametrize("name", MISFITS.names())
 def test_gradients_of_the_objective_hold(
     recording: Recording, moduli: np.ndarray, name: str
 ) -> None:
-    problem = InverseProblem(recording, misfit=make_misfit(name))
+    problem = InverseProblem(recording, misfit=MISFITS.build(name))
 
     def cost(youngs: np.ndarray) -> float:
         residuals = problem.evaluate(youngs).residuals
@@ -134,6 +134,6 @@ def test_each_press_has_a_figure(recording: Recording, moduli: np.ndarray) -> No
 
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ConfigError, match="misfit=l1 is unknown"):
-        make_misfit("l1")
+        MISFITS.build("l1")
     with pytest.raises(ConfigError, match=r"misfit.edge=0"):
         Huber(0.0)

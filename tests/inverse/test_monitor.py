@@ -9,6 +9,7 @@ import pytest
 
 from tactorch.errors import ConvergenceError, FileError
 from tactorch.inverse import (
+    OPTIMIZERS,
     GaussNewton,
     InverseProblem,
     Monitor,
@@ -17,7 +18,6 @@ from tactorch.inverse import (
     StopOptimization,
     invert,
     make_objective,
-    make_optimizer,
 )
 from tactorch.inverse.monitor import describe
 from tactorch.mesh import box_mesh
@@ -76,15 +76,17 @@ def test_an_interrupted_run_goes_on(
 ) -> None:
     path = tmp_path / "state.npz"
     fail_evaluation(8, KeyboardInterrupt())
-    first = invert(noisy, Settings(optimizer=make_optimizer(name)), checkpoint=path)
+    first = invert(noisy, Settings(optimizer=OPTIMIZERS.build(name)), checkpoint=path)
     assert first.stop_reason == "interrupted"
     limit = {"max_evaluations": 40} if name == "tnc" else {"max_iterations": 10}
-    second = invert(noisy, Settings(optimizer=make_optimizer(name, **limit)), resume=path)
+    second = invert(
+        noisy, Settings(optimizer=OPTIMIZERS.build({"name": name, **limit})), resume=path
+    )
     assert second.history[: len(first.history)] == first.history
     if second.history[-1]["weight"] == first.history[-1]["weight"]:
         assert second.history[-1]["objective"] < first.history[-1]["objective"]
     else:  # objectives of different weights cannot be compared: it is the unbroken run's way
-        whole = invert(noisy, Settings(optimizer=make_optimizer(name, **limit)))
+        whole = invert(noisy, Settings(optimizer=OPTIMIZERS.build({"name": name, **limit})))
         np.testing.assert_allclose(second.youngs, whole.youngs, rtol=1e-6)
     assert [e["iteration"] for e in second.history] == list(range(len(second.history)))
     spent = second.history[-1]["evaluations"]
@@ -104,7 +106,7 @@ def test_whatever_ends_it_keeps_the_best_so_far(
     noisy: Recording, fail_evaluation: Fail, name: str, error: BaseException, reason: str
 ) -> None:
     fail_evaluation(9, error)
-    found = invert(noisy, Settings(optimizer=make_optimizer(name)))
+    found = invert(noisy, Settings(optimizer=OPTIMIZERS.build(name)))
     assert found.stop_reason == reason
     last = found.history[-1]
     assert last["objective"] == min(
@@ -156,7 +158,9 @@ def test_an_unstable_equilibrium_ends_the_run_with_its_reason(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_time_gives_the_start_back(noisy: Recording, name: str) -> None:
-    found = invert(noisy, Settings(optimizer=make_optimizer(name), max_seconds=0.0), start_mpa=0.3)
+    found = invert(
+        noisy, Settings(optimizer=OPTIMIZERS.build(name), max_seconds=1e-9), start_mpa=0.3
+    )
     assert (found.stop_reason, found.iterations) == ("time limit reached", 0)
     np.testing.assert_allclose(found.youngs, 0.3)
 
@@ -178,7 +182,7 @@ def test_time_is_watched_within_an_iteration(
     monkeypatch.setattr(InverseProblem, "evaluate", age)
     start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
     with pytest.raises(StopOptimization):
-        make_optimizer(name).minimize(objective, start, monitor)
+        OPTIMIZERS.build(name).minimize(objective, start, monitor)
     assert monitor._spent == 6e5
 
 
@@ -193,7 +197,7 @@ def test_time_is_watched_at_every_iteration(noisy: Recording, name: str) -> None
     monitor.on_record = age
     start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
     with pytest.raises(StopOptimization):
-        make_optimizer(name).minimize(objective, start, monitor)
+        OPTIMIZERS.build(name).minimize(objective, start, monitor)
     assert 3 <= monitor.iteration <= 4
     assert monitor.history[-1]["misfit"] < monitor.history[0]["misfit"]
     assert monitor.point is not None

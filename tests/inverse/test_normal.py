@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tactorch.inverse import REGULARIZERS, Settings, make_objective
+from tactorch.inverse import PRIORS, Settings, make_objective
 from tactorch.inverse.optimizers import normal
 from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_step
 from tactorch.recording import Recording
 
 
 @pytest.mark.parametrize("damping", [1e-2, 1e-6, 1e-12])
-@pytest.mark.parametrize("prior", REGULARIZERS[1:])
+@pytest.mark.parametrize("prior", PRIORS.names()[1:])
 def test_data_space_agrees_with_parameter_space(
     cube: Recording, prior: str, damping: float
 ) -> None:

@@ -3,12 +3,10 @@ import pytest
 
 from tactorch.inverse import (
     PARAMETERIZATIONS,
-    REGULARIZERS,
+    PRIORS,
     Bounds,
     InverseProblem,
     Objective,
-    make_parameterization,
-    make_regularizer,
 )
 from tactorch.recording import Recording
 
@@ -18,13 +16,13 @@ WEIGHT = 50.0
 def make(recording: Recording, parameterization: str, prior: str) -> Objective:
     return Objective(
         InverseProblem(recording),
-        make_parameterization(parameterization, Bounds(0.01, 2.0)),
-        make_regularizer(prior, recording.mesh),
+        PARAMETERIZATIONS[parameterization](Bounds(0.01, 2.0)),
+        PRIORS.build(prior).on(recording.mesh),
     )
 
 
-@pytest.mark.parametrize("prior", REGULARIZERS)
-@pytest.mark.parametrize("parameterization", sorted(PARAMETERIZATIONS))
+@pytest.mark.parametrize("prior", PRIORS.names())
+@pytest.mark.parametrize("parameterization", sorted(PARAMETERIZATIONS.names()))
 def test_gradient_is_the_finite_difference_of_the_value(
     recording: Recording, moduli: np.ndarray, parameterization: str, prior: str
 ) -> None:

@@ -5,28 +5,28 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import PARAMETERIZATIONS, Bounds, Parameterization, make_parameterization
+from tactorch.inverse import PARAMETERIZATIONS, Bounds, Log, Parameterization, Scaled
 
-NAMES = sorted(PARAMETERIZATIONS)
+NAMES = sorted(PARAMETERIZATIONS.names())
 MODULI = arrays(np.float64, st.integers(1, 20), elements=st.floats(0.001, 100.0))
 
 
 @pytest.fixture(params=NAMES)
 def parameterization(request: pytest.FixtureRequest) -> Parameterization:
-    return make_parameterization(request.param)
+    return PARAMETERIZATIONS[request.param]()
 
 
 @pytest.mark.parametrize("name", NAMES)
 @given(youngs=MODULI)
 def test_round_trip(name: str, youngs: np.ndarray) -> None:
-    p = make_parameterization(name)
+    p = PARAMETERIZATIONS[name]()
     np.testing.assert_allclose(p.youngs(p.parameters(youngs)), youngs, rtol=1e-10)
 
 
 @pytest.mark.parametrize("name", NAMES)
 @given(youngs=MODULI, share=st.floats(0.01, 0.99))
 def test_slope_is_the_finite_difference(name: str, youngs: np.ndarray, share: float) -> None:
-    p = make_parameterization(name)
+    p = PARAMETERIZATIONS[name]()
     low, high = p.limits
     x = p.parameters(youngs) * share + (1 - share) * 0.5 * (low + high)
     h = 1e-6 * (high - low)
@@ -50,10 +50,10 @@ def test_order_is_kept(parameterization: Parameterization) -> None:
 def test_what_x_means() -> None:
     youngs = np.array([0.5])
     bounds = Bounds(0.25, 1.25)
-    assert make_parameterization("identity", bounds).parameters(youngs)[0] == 0.5
-    assert make_parameterization("scaled", bounds).parameters(youngs)[0] == 0.25
-    assert make_parameterization("log", bounds).parameters(youngs)[0] == np.log(0.5)
-    assert make_parameterization("scaled", bounds).limits == (0.0, 1.0)
+    assert PARAMETERIZATIONS["identity"](bounds).parameters(youngs)[0] == 0.5
+    assert PARAMETERIZATIONS["scaled"](bounds).parameters(youngs)[0] == 0.25
+    assert PARAMETERIZATIONS["log"](bounds).parameters(youngs)[0] == np.log(0.5)
+    assert PARAMETERIZATIONS["scaled"](bounds).limits == (0.0, 1.0)
 
 
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(60)
@@ -73,7 +73,7 @@ def _variance(p: Parameterization, mean: float, variance: float) -> float:
 def test_variance_falls_as_its_mean_over_all_data(
     name: str, mean: float, before: float, after: float
 ) -> None:
-    p = make_parameterization(name)
+    p = PARAMETERIZATIONS[name]()
     means = mean + np.sqrt(before - after) * NODES  # of the parameter, once more is known
     later = np.array([_variance(p, float(m), after) for m in means]) @ WEIGHTS
     fall = _variance(p, mean, before) - later
@@ -82,14 +82,14 @@ def test_variance_falls_as_its_mean_over_all_data(
 
 
 def test_logs_are_never_less_certain_than_the_bounds() -> None:
-    log = make_parameterization("log")
+    log = Log()
     wide = log.expected_variance_reduction(np.zeros(2), np.array([1e3, 1e6]), np.array([0.0, 0.0]))
     assert np.isfinite(wide).all()
     assert wide[0] == pytest.approx(wide[1])
 
 
 def test_scaled_never_falls_below_its_bound() -> None:
-    assert make_parameterization("scaled").youngs(np.array([-1e-9]))[0] == 0.001
+    assert Scaled().youngs(np.array([-1e-9]))[0] == 0.001
 
 
 @pytest.mark.parametrize(
@@ -101,5 +101,5 @@ def test_useless_bounds_are_refused(limits: tuple[float, float]) -> None:
 
 
 def test_unknown_name_is_refused_with_the_choices() -> None:
-    with pytest.raises(ConfigError, match=r"'logit' is unknown.*log"):
-        make_parameterization("logit")
+    with pytest.raises(ConfigError, match=r"parameterization=logit is unknown.*log"):
+        PARAMETERIZATIONS.build("logit")

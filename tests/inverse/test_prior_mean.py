@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import GaussNewton, PriorOptions, Settings, invert, make_regularizer
+from tactorch.inverse import (
+    PRIORS,
+    Prior,
+    Settings,
+    ShiftedPrior,
+    Smoothness,
+    TotalVariation,
+    invert,
+)
+from tactorch.inverse.settings import stored_settings
 from tactorch.mesh import box_mesh
-from tactorch.plain import plain
 from tactorch.recording import Recording
 
 MESH = box_mesh(10.0, 2, tets_per_cell=5)
@@ -21,12 +29,11 @@ NAMES = ["total_variation", "smoothness", "tikhonov", "matern", "log_jumps", "co
 @pytest.mark.parametrize("name", NAMES)
 def test_it_is_the_prior_of_the_distance(name: str) -> None:
     field = np.random.default_rng(2).normal(-1.0, 0.5, MESH.n_tets)
-    about = make_regularizer(
-        name, MESH, options=PriorOptions(mean_mpa=MEAN, mean_deviation=WIDE, level_mpa=1.0)
-    )
-    inner = make_regularizer(name, MESH, options=PriorOptions(level_mpa=1.0))
+    prior: Prior = PRIORS.build(name)
+    if hasattr(prior, "level_mpa"):
+        prior = PRIORS.build({"name": name, "level_mpa": 1.0})
+    about, inner = ShiftedPrior(prior=prior, mean_mpa=MEAN, deviation=WIDE).on(MESH), prior.on(MESH)
     distance = (field - np.log(MEAN)) / WIDE
-    assert about.name == name
     assert about.value(field) == pytest.approx(inner.value(distance))
     assert about.value(np.log(MEAN)) == pytest.approx(inner.value(np.zeros(MESH.n_tets)))
     step = 1e-6 * np.random.default_rng(3).standard_normal(MESH.n_tets)
@@ -38,22 +45,19 @@ def test_it_is_the_prior_of_the_distance(name: str) -> None:
 
 def test_a_share_of_the_prior_is_about_the_map() -> None:
     field = np.random.default_rng(2).normal(-1.0, 0.5, MESH.n_tets)
-    whole, none = PriorOptions(mean_mpa=MEAN), PriorOptions()
-    third = replace(whole, mean_share=1 / 3)
-    about, inner, mixed = (
-        make_regularizer("smoothness", MESH, options=one) for one in (whole, none, third)
-    )
+    whole = ShiftedPrior(prior=Smoothness(), mean_mpa=MEAN)
+    third = replace(whole, share=1 / 3)
+    about, inner, mixed = (prior.on(MESH) for prior in (whole, whole.prior, third))
     assert mixed.value(field) == pytest.approx((about.value(field) + 2 * inner.value(field)) / 3)
     expected = (about.gradient(field) + 2 * inner.gradient(field)) / 3
     np.testing.assert_allclose(mixed.gradient(field), expected)
-    with pytest.raises(ConfigError, match="mean_share=0 must be above 0, up to 1"):
-        replace(whole, mean_share=0)
+    with pytest.raises(ConfigError, match="share=0: give a number above 0, up to 1"):
+        replace(whole, share=0)
 
 
 def test_halves_of_total_variation_leave_the_jumps_open() -> None:
     """Any map between a plain one and the mean costs the same, one beyond them more."""
-    options = PriorOptions(mean_mpa=MEAN, mean_share=0.5)
-    prior = make_regularizer("total_variation", MESH, edge=1e-6, options=options)
+    prior = ShiftedPrior(prior=TotalVariation(edge=1e-6), mean_mpa=MEAN, share=0.5).on(MESH)
     costs = [prior.value(part * np.log(MEAN)) for part in (0.0, 0.25, 0.5, 1.0)]
     np.testing.assert_allclose(costs, costs[0], rtol=1e-3)
     for part in (-0.2, 1.2):
@@ -65,7 +69,8 @@ def test_a_prior_that_rules_keeps_the_mean(make_cube: Callable[..., Recording]) 
     recording = make_cube()
     assert recording.truth is not None
     mean = np.random.default_rng(0).uniform(0.2, 0.4, recording.mesh.n_tets)
-    settings = Settings(GaussNewton(weight=1e12), prior=PriorOptions(mean_mpa=mean))
+    prior = ShiftedPrior(prior=TotalVariation(weight=1e12), mean_mpa=mean)
+    settings = Settings(regularization=prior)
     found = invert(recording, settings, start_mpa=mean, show_progress=False)
     ratio = found.youngs / mean
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-4)
@@ -76,18 +81,19 @@ def test_a_prior_that_rules_keeps_the_mean(make_cube: Callable[..., Recording]) 
     ("changes", "message"),
     [
         ({"mean_mpa": MEAN[:-1]}, "mean_mpa has shape"),
-        ({"mean_mpa": -MEAN}, "mean_mpa must be above 0"),
-        ({"mean_deviation": 0.0 * WIDE}, "deviation must be above 0"),
-        ({"mean_deviation": WIDE[:3]}, "deviation has shape"),
+        ({"mean_mpa": -MEAN}, "mean_mpa: give one finite number above 0"),
+        ({"deviation": 0.0 * WIDE}, "deviation: give one finite number above 0"),
+        ({"deviation": WIDE[:3]}, "deviation has shape"),
     ],
 )
 def test_wrong_means_are_refused(changes: dict, message: str) -> None:
-    options = replace(PriorOptions(mean_mpa=MEAN), **changes)
     with pytest.raises(ConfigError, match=message):
-        make_regularizer("smoothness", MESH, options=options)
+        ShiftedPrior(**({"prior": Smoothness(), "mean_mpa": MEAN} | changes)).on(MESH)
 
 
-def test_settings_tell_maps_apart() -> None:
-    one, other = (plain(PriorOptions(mean_mpa=m)) for m in (MEAN, np.nextafter(MEAN, 1.0)))
-    assert one == plain(PriorOptions(mean_mpa=MEAN.copy()))
+def test_settings_with_different_maps_differ() -> None:
+    one, other = (ShiftedPrior(mean_mpa=m) for m in (MEAN, np.nextafter(MEAN, 1.0)))
+    assert one == ShiftedPrior(mean_mpa=MEAN.copy())
     assert one != other
+    assert stored_settings(one) == stored_settings(ShiftedPrior(mean_mpa=MEAN.copy()))
+    assert stored_settings(one) != stored_settings(other)

@@ -8,9 +8,9 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.sparse.linalg import spsolve
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import InverseProblem, PriorOptions, make_regularizer, monte_carlo
+from tactorch.inverse import PRIORS, InverseProblem, ShiftedPrior, monte_carlo
 from tactorch.inverse.parameterization import Bounds
-from tactorch.inverse.regularization import Composite, Matern, NoPrior, TotalVariation
+from tactorch.inverse.regularization import Composite, Matern, Sparsity, Tikhonov
 from tactorch.inverse.regularization.levels import smoothed_median, two_levels, weighted_median
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import Recording
@@ -23,14 +23,14 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 @pytest.mark.parametrize("name", ["tikhonov", "sparsity", "matern"])
 def test_a_map_at_the_given_level_costs_nothing(name: str) -> None:
-    prior = make_regularizer(name, MESH, options=PriorOptions(level_mpa=0.2))
+    prior = PRIORS.build({"name": name, "level_mpa": 0.2}).on(MESH)
     assert prior.value(np.full(MESH.n_tets, np.log(0.2))) == pytest.approx(0.0, abs=1e-12)
     assert prior.value(np.full(MESH.n_tets, np.log(0.3))) > 0.1
 
 
 @pytest.mark.parametrize("levels", [(0.2, 1.0), (1.0, 0.2), None])
 def test_a_binary_map_costs_nothing_in_the_well(levels: tuple[float, float] | None) -> None:
-    prior = make_regularizer("binary_well", MESH, options=PriorOptions(levels_mpa=levels))
+    prior = PRIORS.build({"name": "binary_well", "levels_mpa": levels}).on(MESH)
     assert prior.value(BINARY) == pytest.approx(0.0, abs=1e-12)
     between = BINARY.copy()
     between[0] = np.log(0.45)
@@ -39,7 +39,7 @@ def test_a_binary_map_costs_nothing_in_the_well(levels: tuple[float, float] | No
 
 def test_the_well_is_the_papers_on_log_moduli() -> None:
     field = np.random.default_rng(0).normal(-1.0, 0.5, MESH.n_tets)
-    prior = make_regularizer("binary_well", MESH, options=PriorOptions(levels_mpa=(0.2, 1.0)))
+    prior = PRIORS.build({"name": "binary_well", "levels_mpa": (0.2, 1.0)}).on(MESH)
     expected = (VOLUMES * (field - np.log(0.2)) ** 2 * (field - np.log(1.0)) ** 2).sum()
     assert prior.value(field) == pytest.approx(expected)
 
@@ -76,9 +76,8 @@ def test_sparsity_forgives_few_large_departures() -> None:
     few, many = np.zeros(MESH.n_tets), np.zeros(MESH.n_tets)
     order = np.flatnonzero(np.isclose(VOLUMES, VOLUMES[0]))[:4]
     few[order[:2]], many[order] = 2.0, 1.0
-    options = PriorOptions(level_mpa=1.0)
-    sparse = make_regularizer("sparsity", MESH, edge=1e-6, options=options)
-    squares = make_regularizer("tikhonov", MESH, options=options)
+    sparse = Sparsity(edge=1e-6, level_mpa=1.0).on(MESH)
+    squares = Tikhonov(level_mpa=1.0).on(MESH)
     assert sparse.value(few) == pytest.approx(sparse.value(many), rel=1e-5)
     assert squares.value(few) == pytest.approx(2.0 * squares.value(many))
 
@@ -86,16 +85,18 @@ def test_sparsity_forgives_few_large_departures() -> None:
 def test_log_jumps_prefer_one_large_jump_to_two_halves() -> None:
     z = MESH.centroids[:, 2]
     once = np.where(z > 5.0, 2.0, 0.0)
-    prior = make_regularizer("log_jumps", MESH, edge=0.1)
+    prior = PRIORS.build({"name": "log_jumps", "edge": 0.1}).on(MESH)
     assert prior.value(once) < 1.5 * prior.value(0.5 * once)
-    variation = make_regularizer("total_variation", MESH, edge=0.01)
+    variation = PRIORS.build({"name": "total_variation", "edge": 0.01}).on(MESH)
     assert variation.value(once) > 1.9 * variation.value(0.5 * once)
-    small = make_regularizer("log_jumps", MESH, edge=100.0)  # a quadratic where jumps are small
+    small = PRIORS.build({"name": "log_jumps", "edge": 100.0}).on(
+        MESH
+    )  # a quadratic where jumps are small
     assert small.value(once) == pytest.approx(4.0 * small.value(0.5 * once), rel=1e-3)
 
 
 def test_matern_draws_have_the_covariance_of_the_precision() -> None:
-    prior = Matern(MESH, length_mm=5.0, deviation=0.5, level_mpa=0.3)
+    prior = Matern(length_mm=5.0, deviation=0.5, level_mpa=0.3).on(MESH)
     rng = np.random.default_rng(0)
     draws = np.log([prior.sample(rng) for _ in range(4000)])
     covariance = np.linalg.inv(prior.curvature(draws[0]).toarray())
@@ -107,7 +108,7 @@ def test_matern_states_its_deviation_and_length_inside() -> None:
     """Far from the surface, on a mesh finer than the length."""
     mesh = box_mesh(20.0, 10, tets_per_cell=5)
     length = 6.0
-    prior = Matern(mesh, length_mm=length, deviation=0.5, level_mpa=1.0)
+    prior = Matern(length_mm=length, deviation=0.5, level_mpa=1.0).on(mesh)
     distance = np.linalg.norm(mesh.centroids - 10.0, axis=1)
     centre = int(distance.argmin())
     unit = np.zeros(mesh.n_tets)
@@ -120,20 +121,20 @@ def test_matern_states_its_deviation_and_length_inside() -> None:
 
 
 def test_a_draw_can_start_an_inversion(recording: Recording) -> None:
-    prior = Matern(recording.mesh, level_mpa=0.3)
+    prior = Matern(level_mpa=0.3).on(recording.mesh)
     start = monte_carlo(prior.sample, draws=3)
     first = start(InverseProblem(recording), Bounds())
     assert first.shape == (recording.mesh.n_tets,)
     assert first.min() > 0
     with pytest.raises(ConfigError, match="level_mpa is null"):
-        Matern(recording.mesh).sample(np.random.default_rng(0))
+        Matern().on(recording.mesh).sample(np.random.default_rng(0))
 
 
 def test_a_composite_is_the_weighted_sum() -> None:
     field = np.random.default_rng(0).normal(-1.0, 0.5, MESH.n_tets)
     shares = {"total_variation": 2.0, "tikhonov": 0.5}
-    whole = make_regularizer("composite", MESH, options=PriorOptions(parts=shares))
-    parts = [(share, make_regularizer(name, MESH)) for name, share in shares.items()]
+    whole = PRIORS.build({"name": "composite", "parts": shares}).on(MESH)
+    parts = [(share, PRIORS.build(name).on(MESH)) for name, share in shares.items()]
     assert whole.value(field) == pytest.approx(sum(s * p.value(field) for s, p in parts))
     np.testing.assert_allclose(
         whole.curvature(field).toarray(), sum(s * p.curvature(field).toarray() for s, p in parts)
@@ -143,29 +144,29 @@ def test_a_composite_is_the_weighted_sum() -> None:
 @pytest.mark.parametrize(
     ("name", "options", "words"),
     [
-        ("tikhonov", {"level_mpa": 0.0}, r"level_mpa=0\.0 must be above 0"),
-        ("sparsity", {"level_mpa": -1.0}, r"level_mpa=-1\.0 must be above 0"),
+        ("tikhonov", {"level_mpa": 0.0}, r"level_mpa=0\.0: give a number above 0"),
+        ("sparsity", {"level_mpa": -1.0}, r"level_mpa=-1\.0: give a number above 0"),
         ("binary_well", {"levels_mpa": [0.2, 0.2]}, "two different moduli"),
-        ("binary_well", {"levels_mpa": [0.2, -1.0]}, "two different moduli"),
-        ("matern", {"length_mm": 0.0}, r"length_mm=0\.0 must be above 0"),
-        ("matern", {"deviation": -0.5}, r"deviation=-0\.5 must be above 0"),
+        ("binary_well", {"levels_mpa": [0.2, -1.0]}, "give a list of two numbers.* above 0"),
+        ("matern", {"length_mm": 0.0}, r"length_mm=0\.0: give a number above 0"),
+        ("matern", {"deviation": -0.5}, r"deviation=-0\.5: give a number above 0"),
         ("composite", {"parts": {}}, "parts is empty"),
-        ("composite", {"parts": {"ridge": 1.0}}, "'ridge' is unknown"),
-        ("composite", {"parts": {"smoothness": 0.0}}, r"smoothness has share 0\.0"),
-        ("composite", {"parts": {"composite": 1.0}}, "cannot hold a composite"),
+        ("composite", {"parts": {"ridge": 1.0}}, "regularization=ridge is unknown"),
+        ("composite", {"parts": {"smoothness": 0.0}}, r"parts\.smoothness=0\.0: give a share"),
+        ("composite", {"parts": {"sparsity": {"bogus": 1}}}, "bogus"),
     ],
 )
 def test_what_cannot_be_used_is_refused(name: str, options: dict, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        make_regularizer(name, MESH, options=PriorOptions(**options))
+        PRIORS.build({"name": name, **options})
 
 
 def test_a_map_of_levels_must_fit_the_mesh() -> None:
     with pytest.raises(ConfigError, match=r"shape \(3,\)"):
-        Matern(MESH, level_mpa=np.ones(3))
+        ShiftedPrior(prior=Matern(), mean_mpa=np.ones(3)).on(MESH)
 
 
 def test_parts_on_a_single_element() -> None:
     mesh = TetMesh(np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 1, 2, 3]]))
-    whole = Composite([(1.0, TotalVariation(mesh)), (2.0, NoPrior(mesh))])
+    whole = Composite(parts={"total_variation": 1.0, "none": 2.0}).on(mesh)
     assert whole.value(np.array([0.3])) == 0.0

@@ -27,7 +27,7 @@ def point(recording: Recording) -> Point:
 
 
 def test_weight_falls_fast_then_slowly_then_ends(point: Point) -> None:
-    cooling = RegularizationSchedule.start(point, None, {})
+    cooling = RegularizationSchedule.start(point, {})
     first = cooling.weight
     assert first == ruling_weight(point) > 0
     cooling.lower(chi2=50.0)
@@ -46,7 +46,7 @@ def test_the_weight_leaps_only_far_from_the_data_and_where_steps_do_as_foretold(
     point: Point,
 ) -> None:
     def factor(chi2: float, gain: float) -> float:
-        cooling = RegularizationSchedule.start(point, None, {})
+        cooling = RegularizationSchedule.start(point, {})
         first = cooling.weight
         cooling.lower(chi2, gain)
         return cooling.weight / first
@@ -60,12 +60,12 @@ def test_the_weight_leaps_only_far_from_the_data_and_where_steps_do_as_foretold(
 
 def test_near_the_noise_the_weight_waits_for_a_step_that_was_foretold(point: Point) -> None:
     """Else it falls on while the map has not followed, until noise is all that is fitted."""
-    cooling = RegularizationSchedule.start(point, None, {})
+    cooling = RegularizationSchedule.start(point, {})
     first = cooling.weight
     for _ in range(2):
         cooling.lower(2.0, gain=-0.2)
         assert (cooling.weight, cooling.held, cooling.ended) == (first, True, "")
-    assert RegularizationSchedule.start(point, None, cooling.state()) == cooling
+    assert RegularizationSchedule.start(point, cooling.state()) == cooling
     cooling.lower(2.0, gain=0.5)
     assert cooling.weight < first
     assert not cooling.held
@@ -97,7 +97,7 @@ def test_a_leap_that_leads_nowhere_is_none(
 
 
 def test_an_exhausted_prior_says_that_the_noise_is_larger(point: Point) -> None:
-    cooling = RegularizationSchedule.start(point, None, {})
+    cooling = RegularizationSchedule.start(point, {})
     for _ in range(200):
         cooling.lower(chi2=2.0)
     assert "noise is larger than stated, or the model is wrong" in cooling.ended
@@ -106,15 +106,16 @@ def test_an_exhausted_prior_says_that_the_noise_is_larger(point: Point) -> None:
 
 def test_state_resumes(point: Point) -> None:
     for steps in ([], [50.0], [50.0, 2.0, 0.9]):
-        cooling = RegularizationSchedule.start(point, None, {})
+        cooling = RegularizationSchedule.start(point, {})
         for chi2 in steps:
             cooling.lower(chi2)
-        assert RegularizationSchedule.start(point, None, cooling.state()) == cooling
+        assert RegularizationSchedule.start(point, cooling.state()) == cooling
 
 
 def test_a_given_weight_stays(point: Point) -> None:
+    given = replace(point, objective=replace(point.objective, weight=0.5))
     cooling = RegularizationSchedule.start(
-        point, 0.5, {"weight": 3.0, "first_weight": 9.0, "ended": 0.0}
+        given, {"weight": 3.0, "first_weight": 9.0, "ended": 0.0}
     )
     assert (cooling.weight, cooling.fixed, cooling.state()) == (0.5, True, {})
 
@@ -122,8 +123,10 @@ def test_a_given_weight_stays(point: Point) -> None:
 def test_no_prior_has_no_weight(recording: Recording) -> None:
     objective = make_objective(recording, Settings(regularization="none"))
     point = objective.at(np.full(recording.mesh.n_tets, np.log(0.2)))
-    cooling = RegularizationSchedule.start(point, 3.0, {})
-    assert (cooling.weight, cooling.fixed) == (0.0, True)
+    for weight in (None, 0.0):
+        given = replace(point, objective=replace(objective, weight=weight))
+        cooling = RegularizationSchedule.start(given, {})
+        assert (cooling.weight, cooling.fixed) == (0.0, True)
 
 
 def test_a_single_element_has_nothing_to_regularise() -> None:
@@ -135,9 +138,7 @@ def test_a_single_element_has_nothing_to_regularise() -> None:
     press = Press(force, seen, np.where(seen, -0.1, np.nan), fixed=fixed)
     recording = Recording(mesh, (press,), MaterialSpec("neo_hookean", 0.4))
     point = make_objective(recording, Settings()).at(np.array([np.log(0.2)]))
-    assert RegularizationSchedule.start(point, None, {}) == RegularizationSchedule(
-        0.0, 0.0, fixed=True
-    )
+    assert RegularizationSchedule.start(point, {}) == RegularizationSchedule(0.0, 0.0, fixed=True)
 
 
 @pytest.fixture
@@ -215,7 +216,7 @@ def test_what_the_course_of_the_misfit_foretells_is_not_waited_for(
     for chi2 in course:
         told.append(cooling.retry(fitted(chi2), converged=False))
         cooling = RegularizationSchedule.start(
-            fitted(chi2), None, cooling.state()
+            fitted(chi2), cooling.state()
         )  # as a resumed run does
     assert told == [False, False, weight is not None]
     assert cooling.weight == pytest.approx(1.0 if weight is None else weight)

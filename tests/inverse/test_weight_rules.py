@@ -163,5 +163,5 @@ def test_a_rule_resumes(noisy: Recording, rule: str, tmp_path: Path) -> None:
 
 
 def test_an_unknown_rule_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"weight_rule=guess is unknown.*gcv"):
+    with pytest.raises(ConfigError, match=r"weight_rule='guess': give .*gcv"):
         GaussNewton(weight_rule="guess")

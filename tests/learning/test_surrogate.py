@@ -14,8 +14,9 @@ from tactorch.inverse import (
     Bounds,
     InverseProblem,
     NuisancePrior,
-    PriorOptions,
     Settings,
+    ShiftedPrior,
+    Tikhonov,
     invert,
 )
 from tactorch.inverse.starts import fits_better_than_uniform, homogeneous
@@ -211,7 +212,7 @@ def test_a_poor_map_is_refused(
     good = Says(truth)
     np.testing.assert_array_equal(good(problem, bounds), truth)
     about = good.as_prior_mean(Settings(), recording)
-    assert about == Settings(prior=PriorOptions(mean_mpa=truth, mean_share=0.5))
+    assert about == Settings(regularization=ShiftedPrior(mean_mpa=truth, share=0.5))
 
 
 def test_only_a_map_that_explains_the_presses_is_trusted(
@@ -225,7 +226,7 @@ def test_only_a_map_that_explains_the_presses_is_trusted(
         assert half.as_prior_mean(Settings(), recording) == Settings()
     assert "The prior is not about the surrogate's map, which leaves chi2" in caplog.text
     forced = half.as_prior_mean(Settings(), recording, most_chi2=np.inf)
-    assert forced.prior.mean_mpa is not None
+    assert isinstance(forced.regularization, ShiftedPrior)
 
 
 def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -> None:
@@ -244,11 +245,11 @@ def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -
     [
         Settings(regularization="none"),
         Settings(regularization="binary_well"),
-        Settings(regularization="tikhonov", prior=PriorOptions(level_mpa=0.2)),
+        Settings(regularization=Tikhonov(level_mpa=0.2)),
     ],
 )
 def test_priors_without_use_for_a_mean(recording: Recording, settings: Settings) -> None:
-    with pytest.raises(ConfigError, match="is no mean for"):
+    with pytest.raises(ConfigError, match="cannot be the mean of"):
         Says(np.ones(recording.mesh.n_tets)).as_prior_mean(settings, recording)
 
 

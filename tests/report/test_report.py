@@ -10,14 +10,23 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError, RecordingError
-from tactorch.inverse import Bounds, GaussNewton, NewtonCG, NoiseModel, NuisancePrior, Settings
+from tactorch.inverse import (
+    Bounds,
+    Composite,
+    GaussNewton,
+    NewtonCG,
+    NoiseModel,
+    NuisancePrior,
+    Scaled,
+    Settings,
+)
+from tactorch.inverse.misfit import Huber
 from tactorch.inverse.nuisance_estimate import NuisanceEstimate
-from tactorch.plain import plain, plain_fields
+from tactorch.inverse.settings import settings_from, stored_settings
 from tactorch.recording import Recording
 from tactorch.report import load_run, names_of, write_report
 from tactorch.report.belief import judge
 from tactorch.report.finding import finding
-from tactorch.report.settings import settings_of
 from tactorch.report.tables import score_table
 
 
@@ -144,7 +153,7 @@ def test_no_uncertainty_is_told_at_a_bound(make_run: Any, tmp_path: Path) -> Non
 
 
 def test_bounds_are_told_by_modulus_whatever_the_parameters(make_run: Any, tmp_path: Path) -> None:
-    settings = Settings(optimizer=GaussNewton(max_iterations=2), parameterization="scaled")
+    settings = Settings(optimizer=GaussNewton(max_iterations=2), parameterization=Scaled())
     run = load_run(make_run(tmp_path / "run", settings))
     judged = judge(run)
     assert judged.belief is not None
@@ -276,38 +285,55 @@ def test_names_are_short_and_differ() -> None:
         Settings(),
         Settings(
             optimizer=NewtonCG(max_iterations=3),
-            parameterization="scaled",
-            regularization="binary_well",
-            edge=0.1,
+            parameterization=Scaled(),
+            regularization=Composite(parts={"log_jumps": {"edge": 0.2}, "matern": 0.5}, weight=2.0),
             bounds=Bounds(0.01, 5.0),
             noise=NoiseModel(mm=0.01),
-            misfit="huber",
+            misfit=Huber(),
             nuisance=NuisancePrior(poisson=0.02),
         ),
     ],
 )
 def test_settings_come_back_from_a_result(settings: Settings) -> None:
-    optimizer = settings.optimizer
-    assert not isinstance(optimizer, str)
-    told = {"name": optimizer.name, **plain_fields(optimizer)}
-    config = json.loads(json.dumps({"settings": plain(settings), "optimizer": told}))
-    assert plain(settings_of(config)) == plain(settings)
+    config = json.loads(json.dumps({"settings": stored_settings(settings)}))
+    assert settings_from(config) == settings
+
+
+def test_settings_come_back_from_a_result_of_version_0_1() -> None:
+    prior = {
+        "level_mpa": None, "levels_mpa": None, "length_mm": 3.0, "deviation": 0.4,
+        "parts": {"matern": 1.0, "log_jumps": 0.5}, "mean_mpa": None, "mean_deviation": None,
+        "mean_share": 1.0,
+    }  # fmt: skip
+    old = stored_settings(Settings()) | {
+        "regularization": "composite", "edge": 0.2, "prior": prior, "misfit": "huber",
+        "optimizer": "", "parameterization": "log",
+    }  # fmt: skip
+    optimizer = {"name": "gauss_newton", "max_iterations": 9, "weight": 3.0}
+    assert settings_from({"settings": old, "optimizer": optimizer}) == Settings(
+        optimizer=GaussNewton(max_iterations=9),
+        regularization=Composite(
+            parts={"matern": {"deviation": 0.4}, "log_jumps": {"edge": 0.2, "weight": 0.5}},
+            weight=3.0,
+        ),
+        misfit=Huber(),
+    )
 
 
 def test_settings_that_are_not_all_told_are_refused() -> None:
-    config = {"settings": plain(Settings()), "optimizer": {"name": "gauss_newton"}}
-    settings_of(config)
-    config["settings"]["prior"]["mean_mpa"] = "float64 array [5], sha256 abc..."
+    config = {"settings": stored_settings(Settings())}
+    settings_from(config)
+    config["settings"]["regularization"]["mean_mpa"] = "float64 array [5], sha256 abc..."
     with pytest.raises(ConfigError, match="a map that the result does not hold"):
-        settings_of(config)
-    with pytest.raises(ConfigError, match="does not tell its settings"):
-        settings_of({"settings": {"optimizer": "tnc", "warp": 9}, "optimizer": {"name": "tnc"}})
+        settings_from(config)
+    with pytest.raises(ConfigError, match="settings of the result cannot be read"):
+        settings_from({"settings": {"optimizer": "tnc", "warp": 9}, "optimizer": {"name": "tnc"}})
 
 
 def test_a_report_goes_without_what_cannot_be_told(run_folder: Path, tmp_path: Path) -> None:
     run = load_run(run_folder)
     config = json.loads(json.dumps(run.found.config))
-    config["settings"]["prior"]["mean_mpa"] = "float64 array [135], sha256 abc..."
+    config["settings"]["regularization"]["mean_mpa"] = "float64 array [135], sha256 abc..."
     page = page_of(
         dataclasses.replace(run, found=dataclasses.replace(run.found, config=config)), tmp_path
     )

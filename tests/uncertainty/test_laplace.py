@@ -6,16 +6,16 @@ import scipy.sparse as sp
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
+    PRIORS,
     InverseProblem,
+    Log,
     NuisancePrior,
     Objective,
-    make_parameterization,
-    make_regularizer,
 )
 from tactorch.uncertainty import LaplacePosterior, calibration_error, coverage
 
 M = 12
-LOG = make_parameterization("log")
+LOG = Log()
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_at_a_point_of_the_objective(
     make_problem: Callable[..., InverseProblem], moduli: np.ndarray
 ) -> None:
     problem = make_problem()
-    prior = make_regularizer("total_variation", problem.recording.mesh)
+    prior = PRIORS.build("total_variation").on(problem.recording.mesh)
     point = Objective(problem, LOG, prior).at(np.log(moduli))
     found = LaplacePosterior.at(point, 3.0)
     precision = point.jacobian.T @ point.jacobian + 3.0 * point.penalty_curvature.toarray()
@@ -105,7 +105,7 @@ def test_global_unknowns_count_with_their_own_prior(
     make_problem: Callable[..., InverseProblem], moduli: np.ndarray
 ) -> None:
     problem = make_problem()
-    prior = make_regularizer("total_variation", problem.recording.mesh)
+    prior = PRIORS.build("total_variation").on(problem.recording.mesh)
     objective = Objective(problem, LOG, prior, NuisancePrior(force_scale=0.2))
     point = objective.at(objective.start(moduli))
     found = LaplacePosterior.at(point, 3.0)

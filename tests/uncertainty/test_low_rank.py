@@ -8,17 +8,17 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
+    PRIORS,
     InverseProblem,
+    Log,
     NoiseModel,
     NuisancePrior,
     Objective,
-    make_parameterization,
-    make_regularizer,
 )
 from tactorch.uncertainty import LaplacePosterior, LowRankPosterior
 from tactorch.uncertainty.selected_inverse import SparseFactor
 
-LOG = make_parameterization("log")
+LOG = Log()
 M, DATA = 30, 12
 
 
@@ -107,7 +107,7 @@ def test_at_a_point_equals_the_dense_posterior(
     # Coarse data: directions that are left out must be those of which they say little.
     recording = make_problem(faces=("z+", "x-")).recording
     problem = InverseProblem(recording, noise=NoiseModel(relative=0.1))
-    prior = make_regularizer(name, problem.recording.mesh)
+    prior = PRIORS.build(name).on(problem.recording.mesh)
     objective = Objective(problem, LOG, prior, unknowns)
     x = objective.start(moduli)
     point = objective.at(x)
@@ -127,7 +127,7 @@ def test_refusals(make_problem: Callable[..., InverseProblem], moduli: np.ndarra
     with pytest.raises(ConfigError, match="not positive definite"):
         low_rank(jacobian, sp.csr_matrix((M, M)), 3)
     problem = make_problem()
-    point = Objective(problem, LOG, make_regularizer("none", problem.recording.mesh)).at(
+    point = Objective(problem, LOG, PRIORS.build("none").on(problem.recording.mesh)).at(
         np.log(moduli)
     )
     with pytest.raises(ConfigError, match="weight=-1"):

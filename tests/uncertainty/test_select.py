@@ -9,8 +9,8 @@ from tactorch.errors import ConfigError
 from tactorch.inverse import (
     NuisancePrior,
     Point,
-    PriorOptions,
     Settings,
+    ShiftedPrior,
     invert,
     make_objective,
     solution,
@@ -84,11 +84,10 @@ def test_nuisance_parameters_stay_where_they_were_found(noisy: Recording) -> Non
 def test_prior_with_a_mean_has_the_laplace_posterior_around_it(noisy: Recording) -> None:
     """Total variation of the distance from a mean map is not total variation of the map."""
     mean = np.full(noisy.mesh.n_tets, 0.2)
-    options = PriorOptions(mean_mpa=mean, mean_share=1.0)
-    objective = make_objective(noisy, Settings(prior=options))
+    objective = make_objective(noisy, Settings(regularization=ShiftedPrior(mean_mpa=mean)))
     uniform = objective.at(objective.start(mean))
     actual, expected = select.posterior_at(uniform, 1.0), LaplacePosterior.at(uniform, 1.0)
     assert type(actual) is LaplacePosterior
     np.testing.assert_array_equal(actual.deviation(), expected.deviation())
-    with pytest.raises(ConfigError, match="ShiftedPrior"):
+    with pytest.raises(ConfigError, match="total variation without a mean"):
         variational_posterior(uniform, 1.0)

@@ -7,18 +7,19 @@ from scipy.linalg import cho_solve, solve_triangular
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
+    PRIORS,
     InverseProblem,
+    Log,
     NoiseModel,
     NuisancePrior,
     Objective,
     Point,
-    make_parameterization,
-    make_regularizer,
+    Scaled,
 )
-from tactorch.inverse.regularization.base import jumps, relative_areas
+from tactorch.inverse.regularization.jumps import jumps, relative_areas
 from tactorch.uncertainty import variational_posterior
 
-LOG = make_parameterization("log")
+LOG = Log()
 NOISE = NoiseModel(relative=0.02)
 
 
@@ -30,7 +31,7 @@ def point(make_problem: Callable[..., InverseProblem]) -> Point:
     truth = problem.recording.truth
     assert truth is not None
     found = truth * np.exp(0.05 * np.random.default_rng(2).normal(size=mesh.n_tets))
-    return Objective(problem, LOG, make_regularizer("total_variation", mesh)).at(np.log(found))
+    return Objective(problem, LOG, PRIORS.build("total_variation").on(mesh)).at(np.log(found))
 
 
 def gibbs(point: Point, sweeps: int = 3000) -> np.ndarray:
@@ -93,7 +94,7 @@ def test_a_flat_map_speaks_for_more_weight(point: Point) -> None:
 
 
 def test_other_parameters_say_the_same(point: Point) -> None:
-    scaled = replace(point.objective, parameterization=make_parameterization("scaled"))
+    scaled = replace(point.objective, parameterization=Scaled())
     other = scaled.at(scaled.start(point.youngs))
     chain = scaled.parameterization.slope(other.x) / other.youngs
     found, expected = variational_posterior(other, 1.0), variational_posterior(point, 1.0)
@@ -110,8 +111,8 @@ def test_global_unknowns_widen_the_elements(point: Point) -> None:
 def test_refusals(point: Point) -> None:
     with pytest.raises(ConfigError, match="weight=0"):
         variational_posterior(point, 0.0)
-    smooth = make_regularizer("smoothness", point.objective.problem.recording.mesh)
-    with pytest.raises(ConfigError, match="regularization=smoothness"):
+    smooth = PRIORS.build("smoothness").on(point.objective.problem.recording.mesh)
+    with pytest.raises(ConfigError, match="total variation without a mean"):
         variational_posterior(replace(point.objective, prior=smooth).at(point.x), 1.0)
 
 

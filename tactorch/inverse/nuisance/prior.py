@@ -1,13 +1,13 @@
-"""Which nuisance parameters are estimated beside the moduli, and how far they may be off."""
+"""Prior of the nuisance parameters that are estimated together with the moduli."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError
+from tactorch.config import Options, option
 from tactorch.inverse.nuisance.values import Nuisance
 
 _SIZES = {"poisson": 1, "force_scale": 1, "rest_scale": 3, "translation_mm": 3, "rotation_rad": 3}
@@ -17,43 +17,39 @@ _FAR = 8.0  # standard deviations that an estimate may lie from what was assumed
 
 
 @dataclass(frozen=True)
-class NuisancePrior:
+class NuisancePrior(Options):
     """Nuisance parameters to be estimated; each field is a prior standard deviation, or None.
 
-    The prior is normal about what the recording says: for Poisson's ratio, translation and
-    rotation in their units, for the scales in their logarithms (0.1 is about 10 %). The optimizer
-    moves z, the distance from there in standard deviations.
+    The prior is normal about the recording's values: for Poisson's ratio, translation and rotation
+    in their units, for the scales in their logarithms (0.1 is about 10 %). The optimizer's variable
+    is z, the difference from there in standard deviations.
 
-    Without springs of known stiffness, weight or prescribed motion the forces' scale and the
-    moduli's are one unknown: the data then say nothing of `force_scale`, and its deviation stays
+    Without springs of known stiffness, weight or prescribed motion the scales of forces and moduli
+    are one unknown: the data are then uninformative about `force_scale`, and its deviation remains
     that of the prior.
 
     Attributes:
-        poisson: Of Poisson's ratio; 0.02, say.
-        force_scale: Of the logarithm of true over reported force; 0.2, say.
-        rest_scale: Of the logarithm of true over assumed size, each axis by itself; 0.1, say.
-        translation_mm: Of each component of the sensor's offset, mm.
-        rotation_rad: Of each component of the sensor's rotation.
-
-    Raises:
-        ConfigError: a deviation is not positive and finite.
+        poisson: Deviation of Poisson's ratio, such as 0.02.
+        force_scale: Deviation of the logarithm of true over reported force, such as 0.2.
+        rest_scale: Deviation of the logarithm of true over assumed size of each axis, such as 0.1.
+        translation_mm: Deviation of each component of the sensor's offset, mm.
+        rotation_rad: Deviation of each component of the sensor's rotation vector, rad.
     """
 
-    poisson: float | None = None
-    force_scale: float | None = None
-    rest_scale: float | None = None
-    translation_mm: float | None = None
-    rotation_rad: float | None = None
-
-    def __post_init__(self) -> None:
-        """Check the deviations."""
-        for name in self.names:
-            value = getattr(self, name)
-            if not 0 < value < np.inf:
-                raise ConfigError(
-                    f"nuisance.{name}={value}: give the standard deviation of how far it may be "
-                    "off, above 0, or null where it is known."
-                )
+    section: ClassVar[str] = "nuisance"
+    poisson: float | None = option(None, "Deviation of Poisson's ratio; null: known", gt=0)
+    force_scale: float | None = option(
+        None, "Relative deviation of true from reported force; null: known", gt=0
+    )
+    rest_scale: float | None = option(
+        None, "Relative deviation of true from assumed size, each axis; null: known", gt=0
+    )
+    translation_mm: float | None = option(
+        None, "Deviation of the sensor's offset, each axis; null: known", unit="mm", gt=0
+    )
+    rotation_rad: float | None = option(
+        None, "Deviation of the sensor's rotation, each axis; null: known", unit="rad", gt=0
+    )
 
     @property
     def names(self) -> tuple[str, ...]:

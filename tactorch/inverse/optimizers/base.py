@@ -1,21 +1,24 @@
-"""What the optimizers share."""
+"""Base of the optimizers."""
 
-from typing import Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError
+from tactorch.config import Options
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective
 
 
-@runtime_checkable
-class Optimizer(Protocol):
-    """Moves parameters from a start until it has a reason to stop."""
+@dataclass(frozen=True)
+class Optimizer(Options, ABC):
+    """Settings of an optimizer, which minimises an objective from a start."""
 
-    name: str
+    section: ClassVar[str] = "optimizer"
 
+    @abstractmethod
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
     ) -> str:
@@ -28,28 +31,6 @@ class Optimizer(Protocol):
             ConvergenceError: the start itself has no equilibrium.
             StopOptimization: raised by the monitor.
         """
-        ...
-
-
-def require_positive(**values: float) -> None:
-    """Refuse settings that are not above zero.
-
-    Raises:
-        ConfigError: names the setting.
-    """
-    for name, value in values.items():
-        if not value > 0:
-            raise ConfigError(f"optimizer.{name}={value} must be above 0.")
-
-
-def require_weight(weight: float | None) -> None:
-    """Refuse a weight of the prior that is negative or not finite.
-
-    Raises:
-        ConfigError: says so.
-    """
-    if weight is not None and not 0 <= weight < np.inf:
-        raise ConfigError(f"optimizer.weight={weight} must be at least 0 and finite.")
 
 
 def projected_gradient(

@@ -5,22 +5,19 @@ not held at a bound; J = d residuals / d x is the full sensitivity matrix (eq. 1
 when the objective does not fall as foretold, and shrinks when it does.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.config import option
+from tactorch.errors import ConvergenceError
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers.base import (
-    projected_gradient,
-    require_positive,
-    require_weight,
-)
+from tactorch.inverse.optimizers.base import Optimizer, projected_gradient
 from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_step
 from tactorch.inverse.optimizers.weight import POOR, RegularizationSchedule
-from tactorch.inverse.optimizers.weight_rules import WEIGHT_RULES
 
 # While the weight of the prior falls, the path follows a valley that is narrow where the noise is
 # small: the data misfit may rise a little on the way, else the steps along it become tiny.
@@ -28,55 +25,36 @@ _LEEWAY = 2.0
 # The prior bears what the data do not see; damping is for the nonlinearity alone, so it starts
 # small, falls after every step that was foretold at all, and jumps where a step failed.
 _LEAST, _LEAST_RAISED = 1e-12, 1e-4
-_SPACES = ("auto", "data", "parameter")
 
 
-@dataclass
-class GaussNewton:
-    """Settings of the method.
+@dataclass(frozen=True)
+class GaussNewton(Optimizer):
+    """Gauss-Newton with Levenberg-Marquardt damping on the full sensitivity matrix.
 
     Attributes:
         max_iterations: Limit of accepted steps.
-        tolerance: Relative fall of the objective, at a settled weight, at which to stop.
-        weight: Weight of the prior, or None to lower it until the data are fitted to their noise.
+        tolerance: Relative fall of the objective, at a final weight, at which to stop.
         damping: First damping, relative to the mean diagonal of J^T J.
-        max_trials: Steps tried at one iterate before giving up.
-        space: Where to solve: "data" (p x p), "parameter" (m x m), or "auto" by size.
-        weight_rule: What chooses the weight where none is given: "discrepancy", "l_curve" or "gcv".
+        max_trials: Limit of trial steps at one iterate.
+        space: Space of the linear system: "data" (p x p), "parameter" (m x m), or "auto" by size.
+        weight_rule: Rule that chooses the weight of a prior whose weight is not given.
     """
 
-    max_iterations: int = 60
-    tolerance: float = 1e-3
-    weight: float | None = None
-    damping: float = 1e-6
-    max_trials: int = 12
-    space: str = "auto"
-    weight_rule: str = "discrepancy"
-    name: str = field(default="gauss_newton")
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        require_positive(
-            max_iterations=self.max_iterations, tolerance=self.tolerance, damping=self.damping,
-            max_trials=self.max_trials,
-        )  # fmt: skip
-        require_weight(self.weight)
-        if self.space not in _SPACES:
-            raise ConfigError(
-                f"optimizer.space={self.space} is unknown; choose {', '.join(_SPACES)}."
-            )
-        if self.weight_rule not in WEIGHT_RULES:
-            raise ConfigError(
-                f"optimizer.weight_rule={self.weight_rule} is unknown; choose "
-                f"{', '.join(WEIGHT_RULES)}."
-            )
+    max_iterations: int = option(60, "Limit of accepted steps", gt=0)
+    tolerance: float = option(1e-3, "Relative fall of the objective at which to stop", gt=0)
+    damping: float = option(1e-6, "First damping, relative to the mean diagonal of J^T J", gt=0)
+    max_trials: int = option(12, "Limit of trial steps at one iterate", gt=0)
+    space: Literal["auto", "data", "parameter"] = option("auto", "Space of the linear system")
+    weight_rule: Literal["discrepancy", "l_curve", "gcv"] = option(
+        "discrepancy", "Rule that chooses the weight of the prior"
+    )
 
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
     ) -> str:
         """See `Optimizer.minimize`."""
         point = objective.at(start)
-        cooling = RegularizationSchedule.start(point, self.weight, monitor.state, self.weight_rule)
+        cooling = RegularizationSchedule.start(point, monitor.state, self.weight_rule)
         damping = monitor.state.get("damping", self.damping)
         if not monitor.history:
             self._report(monitor, point, cooling, cooling.weight, damping, 0.0)

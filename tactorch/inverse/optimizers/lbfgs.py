@@ -5,48 +5,36 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import option
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective
-from tactorch.inverse.optimizers.base import require_positive, require_weight
+from tactorch.inverse.optimizers.base import Optimizer
 from tactorch.inverse.optimizers.scipy_bounded import BoundedRun
 from tactorch.inverse.optimizers.weight import RegularizationSchedule
 
 
-@dataclass
-class LBFGS:
-    """SciPy's L-BFGS-B (Byrd, Lu, Nocedal and Zhu, 1995).
+@dataclass(frozen=True)
+class LBFGS(Optimizer):
+    """SciPy's L-BFGS-B (Byrd, Lu, Nocedal and Zhu, 1995), the prior's weight lowered in stages.
 
     Attributes:
         max_iterations: Limit over all stages.
-        stage_iterations: Iterations at one weight of the prior, when it is chosen by cooling.
+        stage_iterations: Iterations at one weight of the prior, where the weight is not given.
         memory: Number of gradient pairs.
         ftol: Relative change of the objective at which a stage ends.
-        weight: Weight of the prior, or None to lower it until the data are fitted to their noise.
     """
 
-    max_iterations: int = 500
-    stage_iterations: int = 40
-    memory: int = 30
-    ftol: float = 1e-9
-    weight: float | None = None
-    name: str = "lbfgs"
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        require_positive(
-            max_iterations=self.max_iterations,
-            stage_iterations=self.stage_iterations,
-            memory=self.memory,
-            ftol=self.ftol,
-        )
-        require_weight(self.weight)
+    max_iterations: int = option(500, "Limit of iterations over all stages", gt=0)
+    stage_iterations: int = option(40, "Iterations at one weight of the prior", gt=0)
+    memory: int = option(30, "Number of gradient pairs", gt=0)
+    ftol: float = option(1e-9, "Relative change of the objective that ends a stage", gt=0)
 
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
     ) -> str:
         """See `Optimizer.minimize`."""
         point = objective.at(start)
-        cooling = RegularizationSchedule.start(point, self.weight, monitor.state)
+        cooling = RegularizationSchedule.start(point, monitor.state)
         while not cooling.ended:
             monitor.state = cooling.state()
             left = self.max_iterations - monitor.iteration

@@ -8,18 +8,16 @@ Gauss-Newton leaves out.
 """
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import option
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers.base import (
-    projected_gradient,
-    require_positive,
-    require_weight,
-)
+from tactorch.inverse.optimizers.base import Optimizer, projected_gradient
 from tactorch.inverse.optimizers.conjugate_gradients import truncated
 from tactorch.inverse.optimizers.hessian import SecondOrder
 from tactorch.inverse.optimizers.preconditioner import PriorSolver
@@ -32,7 +30,6 @@ _LEAST, _LEAST_RAISED = 1e-12, 1e-4
 _BASE = 1e-3
 # While the weight of the prior falls, the next step mends what this one leaves.
 _LOOSER = 3.0
-_HESSIANS = ("gauss_newton", "true")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,46 +41,30 @@ class _Move:
     iterations: int
 
 
-@dataclass
-class NewtonCG:
-    """Settings of the method.
+@dataclass(frozen=True)
+class NewtonCG(Optimizer):
+    """Newton's method by conjugate gradients, without the sensitivity matrix: for large meshes.
 
     Attributes:
         max_iterations: Limit of accepted steps.
-        tolerance: Relative fall of the objective, at a settled weight, at which to stop.
-        weight: Weight of the prior, or None to lower it until the data are fitted to their noise.
+        tolerance: Relative fall of the objective, at a final weight, at which to stop.
         damping: First damping, relative to the mean diagonal of J^T J.
-        max_trials: Steps tried at one iterate before giving up.
-        cg_iterations: Limit of conjugate gradients in one step.
-        forcing: Residual of a step's system, relative to the gradient, that suffices at a settled
-            weight far from the solution; near it, less, as Eisenstat and Walker (1996, choice 2)
-            have it.
-        hessian: "gauss_newton" or "true".
+        max_trials: Limit of trial steps at one iterate.
+        cg_iterations: Limit of conjugate-gradient iterations in one step.
+        forcing: Relative residual of a step's system at a final weight far from the solution;
+            near it, smaller, by choice 2 of Eisenstat and Walker (1996).
+        hessian: "gauss_newton", or "true" with the second derivatives.
     """
 
-    max_iterations: int = 60
-    tolerance: float = 1e-3
-    weight: float | None = None
-    damping: float = 1e-6
-    max_trials: int = 12
-    cg_iterations: int = 200
-    forcing: float = 0.03
-    hessian: str = "gauss_newton"
-    name: str = field(default="newton_cg")
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        require_positive(
-            max_iterations=self.max_iterations, tolerance=self.tolerance, damping=self.damping,
-            max_trials=self.max_trials, cg_iterations=self.cg_iterations, forcing=self.forcing,
-        )  # fmt: skip
-        require_weight(self.weight)
-        if self.forcing >= 1:
-            raise ConfigError(f"optimizer.forcing={self.forcing} must be below 1.")
-        if self.hessian not in _HESSIANS:
-            raise ConfigError(
-                f"optimizer.hessian={self.hessian} is unknown; choose {', '.join(_HESSIANS)}."
-            )
+    max_iterations: int = option(60, "Limit of accepted steps", gt=0)
+    tolerance: float = option(1e-3, "Relative fall of the objective at which to stop", gt=0)
+    damping: float = option(1e-6, "First damping, relative to the mean diagonal of J^T J", gt=0)
+    max_trials: int = option(12, "Limit of trial steps at one iterate", gt=0)
+    cg_iterations: int = option(200, "Limit of conjugate-gradient iterations in one step", gt=0)
+    forcing: float = option(0.03, "Relative residual of a step's linear system", gt=0, lt=1)
+    hessian: Literal["gauss_newton", "true"] = option(
+        "gauss_newton", "Hessian: without or with the second derivatives"
+    )
 
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
@@ -98,7 +79,7 @@ class NewtonCG:
         if "data_trace" not in state:
             state["data_trace"] = data_trace(point)
         run = _Run(self, monitor, state["data_trace"])
-        cooling = start_cooling(point, self.weight, monitor.state, run.trace)
+        cooling = start_cooling(point, monitor.state, run.trace)
         run.damping = state.get("damping", self.damping)
         run.gradient_size = state.get("gradient_size", np.inf)
         if not monitor.history:

@@ -21,12 +21,10 @@ def data_trace(point: Point, probes: int = _PROBES) -> float:
     return float(np.mean([image @ image for image in images]))
 
 
-def start_cooling(
-    point: Point, weight: float | None, state: dict[str, float], trace: float
-) -> RegularizationSchedule:
+def start_cooling(point: Point, state: dict[str, float], trace: float) -> RegularizationSchedule:
     """`RegularizationSchedule.start` with the first weight from an estimated trace of J^T J."""
-    if weight is not None or "weight" in state or point.objective.prior.name == "none":
-        return RegularizationSchedule.start(point, weight, state)
+    if point.objective.weight is not None or "weight" in state:
+        return RegularizationSchedule.start(point, state)
     prior = float(point.penalty_curvature.diagonal().sum())
     first = _RULE * trace / prior if prior > 0 else 0.0  # a single element has no jumps
     return RegularizationSchedule(first, first, fixed=first == 0.0)

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import option
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective
-from tactorch.inverse.optimizers.base import require_positive, require_weight
+from tactorch.inverse.optimizers.base import Optimizer
 from tactorch.inverse.optimizers.scipy_bounded import BoundedRun
 
 _REASONS = {
@@ -19,28 +20,22 @@ _REASONS = {
 }
 
 
-@dataclass
-class TNC:
-    """SciPy's TNC (Nash, 1984), without a prior unless one is weighted.
+@dataclass(frozen=True)
+class TNC(Optimizer):
+    """SciPy's TNC (Nash, 1984), the paper's truncated Newton (Algorithm 1).
+
+    It does not choose the weight of a prior: one that is not given counts as zero.
 
     Attributes:
         max_evaluations: Limit of solves of all presses; the paper's "iterations". A resumed
-            inversion counts its earlier ones.
+            inversion includes its earlier ones.
         ftol: Change of the objective at which to stop.
         gtol: Projected gradient at which to stop.
-        weight: Weight of the prior.
     """
 
-    max_evaluations: int = 500
-    ftol: float = 1e-12
-    gtol: float = 1e-10
-    weight: float = 0.0
-    name: str = "tnc"
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        require_positive(max_evaluations=self.max_evaluations, ftol=self.ftol, gtol=self.gtol)
-        require_weight(self.weight)
+    max_evaluations: int = option(500, "Limit of solves of all presses", gt=0)
+    ftol: float = option(1e-12, "Change of the objective at which to stop", gt=0)
+    gtol: float = option(1e-10, "Projected gradient at which to stop", gt=0)
 
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
@@ -49,6 +44,6 @@ class TNC:
         left = self.max_evaluations - monitor.evaluations
         if left <= 0:
             return _REASONS[3]
-        run = BoundedRun(objective.at(start), monitor, self.weight)
+        run = BoundedRun(objective.at(start), monitor, objective.weight or 0.0)
         result = run.run("TNC", {"maxfun": left, "ftol": self.ftol, "gtol": self.gtol})
         return _REASONS.get(int(result.status), str(result.message))

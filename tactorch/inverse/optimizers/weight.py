@@ -75,11 +75,10 @@ class RegularizationSchedule:
 
     @staticmethod
     def start(
-        point: Point, weight: float | None, state: dict[str, float], rule: str = "discrepancy"
+        point: Point, state: dict[str, float], rule: str = "discrepancy"
     ) -> "RegularizationSchedule":
-        """Take the given weight, a resumed one, or one at which the prior rules at `point`."""
-        if point.objective.prior.name == "none":
-            return RegularizationSchedule(0.0, 0.0, True)
+        """Take the given weight, a resumed one, or one at which the prior dominates at `point`."""
+        weight = point.objective.weight
         if weight is not None:
             return RegularizationSchedule(weight, weight, True)
         if "weight" in state:
@@ -240,7 +239,8 @@ def warm_start_state(state: dict[str, float], growth: float) -> dict[str, float]
 
 
 def ruling_weight(point: Point) -> float:
-    """A weight at which the prior outweighs the data: thirty times the balance of the diagonals."""
-    data = np.einsum("ij,ij->", point.jacobian, point.jacobian)
+    """Return a weight at which the prior dominates: thirty times the ratio of the traces."""
     prior = point.penalty_curvature.diagonal().sum()
-    return _RULE * float(data / prior) if prior > 0 else 0.0  # a single element has no jumps
+    if prior <= 0:  # no prior; or a single element, which has no jumps
+        return 0.0
+    return _RULE * float(np.einsum("ij,ij->", point.jacobian, point.jacobian) / prior)

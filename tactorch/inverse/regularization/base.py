@@ -1,116 +1,134 @@
-"""What a prior is: a penalty on the logarithm of Young's modulus.
+"""Priors: settings of a penalty on log-moduli, and the penalty itself on a mesh.
 
-Priors act on log-moduli whatever the parameterisation, since tissue differs by factors.
+Penalties act on the logarithm of Young's modulus in every parameterisation, because moduli of
+tissues differ by factors.
 """
 
 from abc import ABC, abstractmethod
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError
+from tactorch.config import Options, option
 from tactorch.mesh import TetMesh
 
-
-@runtime_checkable
-class Regularizer(Protocol):
-    """Penalty on a field of log-moduli, one value an element."""
-
-    name: str
-
-    def value(self, field: Float[np.ndarray, " m"]) -> float:
-        """Return the penalty (dimensionless)."""
-        ...
-
-    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the penalty's gradient."""
-        ...
-
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
-        """Return a positive semi-definite matrix that stands for the penalty's Hessian.
-
-        Where it can be, it is a majorant's: the quadratic with this Hessian and the penalty's
-        value and gradient at `field` lies nowhere below the penalty.
-        """
-        ...
+if TYPE_CHECKING:
+    from tactorch.inverse.regularization.jumps import JumpPenalty
 
 
-class NoPrior:
-    """The absence of a prior."""
+class Regularizer(ABC):
+    """Penalty on a field of log-moduli, one value per element.
 
-    name = "none"
+    The attributes below are capabilities that posteriors and optimizers query; the defaults
+    describe a penalty of which nothing but its values and derivatives is known.
 
-    def __init__(self, mesh: TetMesh) -> None:
-        """Take the mesh for the number of elements."""
-        self._size = mesh.n_tets
-
-    def value(self, field: Float[np.ndarray, " m"]) -> float:
-        """Return zero."""
-        return 0.0
-
-    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return zeros."""
-        return np.zeros_like(field)
-
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
-        """Return an empty matrix."""
-        return sp.csr_matrix((self._size, self._size))
-
-
-def jumps(mesh: TetMesh) -> sp.csr_matrix:
-    """Return the matrix that takes a field to its jumps across interior faces, (faces, m)."""
-    pairs = mesh.adjacency.pairs
-    faces = np.arange(len(pairs))
-    ones = np.ones(len(pairs))
-    return sp.csr_matrix(
-        (
-            np.concatenate([ones, -ones]),
-            (np.concatenate([faces, faces]), np.concatenate([pairs[:, 0], pairs[:, 1]])),
-        ),
-        shape=(len(pairs), mesh.n_tets),
-    )
-
-
-def relative_areas(mesh: TetMesh) -> Float[np.ndarray, " faces"]:
-    """Areas of interior faces over their mean."""
-    areas = mesh.adjacency.areas
-    return areas / areas.mean() if len(areas) else areas
-
-
-class JumpPenalty(ABC):
-    """A penalty on the size of jumps, lowered by reweighted least squares.
-
-    The curvature at a field is the Hessian of the quadratic that touches the penalty there from
-    above, which exists where the penalty is concave in the squared jump.
-
-    Args:
-        mesh: The object.
-        edge: Jump of log-modulus at which the penalty turns from smooth to sharp.
-
-    Raises:
-        ConfigError: `edge` is not positive.
+    Attributes:
+        gaussian: Whether the penalty is the negative logarithm of a Gaussian density, so that
+            `curvature` is a constant precision matrix.
+        mean: Log-moduli at the mean of that density, where it does not depend on the field.
+        variation: The penalty as total variation of the log-moduli, or None where it is not.
     """
 
-    def __init__(self, mesh: TetMesh, edge: float) -> None:
-        """Assemble the jumps."""
-        if not edge > 0:
-            raise ConfigError(f"regularization.edge={edge} must be above 0 (log-modulus).")
-        self.edge = edge
-        self._jumps = jumps(mesh)
-        self._areas = relative_areas(mesh)
+    gaussian: bool = False
+    mean: "Float[np.ndarray, ' m'] | None" = None
+    variation: "JumpPenalty | None" = None
 
     @abstractmethod
-    def _weights(self, jump: Float[np.ndarray, " faces"]) -> Float[np.ndarray, " faces"]:
-        """Derivative of each face's penalty by its jump, over the jump."""
+    def value(self, field: Float[np.ndarray, " m"]) -> float:
+        """Return the penalty (dimensionless)."""
+
+    @abstractmethod
+    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the gradient of the penalty."""
+
+    @abstractmethod
+    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+        """Return a positive semi-definite approximation of the penalty's Hessian, (m, m).
+
+        Where possible it belongs to a majorant: the quadratic with this Hessian and the penalty's
+        value and gradient at `field` is nowhere below the penalty.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior(Options, ABC):
+    """Settings of a prior. A subclass adds its own settings and `on`.
+
+    Attributes:
+        weight: Weight of the penalty in the objective; None chooses it by the optimizer's rule.
+    """
+
+    section: ClassVar[str] = "regularization"
+    weight: float | None = option(
+        None, "Weight of the prior; null: chosen so that the data are fitted to their noise", ge=0
+    )
+
+    @abstractmethod
+    def on(self, mesh: TetMesh) -> Regularizer:
+        """Return the penalty on a mesh."""
+
+
+class Quadratic(Regularizer):
+    """Half of (f - level)^T P (f - level), with f the field of log-moduli.
+
+    Args:
+        matrix: P, symmetric and positive semi-definite, (m, m).
+        level: Log-modulus of the minimum; None takes the field's average by `volumes`, which must
+            minimise the penalty, so that the gradient is exact although the level depends on the
+            field.
+        volumes: Weights of that average, (m,).
+    """
+
+    gaussian = True
+
+    def __init__(
+        self,
+        matrix: sp.spmatrix,
+        level: float | None = 0.0,
+        volumes: Float[np.ndarray, " m"] | None = None,
+    ) -> None:
+        """Store the matrix and the level."""
+        self._matrix, self._level, self._volumes = matrix.tocsr(), level, volumes
+        if level is not None:
+            self.mean = np.full(matrix.shape[0], level)
+
+    def _difference(self, field: np.ndarray) -> np.ndarray:
+        level = np.average(field, weights=self._volumes) if self._level is None else self._level
+        return field - level
+
+    def value(self, field: Float[np.ndarray, " m"]) -> float:
+        """Return the penalty, zero at the level."""
+        difference = self._difference(field)
+        return 0.5 * float(difference @ (self._matrix @ difference))
 
     def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the penalty's gradient."""
-        jump = self._jumps @ field
-        return self._jumps.T @ (self._weights(jump) * jump)
+        """Return the gradient of the penalty."""
+        return self._matrix @ self._difference(field)
 
     def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
-        """Return the majorant at `field`."""
-        weights = sp.diags(self._weights(self._jumps @ field))
-        return (self._jumps.T @ weights @ self._jumps).tocsr()
+        """Return the matrix: the Hessian at a fixed level, a majorant at an estimated one."""
+        return self._matrix
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoPrior(Prior):
+    """No prior: the start remains where the data are uninformative."""
+
+    weight: float | None = option(0.0, "Not used", ge=0)
+
+    def on(self, mesh: TetMesh) -> Quadratic:
+        """Return the zero penalty."""
+        return Quadratic(sp.csr_matrix((mesh.n_tets, mesh.n_tets)))
+
+
+def relative_volumes(mesh: TetMesh) -> Float[np.ndarray, " m"]:
+    """Return volumes of the elements over their mean."""
+    return mesh.volumes / mesh.volumes.mean()
+
+
+def log_level(level_mpa: float | None) -> float | None:
+    """Return the logarithm of a modulus (MPa); None stays None."""
+    return None if level_mpa is None else float(np.log(level_mpa))

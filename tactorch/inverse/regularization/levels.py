@@ -1,46 +1,177 @@
-"""Levels of log-modulus that a prior refers to: given, or estimated from the field itself.
+"""Penalties on the difference from levels of log-modulus, given or estimated from the field.
 
-An estimated level is always the one that makes its penalty smallest. The penalty of the field is
-then a minimum over levels, so its gradient is the one at the level held still (envelope theorem),
-and what majorises the penalty at that level majorises it with the level free.
+An estimated level minimises its penalty. The gradient of the penalty is then the one at a fixed
+level (envelope theorem), and a majorant at that level is a majorant with the level free.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float
 
+from tactorch.config import option
 from tactorch.errors import ConfigError
+from tactorch.inverse.regularization.base import (
+    Prior,
+    Quadratic,
+    Regularizer,
+    log_level,
+    relative_volumes,
+)
 from tactorch.mesh import TetMesh
 
-_SWEEPS, _SETTLED = 200, 1e-12
+_MAX_BISECTIONS, _LEVEL_TOLERANCE = 200, 1e-12
 
 
-def relative_volumes(mesh: TetMesh) -> Float[np.ndarray, " m"]:
-    """Volumes of the elements over their mean."""
-    return mesh.volumes / mesh.volumes.mean()
+@dataclass(frozen=True, kw_only=True)
+class Tikhonov(Prior):
+    """Tikhonov: squared difference from a reference modulus.
 
+    Half the sum over elements of volume * (log E - log reference)^2, in mean volumes.
 
-def log_level(
-    level_mpa: float | Float[np.ndarray, " m"] | None, size: int
-) -> float | Float[np.ndarray, " m"] | None:
-    """Return the logarithm of a level (MPa): one, or one an element; None stays None.
-
-    Raises:
-        ConfigError: it is not positive, or its shape is wrong.
+    Attributes:
+        level_mpa: Reference, MPa; None takes the volume-weighted mean of the log-moduli.
     """
-    if level_mpa is None:
-        return None
-    level = np.asarray(level_mpa, dtype=np.float64)
-    if level.shape not in ((), (size,)):
-        raise ConfigError(
-            f"regularization.level_mpa has shape {level.shape}; give one modulus or ({size},)."
-        )
-    if not (np.all(level > 0) and np.all(np.isfinite(level))):
-        raise ConfigError(f"regularization.level_mpa={level_mpa} must be above 0 MPa.")
-    return float(np.log(level)) if level.ndim == 0 else np.log(level)
+
+    level_mpa: float | None = option(
+        None, "Reference modulus; null: the mean of the present map", unit="MPa", gt=0
+    )
+
+    def on(self, mesh: TetMesh) -> Quadratic:
+        """Return the penalty on a mesh."""
+        volumes = relative_volumes(mesh)
+        return Quadratic(sp.diags(volumes), log_level(self.level_mpa), volumes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sparsity(Prior):
+    """Sparsity: few elements differ from a background modulus, possibly by much.
+
+    Sum over elements of volume * (sqrt((log E - background)^2 + edge^2) - edge), in mean volumes,
+    minimised by reweighted least squares.
+
+    Attributes:
+        edge: Difference of log-modulus below which the penalty is quadratic.
+        level_mpa: Background, MPa; None takes the volume-weighted median of the log-moduli,
+            smoothed like the penalty.
+    """
+
+    edge: float = option(
+        0.03, "Difference of log-modulus below which the penalty is quadratic", gt=0
+    )
+    level_mpa: float | None = option(
+        None, "Background modulus; null: the median of the present map", unit="MPa", gt=0
+    )
+
+    def on(self, mesh: TetMesh) -> "SparsityPenalty":
+        """Return the penalty on a mesh."""
+        return SparsityPenalty(relative_volumes(mesh), log_level(self.level_mpa), self.edge)
+
+
+class SparsityPenalty(Regularizer):
+    """The penalty of `Sparsity` on a mesh."""
+
+    def __init__(self, volumes: Float[np.ndarray, " m"], level: float | None, edge: float) -> None:
+        """Store volumes over their mean, log-background and edge."""
+        self._volumes, self._level, self._edge = volumes, level, edge
+
+    def _differences(self, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Differences from the background, and their smoothed sizes."""
+        level = self._level
+        if level is None:
+            level = smoothed_median(field, self._volumes, self._edge)
+        difference = field - level
+        return difference, np.sqrt(difference * difference + self._edge**2)
+
+    def value(self, field: Float[np.ndarray, " m"]) -> float:
+        """Return the penalty, zero at the background."""
+        return float(self._volumes @ (self._differences(field)[1] - self._edge))
+
+    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the gradient of the penalty."""
+        difference, size = self._differences(field)
+        return self._volumes * difference / size
+
+    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+        """Return the Hessian of the majorant at `field`."""
+        return sp.diags(self._volumes / self._differences(field)[1]).tocsr()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinaryWell(Prior):
+    """The paper's binary well: two levels, tissue and inclusion.
+
+    Sum over elements of volume * (f - f_c)^2 (f - f_t)^2, in mean volumes, with f = log E. The
+    paper (Section VII) states it for moduli; for log-moduli both wells are equally wide at any
+    contrast. It is not convex.
+
+    Attributes:
+        levels_mpa: The two moduli e_t and e_c, MPa; None takes those that minimise the sum for
+            the present field.
+    """
+
+    levels_mpa: tuple[float, float] | None = option(
+        None, "Moduli of tissue and inclusion; null: estimated from the present map", unit="MPa",
+        gt=0,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        """Check the levels.
+
+        Raises:
+            ConfigError: the levels are equal.
+        """
+        super().__post_init__()
+        if self.levels_mpa is not None and self.levels_mpa[0] == self.levels_mpa[1]:
+            raise ConfigError(
+                f"regularization.levels_mpa={list(self.levels_mpa)}: give two different moduli "
+                "above 0 MPa, or null."
+            )
+
+    def on(self, mesh: TetMesh) -> "BinaryWellPenalty":
+        """Return the penalty on a mesh."""
+        return BinaryWellPenalty(relative_volumes(mesh), self.levels_mpa)
+
+
+class BinaryWellPenalty(Regularizer):
+    """The penalty of `BinaryWell` on a mesh."""
+
+    def __init__(
+        self, volumes: Float[np.ndarray, " m"], levels_mpa: tuple[float, float] | None
+    ) -> None:
+        """Store volumes over their mean, and the levels."""
+        self._volumes = volumes
+        self._levels = levels_mpa and (float(np.log(levels_mpa[0])), float(np.log(levels_mpa[1])))
+
+    def levels(self, field: Float[np.ndarray, " m"]) -> tuple[float, float]:
+        """Return the log-moduli of the wells: given, or estimated from this field."""
+        return self._levels or two_levels(field, self._volumes)
+
+    def _product(self, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the product (f - f_c)(f - f_t), and its derivative."""
+        low, high = self.levels(field)
+        return (field - low) * (field - high), 2.0 * field - low - high
+
+    def value(self, field: Float[np.ndarray, " m"]) -> float:
+        """Return the penalty, zero for a map of the two levels."""
+        product, _ = self._product(field)
+        return float(self._volumes @ (product * product))
+
+    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the gradient of the penalty."""
+        product, slope = self._product(field)
+        return self._volumes * 2.0 * product * slope
+
+    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+        """Return the Hessian without its negative part between the wells; no majorant."""
+        product, slope = self._product(field)
+        convex = 2.0 * slope * slope + 4.0 * np.maximum(product, 0.0)
+        return sp.diags(self._volumes * convex).tocsr()
 
 
 def weighted_median(field: Float[np.ndarray, " m"], weights: Float[np.ndarray, " m"]) -> float:
-    """Value below which half of the weight lies."""
+    """Return the value below which half of the weight is."""
     order = np.argsort(field)
     below = np.cumsum(weights[order])
     return float(field[order][np.searchsorted(below, 0.5 * below[-1])])
@@ -56,11 +187,11 @@ def smoothed_median(
     """
     low, high = float(field.min()), float(field.max())
     level = weighted_median(field, weights)
-    for _ in range(_SWEEPS):
-        distance = field - level
-        slope = float(weights @ (distance / np.sqrt(distance * distance + edge * edge)))
+    for _ in range(_MAX_BISECTIONS):
+        difference = field - level
+        slope = float(weights @ (difference / np.hypot(difference, edge)))
         low, high = (level, high) if slope > 0 else (low, level)
-        if slope == 0 or high - low <= _SETTLED * max(1.0, abs(level)):
+        if slope == 0 or high - low <= _LEVEL_TOLERANCE * max(1.0, abs(level)):
             break
         level = 0.5 * (low + high)
     return level

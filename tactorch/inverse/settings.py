@@ -1,0 +1,138 @@
+"""Settings of an inversion, and their form in stored results."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from tactorch.config import REGISTRIES, Options, build, option, settings_of
+from tactorch.errors import ConfigError
+from tactorch.fem import NewtonOptions
+from tactorch.inverse.misfit import Misfit, Squares
+from tactorch.inverse.noise import NoiseModel
+from tactorch.inverse.nuisance import NuisancePrior
+from tactorch.inverse.optimizers import GaussNewton, Optimizer
+from tactorch.inverse.parameterization import Bounds, Log, Parameterization
+from tactorch.inverse.regularization import Prior, TotalVariation
+from tactorch.plain import plain
+
+# What the correction for the mesh leaves of its error, measured with truth on cubes whose balls are
+# two to four elements across: 0.13 to 0.41. It is less where elements are small relative to the
+# features: 0.00 to 0.15 on random balls in a mesh of 65,000 elements (`benchmarks/breast.py`).
+RESIDUAL_MODEL_ERROR = 1.0 / 3.0
+
+
+@dataclass(frozen=True)
+class Settings(Options):
+    """Settings of an inversion: everything but the recording and the start.
+
+    Components may be given as objects, by name ("tikhonov"), or as a table
+    ({"name": "tikhonov", "level_mpa": 0.2}).
+
+    Attributes:
+        optimizer: Optimizer.
+        parameterization: Variables of the optimization.
+        regularization: Prior on the map, with its weight.
+        bounds: Limits of Young's modulus.
+        noise: Standard deviations for presses that do not state theirs.
+        misfit: Cost of the residuals.
+        model_error: "discretisation" corrects for the discretisation error of the mesh, "none"
+            does not, and "auto" does unless the presses were computed on the same mesh.
+        residual_model_error_fraction: Fraction of the mesh's error that remains as uncertainty
+            after the correction; smaller than the default where elements are small relative to
+            the features.
+        element: Element type: "tet10" is free of locking as Poisson's ratio nears 0.5.
+        solver: Linear solver.
+        newton: Settings of the equilibrium search.
+        nuisance: Nuisance parameters to be estimated together with the map; none by default.
+        max_seconds: Time limit, s, or None.
+    """
+
+    optimizer: Optimizer = option(factory=GaussNewton, help="Optimizer", section="optimizer")
+    parameterization: Parameterization = option(
+        factory=Log, help="Variables of the optimization", section="parameterization"
+    )
+    regularization: Prior = option(
+        factory=TotalVariation, help="Prior on the map", section="regularization"
+    )
+    bounds: Bounds = option(factory=Bounds, help="Limits of Young's modulus")
+    noise: NoiseModel = option(factory=NoiseModel, help="Noise of presses that do not state it")
+    misfit: Misfit = option(factory=Squares, help="Cost of the residuals", section="misfit")
+    model_error: Literal["auto", "none", "discretisation"] = option(
+        "auto", "Correction for the discretisation error of the mesh"
+    )
+    residual_model_error_fraction: float = option(
+        RESIDUAL_MODEL_ERROR,
+        "Fraction of the mesh's error that remains as uncertainty after the correction",
+        ge=0,
+        le=1,
+    )
+    element: Literal["tet4", "tet10"] = option("tet4", "Element type; tet10 is free of locking")
+    solver: Literal["auto", "pardiso", "superlu", "multigrid"] = option("auto", "Linear solver")
+    newton: NewtonOptions = option(factory=NewtonOptions, help="Equilibrium search")
+    nuisance: NuisancePrior = option(
+        factory=NuisancePrior, help="Nuisance parameters to be estimated", preset="none"
+    )
+    max_seconds: float | None = option(None, "Time limit; null: none", unit="s", gt=0)
+
+
+def stored_settings(value: Any, section: str = "") -> Any:
+    """Return settings as plain values with the names of components; arrays by their checksum.
+
+    Args:
+        value: Settings, or a value of one.
+        section: Section of the registry that the value is chosen from.
+    """
+    if isinstance(value, Options):
+        name = {"name": REGISTRIES[section].name_of(type(value))} if section in REGISTRIES else {}
+        return name | {
+            setting.name: stored_settings(getattr(value, setting.name), setting.constraint.section)
+            for setting in settings_of(type(value))
+        }
+    if isinstance(value, dict):  # parts of a prior
+        return {key: stored_settings(item, section) for key, item in value.items()}
+    return plain(value)
+
+
+def has_all_settings(config: Mapping[str, Any]) -> bool:
+    """Whether the `config` of a reconstruction determines its settings.
+
+    It does not for a prior about a map, of which only the checksum is stored.
+    """
+    settings = config.get("settings", {})
+    prior = settings.get("prior", settings.get("regularization"))
+    return not (isinstance(prior, Mapping) and isinstance(prior.get("mean_mpa"), str))
+
+
+def settings_from(config: Mapping[str, Any]) -> Settings:
+    """Return the settings of a reconstruction from its `config`, of this version or an older one.
+
+    Raises:
+        ConfigError: the settings are incomplete, unknown, or depend on a map that is not stored.
+    """
+    if not has_all_settings(config):
+        raise ConfigError("the prior was about a map that the result does not hold")
+    try:
+        values = dict(config["settings"])
+        if "prior" in values:
+            values = _converted(values, dict(config["optimizer"]))
+        values["newton"] = NewtonOptions(**values["newton"])
+        settings: Settings = build(Settings, values)
+        return settings
+    except (KeyError, TypeError, ConfigError) as error:
+        raise ConfigError(f"the settings of the result cannot be read ({error})") from error
+
+
+def _converted(values: dict[str, Any], optimizer: dict[str, Any]) -> dict[str, Any]:
+    """Convert settings as stored up to version 0.1: one flat table for all priors."""
+    name, options = values["regularization"], dict(values.pop("prior"))
+    weight, edge = optimizer.pop("weight", None), values.pop("edge")
+    options |= {} if edge is None else {"edge": edge}
+
+    def prior(name: str, weight: float | None) -> dict[str, Any]:
+        known = {setting.name for setting in settings_of(REGISTRIES["regularization"][name])}
+        return {k: v for k, v in options.items() if k in known} | {"weight": weight}
+
+    table = {"name": name, **prior(name, weight)}
+    if "parts" in table:
+        table["parts"] = {part: prior(part, share) for part, share in table["parts"].items()}
+    return {**values, "optimizer": optimizer, "regularization": table}
