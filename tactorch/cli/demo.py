@@ -47,5 +47,5 @@ def _recording(options: DemoOptions) -> Recording:
         return simulate_recording(options)
     if options.path is None:
         raise ConfigError("source=published needs path=FOLDER, the folder of a published case.")
-    recording: Recording = options.format.read(options.path)
+    recording: Recording = options.format(folder=options.path)
     return recording

@@ -27,7 +27,7 @@ class ImportOptions(CommandOptions):
 
 def run(options: ImportOptions) -> Path:
     """Import a recording and write it; returns its path."""
-    recording = options.format.read(options.path)
+    recording = options.format(folder=options.path)
     recording.save(options.out)
     log.info("%s", recording.summary())
     log.info("recording: %s", options.out)
