@@ -102,7 +102,7 @@ def draw_case(rng: np.random.Generator) -> Case:
     faces = tuple(rng.permutation(FACES)[: rng.integers(1, 4)].tolist())
     p_max = float(rng.uniform(0.05, 0.12)) * youngs
     body = Box((SIDE / 2,) * 3, (SIDE,) * 3)
-    plan = PressPlan.ramp(p_max_mpa=p_max, steps=3, faces=faces)
+    plan = PressPlan(p_max_mpa=p_max, steps=3, faces=faces)
     return Case(Phantom(body, inclusions, youngs), plan, float(rng.uniform(25.0, 50.0)))
 
 
@@ -151,7 +151,7 @@ def judge_gaussian(divisions: int, seed: int, index: int) -> Outcome:
     prior = NormalPrior(mesh, float(np.log(0.2)))
     truth = prior.draw(rng)
     faces = FACES[: 1 + index % 3]
-    plan = PressPlan.ramp(p_max_mpa=0.01, steps=2, faces=faces)
+    plan = PressPlan(p_max_mpa=0.01, steps=2, faces=faces)
     # A uniform object gives forces and supports; the presses are then those of the drawn one.
     blank = simulate(make_phantom("uniform_cube"), plan, mesh=mesh)
     moved = InverseProblem(blank).evaluate(np.exp(truth)).displacements

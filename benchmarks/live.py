@@ -77,10 +77,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def recording_of(name: str) -> Recording:
     """Simulate a session."""
     if name == "sides":
-        phantom, plan = make_phantom("cube_sphere", depth=0.4), PressPlan.ramp(0.02, 4, faces=SIDES)
+        phantom, plan = (
+            make_phantom("cube_sphere", depth=0.4),
+            PressPlan(p_max_mpa=0.02, steps=4, faces=SIDES),
+        )
     else:
         phantom = make_phantom("cube_sphere", depth=0.4, radius=0.22)
-        plan = PressPlan(SIDES, [0.03], patch_radius_mm=3.0, patch_centers_mm=CORNERS, hold="fixed")
+        plan = PressPlan(
+            SIDES, [0.03], patch_radius_mm=3.0, patch_centers_mm=CORNERS, support="fixed"
+        )
     made = simulate(
         phantom,
         plan,

@@ -32,7 +32,7 @@ from tactorch.inverse import NuisancePrior, Reconstruction, Settings, invert
 from tactorch.metrics import scores
 from tactorch.phantoms import make_phantom
 from tactorch.recording import MaterialSpec, Recording
-from tactorch.simulation import PressPlan, misjudged, simulate
+from tactorch.simulation import PressPlan, perturb_recording, simulate
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
 DEVIATIONS = {"poisson": 0.02, "force_scale": 0.2, "rest_scale": 0.1}
@@ -94,7 +94,7 @@ def study(recording: Recording, names: list[str], title: str, lines: list[str]) 
     cases: dict[str, Any] = {}
     for name in names:
         case = CASES[name]
-        seen = misjudged(recording, **case.beliefs)
+        seen = perturb_recording(recording, **case.beliefs)
         cases[name] = {}
         for kind, free in (("wrong", ()), ("joint", case.free)):
             found = judge(recording, seen, free)
@@ -109,7 +109,7 @@ def record(snr_db: float, edge: float = 0.1, *, same_mesh: bool) -> Recording:
     phantom = make_phantom("cube_shallow_sphere")
     return simulate(
         phantom,
-        PressPlan.ramp(faces=("z+", "x+", "y+"), p_max_mpa=0.02, steps=4),
+        PressPlan(faces=("z+", "x+", "y+"), p_max_mpa=0.02, steps=4),
         material=MaterialSpec("neo_hookean", 0.45),
         mesh=phantom.mesh(relative_edge_length=edge),
         fine_mesh=None if same_mesh else phantom.mesh(relative_edge_length=edge / 2),

@@ -29,7 +29,7 @@ PAGES = {
     "credibility": ("Credibility and active sampling", ["tactorch.uncertainty"]),
     "fem": (
         "Mechanics",
-        ["tactorch.fem", "tactorch.fem.materials", "tactorch.fem.device", "tactorch.linalg"],
+        ["tactorch.fem", "tactorch.fem.materials", "tactorch.linalg"],
     ),
     "mesh": ("Meshes", ["tactorch.mesh"]),
     "sensor": (

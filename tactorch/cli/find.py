@@ -52,7 +52,7 @@ def run(options: FindOptions) -> Finding:
         raise FileError(
             f"{found.missing} Give recording=FILE.h5: depths are measured from its presses."
         )
-    youngs = found.found.youngs
+    youngs = found.result.youngs
     posterior = _posterior(found, found.recording) if options.uncertainty else None
     finding = finding_of(found.recording, youngs, posterior, most=options.most)
     values, text = finding.plain(), finding.text()
@@ -60,7 +60,7 @@ def run(options: FindOptions) -> Finding:
         from tactorch.findings.recognition import load_recognizer, recognise
 
         network = load_recognizer(str(options.recognizer))
-        probabilities = recognise(found.found.mesh, youngs, network)
+        probabilities = recognise(found.result.mesh, youngs, network)
         values["shapes"] = probabilities
         named = ", ".join(f"{name} {share:.0%}" for name, share in probabilities.items())
         text += f"\nOf the shapes that the recognizer knows it looks like: {named}."
@@ -76,8 +76,8 @@ def _posterior(found: Run, recording: Recording) -> GaussianPosterior | None:
     """Return the posterior of the map; None, with the reason in the log, where it has none."""
     complete = with_settings(found)
     try:
-        settings = complete.settings or settings_from(complete.found.config)
-        return posterior_of(recording, complete.found, settings)
+        settings = complete.settings or settings_from(complete.result.config)
+        return posterior_of(recording, complete.result, settings)
     except UNCOMPUTABLE as error:
         reason = str(error) or "not enough memory"
         log.warning("the confidence cannot be computed: %s", reason)

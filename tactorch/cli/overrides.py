@@ -13,6 +13,14 @@ if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
 
 _HYDRA = ("hydra.", "hydra/")
+#: Names of settings up to version 0.1, and their names now.
+_RENAMED = {
+    "start_mpa": "initialization.start_mpa",
+    "press.hold": "press.support",
+    "dataset.presses.hold": "dataset.presses.support",
+    "dataset.sizes": "dataset.mesh",
+    "material.parameters": "material",
+}
 
 
 def check_overrides(
@@ -29,6 +37,7 @@ def check_overrides(
     Raises:
         ConfigError: a setting or an option of a group is unknown, or a word cannot be read.
     """
+    words = [_renamed(word, schema) for word in words]
     overrides = [_parse(word, schema) for word in words]
     entries = _reachable(schema, overrides)
     return [
@@ -55,6 +64,17 @@ def check_required(schema: Schema, words: Sequence[str]) -> None:
 def key_of(word: str) -> str:
     """Return the name of the setting in a word."""
     return word.split("=", 1)[0].lstrip("+~")
+
+
+def _renamed(word: str, schema: Schema) -> str:
+    """Return a word with the present name of its setting."""
+    key = word.partition("=")[0]
+    for old, new in _RENAMED.items():
+        name = key.lstrip("+")
+        is_known = new.split(".")[0] in schema.groups
+        if is_known and (name == old or name.startswith(f"{old}.")):
+            return word.replace(old, new, 1)
+    return word
 
 
 def _parse(word: str, schema: Schema) -> "Override":

@@ -19,7 +19,7 @@ from tactorch.cli.runs import with_settings
 from tactorch.cli.settings import log
 from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.report import load_run, names_of, write_report
+from tactorch.report import load_run, run_names, write_report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ def run(options: ReportOptions) -> Path:
             recording=options.recording if folder is folders[0] else None,
             check_units=options.check_units,
         )
-        for folder, name in zip(folders, names_of(folders), strict=True)
+        for folder, name in zip(folders, run_names(folders), strict=True)
     ]
     for run in runs:
         if run.missing:
@@ -66,7 +66,7 @@ def run(options: ReportOptions) -> Path:
         log.info(
             "Solving the presses again for the uncertainty of the map (%s elements); "
             "uncertainty=false leaves it out.",
-            " and ".join(f"{run.found.mesh.n_tets:,}" for run in complete),
+            " and ".join(f"{run.result.mesh.n_tets:,}" for run in complete),
         )
     out = options.out or folders[0] / "report.html"
     with progress("uncertainty", "steps") as update:
@@ -78,7 +78,7 @@ def run(options: ReportOptions) -> Path:
             update(done * steps + step, len(complete) * steps, f", {name}")
 
         write_report(
-            runs, out, uncertainty=options.uncertainty, colours=options.colours, tell=on_step
+            runs, out, uncertainty=options.uncertainty, colours=options.colours, progress=on_step
         )
     log.info("report: %s (%.1f MB)", out, out.stat().st_size / 1e6)
     return out

@@ -13,7 +13,7 @@ from tactorch.report import Run
 def with_settings(run: Run) -> Run:
     """Return a run with its settings; a prior about a surrogate's map is predicted again."""
     path = run.folder / ".hydra" / "config.yaml"
-    if has_all_settings(run.found.config) or run.recording is None or not path.is_file():
+    if has_all_settings(run.result.config) or run.recording is None or not path.is_file():
         return run
     try:
         options = saved_options("invert", run.folder)
@@ -22,7 +22,7 @@ def with_settings(run: Run) -> Run:
         log.warning("%s: the settings in '%s' cannot be used (%s)", run.name, path, error)
         return run
     prior = stored_settings(settings)["regularization"]
-    if prior != run.found.config["settings"]["regularization"]:
+    if prior != run.result.config["settings"]["regularization"]:
         log.warning("%s: the surrogate predicts another map than it did for this run", run.name)
         return run
     return replace(run, settings=settings)

@@ -1,6 +1,6 @@
 """Internal forces and tangent of a body at given displacements, on the CPU.
 
-The compiled kernels do isotropic materials; any other material goes through its own tensors.
+Isotropic materials use the compiled kernels, other materials their stress and tangent tensors.
 """
 
 from dataclasses import dataclass
@@ -13,11 +13,10 @@ from jaxtyping import Float
 from tactorch.fem import kernels
 from tactorch.fem.elements import Discretisation
 from tactorch.fem.materials import (
-    Dilatation,
     InvariantDerivatives,
     IsotropicMaterial,
-    LinearElastic,
     Material,
+    VolumetricDerivatives,
 )
 
 _NO_MEAN = np.empty(0)
@@ -25,14 +24,15 @@ _NO_MEAN = np.empty(0)
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Unit response of all elements at one displacement field.
+    """Energy and forces of all elements per unit modulus, at one displacement field.
 
     Attributes:
-        F: Deformation gradient at the points.
-        j: det F at the points.
-        energy: Energy of each element per unit modulus, mm^3.
-        forces: Nodal forces of each element per unit modulus, mm^2 (the columns of eq. 11).
+        F: Deformation gradient at the quadrature points.
+        invariants: I1, I2 and J at the quadrature points.
+        energy: Energy of each element, mm^3.
+        forces: Nodal forces of each element, mm^2 (the columns of eq. 11).
         derivatives: Derivatives of the energy by the invariants; None for general materials.
+        mean: Volumetric energy at each element's mean J; None where it is not averaged.
     """
 
     F: Float[np.ndarray, "m q 3 3"]
@@ -40,23 +40,23 @@ class Response:
     energy: Float[np.ndarray, " m"]
     forces: Float[np.ndarray, "m k 3"]
     derivatives: InvariantDerivatives | None
-    mean: Dilatation | None
+    mean: VolumetricDerivatives | None
 
     @property
-    def worst(self) -> tuple[int, float]:
-        """Element with the smallest det F, and that value."""
+    def smallest_volume_ratio(self) -> tuple[int, float]:
+        """Element with the smallest J = det F, and that value."""
         j = self.invariants[2].min(axis=1)
         return int(j.argmin()), float(j.min())
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """A discretised body of one material, ready to be evaluated.
+    """A discretised body of one material.
 
     Attributes:
-        discretisation: Mesh and element.
+        discretisation: Mesh and element type.
         material: Energy per unit modulus.
-        poisson: Poisson's ratio, one for all or one per element.
+        poisson: Poisson's ratio, one for all or one for each element.
         points: Rest positions, mm.
     """
 
@@ -77,29 +77,24 @@ class Assembly:
 
     @property
     def weights(self) -> Float[np.ndarray, "m q"]:
-        """Volumes of the quadrature points, mm^3."""
+        """Volume of each quadrature point, mm^3."""
         return self._geometry[1]
 
     @cached_property
     def volumes(self) -> Float[np.ndarray, " m"]:
-        """Volumes of the elements, mm^3."""
+        """Volume of each element, mm^3."""
         return self.weights.sum(axis=1)
 
-    @property
-    def barrier(self) -> bool:
-        """Whether an inverted element is refused (all but linear elasticity)."""
-        return not isinstance(self.material, LinearElastic)
-
     def _per_point(self) -> float | np.ndarray:
-        """Poisson's ratio, shaped to broadcast over points."""
+        """Poisson's ratio, in a shape that broadcasts over quadrature points."""
         return self.poisson if np.ndim(self.poisson) == 0 else np.asarray(self.poisson)[:, None]
 
     def respond(self, u: Float[np.ndarray, "nodes 3"]) -> Response | None:
-        """Evaluate all elements; None if one is turned inside out."""
+        """Evaluate all elements; None if the material excludes an inverted one."""
         shape = self.weights.shape
         F, invariants = np.empty((*shape, 3, 3)), np.empty((3, *shape))
         kernels.kinematics(self.discretisation.nodes, self.gradients, u, F, invariants)
-        if self.barrier and not invariants[2].min() > 0.0:
+        if not self.material.allows_inversion and not invariants[2].min() > 0.0:
             return None
         if isinstance(self.material, IsotropicMaterial):
             return self._isotropic(self.material, F, invariants)
@@ -110,18 +105,18 @@ class Assembly:
     ) -> Response:
         i1, i2, j = invariants
         poisson = self._per_point()
-        shape = material.distortion(i1, i2, j, np.log(j), poisson)
+        strain = material.strain_derivatives(i1, i2, j, np.log(j), poisson)
         mean = None
         if self.discretisation.element.mean_dilatation:
             average = (self.weights * j).sum(axis=1) / self.volumes
-            mean = material.dilatation(average, np.log(average), self.poisson)
-            dj, djj = shape.dj + np.reshape(mean.dj, (-1, 1)), shape.djj
-            energy = (self.weights * shape.psi).sum(axis=1) + self.volumes * mean.psi
+            mean = material.volumetric_derivatives(average, np.log(average), self.poisson)
+            dj, djj = strain.dj + np.reshape(mean.dj, (-1, 1)), strain.djj
+            energy = (self.weights * strain.psi).sum(axis=1) + self.volumes * mean.psi
         else:
-            volume = material.dilatation(j, np.log(j), poisson)
-            dj, djj = shape.dj + volume.dj, shape.djj + volume.djj
-            energy = (self.weights * (shape.psi + volume.psi)).sum(axis=1)
-        d = shape._replace(dj=dj, djj=djj)
+            volume = material.volumetric_derivatives(j, np.log(j), poisson)
+            dj, djj = strain.dj + volume.dj, strain.djj + volume.djj
+            energy = (self.weights * (strain.psi + volume.psi)).sum(axis=1)
+        d = strain._replace(dj=dj, djj=djj)
         stress = np.empty_like(F)
         full = [np.ascontiguousarray(np.broadcast_to(x, j.shape)) for x in (d.d1, d.d2, d.dj)]
         kernels.stress(F, invariants, *full, stress)
@@ -145,7 +140,7 @@ class Assembly:
     def internal_force(
         self, response: Response, youngs: Float[np.ndarray, " m"]
     ) -> Float[np.ndarray, "nodes 3"]:
-        """Assemble the nodal elastic forces, N."""
+        """Return the assembled nodal elastic forces, N."""
         out = np.zeros((self.discretisation.n_nodes, 3))
         kernels.scatter_forces(self.discretisation.nodes, response.forces, youngs, out)
         return out
@@ -153,7 +148,7 @@ class Assembly:
     def tangent(
         self, response: Response, youngs: Float[np.ndarray, " m"]
     ) -> Float[np.ndarray, " nnz"]:
-        """Assemble the upper-triangle values of the elastic tangent, N/mm."""
+        """Return the upper-triangle values of the elastic tangent, N/mm."""
         values = np.zeros(self.discretisation.pattern.nnz)
         self._add_tangent(response, youngs, self.discretisation.slots, values)
         return values
@@ -177,7 +172,7 @@ class Assembly:
         )  # fmt: skip
 
     def _general_blocks(self, response: Response, weights: np.ndarray) -> np.ndarray:
-        """Upper-triangle entries of the element matrices of a general material."""
+        """Upper-triangle entries of the element tangents of a general material."""
         moduli = self.material.tangent(
             torch.from_numpy(response.F), torch.as_tensor(self._per_point(), dtype=torch.float64)
         )
@@ -188,21 +183,21 @@ class Assembly:
         rows, cols = self.discretisation.entry_rows_cols
         return np.ascontiguousarray(dense.numpy()[:, rows, cols])
 
-    def definite_tangent(
+    def projected_tangent(
         self, response: Response, youngs: Float[np.ndarray, " m"]
     ) -> Float[np.ndarray, " nnz"]:
-        """Assemble the tangent with each element's negative eigenvalues set to zero."""
+        """Return the tangent with the negative eigenvalues of each element set to zero."""
         rows, cols = self.discretisation.entry_rows_cols
         m, entries = self.discretisation.slots.shape
         blocks = np.zeros(m * entries)
-        own = np.arange(m * entries, dtype=np.int32).reshape(m, entries)
-        self._add_tangent(response, youngs, own, blocks)
+        slots = np.arange(m * entries, dtype=np.int32).reshape(m, entries)
+        self._add_tangent(response, youngs, slots, blocks)
         size = self.discretisation.unknowns.shape[1]
         dense = np.zeros((m, size, size))
         dense[:, rows, cols] = dense[:, cols, rows] = blocks.reshape(m, entries)
         eigenvalues, vectors = np.linalg.eigh(dense)
         positive = (vectors * np.maximum(eigenvalues, 0.0)[:, None, :]) @ vectors.swapaxes(1, 2)
         values = np.zeros(self.discretisation.pattern.nnz)
-        chosen = np.ascontiguousarray(positive[:, rows, cols])
-        kernels.scatter_blocks(chosen, self.discretisation.slots, values)
+        entries_of_elements = np.ascontiguousarray(positive[:, rows, cols])
+        kernels.scatter_blocks(entries_of_elements, self.discretisation.slots, values)
         return values

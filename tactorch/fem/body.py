@@ -1,4 +1,4 @@
-"""A soft body: the one object that users of the mechanics hold."""
+"""A soft body: mesh, material, element type and solver, with loads and equilibria."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,24 +12,27 @@ from torch import Tensor
 from tactorch.errors import ConfigError
 from tactorch.fem import loads
 from tactorch.fem.assembly import Assembly
-from tactorch.fem.elements import Discretisation, make_element
-from tactorch.fem.equilibrium import Equilibrium, Problem
+from tactorch.fem.elements import ELEMENTS, Discretisation
+from tactorch.fem.equilibrium import Equilibrium, LoadCases
 from tactorch.fem.materials import Material
 from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
 from tactorch.fem.supports import Supports
-from tactorch.linalg import SolverPool
+from tactorch.linalg import SolverOptions, SolverPool
 from tactorch.mesh import TetMesh
 
 
 class SoftBody:
-    """A mesh of one hyperelastic material whose Young's modulus varies by element.
+    """A mesh of one hyperelastic material with a Young's modulus for each element.
 
     Args:
-        mesh: The rest shape, mm.
+        mesh: Mesh of the rest shape, mm.
         material: Energy per unit modulus.
-        element: "tet4" (the paper's) or "tet10" (free of locking).
-        solver: "auto", "pardiso", "superlu" or "multigrid".
+        element: Element type: "tet4" (the paper's) or "tet10" (free of locking).
+        solver: Linear solver, by name or by its settings; see `tactorch.linalg.SOLVERS`.
         newton: Settings of the equilibrium search.
+
+    Raises:
+        ConfigError: The element type is unknown.
 
     Example:
         >>> body = SoftBody(mesh, NeoHookean(0.45))
@@ -43,28 +46,25 @@ class SoftBody:
         material: Material,
         *,
         element: str = "tet4",
-        solver: str = "auto",
+        solver: str | SolverOptions = "auto",
         newton: NewtonOptions | None = None,
     ) -> None:
-        """Set up the discretisation; patterns are analysed at first use."""
         self.mesh = mesh
         self.material = material
         self.newton = newton or NewtonOptions()
-        self.discretisation = Discretisation(mesh, make_element(element))
+        self.discretisation = Discretisation(mesh, ELEMENTS[element])
         self.solver = solver
         self.assembly = Assembly(self.discretisation, material, material.poisson, mesh.points)
 
     @cached_property
     def pool(self) -> SolverPool:
-        """Analysed solvers, shared by all load cases."""
+        """Analysed solvers, shared by all load cases; made at first use."""
         d = self.discretisation
-        backend = self.solver
-        modes = d.rigid_modes if backend in ("auto", "multigrid") else None
-        return SolverPool(d.pattern, backend, modes)
+        return SolverPool(d.pattern, self.solver, d.rigid_modes)
 
     @property
     def n_nodes(self) -> int:
-        """Nodes of the element mesh: the mesh's points, then midsides (tet10)."""
+        """Number of nodes: the points of the mesh, and midside nodes (tet10)."""
         return self.discretisation.n_nodes
 
     def pressure(
@@ -73,7 +73,7 @@ class SoftBody:
         pressure_mpa: float | Tensor,
         points: Float[Tensor, "n 3"] | None = None,
     ) -> Float[Tensor, "nodes 3"]:
-        """Nodal forces (N) of a dead pressure; see `tactorch.fem.loads.pressure_forces`."""
+        """Return the nodal forces (N) of a dead pressure; see `loads.pressure_forces`."""
         return loads.pressure_forces(self.discretisation, surface, pressure_mpa, points)
 
     def traction(
@@ -82,17 +82,17 @@ class SoftBody:
         traction_mpa: Sequence[float] | Float[Tensor, "3"],
         points: Float[Tensor, "n 3"] | None = None,
     ) -> Float[Tensor, "nodes 3"]:
-        """Nodal forces (N) of a dead traction; see `tactorch.fem.loads.traction_forces`."""
+        """Return the nodal forces (N) of a dead traction; see `loads.traction_forces`."""
         vector = torch.as_tensor(traction_mpa, dtype=torch.float64)
         return loads.traction_forces(self.discretisation, surface, vector, points)
 
     def gravity(
         self,
         density: float,
-        gravity: Sequence[float] | Float[Tensor, "3"] = (0.0, 0.0, -9810.0),
+        gravity: Sequence[float] | Float[Tensor, "3"] = loads.STANDARD_GRAVITY,
         points: Float[Tensor, "n 3"] | None = None,
     ) -> Float[Tensor, "nodes 3"]:
-        """Nodal weights (N); density in tonne/mm^3 (silicone: 1.07e-9), gravity in mm/s^2."""
+        """Return the nodal weights (N); density in tonne/mm^3 (silicone: 1.07e-9), mm/s^2."""
         vector = torch.as_tensor(gravity, dtype=torch.float64)
         return loads.gravity_forces(self.discretisation, density, vector, points)
 
@@ -105,14 +105,18 @@ class SoftBody:
         assembly: Assembly | None = None,
         after: Newton | None = None,
     ) -> Newton:
-        """Set up the equilibrium search of one load case, for use without autograd.
+        """Return the equilibrium search of one load case, for use without autograd.
 
-        `assembly` may stand in for the body's own: see
-        `with_parameters`. A search `after` another takes
-        over its factorisation: see `Newton`.
+        Args:
+            youngs: Young's modulus of each element, MPa.
+            forces: Nodal forces, N.
+            supports: Supports.
+            case: Load case of the supports.
+            assembly: The body with other parameters; see `with_parameters`.
+            after: Search whose factorisation is reused; see `Newton`.
 
         Raises:
-            ConfigError: a shape or value cannot be used.
+            ConfigError: A shape or value cannot be used.
         """
         self._check(youngs, forces)
         return Newton(
@@ -129,13 +133,13 @@ class SoftBody:
         """Return the body's assembly with another Poisson's ratio and rest shape (mm).
 
         Raises:
-            ConfigError: a value cannot be used.
+            ConfigError: A value cannot be used.
         """
-        own = self.assembly
-        if np.array_equal(poisson, own.poisson) and np.array_equal(points, own.points):
-            return own
+        body = self.assembly
+        if np.array_equal(poisson, body.poisson) and np.array_equal(points, body.points):
+            return body
         self._check_rest(torch.tensor(poisson, dtype=torch.float64), torch.tensor(points))
-        return replace(own, poisson=poisson, points=points)
+        return replace(body, poisson=poisson, points=points)
 
     def _check(self, youngs: np.ndarray, forces: np.ndarray) -> None:
         check_youngs(youngs, self.mesh.n_tets)
@@ -147,15 +151,15 @@ class SoftBody:
         if not np.all(np.isfinite(forces)):
             raise ConfigError("forces contain NaN or infinity; give 0 N at nodes without load.")
 
-    def _spread(self, forces: Tensor) -> Tensor:
-        """Carry vertex loads to the element's nodes, differentiably."""
+    def _consistent_loads(self, forces: Tensor) -> Tensor:
+        """Consistent loads at all nodes, differentiable."""
         if forces.shape[0] == self.n_nodes:
             return forces
         matrix = self.discretisation.consistent_load_matrix(forces.detach().numpy()).tocoo()
         indices = torch.from_numpy(np.stack([matrix.row, matrix.col]).astype(np.int64))
-        shares = torch.from_numpy(matrix.data)[:, None]
+        fractions = torch.from_numpy(matrix.data)[:, None]
         out = torch.zeros(self.n_nodes, 3, dtype=torch.float64)
-        return out.index_add(0, indices[0], shares * forces[indices[1]])
+        return out.index_add(0, indices[0], fractions * forces[indices[1]])
 
     def _check_rest(self, poisson: Tensor | None, points: Tensor | None) -> None:
         if poisson is not None:
@@ -165,7 +169,7 @@ class SoftBody:
                     f"poisson has shape {tuple(ratio.shape)}; expected one, or {self.mesh.n_tets}."
                 )
             if not bool(((ratio > -1.0) & (ratio < 0.5)).all()):
-                raise ConfigError("poisson must lie in (-1, 0.5) everywhere.")
+                raise ConfigError("poisson must be above -1 and below 0.5 in every element.")
         if points is not None:
             if points.shape != (self.mesh.n_points, 3):
                 raise ConfigError(
@@ -183,7 +187,7 @@ class SoftBody:
         *,
         start: Float[np.ndarray, "nodes 3"] | None = None,
     ) -> EquilibriumResult:
-        """Find one equilibrium without autograd; failure is a value with a reason."""
+        """Find one equilibrium, without autograd; a failure is returned with its reason."""
         return self.search(youngs, forces, supports).run(start)
 
     def solve(
@@ -198,22 +202,22 @@ class SoftBody:
     ) -> Float[Tensor, "*cases nodes 3"]:
         """Displacement at equilibrium (eq. 5), differentiable to second order.
 
-        Load cases batch along a leading axis of `forces` and are solved side by side.
+        Load cases are stacked along a leading axis of `forces` and solved in parallel.
 
         Args:
             youngs: Young's modulus of each element, MPa.
             forces: Nodal forces, N.
-            supports: What holds the body, the same for all cases or one each.
-            poisson: Poisson's ratio, if differentiated or other than the material's.
-            points: Rest positions, mm, if differentiated or other than the mesh's.
-            start: Displacements to start from, mm.
+            supports: Supports, the same for all cases or one each.
+            poisson: Poisson's ratio, if differentiated or different from the material's.
+            points: Rest positions, mm, if differentiated or different from the mesh's.
+            start: Initial displacements, mm.
 
         Returns:
             Displacement of every node, mm.
 
         Raises:
-            ConfigError: a shape, type or value cannot be used.
-            ConvergenceError: the load collapses the object, or nothing holds it.
+            ConfigError: A shape, type or value cannot be used.
+            ConvergenceError: The load collapses the object, or nothing holds it.
         """
         for name, value in (("youngs", youngs), ("forces", forces), ("poisson", poisson),
                             ("points", points)):  # fmt: skip
@@ -224,14 +228,15 @@ class SoftBody:
         single = forces.ndim == 2
         self._check(youngs.detach().numpy(), forces.detach().numpy())
         self._check_rest(poisson, points)
-        batch = torch.stack([self._spread(case) for case in (forces[None] if single else forces)])
+        cases = forces[None] if single else forces
+        batch = torch.stack([self._consistent_loads(case) for case in cases])
         supports.require_cases(len(batch))
-        begin = None if start is None else (start[None] if single else start)
-        if begin is not None and begin.shape != batch.shape:
+        initial = None if start is None else (start[None] if single else start)
+        if initial is not None and initial.shape != batch.shape:
             raise ConfigError(
-                f"start has shape {begin.shape}; expected {tuple(batch.shape)}, all element nodes."
+                f"start has shape {initial.shape}; expected {tuple(batch.shape)}, all nodes."
             )
-        problem = Problem(self.assembly, self.pool, self.newton, supports, begin)
+        problem = LoadCases(self.assembly, self.pool, self.newton, supports, initial)
         ratio = torch.as_tensor(self.assembly.poisson, dtype=torch.float64)
         u = Equilibrium.apply(
             youngs,
@@ -244,10 +249,10 @@ class SoftBody:
 
 
 def check_youngs(youngs: Float[np.ndarray, " k"], n_tets: int) -> None:
-    """Refuse moduli that cannot be used.
+    """Check that there is a finite, positive modulus for each element.
 
     Raises:
-        ConfigError: wrong length, not finite, or not positive.
+        ConfigError: The length or a value is wrong.
     """
     if youngs.shape != (n_tets,):
         raise ConfigError(

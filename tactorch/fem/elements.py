@@ -1,7 +1,11 @@
-"""Finite elements on straight-sided tetrahedra, and what they need of a mesh.
+"""Finite elements on straight-sided tetrahedra, and the discretisation of a mesh by them.
 
-An element is a table: the derivatives of its shape functions with respect to the barycentric
-coordinates at its quadrature points. Everything else follows from the vertices.
+- `tet4` is the linear tetrahedron of the paper. It locks as Poisson's ratio approaches 0.5.
+- `tet10` is quadratic, with the volumetric part of the energy averaged over each element (Simo,
+  Taylor and Pister, 1985). It is free of locking up to 0.499 and has about eight times the
+  unknowns. On the same mesh its displacement error is a few times smaller; both errors decrease
+  with the square of the edge length. Materials without a separate volumetric energy (linear,
+  Saint Venant-Kirchhoff) are integrated without averaging.
 """
 
 from dataclasses import dataclass
@@ -14,6 +18,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from tactorch.config import Registry
 from tactorch.errors import ConfigError
 from tactorch.linalg import SymmetricPattern
 from tactorch.mesh import TetMesh
@@ -23,18 +28,17 @@ _EDGES = tuple(combinations(range(4), 2))
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """Shape-function table of an element type.
+    """An element type.
 
     Attributes:
-        name: How users call it.
-        table: d N_k / d L_c at each point, (points, nodes, 4), L barycentric.
-        rule: Share of the volume of each point, (points,).
-        surface_rule: Share of a face's area of its (3 vertices, 3 midsides).
-        volume_rule: Share of the volume of its nodes.
-        mean_dilatation: Whether the dilatation is averaged over the element.
+        table: Derivatives d N_k / d L_c of the shape functions by the barycentric coordinates L
+            at each quadrature point, (points, nodes, 4).
+        rule: Volume fraction of each quadrature point, (points,).
+        surface_rule: Area fraction of each vertex and of each midside node of a face.
+        volume_rule: Volume fraction of each vertex and of each midside node.
+        mean_dilatation: Whether the volumetric energy is averaged over the element.
     """
 
-    name: str
     table: Float[np.ndarray, "points nodes 4"]
     rule: Float[np.ndarray, " points"]
     surface_rule: tuple[float, float]
@@ -47,12 +51,6 @@ class Element:
         return self.table.shape[1] == 10
 
 
-def _linear() -> Element:
-    return Element(
-        "tet4", np.eye(4)[None], np.ones(1), (1.0 / 3.0, 0.0), (0.25, 0.0), mean_dilatation=False
-    )
-
-
 def _quadratic() -> Element:
     near, far = 0.5854101966249685, 0.1381966011250105
     points = np.full((4, 4), far) + (near - far) * np.eye(4)
@@ -62,37 +60,28 @@ def _quadratic() -> Element:
             table[q, a, a] = 4.0 * L[a] - 1.0
         for k, (a, b) in enumerate(_EDGES):
             table[q, 4 + k, a], table[q, 4 + k, b] = 4.0 * L[b], 4.0 * L[a]
-    return Element(
-        "tet10", table, np.full(4, 0.25), (0.0, 1.0 / 3.0), (-0.05, 0.2), mean_dilatation=True
-    )
+    return Element(table, np.full(4, 0.25), (0.0, 1.0 / 3.0), (-0.05, 0.2), mean_dilatation=True)
 
 
-ELEMENTS = {"tet4": _linear(), "tet10": _quadratic()}
-
-
-def make_element(name: str) -> Element:
-    """Return an element by name.
-
-    `tet4` is the plain linear tetrahedron of the paper; it locks as Poisson's ratio nears 0.5.
-    `tet10` is quadratic with the dilatation averaged over each element (Simo, Taylor and Pister,
-    1985), free of locking up to 0.499; it has about eight times the unknowns. Its error in
-    displacement falls with the square of the edge, as that of tet4, but is a few times smaller on
-    the same mesh and does not grow as Poisson's ratio nears 0.5. Materials that do not
-    give their `dilatation` apart (linear, Saint Venant-Kirchhoff) are integrated as they are.
-
-    Raises:
-        ConfigError: the name is unknown.
-    """
-    if name not in ELEMENTS:
-        raise ConfigError(f"element '{name}' is unknown; choose one of {', '.join(ELEMENTS)}.")
-    return ELEMENTS[name]
+TET4 = Element(np.eye(4)[None], np.ones(1), (1.0 / 3.0, 0.0), (0.25, 0.0), mean_dilatation=False)
+TET10 = _quadratic()
+#: Element types by name.
+ELEMENTS = Registry(
+    "element",
+    {"tet4": "tactorch.fem.elements:TET4", "tet10": "tactorch.fem.elements:TET10"},
+    "finite elements",
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Discretisation:
-    """A mesh seen through an element: nodes, couplings, geometry.
+    """Nodes, sparsity and geometry of a mesh discretised by an element type.
 
-    The first `mesh.n_points` nodes are the mesh's own; midside nodes follow.
+    The first `mesh.n_points` nodes are the points of the mesh; midside nodes follow.
+
+    Attributes:
+        mesh: The mesh.
+        element: The element type.
     """
 
     mesh: TetMesh
@@ -130,27 +119,30 @@ class Discretisation:
         return np.concatenate([points, points[self.edges].mean(axis=1)])
 
     def extend(self, values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "nodes 3"]:
-        """Continue a vertex field to the midsides by averaging the ends."""
+        """Return a vertex field extended to the midside nodes by the mean of the end points."""
         return np.concatenate([values, values[self.edges].mean(axis=1)])
 
     def consistent_loads(
         self, values: Float[np.ndarray, "given 3"]
     ) -> Float[np.ndarray, "nodes 3"]:
-        """Carry nodal loads or springs of a surface from vertices to the element's own nodes.
+        """Convert nodal loads or springs at the vertices to consistent ones at all nodes.
 
-        Linear elements keep them. On quadratic ones a uniform traction acts on the midsides: each
-        vertex hands its share of every loaded surface triangle to the two midsides beside it,
-        which is exact for uniform pressure and keeps totals. Vertices without a loaded triangle
-        (point loads, interior nodes) keep theirs, as does input over all nodes. Which triangles
-        count as loaded depends on which vertices have a load that is not zero.
+        Linear elements leave them unchanged. On quadratic ones a uniform traction acts on the
+        midside nodes: the load of each vertex on a loaded surface triangle is divided between the
+        two adjacent midside nodes. This is exact for a uniform pressure and preserves totals. A
+        triangle is loaded if all its vertices have non-zero loads. Vertices without a loaded
+        triangle (point loads, interior nodes) keep their loads.
+
+        Args:
+            values: One row per mesh point, or one per node, which is returned as it is.
 
         Raises:
-            ConfigError: the field is neither over the mesh nodes nor over all nodes.
+            ConfigError: The number of rows is neither of the two.
         """
         return self.consistent_load_matrix(values) @ values
 
     def consistent_load_matrix(self, values: Float[np.ndarray, "given 3"]) -> sp.csr_matrix:
-        """Return the matrix of `consistent_loads` for the loaded vertices, (nodes, given)."""
+        """Return the matrix of `consistent_loads` for these loaded vertices, (nodes, given)."""
         n = self.mesh.n_points
         if values.shape == (self.n_nodes, 3):  # always so on linear elements
             return sp.identity(self.n_nodes, format="csr")
@@ -163,20 +155,20 @@ class Discretisation:
         loaded = (values != 0).any(axis=1)[surface.triangles].all(axis=1)
         triangles, areas = surface.triangles[loaded], surface.areas[loaded]
         around = np.bincount(triangles.ravel(), np.repeat(areas, 3), minlength=n)
-        stays = np.flatnonzero(around == 0)
-        rows, cols, shares = [stays], [stays], [np.ones(len(stays))]
+        unchanged = np.flatnonzero(around == 0)
+        rows, cols, fractions = [unchanged], [unchanged], [np.ones(len(unchanged))]
         for corner, other in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)):
             vertex = triangles[:, corner]
             rows.append(self.midside(vertex, triangles[:, other]))
             cols.append(vertex)
-            shares.append(0.5 * areas / around[vertex])
-        entries = (np.concatenate(shares), (np.concatenate(rows), np.concatenate(cols)))
+            fractions.append(0.5 * areas / around[vertex])
+        entries = (np.concatenate(fractions), (np.concatenate(rows), np.concatenate(cols)))
         return sp.csr_matrix(entries, shape=(self.n_nodes, n))
 
     def midside(
         self, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " k"]
     ) -> Int[np.ndarray, " k"]:
-        """Midside node of each edge given by its end points."""
+        """Return the midside node of each edge, given by its end points."""
         n = self.mesh.n_points
         low, high = np.minimum(first, second), np.maximum(first, second)
         return n + np.searchsorted(self.edges[:, 0] * n + self.edges[:, 1], low * n + high)
@@ -202,7 +194,7 @@ class Discretisation:
     @cached_property
     def pattern(self) -> SymmetricPattern:
         """Sparsity of the tangent."""
-        # Node pairs first: nine times fewer keys to sort than unknowns.
+        # Pairs of nodes, not of unknowns: nine times fewer keys to sort.
         k = self.nodes.shape[1]
         first, second = np.triu_indices(k)
         n = self.n_nodes
@@ -239,7 +231,7 @@ class Discretisation:
     def geometry(
         self, points: Float[Tensor, "n 3"]
     ) -> tuple[Float[Tensor, "m q k 3"], Float[Tensor, "m q"]]:
-        """Shape gradients (1/mm) and point volumes (mm^3), differentiable in the rest points."""
+        """Return shape gradients (1/mm) and quadrature volumes (mm^3) for rest positions (mm)."""
         corners = points[torch.tensor(self.mesh.tets)]
         sides = corners[:, 1:] - corners[:, :1]
         inverse = torch.linalg.inv(sides).mT

@@ -1,7 +1,7 @@
 """Element kernels compiled with Numba: the inner loops of the mechanics on the CPU.
 
-Every kernel releases the GIL, so that load cases run side by side in threads. They know no
-material: the energy's derivatives with respect to the invariants I1, I2, J are handed in.
+The kernels release the GIL, so that load cases run in parallel threads. They take the derivatives
+of the strain energy by the invariants I1, I2, J and do not depend on the material.
 
 For a node with shape gradient g: p = dI1/dF g = 2 F g, t = dI2/dF g, c = dJ/dF g = cof(F) g.
 """
@@ -146,10 +146,13 @@ def gather_dot(nodes, forces, x, out):
 def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values):
     """Add the element tangents to the stored entries `values` of the symmetric matrix.
 
-    coefficients (9, m, q): d1, d2, dj, d11, d12, d1j, d22, d2j, djj per unit modulus;
-    weights (m, q): modulus times volume of the point; mean (m,): modulus times U'' over volume
-    where the dilatation is averaged, else empty; slots (m, 3k(3k+1)/2): where the entries of the
-    upper triangle go, block by block.
+    Sizes of m elements with q quadrature points and k nodes:
+
+    - coefficients: d1, d2, dj, d11, d12, d1j, d22, d2j, djj per unit modulus, (9, m, q);
+    - weights: modulus times volume of the quadrature points, (m, q);
+    - mean: modulus times U'' over volume where the volumetric energy is averaged, (m,), or empty;
+    - slots: index in `values` of each entry of the upper triangle, by blocks of node pairs,
+      (m, 3k(3k+1)/2).
     """
     k = gradients.shape[2]
     cof = np.empty((3, 3))
@@ -210,7 +213,7 @@ def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values
             for a in range(k):
                 for b in range(a, k):
                     dot = g[a, 0] * g[b, 0] + g[a, 1] * g[b, 1] + g[a, 2] * g[b, 2]
-                    # d2J: the cross product of the gradients, carried by F
+                    # d2J/dF2: F times the cross product of the gradients
                     x0 = g[a, 1] * g[b, 2] - g[a, 2] * g[b, 1]
                     x1 = g[a, 2] * g[b, 0] - g[a, 0] * g[b, 2]
                     x2 = g[a, 0] * g[b, 1] - g[a, 1] * g[b, 0]

@@ -1,49 +1,64 @@
-"""The tangent at an equilibrium, factored once and used by everyone."""
+"""The tangent at an equilibrium, and the derivatives of displacements that follow from it.
+
+At an equilibrium the residual R(u; e, ...) = 0 has the tangent K = dR/du. One factorisation of K
+serves every derivative: the adjoint and the directional derivative take one solve, the matrix
+S du/de one solve per observed degree of freedom (eq. 10 to 14 of the paper).
+"""
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float
+import torch
+from jaxtyping import Bool, Float, Int
 
 from tactorch.errors import ConvergenceError
-from tactorch.linalg import Status, SymmetricPattern
-from tactorch.linalg.pool import Lease
+from tactorch.fem import kernels, reference
+from tactorch.fem.assembly import Assembly, Response
+from tactorch.linalg import Lease, Status
+
+_MAX_COLUMNS = 256  # right-hand sides solved at once; bounds the memory on large meshes
 
 
 @dataclass(eq=False)
 class Linearization:
-    """K at an equilibrium; factored at the first solve, or before.
+    """An equilibrium with its tangent K, which is factored once, at the first solve.
 
     Attributes:
-        pattern: Sparsity of K.
-        values: Stored entries of K with the fixed unknowns held.
-        lease: Solver to factor with.
+        assembly: The discretised body.
+        youngs: Young's modulus of each element, MPa.
+        displacement: Displacement at equilibrium, mm.
+        response: Element responses at `displacement`.
+        tangent: Stored entries of K, with the rows of fixed unknowns reduced to the diagonal.
         fixed: Fixed unknowns, flat.
+        lease: Solver that factors K.
     """
 
-    pattern: SymmetricPattern
-    values: Float[np.ndarray, " nnz"]
-    lease: Lease
+    assembly: Assembly
+    youngs: Float[np.ndarray, " m"]
+    displacement: Float[np.ndarray, "nodes 3"]
+    response: Response
+    tangent: Float[np.ndarray, " nnz"]
     fixed: Bool[np.ndarray, " size"]
-    _factored: bool = field(default=False)
+    lease: Lease
+    _lease_factored: bool = field(default=False, init=False)
 
     def factor(self) -> None:
-        """Factor K, unless it is.
+        """Factor K, unless this is done.
 
         Raises:
             ConvergenceError: K is not positive definite: the equilibrium is unstable.
         """
-        if self._factored and not self.lease.handed_over:
+        if self._lease_factored and self.lease.factored:
             return
-        if self.lease.factor(self.values) is Status.INDEFINITE:
+        if self.lease.factor(self.tangent) is Status.INDEFINITE:
             raise ConvergenceError(
                 "The equilibrium is unstable (its tangent is not positive definite), so no "
                 "derivative exists there; lower the load."
             )
-        self._factored = True
+        self._lease_factored = True
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
-        """Solve K x = rhs with x zero at fixed unknowns.
+        """Return the solution of K x = rhs, with x = 0 at fixed unknowns.
 
         Raises:
             ConvergenceError: K is not positive definite: the equilibrium is unstable.
@@ -53,3 +68,139 @@ class Linearization:
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
         return self.lease.solve(rhs)
+
+    def unit_force(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, "nodes 3"]:
+        """Return dR/de (eq. 11) times a change of the moduli (MPa), N."""
+        force = np.zeros_like(self.displacement)
+        nodes = self.assembly.discretisation.nodes
+        kernels.scatter_forces(nodes, self.response.forces, change, force)
+        return force
+
+    def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "m k"]:
+        """Return the transpose of dR/de (eq. 11) times nodal fields."""
+        nodes = self.assembly.discretisation.nodes
+        out = np.empty((len(nodes), fields.shape[1]))
+        columns = np.ascontiguousarray(fields).reshape(-1, 3, fields.shape[1])
+        kernels.gather_dot(nodes, self.response.forces, columns, out)
+        return out
+
+    def displacement_change(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, "nodes 3"]:
+        """Return du/de times a change of the moduli (MPa), mm."""
+        return -self.solve(self.unit_force(change).ravel()).reshape(-1, 3)
+
+    def force_response(self, forces: Float[np.ndarray, "k nodes 3"]) -> list[np.ndarray]:
+        """Return the displacement (nodes, 3) due to each of k changes of the forces (N), mm."""
+        if not len(forces):
+            return []
+        rhs = np.asfortranarray(forces.reshape(len(forces), -1).T)
+        return list(np.ascontiguousarray(self.solve(rhs).T).reshape(forces.shape))
+
+    def parameter_forces(
+        self, *, poisson: bool = False, stretch: bool = False
+    ) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return the change of the elastic forces with the material and the rest shape.
+
+        Args:
+            poisson: Whether to return the derivative by Poisson's ratio, N.
+            stretch: Whether to return those by the logarithm of the size along x, y and z, N.
+        """
+        body = self.assembly
+        ratio = torch.as_tensor(body.poisson, dtype=torch.float64).clone().requires_grad_()
+        points = torch.tensor(body.points, requires_grad=True)
+        u, youngs = torch.from_numpy(self.displacement), torch.from_numpy(self.youngs)
+        with torch.enable_grad():
+            force = reference.internal_force(
+                body.discretisation, body.material, u, youngs, ratio, points
+            )
+            # The pullback is linear in the weights, so that its own pullback is the forward
+            # derivative. Forward mode itself is not thread-safe.
+            weights = torch.zeros_like(force, requires_grad=True)
+            pulled = torch.autograd.grad(force, (ratio, points), weights, create_graph=True)
+            slopes = [pulled[0].sum()] if poisson else []
+            if stretch:
+                slopes += list((pulled[1] * points).sum(0))
+            rates = [torch.autograd.grad(s, weights, retain_graph=True)[0] for s in slopes]
+        return [rate.numpy() for rate in rates]
+
+    def second_order(
+        self, adjoint: Float[np.ndarray, "nodes 3"], change: Float[np.ndarray, " m"]
+    ) -> Float[np.ndarray, " m"]:
+        """Return the change of the adjoint gradient beyond that of Gauss-Newton.
+
+        With K l = dL/du and the gradient g = -U^T l, U = dR/de, a change d of the moduli moves u
+        by v = -K^-1 U d and, at constant dL/du, g by -(DU[v])^T l + U^T K^-1 DK[d, v] l.
+
+        Args:
+            adjoint: The adjoint displacement l.
+            change: Change of the moduli, MPa.
+        """
+        body = self.assembly
+        moved = torch.from_numpy(self.displacement_change(change))
+        ratio = torch.as_tensor(body.poisson, dtype=torch.float64)
+        points, weights = torch.tensor(body.points), torch.from_numpy(adjoint)
+        u = torch.tensor(self.displacement, requires_grad=True)
+        youngs = torch.tensor(self.youngs, requires_grad=True)
+        with torch.enable_grad():
+            work = reference.element_work(
+                body.discretisation, body.material, u, weights, ratio, points
+            )
+            (force,) = torch.autograd.grad((work * youngs).sum(), u, create_graph=True)
+            along = (force * moved).sum() + (work * torch.from_numpy(change)).sum()
+            by_u, by_youngs = torch.autograd.grad(along, (u, youngs))
+        back = self.solve(by_u.numpy().ravel())
+        return self.unit_work(back[:, None])[:, 0] - by_youngs.numpy()
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """The derivative S du/de of observed displacements by Young's moduli.
+
+    Attributes:
+        linearization: The equilibrium.
+        observed: Observed unknowns, 3 node + axis.
+        frame: Rotation into the axes of the observation; None for those of the mesh.
+    """
+
+    linearization: Linearization
+    observed: Int[np.ndarray, " p"]
+    frame: Float[np.ndarray, "3 3"] | None = None
+
+    def matrix(self) -> Float[np.ndarray, "p m"]:
+        """Return S du/de, mm/MPa (eq. 13 and 14)."""
+        out = np.empty((len(self.observed), len(self.linearization.youngs)))
+        for begin in range(0, len(self.observed), _MAX_COLUMNS):
+            rows = self.observed[begin : begin + _MAX_COLUMNS]
+            fields = self.linearization.solve(self._unit_loads(rows))
+            out[begin : begin + _MAX_COLUMNS] = -self.linearization.unit_work(fields).T
+        return out
+
+    def times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " p"]:
+        """Return S du/de times a change of the moduli (MPa), mm."""
+        return self.observe(self.linearization.displacement_change(change))
+
+    def transpose_times(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " m"]:
+        """Return the transpose of S du/de times observed weights: the adjoint gradient (eq. 12)."""
+        field = self.adjoint(weights).reshape(-1, 1)
+        return -self.linearization.unit_work(field)[:, 0]
+
+    def adjoint(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, "nodes 3"]:
+        """Return the displacement due to the observed weights as forces."""
+        rhs = np.zeros(self.linearization.fixed.size)
+        np.add.at(rhs, self.observed, weights)
+        if self.frame is not None:
+            rhs = (rhs.reshape(-1, 3) @ self.frame).ravel()
+        return self.linearization.solve(rhs).reshape(-1, 3)
+
+    def observe(self, field: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, " p"]:
+        """Return the observed components of a displacement, mm."""
+        return (field if self.frame is None else field @ self.frame.T).ravel()[self.observed]
+
+    def _unit_loads(self, rows: Int[np.ndarray, " k"]) -> Float[np.ndarray, "size k"]:
+        """Unit loads along some of the observed unknowns."""
+        rhs = np.zeros((self.linearization.fixed.size, len(rows)), order="F")
+        if self.frame is None:
+            rhs[rows, np.arange(len(rows))] = 1.0
+        else:
+            for axis in range(3):
+                rhs[3 * (rows // 3) + axis, np.arange(len(rows))] = self.frame[rows % 3, axis]
+        return rhs

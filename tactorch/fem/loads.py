@@ -1,6 +1,6 @@
-"""Nodal forces of pressures, tractions and gravity; all of them differentiable in the rest shape.
+"""Nodal forces of pressures, tractions and gravity, differentiable in the rest positions.
 
-Loads are dead: a pressure or traction is per area of the rest shape and keeps its direction.
+Loads are dead: a pressure or traction acts per rest area, in a constant direction.
 """
 
 import numpy as np
@@ -12,24 +12,27 @@ from tactorch.errors import ConfigError
 from tactorch.fem.elements import Discretisation
 from tactorch.mesh import select_face
 
+#: Standard acceleration of gravity along -z, mm/s^2.
+STANDARD_GRAVITY = (0.0, 0.0, -9806.65)
+
 
 def surface_triangles(
     discretisation: Discretisation, surface: str | Int[np.ndarray, " k"]
 ) -> Int[np.ndarray, "k 3"]:
-    """Vertices of the triangles of a named face ("z+") or of given surface triangles.
+    """Return the vertices of surface triangles, given by a flat side ("z+") or by indices.
 
     Raises:
-        ConfigError: no triangle is selected, or an index is outside the surface.
+        ConfigError: No triangle is selected, or an index is outside the surface.
     """
     mesh = discretisation.mesh
-    chosen = select_face(mesh, surface) if isinstance(surface, str) else np.asarray(surface)
+    selected = select_face(mesh, surface) if isinstance(surface, str) else np.asarray(surface)
     count = len(mesh.surface.triangles)
-    if len(chosen) == 0 or chosen.min() < 0 or chosen.max() >= count:
+    if len(selected) == 0 or selected.min() < 0 or selected.max() >= count:
         raise ConfigError(
             f"surface {surface!r} selects no triangle or one outside 0..{count - 1}; name a flat "
             "side (x-, x+, y-, y+, z-, z+) or give indices into mesh.surface.triangles."
         )
-    return mesh.surface.triangles[chosen]
+    return mesh.surface.triangles[selected]
 
 
 def traction_forces(
@@ -38,17 +41,17 @@ def traction_forces(
     traction_mpa: Float[Tensor, "3"],
     points: Float[Tensor, "n 3"] | None = None,
 ) -> Float[Tensor, "nodes 3"]:
-    """Consistent nodal forces (N) of a uniform traction (MPa) on a surface.
+    """Return the consistent nodal forces (N) of a uniform traction on a surface.
 
     Args:
         discretisation: The mesh and element.
         surface: Name of a flat side, or indices into `mesh.surface.triangles`.
-        traction_mpa: Force per rest area.
-        points: Rest positions, mm; the mesh's own by default.
+        traction_mpa: Force per rest area, MPa.
+        points: Rest positions, mm; those of the mesh by default.
     """
     triangles = surface_triangles(discretisation, surface)
     areas = _area_vectors(discretisation, triangles, points).norm(dim=1)
-    return _spread(discretisation, triangles, areas[:, None] * traction_mpa)
+    return _to_nodes(discretisation, triangles, areas[:, None] * traction_mpa)
 
 
 def pressure_forces(
@@ -57,10 +60,13 @@ def pressure_forces(
     pressure_mpa: float | Tensor,
     points: Float[Tensor, "n 3"] | None = None,
 ) -> Float[Tensor, "nodes 3"]:
-    """Consistent nodal forces (N) of a pressure (MPa) pushing inward along the rest normals."""
+    """Return the nodal forces (N) of a pressure (MPa) against the outward rest normals.
+
+    See `traction_forces` for the arguments.
+    """
     triangles = surface_triangles(discretisation, surface)
     vectors = _area_vectors(discretisation, triangles, points)
-    return _spread(discretisation, triangles, -pressure_mpa * vectors)
+    return _to_nodes(discretisation, triangles, -pressure_mpa * vectors)
 
 
 def gravity_forces(
@@ -69,14 +75,14 @@ def gravity_forces(
     gravity: Float[Tensor, "3"],
     points: Float[Tensor, "n 3"] | None = None,
 ) -> Float[Tensor, "nodes 3"]:
-    """Nodal weights (N), eq. (4), of a density (tonne/mm^3) in a field of gravity (mm/s^2)."""
+    """Return the nodal weights (N), eq. (4), of a density (tonne/mm^3) and gravity (mm/s^2)."""
     _, weights = discretisation.geometry(_rest(discretisation, points))
     at_vertex, at_midside = discretisation.element.volume_rule
     nodes = torch.from_numpy(discretisation.nodes)
-    shares = torch.tensor(
+    fractions = torch.tensor(
         [at_vertex] * 4 + [at_midside] * (nodes.shape[1] - 4), dtype=torch.float64
     )
-    per_node = density * weights.sum(1)[:, None, None] * shares[:, None] * gravity
+    per_node = density * weights.sum(1)[:, None, None] * fractions[:, None] * gravity
     out = torch.zeros(discretisation.n_nodes, 3, dtype=torch.float64)
     return out.index_add(0, nodes.reshape(-1), per_node.reshape(-1, 3))
 
@@ -93,8 +99,8 @@ def _area_vectors(
     return 0.5 * torch.linalg.cross(b - a, c - a)
 
 
-def _spread(discretisation: Discretisation, triangles: np.ndarray, totals: Tensor) -> Tensor:
-    """Share each triangle's force among its nodes."""
+def _to_nodes(discretisation: Discretisation, triangles: np.ndarray, totals: Tensor) -> Tensor:
+    """Nodal forces of the total force of each triangle."""
     at_vertex, at_midside = discretisation.element.surface_rule
     out = torch.zeros(discretisation.n_nodes, 3, dtype=torch.float64)
     for corner in range(3):

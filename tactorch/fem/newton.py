@@ -1,65 +1,69 @@
-"""Newton-Raphson on the total energy (eq. 5, 6), made to survive what touch does to soft bodies.
+"""Newton-Raphson on the total energy (eq. 5, 6), with line search and adaptive load steps.
 
-Line search on the energy; no step through an inverted element; the tangent projected to
-positive semi-definite, element by element, only where the true one is indefinite; the full load
-first, and steps that shrink and grow where that fails.
+The line search decreases the energy and rejects inverted elements. Where the tangent is
+indefinite, those of the elements are projected to positive semi-definite ones. The full load is
+tried first; if it fails, the load is applied in steps that shrink and grow.
 """
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import Options, option
 from tactorch.errors import ConvergenceError
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.fem.linearization import Linearization
-from tactorch.fem.supports import HeldCase
+from tactorch.fem.supports import CaseSupports
 from tactorch.linalg import (
     IndefiniteError,
+    Lease,
     SolverPool,
     Status,
     column_rank,
+    conjugate_gradients,
     dot,
-    lagged_solve,
 )
-from tactorch.linalg.pool import Lease
 
-_ARMIJO = 1e-4
-_LOOSE, _TIGHT = 0.01, 1e-8  # accuracy of a step solved with an older factorisation
-_ROUND_OFF = 1e-11  # relative energy change below which energies no longer compare
+_ARMIJO = 1e-4  # smallest energy decrease of the line search, relative to the linear prediction
+_MIN_STEP_RTOL, _MAX_STEP_RTOL = 1e-8, 0.01  # accuracy of an iterative solution for a step
+_ENERGY_ROUND_OFF = 1e-11  # relative energy change below which energies are not compared
+# A factorisation costs ten to twenty-five solves, on small meshes as on large ones.
+_MAX_CG_ITERATIONS = 10
 
 
 @dataclass(frozen=True)
-class NewtonOptions:
-    """Settings of the equilibrium search.
+class NewtonOptions(Options):
+    """Settings of the equilibrium search."""
 
-    Attributes:
-        rtol: Residual force at convergence, relative to the applied and support forces.
-        max_iterations: Cap at the full load.
-        max_step_iterations: Cap within one load step, once the full load at once has failed.
-        min_load_step: Fraction of the load below which a step is given up.
-        min_line_step: Fraction of a Newton step below which the line search is given up.
-    """
+    section: ClassVar[str] = "newton"
 
-    rtol: float = 1e-10
-    max_iterations: int = 40
-    max_step_iterations: int = 12
-    min_load_step: float = 1.0 / 128.0
-    min_line_step: float = 1.0 / 4096.0
+    rtol: float = option(
+        1e-10, "Residual force at convergence, relative to applied and support forces", gt=0, lt=1
+    )
+    max_iterations: int = option(40, "Limit of iterations at the full load", ge=1)
+    max_step_iterations: int = option(12, "Limit of iterations within one load step", ge=1)
+    min_load_step: float = option(
+        1.0 / 128.0, "Fraction of the load below which load stepping fails", gt=0, le=1
+    )
+    min_line_step: float = option(
+        1.0 / 4096.0, "Fraction of a Newton step below which the line search fails", gt=0, le=1
+    )
 
 
 @dataclass(eq=False)
 class EquilibriumResult:
-    """What the search found.
+    """Outcome of an equilibrium search.
 
     Attributes:
         displacement: Nodal displacements, mm.
         converged: Whether they are an equilibrium.
-        reason: Why the search ended, in words.
-        iterations: Newton iterations over all load steps.
-        load_steps: Load steps taken (one when the full load worked at once).
-        energies: Total energy (N mm) before and after each iteration of the last load step.
+        reason: Reason for which the search ended.
+        iterations: Number of Newton iterations over all load steps.
+        load_steps: Number of load steps; one if the full load converged at once.
         residual: Largest unbalanced force, relative.
+        energies: Total energy (N mm) before and after each iteration of the last load step.
         response: Element responses at `displacement`.
     """
 
@@ -76,7 +80,7 @@ class EquilibriumResult:
         """Return self, or raise.
 
         Raises:
-            ConvergenceError: no equilibrium was found; the message says why and what to try.
+            ConvergenceError: No equilibrium was found; gives the reason and the remedy.
         """
         if not self.converged:
             raise ConvergenceError(self.reason)
@@ -84,7 +88,19 @@ class EquilibriumResult:
 
 
 class Newton:
-    """One load case: a body, its moduli, its supports and its forces."""
+    """The equilibrium search of one load case.
+
+    Args:
+        assembly: The discretised body.
+        pool: Solvers for its tangent.
+        youngs: Young's modulus of each element, MPa.
+        forces: Nodal forces, N.
+        supports: Supports.
+        options: Settings of the search.
+        after: A search with a similar tangent whose factorisation is reused: the first steps need
+            none of their own, and on large meshes memory is needed for one only. The search
+            `after` then has to factor again.
+    """
 
     def __init__(
         self,
@@ -92,26 +108,22 @@ class Newton:
         pool: SolverPool,
         youngs: Float[np.ndarray, " m"],
         forces: Float[np.ndarray, "nodes 3"],
-        held: HeldCase,
+        supports: CaseSupports,
         options: NewtonOptions | None = None,
         after: "Newton | None" = None,
     ) -> None:
-        """Take the problem; nothing is computed yet.
-
-        A search `after` another of a similar tangent takes over the factorisation that the other
-        has made, which must then factor anew. So a mesh whose factors fill the memory needs them
-        once only, and the first steps need none.
-        """
         self.assembly = assembly
         self.pattern = pool.pattern
         self.youngs = youngs
         self.forces = forces
-        self.held = held
+        self.supports = supports
         self.options = options or NewtonOptions()
-        self._fixed = held.fixed.ravel()
+        self._fixed = supports.fixed.ravel()
         self._pool = pool
-        # What is linear is solved at once, if exactly.
-        self._allow_single_precision = pool.has_single_precision and assembly.barrier
+        # A linear problem converges in one step, if it is solved exactly.
+        self._allow_single_precision = (
+            pool.has_single_precision and not assembly.material.allows_inversion
+        )
         self._lease: Lease = (
             pool.lease(self._allow_single_precision)
             if after is None
@@ -122,58 +134,63 @@ class Newton:
             after._factored = False
 
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> EquilibriumResult:
-        """Find the equilibrium, warm from `start` if given."""
+        """Find the equilibrium, from `start` (mm) if given. A failure is returned, not raised."""
         rest = np.zeros_like(self.forces)
-        if not self._is_held():
+        if not self._is_supported():
             reason = (
                 "Nothing holds the object: it can still move or turn as a whole. Fix a face (three "
                 "nodes that are not in line), or give springs."
             )
             return EquilibriumResult(rest, False, reason, 0, 0, np.inf)
-        found = self._at_load(1.0, rest if start is None else start, self.options.max_iterations)
-        if not found.converged:
-            found = self._in_steps(found.iterations)
-        return found
+        start = rest if start is None else start
+        try:
+            result = self._at_load(1.0, start, self.options.max_iterations)
+            return result if result.converged else self._load_stepping(result.iterations)
+        except ConvergenceError as error:  # of the linear solver: smaller steps do not help
+            return EquilibriumResult(start, False, str(error), 0, 0, np.inf)
 
-    def _is_held(self) -> bool:
+    def _is_supported(self) -> bool:
         """Whether the supports resist all six rigid motions."""
-        modes = self.assembly.discretisation.rigid_modes[self.held.held.ravel()]
+        modes = self.assembly.discretisation.rigid_modes[self.supports.supported.ravel()]
         return len(modes) >= 6 and column_rank(modes, 1e-8) == 6
 
-    def linearize(self, found: EquilibriumResult) -> Linearization:
-        """Return the tangent at an equilibrium."""
-        assert found.response is not None
-        self._turn_exact()
-        values = self.pattern.apply_dirichlet(self._tangent(found.response), self._fixed)
-        self._factored = False  # the solver is the linearisation's from now on
-        return Linearization(self.pattern, values, self._lease, self._fixed)
+    def linearize(self, result: EquilibriumResult) -> Linearization:
+        """Return the linearisation at an equilibrium; the search's solver passes to it."""
+        assert result.response is not None
+        self._use_double_precision()
+        values = self.pattern.apply_dirichlet(self._tangent(result.response), self._fixed)
+        self._factored = False
+        return Linearization(
+            self.assembly, self.youngs, result.displacement, result.response, values,
+            self._fixed, self._lease,
+        )  # fmt: skip
 
-    def _in_steps(self, spent: int) -> EquilibriumResult:
-        """Walk up from the unloaded state; shrink the step on failure, grow it on ease."""
-        load, step, taken = 0.0, 0.25, 0
+    def _load_stepping(self, iterations: int) -> EquilibriumResult:
+        """Increase the load in steps: halved after a failure, doubled after fast convergence."""
+        load, step, n_steps = 0.0, 0.25, 0
         u = np.zeros_like(self.forces)
         while load < 1.0:
             target = min(1.0, load + step)
-            found = self._at_load(target, u, self.options.max_step_iterations)
-            spent += found.iterations
-            if found.converged:
-                taken, load, u = taken + 1, target, found.displacement
-                if found.iterations <= 8:
+            result = self._at_load(target, u, self.options.max_step_iterations)
+            iterations += result.iterations
+            if result.converged:
+                n_steps, load, u = n_steps + 1, target, result.displacement
+                if result.iterations <= 8:
                     step *= 2.0
             else:
                 step *= 0.5
             if step < self.options.min_load_step:
-                reason = f"{self._collapse(found, load)} {found.reason}"
-                return EquilibriumResult(u, False, reason, spent, taken, found.residual)
-        found.iterations, found.load_steps = spent, taken
-        return found
+                reason = f"{self._describe_collapse(result, load)} {result.reason}"
+                return EquilibriumResult(u, False, reason, iterations, n_steps, result.residual)
+        result.iterations, result.load_steps = iterations, n_steps
+        return result
 
-    def _collapse(self, failed: EquilibriumResult, load: float) -> str:
-        """Say where the body gives way, and under which share of the load."""
+    def _describe_collapse(self, failed: EquilibriumResult, load: float) -> str:
+        """Element that collapses, and the fraction of the load that is balanced."""
         response = self.assembly.respond(failed.displacement)
         if response is None:
             return "The start is already inverted."
-        element, j = response.worst
+        element, j = response.smallest_volume_ratio
         x, y, z = self.assembly.points[self.assembly.discretisation.mesh.tets[element]].mean(0)
         return (
             f"The load collapses the object: element {element} near ({x:.3g}, {y:.3g}, {z:.3g}) mm "
@@ -184,48 +201,48 @@ class Newton:
 
     def _tangent(self, response: Response) -> np.ndarray:
         values = self.assembly.tangent(response, self.youngs)
-        values[self.pattern.diagonal] += self.held.springs.ravel()
+        values[self.pattern.diagonal] += self.supports.springs.ravel()
         return values
 
-    def _definite_tangent(self, response: Response) -> np.ndarray:
-        values = self.assembly.definite_tangent(response, self.youngs)
-        values[self.pattern.diagonal] += self.held.springs.ravel()
+    def _projected_tangent(self, response: Response) -> np.ndarray:
+        values = self.assembly.projected_tangent(response, self.youngs)
+        values[self.pattern.diagonal] += self.supports.springs.ravel()
         return values
 
     def _energy(self, response: Response, u: np.ndarray, load: float) -> tuple[float, float]:
-        """Total energy, and the size of its terms (for judging round-off)."""
+        """Total energy, and the magnitude of its terms, to which round-off is relative."""
         elastic = dot(self.youngs, response.energy)
-        springs = 0.5 * float((self.held.springs * u * u).sum())
+        springs = 0.5 * float((self.supports.springs * u * u).sum())
         work = load * float((self.forces * u).sum())
         return elastic + springs - work, abs(elastic) + springs + abs(work)
 
     def _residual(self, response: Response, u: np.ndarray, load: float) -> tuple[np.ndarray, float]:
-        """Unbalanced forces (flat, zero at fixed unknowns), and the scale to judge them by."""
-        internal = self.assembly.internal_force(response, self.youngs) + self.held.springs * u
+        """Unbalanced forces (flat, zero at fixed unknowns), and the largest force."""
+        internal = self.assembly.internal_force(response, self.youngs) + self.supports.springs * u
         balance = (internal - load * self.forces).ravel()
         scale = max(np.abs(internal).max(), load * np.abs(self.forces).max())
         return np.where(self._fixed, 0.0, balance), float(scale)
 
-    def _at_load(self, load: float, start: np.ndarray, cap: int) -> EquilibriumResult:
-        """Newton at one load factor, `cap` iterations at most."""
+    def _at_load(self, load: float, start: np.ndarray, max_iterations: int) -> EquilibriumResult:
+        """Newton's method at one fraction of the load."""
         u = start.copy()
         response = self.assembly.respond(u)
         if response is None:
             return EquilibriumResult(u, False, "The start has inverted elements.", 0, 0, np.inf)
-        jump = np.where(self.held.fixed, load * self.held.prescribed - u, 0.0).ravel()
+        jump = np.where(self.supports.fixed, load * self.supports.prescribed - u, 0.0).ravel()
         energies: list[float] = []
-        reason, relative = f"No convergence in {cap} iterations.", np.inf
-        for iteration in range(cap + 1):
+        reason, relative = f"No convergence in {max_iterations} iterations.", np.inf
+        for iteration in range(max_iterations + 1):
             residual, scale = self._residual(response, u, load)
             size = float(np.abs(residual).max())
             relative = size / scale if scale > 0 else size
             if not jump.any():
                 energies.append(self._energy(response, u, load)[0])
-                if relative <= self.options.rtol or size <= self._floor():
-                    return self._found(u, iteration, energies, relative, response)
-            if iteration == cap:
+                if relative <= self.options.rtol or size <= self._round_off_force():
+                    return self._converged(u, iteration, energies, relative, response)
+            if iteration == max_iterations:
                 break
-            step = self._step(response, residual, jump, self._accuracy(relative))
+            step = self._step(response, residual, jump, self._step_rtol(relative))
             if step is None:
                 reason = (
                     "The tangent stays singular: a part of the object is not held, or moduli span "
@@ -233,45 +250,45 @@ class Newton:
                 )
                 break
             if jump.any():
-                # Prescribed displacements are entered at once; energies do not compare here.
+                # Prescribed displacements are applied in one step, whose energies are not compared.
                 trial = self.assembly.respond(u + step)
                 if trial is None:
                     reason = "The prescribed displacements invert an element."
                     break
                 u, response, jump = u + step, trial, np.zeros_like(jump)
                 continue
-            moved = self._search(u, response, residual, step, load)
-            if moved is None:
+            accepted = self._line_search(u, response, residual, step, load)
+            if accepted is None:
                 if relative <= 1e3 * self.options.rtol:
-                    return self._found(u, iteration, energies, relative, response)
+                    return self._converged(u, iteration, energies, relative, response)
                 reason = "The line search found no lower energy."
                 break
-            u, response = moved
+            u, response = accepted
         return EquilibriumResult(u, False, reason, iteration, 0, relative, energies)
 
-    def _found(
+    def _converged(
         self, u: np.ndarray, iteration: int, energies: list[float], relative: float, at: Response
     ) -> EquilibriumResult:
         return EquilibriumResult(u, True, "forces in balance", iteration, 1, relative, energies, at)
 
-    def _accuracy(self, relative: float) -> float:
-        """How exactly to solve for a step: as well as Newton's own error, or to the end."""
-        wanted = max(relative, 0.3 * self.options.rtol / max(relative, self.options.rtol))
-        return min(max(wanted, _TIGHT), _LOOSE)
+    def _step_rtol(self, relative: float) -> float:
+        """Accuracy of a step: that of Newton's quadratic convergence, or of the last step."""
+        rtol = max(relative, 0.3 * self.options.rtol / max(relative, self.options.rtol))
+        return min(max(rtol, _MIN_STEP_RTOL), _MAX_STEP_RTOL)
 
-    def _floor(self) -> float:
-        """Force that round-off alone makes (N)."""
+    def _round_off_force(self) -> float:
+        """Unbalanced force due to round-off, N."""
         return 1e-15 * float(self.youngs.max()) * self.assembly.discretisation.mesh.diagonal**2
 
     def _step(
         self, response: Response, residual: np.ndarray, jump: np.ndarray, rtol: float
     ) -> np.ndarray | None:
-        """Newton step, where fixed unknowns move by `jump`; None if the tangent stays singular."""
+        """Newton step, in which fixed unknowns move by `jump`; None if the tangent is singular."""
         step = self._solve(self._tangent(response), residual, jump, rtol)
         if step is None or (not jump.any() and dot(residual, step) > 0.0):
-            step = self._solve(self._definite_tangent(response), residual, jump)
-        if step is None:  # semi-definite and singular: shift it
-            values = self._definite_tangent(response)
+            step = self._solve(self._projected_tangent(response), residual, jump)
+        if step is None:  # semi-definite and singular
+            values = self._projected_tangent(response)
             values[self.pattern.diagonal] *= 1.0 + 1e-6
             step = self._solve(values, residual, jump)
         return None if step is None else step.reshape(-1, 3)
@@ -280,43 +297,54 @@ class Newton:
         self, values: np.ndarray, residual: np.ndarray, jump: np.ndarray, rtol: float = 0.0
     ) -> np.ndarray | None:
         """Solve for the step, to `rtol` if that is cheaper; None if not positive definite."""
-        held = self.pattern.apply_dirichlet(values, self._fixed)
+        matrix = self.pattern.apply_dirichlet(values, self._fixed)
         rhs = -residual
         if jump.any():
             rhs = rhs - self.pattern.product(values, jump)
         rhs[self._fixed] = 0.0
         try:
             if self._factored and self._lease.direct and rtol > 0.0:
-                step = lagged_solve(self.pattern, held, self._lease, rhs, rtol)
+                step = self._iterate(matrix, rhs, rtol)
                 if step is not None:
                     return step + jump
             if self._allow_single_precision and self._lease.single_precision:
-                if self._lease.factor(held) is Status.OK:
-                    step = lagged_solve(self.pattern, held, self._lease, rhs, rtol or _TIGHT)
+                if self._lease.factor(matrix) is Status.OK:
+                    step = self._iterate(matrix, rhs, rtol or _MIN_STEP_RTOL)
                     if step is not None:
                         self._factored = True
                         return step + jump
                 self._allow_single_precision = False
-            self._turn_exact()
-            self._factored = self._lease.factor(held) is Status.OK
+            self._use_double_precision()
+            self._factored = self._lease.factor(matrix) is Status.OK
             return self._lease.solve(rhs) + jump if self._factored else None
         except IndefiniteError:
             self._factored = False
             return None
 
-    def _turn_exact(self) -> None:
-        """Factor exactly from here on."""
+    def _iterate(self, matrix: np.ndarray, rhs: np.ndarray, rtol: float) -> np.ndarray | None:
+        """Conjugate gradients, preconditioned by the factorisation of an earlier or rounded matrix.
+
+        None where a new factorisation is better: the matrix has changed too much.
+        """
+        result = conjugate_gradients(
+            lambda x: self.pattern.product(matrix, x), self._lease.solve, rhs,
+            rtol=rtol, max_iterations=_MAX_CG_ITERATIONS,
+        )  # fmt: skip
+        return result.solution if result.converged else None
+
+    def _use_double_precision(self) -> None:
+        """Factor in double precision from here on."""
         if self._lease.single_precision:
             self._lease.close()
             self._lease = self._pool.lease()
 
-    def _search(
+    def _line_search(
         self, u: np.ndarray, response: Response, residual: np.ndarray, step: np.ndarray, load: float
     ) -> tuple[np.ndarray, Response] | None:
-        """Shorten the step until no element inverts and the energy falls enough."""
+        """Shorten the step until no element is inverted and the energy decreases enough."""
         energy, size = self._energy(response, u, load)
         slope = dot(residual, step.ravel())
-        noise = _ROUND_OFF * size
+        noise = _ENERGY_ROUND_OFF * size
         fraction = 1.0
         while fraction >= self.options.min_line_step:
             trial_u = u + fraction * step
@@ -326,7 +354,7 @@ class Newton:
                 if change <= _ARMIJO * fraction * slope:
                     return trial_u, trial
                 if abs(slope) <= noise and abs(change) <= noise:
-                    # Energies no longer compare: accept what lowers the residual.
+                    # The change is round-off: accept what decreases the residual.
                     after = np.abs(self._residual(trial, trial_u, load)[0]).max()
                     return (trial_u, trial) if after < np.abs(residual).max() else None
             fraction *= 0.5

@@ -1,6 +1,6 @@
-"""The mechanics in plain torch operations: any device, any order of differentiation.
+"""The mechanics in torch operations, differentiable to any order.
 
-The compiled kernels are checked against these, and second derivatives come from them.
+The compiled kernels are tested against these functions, which also give second derivatives.
 """
 
 import torch
@@ -9,6 +9,7 @@ from torch import Tensor
 
 from tactorch.fem.elements import Discretisation
 from tactorch.fem.materials import IsotropicMaterial, Material
+from tactorch.fem.materials.base import invariants
 
 
 def deformation_gradient(
@@ -16,7 +17,7 @@ def deformation_gradient(
     u: Float[Tensor, "*cases nodes 3"],
     gradients: Float[Tensor, "m q k 3"],
 ) -> Float[Tensor, "*cases m q 3 3"]:
-    """F = I + sum over nodes of u (x) g, at every point."""
+    """Return F = I + sum over nodes of u (x) g, at every quadrature point."""
     nodes = torch.from_numpy(discretisation.nodes).to(u.device)
     one = torch.eye(3, dtype=u.dtype, device=u.device)
     return one + torch.einsum("...mki,mqkI->...mqiI", u[..., nodes, :], gradients)
@@ -29,7 +30,7 @@ def element_energy(
     poisson: Float[Tensor, "*m"],
     points: Float[Tensor, "n 3"],
 ) -> Float[Tensor, "*cases m"]:
-    """Energy of each element per unit modulus (mm^3), eq. (2) summed over its volume."""
+    """Return the energy of each element per unit modulus, mm^3 (eq. 2 over its volume)."""
     gradients, weights = discretisation.geometry(points)
     F = deformation_gradient(discretisation, u, gradients)
     per_point = poisson[..., None] if poisson.ndim else poisson
@@ -37,12 +38,12 @@ def element_energy(
     if not averaged:
         return (weights * material.energy(F, per_point)).sum(-1)
     assert isinstance(material, IsotropicMaterial)
-    i1, i2, j = material.invariants(F)
+    i1, i2, j = invariants(F)
     volumes = weights.sum(-1)
     mean = (weights * j).sum(-1) / volumes
-    shape = material.distortion(i1, i2, j, torch.log(j), per_point).psi
-    dilatation = material.dilatation(mean, torch.log(mean), poisson).psi
-    return (weights * shape).sum(-1) + volumes * dilatation
+    strain = material.strain_energy(i1, i2, j, torch.log(j), per_point)
+    volume = material.volumetric_energy(mean, torch.log(mean), poisson)
+    return (weights * strain).sum(-1) + volumes * volume
 
 
 def element_work(
@@ -53,7 +54,7 @@ def element_work(
     poisson: Float[Tensor, "*m"],
     points: Float[Tensor, "n 3"],
 ) -> Float[Tensor, "*cases m"]:
-    """Virtual work of each element's unit force (eq. 11) on `v`: P1(F) : grad v, mm^3."""
+    """Return the virtual work of each element's unit force (eq. 11) on `v`, mm^3."""
     gradients, weights = discretisation.geometry(points)
     F = deformation_gradient(discretisation, u, gradients)
     one = torch.eye(3, dtype=u.dtype, device=u.device)
@@ -75,7 +76,7 @@ def internal_force(
     poisson: Float[Tensor, "*m"],
     points: Float[Tensor, "n 3"],
 ) -> Float[Tensor, "*cases nodes 3"]:
-    """Nodal elastic forces, N: what `element_work` does on each unit displacement."""
+    """Return the nodal elastic forces, N: the work of the elements on unit displacements."""
     gradients, weights = discretisation.geometry(points)
     F = deformation_gradient(discretisation, u, gradients)
     per_point = poisson[..., None] if poisson.ndim else poisson

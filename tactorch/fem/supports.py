@@ -1,4 +1,4 @@
-"""What holds a body: exact displacements and zero-length springs."""
+"""Supports of a body: prescribed displacements and zero-length springs."""
 
 from dataclasses import dataclass
 
@@ -11,11 +11,11 @@ from tactorch.fem.elements import Discretisation
 
 @dataclass(frozen=True, eq=False)
 class Supports:
-    """Held degrees of freedom of one load case, or of several stacked along the first axis.
+    """Supported degrees of freedom of one load case, or of several along the first axis.
 
     Attributes:
-        fixed: Degrees of freedom with an exact displacement.
-        prescribed: That displacement, mm; zero where not given.
+        fixed: Degrees of freedom with a prescribed displacement.
+        prescribed: Prescribed displacement, mm; zero by default.
         springs: Stiffness k of zero-length springs to the rest position, N/mm: the energy is
             k u^2 / 2 per degree of freedom (eq. 3 with k_c = 1000 N/m read as the stiffness).
     """
@@ -25,30 +25,30 @@ class Supports:
     springs: Float[np.ndarray, "*cases n 3"] | None = None
 
     def require_cases(self, count: int) -> None:
-        """Refuse supports for another number of load cases.
+        """Check that the supports are for `count` load cases, or for all.
 
         Raises:
-            ConfigError: names the field.
+            ConfigError: A field is for another number of cases.
         """
         for name in ("fixed", "prescribed", "springs"):
             values = getattr(self, name)
             if values is not None and values.ndim == 3 and len(values) != count:
                 raise ConfigError(
-                    f"supports.{name} is for {len(values)} load cases but forces are for {count}; "
+                    f"supports.{name} has {len(values)} load cases but forces have {count}; "
                     "give one each, or (n, 3) for all."
                 )
 
-    def case(self, index: int, discretisation: Discretisation) -> "HeldCase":
-        """Return one load case over all nodes, midsides included.
+    def case(self, index: int, discretisation: Discretisation) -> "CaseSupports":
+        """Return the supports of one load case at all nodes, midside nodes included.
 
         Raises:
-            ConfigError: a shape does not fit the mesh.
+            ConfigError: A shape does not fit the mesh.
         """
         n = discretisation.mesh.n_points
         zeros = np.zeros((n, 3))
-        fixed = _pick(self.fixed, index, n, "fixed", zeros.astype(bool)).astype(bool)
-        prescribed = _pick(self.prescribed, index, n, "prescribed", zeros)
-        springs = _pick(self.springs, index, n, "springs", zeros)
+        fixed = _select(self.fixed, index, n, "fixed", zeros.astype(bool)).astype(bool)
+        prescribed = _select(self.prescribed, index, n, "prescribed", zeros)
+        springs = _select(self.springs, index, n, "springs", zeros)
         if np.any(springs < 0) or not np.all(np.isfinite(springs)):
             raise ConfigError("supports.springs must be finite and not negative (N/mm).")
         if not np.all(np.isfinite(prescribed[fixed])):
@@ -56,7 +56,7 @@ class Supports:
                 "supports.prescribed is not finite at a fixed degree of freedom (mm)."
             )
         midsides = fixed[discretisation.edges].all(axis=1)
-        return HeldCase(
+        return CaseSupports(
             np.concatenate([fixed, midsides]),
             discretisation.extend(np.where(fixed, prescribed, 0.0)),
             discretisation.consistent_loads(springs),
@@ -64,24 +64,24 @@ class Supports:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldCase:
-    """One load case's held degrees of freedom over all nodes of a discretisation."""
+class CaseSupports:
+    """Supports of one load case at all nodes of a discretisation; see `Supports`."""
 
     fixed: Bool[np.ndarray, "nodes 3"]
     prescribed: Float[np.ndarray, "nodes 3"]
     springs: Float[np.ndarray, "nodes 3"]
 
     def __post_init__(self) -> None:
-        """Midside nodes are held only where both ends are: drop the rest's averages."""
+        """Discard the prescribed values of midside nodes that are not fixed at both ends."""
         object.__setattr__(self, "prescribed", np.where(self.fixed, self.prescribed, 0.0))
 
     @property
-    def held(self) -> Bool[np.ndarray, "nodes 3"]:
-        """Degrees of freedom that are fixed or on springs."""
+    def supported(self) -> Bool[np.ndarray, "nodes 3"]:
+        """Degrees of freedom that are fixed or have a spring."""
         return self.fixed | (self.springs > 0)
 
 
-def _pick(
+def _select(
     values: np.ndarray | None, index: int, n: int, name: str, default: np.ndarray
 ) -> np.ndarray:
     if values is None:

@@ -6,7 +6,7 @@ A dataset is a folder:
 |---|---|
 | recipe.json | all that decides the samples |
 | shard-00000.h5 ... | samples, some 50 a file, each file written whole or not at all |
-| manifest.json | written last: recipe, versions, each shard's checksum, failed samples |
+| manifest.json | written last: recipe, versions, checksums, failed samples |
 | card.md, card.png | for people |
 | partial/ | samples of unfinished shards, while generation runs |
 
@@ -35,11 +35,12 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import FileError, RecordingError
-from tactorch.files import atomic_path
 from tactorch.generation.sample import Sample
+from tactorch.hdf5 import Hdf5Reader, hdf5_image, write_array, write_attribute, write_hdf5
 from tactorch.mesh import TetMesh
-from tactorch.recording.reader import Reader
-from tactorch.recording.storage import LIBVER, mark, put, write_recording
+from tactorch.recording import Recording
+from tactorch.recording.reader import RecordingReader
+from tactorch.recording.storage import write_recording
 
 if TYPE_CHECKING:
     import h5py
@@ -62,20 +63,19 @@ def sample_name(index: int) -> str:
 
 def to_bytes(sample: Sample) -> bytes:
     """Return a sample as the content of an HDF5 file of its own."""
-    import h5py
 
-    memory = io.BytesIO()
-    with h5py.File(memory, "w", libver=LIBVER) as file:
-        write_recording(file, sample.recording)
-        mark(file, "mesh_hash", sample.recording.mesh.content_hash())
-        mark(file, "index", sample.index)
-        mark(file, "object", sample.object)
-        mark(file, "label", sample.label)
-        mark(file, "facts", json.dumps(sample.facts))
-        mark(file, "figures", json.dumps(sample.figures))
+    def write(file: "h5py.File") -> None:
+        write_recording(file, vars(sample.recording))
+        write_attribute(file, "mesh_hash", sample.recording.mesh.content_hash())
+        write_attribute(file, "index", sample.index)
+        write_attribute(file, "object", sample.object)
+        write_attribute(file, "label", sample.label)
+        write_attribute(file, "facts", json.dumps(sample.facts))
+        write_attribute(file, "figures", json.dumps(sample.figures))
         if sample.reconstruction is not None:
-            put(file, "reconstruction", sample.reconstruction)
-    return memory.getvalue()
+            write_array(file, "reconstruction", sample.reconstruction)
+
+    return hdf5_image(write)
 
 
 def write_shard(path: Path, parts: Mapping[int, bytes], failed: Mapping[int, str]) -> None:
@@ -86,16 +86,18 @@ def write_shard(path: Path, parts: Mapping[int, bytes], failed: Mapping[int, str
     """
     import h5py
 
-    with atomic_path(path) as temporary, h5py.File(temporary, "w", libver=LIBVER) as shard:
-        mark(shard, "format", FORMAT)
-        mark(shard, "version", VERSION)
+    def write(shard: "h5py.File") -> None:
+        write_attribute(shard, "format", FORMAT)
+        write_attribute(shard, "version", VERSION)
         reasons = {str(index): failed[index] for index in sorted(failed)}
-        mark(shard, "failed", json.dumps(reasons))
+        write_attribute(shard, "failed", json.dumps(reasons))
         shard.create_group("samples")
         shard.create_group("meshes")
         for index in sorted(parts):
             with h5py.File(io.BytesIO(parts[index]), "r") as part:
                 _copy(part, shard, sample_name(index))
+
+    write_hdf5(path, write)
 
 
 def _copy(part: "h5py.File", shard: "h5py.File", name: str) -> None:
@@ -105,15 +107,15 @@ def _copy(part: "h5py.File", shard: "h5py.File", name: str) -> None:
     for key in part:
         if key != "mesh":
             part.copy(key, group)
-    mesh = _text(part, "mesh_hash")
+    mesh = part.attrs["mesh_hash"].decode()
     if mesh not in shard["meshes"]:
         part.copy("mesh", shard["meshes"], name=mesh)
     group["mesh"] = shard["meshes"][mesh]
 
 
 @dataclass(frozen=True, eq=False)
-class Maps:
-    """What a sample shows, without its presses.
+class SampleMaps:
+    """Maps of Young's modulus of a sample, without its presses.
 
     Attributes:
         index: Its number in the dataset.
@@ -135,12 +137,12 @@ class Maps:
 
 
 class ShardReader:
-    """Reads samples out of an open shard.
+    """Reads samples from an open shard.
 
     Args:
         shard: The file.
-        path: What to call it in messages.
-        meshes: Those read before, by their hash; new ones are added.
+        path: Its name, for messages.
+        meshes: Meshes that were read before, by hash; new ones are added.
     """
 
     def __init__(self, shard: "h5py.File", path: Path, meshes: dict[str, TetMesh]) -> None:
@@ -152,70 +154,61 @@ class ShardReader:
         Raises:
             FileError: The shard is damaged there.
         """
-        with self._group(index) as group:
-            reader = self._reader(group)
+        with self._reader(index) as reader:
             return Sample(
-                int(group.attrs["index"]),
-                int(group.attrs["object"]),
-                _text(group, "label"),
-                json.loads(_text(group, "facts")),
-                reader.recording(check_units=False),
-                _moduli(group, "reconstruction"),
-                json.loads(_text(group, "figures")),
+                reader.attribute("/", "index", int),
+                reader.attribute("/", "object", int),
+                reader.attribute("/", "label", str),
+                reader.parse_json("facts", reader.attribute("/", "facts", str)),
+                Recording(**reader.fields(), check_units=False),
+                _moduli(reader, "reconstruction"),
+                json.loads(reader.attribute("/", "figures", str)),
             )
 
-    def maps(self, index: int) -> Maps:
-        """Read what a sample shows, without its presses.
+    def maps(self, index: int) -> SampleMaps:
+        """Read the maps of a sample, without its presses.
 
         Raises:
             FileError: The shard is damaged there.
         """
-        with self._group(index) as group:
-            presses = [group["presses"][name] for name in group["presses"]]
-            known = all("direction" in press for press in presses)
-            truth = _moduli(group, "truth")
-            assert truth is not None
-            return Maps(
-                int(group.attrs["index"]),
-                int(group.attrs["object"]),
-                _text(group, "label"),
-                self._reader(group).mesh(),
-                truth,
-                _moduli(group, "reconstruction"),
-                np.array([press["direction"][()] for press in presses]) if known else None,
+        with self._reader(index) as reader:
+            directions = [f"presses/{i:04d}/direction" for i in range(reader.count())]
+            known = all(reader.has(name) for name in directions)
+            return SampleMaps(
+                reader.attribute("/", "index", int),
+                reader.attribute("/", "object", int),
+                reader.attribute("/", "label", str),
+                reader.mesh(),
+                reader.array("truth", "f", (reader.mesh().n_tets,)),
+                _moduli(reader, "reconstruction"),
+                np.array([reader.array(name, "f", (3,)) for name in directions]) if known else None,
             )
 
     @contextmanager
-    def _group(self, index: int) -> "Iterator[h5py.Group]":
+    def _reader(self, index: int) -> Iterator[RecordingReader]:
         name = sample_name(index)
         try:
-            yield self.shard["samples"][name]
-        except RecordingError as error:  # says itself what to do
+            samples = Hdf5Reader(self.shard, self.path, "shard", "tactorch generate")
+            group = samples.group(f"samples/{name}")
+            source = f"{self.path}, {group.name}"
+            key = RecordingReader(group, source).attribute("/", "mesh_hash", str)
+            reader = RecordingReader(group, source, self.meshes.get(key))
+            self.meshes[key] = reader.mesh()
+            yield reader
+        except RecordingError as error:  # its message has the remedy
             raise FileError(str(error)) from error
         # What h5py raises on a damaged file has no common base.
         except Exception as error:
             raise damaged(self.path, f"sample {name}: {error}") from error
-
-    def _reader(self, group: "h5py.Group") -> Reader:
-        name = _text(group, "mesh_hash")
-        source = f"{self.path}, {group.name}"
-        if name not in self.meshes:
-            self.meshes[name] = Reader(group, source).mesh()
-        return Reader(group, source, self.meshes[name])
 
 
 def damaged(path: Path, reason: Any) -> FileError:
     """Return the error for a shard that cannot be read."""
     return FileError(
         f"shard '{path}' is damaged ({reason}); delete it and generate again: only its samples are"
-        " made anew."
+        " made again."
     )
 
 
-def _text(group: "h5py.Group", name: str) -> str:
-    value = group.attrs[name]
-    return value.decode("utf-8") if isinstance(value, bytes) else str(value)
-
-
-def _moduli(group: "h5py.Group", name: str) -> Float[np.ndarray, " m"] | None:
-    return np.asarray(group[name][()], dtype=np.float64) if name in group else None
+def _moduli(reader: RecordingReader, name: str) -> Float[np.ndarray, " m"] | None:
+    return reader.array(name, "f", (reader.mesh().n_tets,)) if reader.has(name) else None

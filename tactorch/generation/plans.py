@@ -38,7 +38,7 @@ class PressDraw(Options):
     patch_share: float = option(
         1.0, "Share of the plans that press patches; the others press whole faces", ge=0, le=1
     )
-    hold: Literal["springs", "fixed", "roller"] = option("springs", "Support of the opposite face")
+    support: Literal["springs", "fixed", "roller"] = option("springs", "Support of the opposite face")
     spring_n_per_mm: float = option(1.0, "Stiffness of each spring", unit="N/mm", gt=0)
 
     def __post_init__(self) -> None:
@@ -49,9 +49,14 @@ class PressDraw(Options):
             pair = getattr(self, name)
             if pair is not None and pair[0] > pair[1]:
                 raise ConfigError(f"dataset.presses.{name}={list(pair)}: give the lower end first.")
-        support = {"hold": self.hold, "spring_n_per_mm": self.spring_n_per_mm}
         for sides, steps in product(self.faces, self.steps):  # refuse plans that cannot be made
-            PressPlan.ramp(self.p_max_mpa[0], steps, faces=tuple(sides), **support)
+            PressPlan(
+                p_max_mpa=self.p_max_mpa[0],
+                steps=steps,
+                faces=sides,
+                support=self.support,
+                spring_n_per_mm=self.spring_n_per_mm,
+            )
 
     def draw(
         self, rng: np.random.Generator, bounds: Float[np.ndarray, "2 3"], youngs_mpa: float
@@ -66,13 +71,13 @@ class PressDraw(Options):
             count = int(rng.integers(self.patches[0], self.patches[1] + 1))
             margin = np.minimum(radius, (bounds[1] - bounds[0]) / 2)
             centers = rng.uniform(bounds[0] + margin, bounds[1] - margin, (count, 3)).tolist()
-        return PressPlan.ramp(
-            highest,
-            steps,
+        return PressPlan(
+            p_max_mpa=highest,
+            steps=steps,
             faces=sides,
             patch_radius_mm=radius,
             patch_centers_mm=centers,
-            hold=self.hold,
+            support=self.support,
             spring_n_per_mm=self.spring_n_per_mm,
         )
 

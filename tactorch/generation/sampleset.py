@@ -14,7 +14,7 @@ from tactorch.generation.layout import (
     MANIFEST_FORMAT,
     RECIPE,
     VERSION,
-    Maps,
+    SampleMaps,
     ShardReader,
     damaged,
 )
@@ -77,7 +77,7 @@ class SampleSet:
         """
         return self._reader(index).sample(index)
 
-    def maps(self, index: int) -> Maps:
+    def maps(self, index: int) -> SampleMaps:
         """Return what the sample of a number shows, without its presses: much faster.
 
         Raises:

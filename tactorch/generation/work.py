@@ -85,8 +85,7 @@ def alone() -> Iterator[None]:
     import torch
     from threadpoolctl import threadpool_limits
 
-    from tactorch.fem import limit_workers
-    from tactorch.linalg import single_threaded
+    from tactorch.linalg import limit_workers, single_threaded
 
     threads, compiled = torch.get_num_threads(), numba.get_num_threads()
     with ExitStack() as stack:

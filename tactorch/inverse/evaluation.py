@@ -6,11 +6,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch.fem import EquilibriumResult, Newton, map_cases
-from tactorch.fem.sensitivity import Sensitivity, force_rates
+from tactorch.fem import EquilibriumResult, Newton, Sensitivity
 from tactorch.inverse.correlated_noise import CorrelatedNoise
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import Nuisance, PressModel
+from tactorch.linalg import map_cases
 
 _PREDICTABLE = 0.5  # largest relative change of a modulus for which du/de foretells u
 
@@ -55,15 +55,12 @@ class PressSolution:
 
     def sensitivity(self) -> Sensitivity:
         """Return the linearisation, factored."""
-        assert self.found.response is not None
-        tangent, values = self.newton.linearize(self.found), self.placed.values
+        values = self.placed.values
         frame = values.rotation if values.rotation_rad.any() else None
-        return Sensitivity(
-            self.newton.assembly, self.found.response, tangent, self.seen.index, frame
-        )
+        return Sensitivity(self.newton.linearize(self.found), self.seen.index, frame)
 
     def nuisance_columns(
-        self, names: tuple[str, ...], sensitivity: Sensitivity, youngs: Float[np.ndarray, " m"]
+        self, names: tuple[str, ...], sensitivity: Sensitivity
     ) -> Float[np.ndarray, "p k"]:
         """Return the change of the observed report by each component of parameters, mm.
 
@@ -71,10 +68,12 @@ class PressSolution:
         """
         columns = []
         for name in names:
-            forces = self._unbalance(name, youngs)
-            moved = sensitivity.force_response(np.reshape(forces, (-1, *self.weight.shape)))
+            forces = self._unbalance(name, sensitivity)
+            moved = sensitivity.linearization.force_response(
+                np.reshape(forces, (-1, *self.weight.shape))
+            )
             direct = self.placed.report_rates(name, self.found.displacement)
-            seen = [sensitivity.seen(field) for field in moved]
+            seen = [sensitivity.observe(field) for field in moved]
             plain = [field.ravel()[self.seen.index] for field in direct]
             if seen and plain:
                 columns += [a + b for a, b in zip(seen, plain, strict=True)]
@@ -82,14 +81,14 @@ class PressSolution:
                 columns += seen or plain
         return np.column_stack(columns)
 
-    def _unbalance(self, name: str, youngs: np.ndarray) -> list[Float[np.ndarray, "nodes 3"]]:
+    def _unbalance(self, name: str, sensitivity: Sensitivity) -> list[Float[np.ndarray, "nodes 3"]]:
         """Change of the forces on the nodes by each component, the displacement unchanged, N."""
-        assembly, u = self.newton.assembly, self.found.displacement
+        linearization = sensitivity.linearization
         if name == "poisson":
-            return [-rate for rate in force_rates(assembly, u, youngs, poisson=True)]
+            return [-rate for rate in linearization.parameter_forces(poisson=True)]
         if name == "rest_scale":
-            return [self.weight - rate for rate in force_rates(assembly, u, youngs, stretch=True)]
-        loads = assembly.discretisation.consistent_loads
+            return [self.weight - rate for rate in linearization.parameter_forces(stretch=True)]
+        loads = self.newton.assembly.discretisation.consistent_loads
         return [loads(change) for change in self.placed.force_rates(name)]
 
 
@@ -193,7 +192,7 @@ class Evaluation:
 
         def work(i: int) -> np.ndarray:
             press, sensitivity = self._presses[i], self.sensitivities[i]
-            columns = press.nuisance_columns(names, sensitivity, self.youngs)
+            columns = press.nuisance_columns(names, sensitivity)
             return columns * press.seen.scale[:, None]
 
         return self._join(map_cases(work, len(self._presses)))
@@ -245,6 +244,6 @@ class Evaluation:
 
     def _predict(self, i: int, change: np.ndarray) -> np.ndarray:
         newton, found = self._presses[i].newton, self._presses[i].found
-        shift = self.sensitivities[i].displacement_change(change)
+        shift = self.sensitivities[i].linearization.displacement_change(change)
         guess = found.displacement + shift
         return guess if newton.assembly.respond(guess) is not None else found.displacement

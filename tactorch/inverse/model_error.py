@@ -74,10 +74,10 @@ def discretisation_error(
         ConfigError: the problem has quadratic elements, with which there is nothing to compare.
         ConvergenceError: a press has no equilibrium, at this modulus or a few times as much.
     """
-    if problem.body.discretisation.element.name != "tet4":
+    if problem.body.discretisation.element.quadratic:
         raise ConfigError(
             "model_error=discretisation compares plain tetrahedra with quadratic ones; with "
-            f"element={problem.body.discretisation.element.name} choose model_error=none."
+            "element=tet10 choose model_error=none."
         )
     quadratic = InverseProblem(
         problem.recording,

@@ -5,15 +5,14 @@ import torch
 from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
-from tactorch.fem import NewtonOptions, SoftBody, Supports, map_cases
+from tactorch.fem import Newton, NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.body import check_youngs
-from tactorch.fem.materials import make_material
-from tactorch.fem.newton import Newton
 from tactorch.inverse.correlated_noise import CorrelatedNoise
 from tactorch.inverse.evaluation import Evaluation, Observation, PressSolution
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModelFactory
+from tactorch.linalg import SolverOptions, map_cases
 from tactorch.recording import Press, Recording
 
 
@@ -35,7 +34,7 @@ class InverseProblem:
         recording: Recording,
         *,
         element: str = "tet4",
-        solver: str = "auto",
+        solver: str | SolverOptions = "auto",
         noise: NoiseModel | None = None,
         newton: NewtonOptions | None = None,
         misfit: Misfit | None = None,
@@ -128,7 +127,10 @@ class InverseProblem:
 
 
 def body_of(
-    recording: Recording, element: str, solver: str, newton: NewtonOptions | None = None
+    recording: Recording,
+    element: str,
+    solver: str | SolverOptions,
+    newton: NewtonOptions | None = None,
 ) -> SoftBody:
     """Return the object of a recording as a body to be solved."""
     spec = recording.material

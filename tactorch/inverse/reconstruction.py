@@ -1,19 +1,29 @@
 """The result of an inversion: a map of Young's modulus, how it was reached, and its files."""
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import FileError, MeshError
-from tactorch.files import atomic_path, require_file
+from tactorch.hdf5 import (
+    Hdf5Reader,
+    open_hdf5,
+    write_array,
+    write_attribute,
+    write_hdf5,
+    write_json,
+)
 from tactorch.inverse.nuisance_estimate import NuisanceEstimate
 from tactorch.mesh import TetMesh, write_mesh
 
+if TYPE_CHECKING:
+    import h5py
+
 _FORMAT, _VERSION = "tactorch-reconstruction", 1
+_REMEDY = "give the reconstruction.h5 of a run folder."
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,18 +66,20 @@ class Reconstruction:
 
     def save(self, path: str | Path) -> Path:
         """Write to HDF5, whole or not at all."""
-        import h5py
-
-        with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
-            file.attrs["format"], file.attrs["version"] = _FORMAT, _VERSION
-            file.attrs["stop_reason"], file.attrs["seconds"] = self.stop_reason, self.seconds
-            file.create_dataset("config", data=json.dumps(self.config))
-            file.create_dataset("history", data=json.dumps(self.history))
-            free = {name: estimate.plain() for name, estimate in self.nuisance.items()}
-            file.create_dataset("nuisance", data=json.dumps(free))
-            for name, values in self._datasets().items():
-                file.create_dataset(name, data=values, compression="gzip", shuffle=True)
+        write_hdf5(path, self._write)
         return Path(path)
+
+    def _write(self, file: "h5py.File") -> None:
+        write_attribute(file, "format", _FORMAT)
+        write_attribute(file, "version", _VERSION)
+        write_attribute(file, "stop_reason", self.stop_reason)
+        write_attribute(file, "seconds", float(self.seconds))
+        write_json(file, "config", self.config)
+        write_json(file, "history", self.history)
+        estimates = {name: estimate.plain() for name, estimate in self.nuisance.items()}
+        write_json(file, "nuisance", estimates)
+        for name, values in self._datasets().items():
+            write_array(file, name, values)
 
     def _datasets(self) -> dict[str, np.ndarray]:
         return {
@@ -84,36 +96,25 @@ class Reconstruction:
         Raises:
             FileError: the file is missing, truncated, or not a reconstruction.
         """
-        import h5py
-
-        source = require_file(path, "reconstruction")
-        try:
-            with h5py.File(source, "r") as file:
-                _check_format(dict(file.attrs), source)
-                found = Reconstruction(
-                    mesh=TetMesh.create(file["mesh/points"][()], file["mesh/tets"][()]),
-                    youngs=file["youngs"][()],
-                    displacements=file["displacements"][()],
-                    history=json.loads(file["history"][()]),
-                    stop_reason=str(file.attrs["stop_reason"]),
-                    seconds=float(file.attrs["seconds"]),
-                    config=json.loads(file["config"][()]),
-                    nuisance=_nuisance(file["nuisance"][()] if "nuisance" in file else "{}"),
-                )
-            found._check_shapes()
-        except (OSError, KeyError, ValueError, TypeError, RuntimeError, MeshError) as error:
-            raise FileError(
-                f"reconstruction '{source}' cannot be read ({error}); it is truncated or of "
-                "another kind. Run the inversion again."
-            ) from error
-        return found
-
-    def _check_shapes(self) -> None:
-        n, m, moved = self.mesh.n_points, self.mesh.n_tets, self.displacements.shape
-        if self.youngs.shape != (m,) or len(moved) != 3 or moved[1:] != (n, 3):
-            raise ValueError(
-                f"youngs {self.youngs.shape} and displacements {moved} do not fit a mesh of {n} "
-                f"points and {m} tetrahedra"
+        with open_hdf5(path, "reconstruction", _REMEDY) as file:
+            reader = Hdf5Reader(file, path, "reconstruction", "Reconstruction.save")
+            _check_format(reader)
+            points = reader.array("mesh/points", "f", (None, 3))
+            try:
+                mesh = TetMesh.create(points, reader.array("mesh/tets", "i", (None, 4)))
+            except MeshError as error:
+                raise reader.error(f"has no valid mesh: {error}") from error
+            moved = (None, mesh.n_points, 3)
+            estimates = reader.json("nuisance") if reader.has("nuisance") else {}
+            return Reconstruction(
+                mesh=mesh,
+                youngs=reader.array("youngs", "f", (mesh.n_tets,)),
+                displacements=reader.array("displacements", "f", moved),
+                history=reader.json("history", list),
+                stop_reason=reader.attribute("/", "stop_reason", str),
+                seconds=reader.attribute("/", "seconds", float),
+                config=reader.json("config"),
+                nuisance={n: NuisanceEstimate.of(plain) for n, plain in estimates.items()},
             )
 
     def write_vtu(self, path: str | Path, truth: Float[np.ndarray, " m"] | None = None) -> Path:
@@ -126,21 +127,14 @@ class Reconstruction:
         return Path(path)
 
 
-def _nuisance(text: str | bytes) -> dict[str, NuisanceEstimate]:
-    """Files of earlier versions have none."""
-    return {name: NuisanceEstimate.of(plain) for name, plain in json.loads(text).items()}
-
-
-def _check_format(attributes: dict[str, Any], source: Path) -> None:
-    found, version = attributes.get("format"), attributes.get("version", 0)
-    found = found.decode() if isinstance(found, bytes) else found
-    if found != _FORMAT:
-        raise FileError(
-            f"'{source}' is not a reconstruction but {found or 'some other HDF5 file'}; give the "
-            "reconstruction.h5 of a run folder."
-        )
+def _check_format(reader: Hdf5Reader) -> None:
+    attributes = reader.root.attrs
+    kind = reader.attribute("/", "format", str) if "format" in attributes else "another HDF5 file"
+    if kind != _FORMAT:
+        raise FileError(f"'{reader.source}' is not a reconstruction but {kind}; {_REMEDY}")
+    version = reader.attribute("/", "version", int)
     if version > _VERSION:
         raise FileError(
-            f"reconstruction '{source}' has version {version}; this tactorch reads up to "
+            f"reconstruction '{reader.source}' has version {version}; this tactorch reads up to "
             f"{_VERSION}. Upgrade tactorch."
         )

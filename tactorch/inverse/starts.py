@@ -13,10 +13,10 @@ from jaxtyping import Float
 
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import map_cases, worker_count
 from tactorch.inverse.parameterization import Bounds
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.uniform import uniform_fit
+from tactorch.linalg import map_cases
 
 _log = logging.getLogger(__name__)
 START_MPA = 0.2
@@ -107,8 +107,7 @@ def monte_carlo(
             except ConvergenceError:
                 return np.inf
 
-        few = len(problem.recording.presses) < worker_count()
-        chi2 = map_cases(work, draws) if few else [work(i) for i in range(draws)]
+        chi2 = map_cases(work, draws)
         best = int(np.argmin(chi2))
         if np.isinf(chi2[best]):
             raise ConvergenceError(

@@ -126,7 +126,7 @@ class _Fit:
         try:
             point = self._problem.evaluate(youngs, near, self.nuisance(x))
             for sensitivity in point.sensitivities:
-                sensitivity.tangent.factor()
+                sensitivity.linearization.factor()
             return point
         except ConvergenceError:
             return None

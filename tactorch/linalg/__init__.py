@@ -1,27 +1,38 @@
-"""Sparse symmetric solvers behind one small protocol: analyse once, factor, solve many."""
+"""Sparse symmetric solvers behind one protocol (analyse once, factor, solve many), and one CG."""
 
-from tactorch.linalg.choose import BACKENDS, analyse, available
-from tactorch.linalg.dense import DenseCholesky
-from tactorch.linalg.lagged import lagged_solve
+from tactorch.linalg.conjugate_gradients import CGResult, conjugate_gradients
+from tactorch.linalg.dense import DenseCholesky, column_rank, dot
+from tactorch.linalg.parallel import limit_workers, map_cases, single_threaded, worker_count
 from tactorch.linalg.pattern import SymmetricPattern
-from tactorch.linalg.pool import SolverPool
-from tactorch.linalg.protocol import IndefiniteError, Solver, Status
-from tactorch.linalg.threads import single_threaded
-from tactorch.linalg.vectors import column_rank, dot, norm
+from tactorch.linalg.pool import Lease, SolverPool
+from tactorch.linalg.solver import (
+    SOLVERS,
+    IndefiniteError,
+    Solver,
+    SolverOptions,
+    Status,
+    analyse,
+    available_solvers,
+)
 
 __all__ = [
-    "BACKENDS",
+    "SOLVERS",
+    "CGResult",
     "DenseCholesky",
     "IndefiniteError",
+    "Lease",
     "Solver",
+    "SolverOptions",
     "SolverPool",
     "Status",
     "SymmetricPattern",
     "analyse",
-    "available",
+    "available_solvers",
     "column_rank",
+    "conjugate_gradients",
     "dot",
-    "lagged_solve",
-    "norm",
+    "limit_workers",
+    "map_cases",
     "single_threaded",
+    "worker_count",
 ]

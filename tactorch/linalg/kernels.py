@@ -8,7 +8,7 @@ import numba
 @no_type_check
 @numba.njit(nogil=True, cache=True)
 def symmetric_product(indptr, indices, values, x, out):
-    """Add A x to `out`, A given by the upper triangle whose rows begin with the diagonal."""
+    """Add A x to `out`; the rows of the upper triangle of A begin with the diagonal."""
     for i in range(indptr.shape[0] - 1):
         begin = indptr[i]
         total = values[begin] * x[i]
@@ -22,7 +22,7 @@ def symmetric_product(indptr, indices, values, x, out):
 @no_type_check
 @numba.njit(nogil=True, cache=True)
 def apply_dirichlet(indptr, indices, values, fixed, scale, out):
-    """Copy `values`, rows and columns of fixed unknowns reduced to `scale` on the diagonal."""
+    """Copy `values`, with `scale` on the diagonal of fixed unknowns and zeros in their rows."""
     for i in range(indptr.shape[0] - 1):
         for k in range(indptr[i], indptr[i + 1]):
             out[k] = 0.0 if fixed[i] or fixed[indices[k]] else values[k]

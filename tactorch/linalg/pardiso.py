@@ -1,32 +1,33 @@
 """PARDISO of Intel MKL, through the library that pypardiso finds.
 
-The phases are called apart (analyse, factor, solve), the matrix is handed over as its upper
-triangle, and Cholesky is used: error -4 then says that the matrix is not positive definite.
+The phases (analyse, factor, solve) are called separately on the upper triangle of the matrix.
+The factorisation is Cholesky's: error -4 means that the matrix is not positive definite.
 Reference: oneMKL developer reference, "pardiso" (iparm table).
 """
 
 import ctypes
 import os
-import sys
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import Any
+from importlib.metadata import PackageNotFoundError, files
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.errors import TactorchError
 from tactorch.linalg.pattern import SymmetricPattern
-from tactorch.linalg.protocol import Status
+from tactorch.linalg.solver import SolverOptions, Status
 
 _CHOLESKY = 2
 _ANALYSE, _FACTOR, _SOLVE, _RELEASE = 11, 22, 33, -1
 _NOT_POSITIVE_DEFINITE = -4
 # Below this size threads gain little, and their barriers cost tens of milliseconds a call as soon
 # as another process wants a core.
-_WORTH_THREADS = 15_000
+_MIN_PARALLEL_SIZE = 15_000
 _ERRORS = {
     -1: "inconsistent input",
     -2: "not enough memory",
@@ -37,9 +38,9 @@ _ERRORS = {
 
 @cache
 def _library() -> Any | None:
-    """Load MKL once; None where pypardiso or its library is not installed."""
+    """MKL, loaded once; None where pypardiso or its library is not installed."""
     try:
-        with _told_where():
+        with _library_path():
             from pypardiso import ps
         return ps.libmkl
     except (ImportError, OSError):
@@ -47,24 +48,21 @@ def _library() -> Any | None:
 
 
 @contextmanager
-def _told_where() -> Iterator[None]:
-    """Name the library that pip installed: to find it, pypardiso walks the whole environment."""
+def _library_path() -> Iterator[None]:
+    """Set the path of the library that pip installed; pypardiso searches for several seconds."""
     name = "PYPARDISO_MKL_RT"
-    folders = (Path(sys.prefix) / "lib", Path(sys.prefix) / "Library" / "bin")
-    found = [path for folder in folders for path in folder.glob("*mkl_rt*")]
-    if name in os.environ or len(found) != 1:
+    try:
+        paths = [str(file.locate()) for file in files("mkl") or () if "mkl_rt" in file.name]
+    except PackageNotFoundError:
+        paths = []
+    if name in os.environ or len(paths) != 1:
         yield
         return
-    os.environ[name] = str(found[0])
+    os.environ[name] = paths[0]
     try:
         yield
     finally:
         del os.environ[name]
-
-
-def available() -> bool:
-    """Say whether PARDISO can be used here."""
-    return _library() is not None
 
 
 def set_local_threads(count: int) -> int:
@@ -74,7 +72,7 @@ def set_local_threads(count: int) -> int:
 
 @cache
 def _entry() -> Any:
-    """PARDISO's entry point, free of the argument types that pypardiso attaches to its own."""
+    """PARDISO's entry point, without the argument types that pypardiso declares."""
     function = _library()["pardiso"]  # type: ignore[index]
     function.restype = None
     return function
@@ -100,45 +98,62 @@ def _call(pt: np.ndarray, iparm: np.ndarray, phase: int, arrays: dict[str, Any])
     return error.value
 
 
-def _release(pt: np.ndarray, iparm: np.ndarray, arrays: dict[str, Any]) -> None:
-    """Give PARDISO's memory back."""
-    _call(pt, iparm, _RELEASE, arrays)
+@dataclass(frozen=True)
+class Pardiso(SolverOptions):
+    """Intel's direct solver, on x86-64."""
+
+    has_single_precision: ClassVar[bool] = True
+    requires: ClassVar[str] = "pypardiso"
+
+    @staticmethod
+    def available() -> bool:
+        """Return whether pypardiso and its MKL library are installed."""
+        return _library() is not None
+
+    def analyse(
+        self,
+        pattern: SymmetricPattern,
+        near_nullspace: Float[np.ndarray, "size modes"] | None = None,
+        single_precision: bool = False,
+    ) -> "PardisoSolver":
+        """See `SolverOptions.analyse`."""
+        return PardisoSolver(pattern, single_precision)
 
 
-class Pardiso:
+class PardisoSolver:
     """Sparse Cholesky; see `tactorch.linalg.Solver`.
 
-    A rough one factors in single precision: in two thirds of the time and half the memory, good to
-    about four digits, for preconditioning.
+    Args:
+        pattern: The matrix pattern.
+        single_precision: Whether to factor in single precision, for preconditioning: two thirds
+            of the time, half the memory, about four digits.
 
     Raises:
-        RuntimeError: PARDISO failed for a reason other than indefiniteness (memory, say).
+        TactorchError: PARDISO failed for a reason other than indefiniteness, such as memory.
     """
 
-    name = "pardiso"
     direct = True
 
     def __init__(self, pattern: SymmetricPattern, single_precision: bool = False) -> None:
-        """Analyse the pattern (fill-reducing order and symbolic factorisation)."""
         self.pattern = pattern
         self.single_precision = single_precision
         self._type: type[np.floating] = np.float32 if single_precision else np.float64
         self._pt = np.zeros(64, dtype=np.int64)
         self._iparm = np.zeros(64, dtype=np.int32)
-        self._iparm[0] = 1  # the values below, not the defaults
+        self._iparm[0] = 1  # use the values below instead of the defaults
         self._iparm[1] = 2  # nested dissection (METIS)
         self._iparm[27] = int(single_precision)
         self._iparm[34] = 1  # indices count from zero
         none = self._none = np.zeros(1, dtype=self._type)
         empty = {"pattern": pattern, "values": none, "rhs": none, "out": none}
-        # Symbolic analysis reads no values when matching and scaling are off.
+        # The analysis (fill-reducing order, symbolic factorisation) reads no values.
         self._run(_ANALYSE, np.ones(pattern.nnz, dtype=self._type), none, none)
         self._values = none
-        self._finalizer = weakref.finalize(self, _release, self._pt, self._iparm, empty)
+        self._finalizer = weakref.finalize(self, _call, self._pt, self._iparm, _RELEASE, empty)
 
     def _run(self, phase: int, values: np.ndarray, rhs: np.ndarray, out: np.ndarray) -> int:
         arrays = {"pattern": self.pattern, "values": values, "rhs": rhs, "out": out}
-        small = self.pattern.size < _WORTH_THREADS
+        small = self.pattern.size < _MIN_PARALLEL_SIZE
         previous = set_local_threads(1) if small else 0
         try:
             code = _call(self._pt, self._iparm, phase, arrays)
@@ -146,14 +161,14 @@ class Pardiso:
             if small:
                 set_local_threads(previous)
         if code not in (0, _NOT_POSITIVE_DEFINITE):
-            raise RuntimeError(
-                f"PARDISO failed in phase {phase}: error {code} ({_ERRORS.get(code, 'see MKL')}); "
-                f"{self.pattern.size} unknowns. Use solver=superlu or solver=multigrid."
+            raise TactorchError(
+                f"solver=pardiso failed with error {code} ({_ERRORS.get(code, 'see MKL')}) at "
+                f"{self.pattern.size} unknowns; use solver=superlu or solver=multigrid."
             )
         return code
 
     def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
-        """Factor; indefinite matrices are reported, not raised."""
+        """Factor the matrix; an indefinite one is reported, not raised."""
         if not np.all(np.isfinite(values)):
             return Status.INDEFINITE
         self._values = np.ascontiguousarray(values, dtype=self._type)
@@ -161,8 +176,8 @@ class Pardiso:
         return Status.INDEFINITE if code == _NOT_POSITIVE_DEFINITE else Status.OK
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
-        """Solve for all columns of `rhs` in one call."""
-        # Small residuals leave the range of single precision.
+        """Return the solution for all columns of `rhs`, in one call."""
+        # Small residuals are outside the range of single precision.
         unit = (float(np.abs(rhs).max()) or 1.0) if self.single_precision else 1.0
         b = np.asfortranarray(rhs / unit if self.single_precision else rhs, dtype=self._type)
         out = np.empty_like(b, order="F")

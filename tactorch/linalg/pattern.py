@@ -1,4 +1,4 @@
-"""The sparsity pattern of a symmetric matrix, kept as its upper triangle."""
+"""The sparsity pattern of a symmetric matrix, stored as its upper triangle."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +12,7 @@ from tactorch.linalg import kernels
 
 @dataclass(frozen=True, eq=False)
 class SymmetricPattern:
-    """Upper triangle in compressed rows; every row begins with its diagonal entry.
+    """Upper triangle in compressed rows; the first entry of each row is the diagonal.
 
     Attributes:
         indptr: Start of each row, (size + 1,).
@@ -26,7 +26,7 @@ class SymmetricPattern:
     def from_pairs(
         size: int, rows: Int[np.ndarray, "..."], cols: Int[np.ndarray, "..."]
     ) -> "SymmetricPattern":
-        """Build the pattern of all `(row, col)` couplings, either triangle, and the diagonal."""
+        """Build the pattern of the couplings `(row, col)` of either triangle and the diagonal."""
         low, high = np.minimum(rows, cols).ravel(), np.maximum(rows, cols).ravel()
         diagonal = np.arange(size)
         keys = np.unique(
@@ -52,20 +52,20 @@ class SymmetricPattern:
 
     @property
     def diagonal(self) -> Int[np.ndarray, " size"]:
-        """Position of each diagonal entry among the stored values."""
+        """Index of each diagonal entry in the stored values."""
         return self.indptr[:-1]
 
     def slots(
         self, rows: Int[np.ndarray, "*shape"], cols: Int[np.ndarray, "*shape"]
     ) -> Int[np.ndarray, "*shape"]:
-        """Position among the stored values of each coupling `(row, col)`, either triangle."""
+        """Return the index in the stored values of each coupling, given in either triangle."""
         low, high = np.minimum(rows, cols), np.maximum(rows, cols)
         keys = self.rows.astype(np.int64) * self.size + self.indices
         return np.searchsorted(keys, low.astype(np.int64) * self.size + high).astype(np.int32)
 
     @cached_property
     def _mirror(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Full pattern (indptr, indices) and, for each of its entries, its stored value."""
+        """Full pattern (indptr, indices), and the index of the stored value of each entry."""
         upper = sp.csr_matrix(
             (np.arange(1, self.nnz + 1), self.indices, self.indptr), shape=(self.size,) * 2
         )
@@ -94,7 +94,7 @@ class SymmetricPattern:
     def apply_dirichlet(
         self, values: Float[np.ndarray, " nnz"], fixed: Bool[np.ndarray, " size"]
     ) -> Float[np.ndarray, " nnz"]:
-        """Return values with the rows and columns of fixed unknowns reduced to a diagonal."""
+        """Return values whose rows and columns of fixed unknowns have a diagonal entry only."""
         if not fixed.any():
             return values
         out = np.empty_like(values)

@@ -1,4 +1,4 @@
-"""Analysed solvers, kept for reuse, one factorisation each."""
+"""Analysed solvers, reused between load cases."""
 
 import threading
 import weakref
@@ -6,16 +6,20 @@ import weakref
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.linalg.choose import analyse, resolve
 from tactorch.linalg.pattern import SymmetricPattern
-from tactorch.linalg.protocol import Solver, Status
+from tactorch.linalg.solver import SOLVERS, Solver, SolverOptions, Status
 
 
 class Lease:
-    """A solver on loan from a pool; it goes back when the lease is collected or `close`d."""
+    """A solver on loan from a pool, returned when the lease is collected or closed.
+
+    Attributes:
+        factored: Whether the solver has a factorisation.
+        direct: See `Solver`.
+        single_precision: See `Solver`.
+    """
 
     def __init__(self, solver: Solver, pool: "SolverPool") -> None:
-        """Take over `solver`; used by `SolverPool.lease`."""
         self._pool = pool
         self._take(solver)
 
@@ -24,84 +28,86 @@ class Lease:
         self._solver: Solver | None = solver
         self.direct = solver.direct
         self.single_precision = solver.single_precision
-        self._return = weakref.finalize(self, self._pool._take_back, solver)
+        self._return = weakref.finalize(self, self._pool.give_back, solver)
 
     def close(self) -> None:
-        """Give the solver back; the next `factor` takes another."""
+        """Return the solver; the next `factor` takes another one from the pool."""
         self._return()
         self._solver, self.factored = None, False
 
-    @property
-    def handed_over(self) -> bool:
-        """Whether the solver is another lease's now, or the pool's."""
-        return self._solver is None
-
     def transfer_factorization(self) -> "Lease":
-        """Return a lease of the same solver, its factorisation included; this one loses both.
+        """Return a lease of the same solver and factorisation; this one is left without.
 
-        The next `factor` takes another solver from the pool.
+        The next `factor` of this lease takes another solver from the pool.
         """
         solver, self._solver = self._solver, None
         if solver is None:
             return self._pool.lease(self.single_precision)
         self._return.detach()
-        heir = Lease(solver, self._pool)
-        heir.factored = self.factored
-        return heir
+        lease = Lease(solver, self._pool)
+        lease.factored, self.factored = self.factored, False
+        return lease
 
     def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
-        """See `Solver.factor`."""
+        """Factor; see `Solver.factor`."""
         if self._solver is None:
-            self._take(self._pool.idle(self.single_precision))
+            self._take(self._pool.take(self.single_precision))
         assert self._solver is not None
         status = self._solver.factor(values)
         self.factored = status is Status.OK
         return status
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
-        """See `Solver.solve`.
+        """Return the solution; see `Solver.solve`.
 
         Raises:
-            RuntimeError: the factorisation was handed over.
+            RuntimeError: The factorisation was transferred.
         """
         if self._solver is None:
-            raise RuntimeError("the factorisation was handed over; factor anew before solving")
+            raise RuntimeError("the factorisation was transferred; factor again before solving")
         return self._solver.solve(rhs)
 
 
 class SolverPool:
-    """Hands out solvers for one pattern, analysing anew only when all are on loan."""
+    """Lends solvers for one pattern; analyses another only when all are on loan.
+
+    Args:
+        pattern: Sparsity of the matrices.
+        solver: Name or settings of the solver.
+        near_nullspace: Rigid-body modes, used by multigrid only.
+    """
 
     def __init__(
         self,
         pattern: SymmetricPattern,
-        backend: str = "auto",
+        solver: str | SolverOptions = "auto",
         near_nullspace: Float[np.ndarray, "size modes"] | None = None,
     ) -> None:
-        """Nothing is analysed before the first `lease`."""
         self.pattern = pattern
-        self.backend = resolve(backend, pattern.size)
+        options: SolverOptions = SOLVERS.build(solver)
+        self.options = options.resolve(pattern.size)
         self._modes = near_nullspace
         self._idle: dict[bool, list[Solver]] = {False: [], True: []}
-        self._lock = threading.RLock()  # a finalizer may run inside the lock's own thread
+        self._lock = threading.RLock()  # a finalizer may run in the thread that has the lock
 
     @property
     def has_single_precision(self) -> bool:
-        """Whether this backend has solvers that factor faster and solve less exactly."""
-        return self.backend == "pardiso"
+        """Whether there are solvers that factor faster, to about four digits."""
+        return self.options.has_single_precision
 
     def lease(self, single_precision: bool = False) -> Lease:
-        """Lend an idle solver, or a newly analysed one; a rough one if the backend has it."""
-        return Lease(self.idle(single_precision), self)
+        """Lend a solver, in single precision if wanted and supported."""
+        return Lease(self.take(single_precision), self)
 
-    def idle(self, single_precision: bool = False) -> Solver:
-        """Take out an idle solver, or a newly analysed one; for leases."""
+    def take(self, single_precision: bool = False) -> Solver:
+        """Take out an idle solver, or a newly analysed one; used by leases."""
         single_precision = single_precision and self.has_single_precision
         with self._lock:
             idle = self._idle[single_precision]
             solver = idle.pop() if idle else None
-        return solver or analyse(self.pattern, self.backend, self._modes, single_precision)
+        return solver or self.options.analyse(self.pattern, self._modes, single_precision)
 
-    def _take_back(self, solver: Solver) -> None:
+    def give_back(self, solver: Solver) -> None:
+        """Return a solver; used by leases."""
         with self._lock:
             self._idle[solver.single_precision].append(solver)

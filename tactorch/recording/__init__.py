@@ -1,8 +1,8 @@
 """Recordings: presses on a soft object, what was measured, and the file that holds them."""
 
-from tactorch.recording.append import append_press, read_presses
+from tactorch.recording.append import append_press, compact, read_presses
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
 
-__all__ = ["MaterialSpec", "Press", "Recording", "append_press", "read_presses"]
+__all__ = ["MaterialSpec", "Press", "Recording", "append_press", "compact", "read_presses"]

@@ -1,41 +1,49 @@
-"""Recordings that grow: a press is appended as a whole, and read while more are to come.
+"""Recordings that grow: presses are appended one by one, and read while more are to come.
 
-The file of a growing recording is an ordinary recording at every moment. A press is added to a
-copy beside it, which then takes its place in one step: a reader sees the file with the press or
-without it, never half of it, and a writer that is killed leaves what was there. One process writes
-at a time. Appending copies the file, so it takes longer the longer the recording is; a session of
-thousands of presses is better kept as one file a press, in a folder.
+A press is appended to the end of the file in one write, with a checksum. A reader sees it whole or
+not at all, and a writer that is killed leaves the presses before it. When the appended part is
+larger than the rest, the file is written again as a whole, so that n presses take time and space
+proportional to n. One process may write at a time.
 """
 
-import shutil
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tactorch.errors import FileError, RecordingError
 from tactorch.files import atomic_path
+from tactorch.hdf5 import hdf5_image, write_attribute
 from tactorch.recording.press import Press
-from tactorch.recording.reader import Reader
+from tactorch.recording.reader import RecordingReader
 from tactorch.recording.recording import Recording
-from tactorch.recording.schema import PRESS_ARRAYS, PRESS_OPTIONAL
-from tactorch.recording.storage import LIBVER, mark, open_recording, reading, write_press
+from tactorch.recording.schema import GROWING, PRESS_ARRAYS, PRESS_OPTIONAL, SAVED
+from tactorch.recording.storage import FileReader, open_recording, write_press
+from tactorch.recording.tail import tail_record
+
+if TYPE_CHECKING:
+    import h5py
+
+_MIN_TAIL_BYTES = 1 << 20  # that a tail may have in any case
 
 
 @dataclass(frozen=True, eq=False)
-class Contents:
-    """What a recording holds now, press by press.
+class RecordingContents:
+    """Content of a recording that may still grow.
 
     Attributes:
-        about: The object, with the sound presses; None where no press is sound.
-        presses: The sound presses, by number from 0.
-        faults: What is wrong with each of the others, by number.
-        count: How many presses there are, sound or not, known or not.
+        recording: The object with its valid presses; None where no press is valid.
+        presses: The valid presses that were read, by number from 0.
+        faults: Message for each invalid press, by number.
+        count: Number of presses in the file, valid or not.
     """
 
-    about: Recording | None
+    recording: Recording | None
     presses: Mapping[int, Press]
     faults: Mapping[int, str]
     count: int
@@ -46,73 +54,147 @@ class OtherObjectError(RecordingError):
 
 
 def append_press(path: str | Path, press: Press) -> int:
-    """Add a press to the recording at `path`, wholly or not at all; returns its number from 0.
+    """Append a press to a recording, wholly or not at all.
 
-    The first press is saved as a recording of its own: `Recording(mesh, (press,), material)`.
+    The first press is saved with the recording: `Recording(mesh, (press,), material).save(path)`.
+
+    Args:
+        path: File of the recording.
+        press: The press.
+
+    Returns:
+        Number of the press, from 0.
 
     Raises:
-        FileError: The file is missing, damaged, or cannot be replaced.
-        RecordingError: It is no recording, or the press does not fit its object.
+        FileError: The file is missing, damaged, or cannot be written.
+        RecordingError: The file is no recording, or the press does not fit its object.
     """
-    with open_recording(path) as (file, source), reading(source):
-        reader = Reader(file, source)
-        count, mesh = reader.count(), reader.mesh()
-        press.validate(mesh.n_points)
-        reader.recording(check_units=False, presses=(press,))  # is it loaded, and held?
-    import h5py
-
-    with atomic_path(path) as temporary:
-        shutil.copyfile(source, temporary)
-        with h5py.File(temporary, "r+", libver=LIBVER) as file:
-            write_press(file["presses"].create_group(f"{count:04d}"), press)
-            mark(file["presses"], "count", count + 1)
+    with open_recording(path) as reader:
+        count, tail = reader.count(), reader.tail
+        press.validate(reader.mesh().n_points)
+        Recording(**reader.fields(presses=(press,)), check_units=False)
+        record = tail_record(count, hdf5_image(lambda file: write_press(file, press)))
+        if tail is None or tail.end - tail.begin + len(record) > max(tail.begin, _MIN_TAIL_BYTES):
+            image = _whole_image(reader, GROWING, press)
+            with atomic_path(path) as temporary:
+                temporary.write_bytes(image)
+            return count
+    _write_at(Path(path), tail.end, record)
     return count
+
+
+def compact(path: str | Path) -> None:
+    """Write a recording that has grown as a plain HDF5 file; no press is to follow.
+
+    Other programs then see all its presses.
+
+    Raises:
+        FileError: The file is missing, damaged, or cannot be written.
+    """
+    with open_recording(path) as reader:
+        if reader.tail is None:
+            return
+        image = _whole_image(reader, SAVED)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(image)
 
 
 def read_presses(
     path: str | Path, *, after: int = 0, check_units: bool = True, known: Recording | None = None
-) -> Contents:
-    """Read what a growing recording holds, a broken press being no reason to refuse the others.
+) -> RecordingContents:
+    """Read the presses of a recording that may still grow; invalid presses are left out.
 
     Args:
         path: The HDF5 file.
-        after: How many presses are known and need not be read.
-        check_units: As of `Recording`. Magnitudes of a press are judged together with `known`'s,
-            for a light touch is no wrong unit after a firm one.
-        known: What was read before, of the same object, to check new presses beside.
+        after: Number of presses that are known and not read.
+        check_units: See `Recording`. Magnitudes are checked together with those of `known`: a light
+            press after a firm one is no wrong unit.
+        known: What was read before, of the same object.
+
+    Returns:
+        The presses, and a message for each invalid one.
 
     Raises:
-        FileError: The file is missing, cut short or not HDF5: it may still be being written.
-        RecordingError: The file is no recording, or its object is not sound.
+        FileError: The file is missing, truncated or not HDF5: it may still be being written.
+        RecordingError: The file is no recording, or its object is not valid.
         OtherObjectError: Its object is not the known one.
     """
-    with open_recording(path) as (file, source), reading(source):
-        reader = Reader(file, source)
-        count, mesh = reader.count(), reader.mesh()
+    with open_recording(path) as reader:
+        count = reader.count()
         if known is not None:
             _check_same(reader, known)
-        about, presses, faults = known, {}, {}
+        recording, presses, faults = known, {}, {}
         for index in range(after, count):
             try:
-                press = reader.press(index, mesh.n_points)
-                about = _joined(reader, about, press, check_units)
+                press = reader.press(index)
+                recording = _extended(reader, recording, press, check_units)
             except (RecordingError, FileError) as error:
-                faults[index] = _short(error, source)
+                faults[index] = str(error).removeprefix(f"recording '{reader.source}' ")
             else:
                 presses[index] = press
-    return Contents(about, presses, faults, count)
+    return RecordingContents(recording, presses, faults, count)
 
 
 def digest(press: Press) -> str:
-    """Return what tells a press from others: the hash of its values."""
-    found = sha256(repr((press.noise_mm, press.step)).encode())
+    """Return a hash of all values of a press but its name."""
+    result = sha256(repr((press.noise_mm, press.step)).encode())
     for name in (*PRESS_ARRAYS, *PRESS_OPTIONAL):
         array = getattr(press, name)
-        found.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()[:16]
+        result.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
+    return result.hexdigest()[:16]
 
 
-def _check_same(reader: Reader, known: Recording) -> None:
+def _whole_image(reader: FileReader, version: int, press: Press | None = None) -> bytes:
+    """Return the content of a file with the presses of the tail, and another one, in HDF5."""
+    import h5py
+
+    tail = reader.tail
+    if tail is None:
+        stored, images = Path(reader.source).read_bytes(), []
+    else:
+        stored, images = tail.hdf5_part(), [tail.image(index) for index in range(len(tail))]
+    count = reader.count() - len(images)
+
+    def change(file: "h5py.File") -> None:
+        presses = file["presses"]
+        for index, image in enumerate(images, start=count):
+            with h5py.File(BytesIO(image), "r") as part:
+                group = presses.create_group(f"{index:04d}")
+                for name, value in part.attrs.items():
+                    group.attrs[name] = value
+                for name in part:
+                    part.copy(name, group)
+        if press is not None:
+            write_press(presses.create_group(f"{reader.count():04d}"), press)
+        write_attribute(presses, "count", reader.count() + (press is not None))
+        # Without checksums in the file's structure its end is not known, and there is no tail.
+        write_attribute(file, "version", version if stored[8] in (2, 3) else SAVED)
+
+    return hdf5_image(change, stored)
+
+
+def _write_at(path: Path, end: int, record: bytes) -> None:
+    """Write a record at the end of the whole ones; what a killed writer left there goes."""
+    try:
+        with open(path, "r+b", buffering=0) as file:
+            file.truncate(end)
+            file.seek(end)
+            try:
+                remaining = memoryview(record)
+                while remaining:
+                    remaining = remaining[file.write(remaining) :]
+                os.fsync(file.fileno())
+            except OSError:
+                file.truncate(end)
+                raise
+    except OSError as error:
+        raise FileError(
+            f"cannot write '{path}': {error}; check its permissions and the free space. Earlier "
+            "presses are kept."
+        ) from error
+
+
+def _check_same(reader: RecordingReader, known: Recording) -> None:
     mesh, material = reader.mesh(), reader.material()
     if mesh.content_hash() != known.mesh.content_hash():
         raise OtherObjectError(
@@ -135,14 +217,10 @@ def _check_same(reader: Reader, known: Recording) -> None:
             )
 
 
-def _joined(reader: Reader, about: Recording | None, press: Press, check_units: bool) -> Recording:
-    """The object with the presses so far and this one, checked."""
-    if about is None:
-        return reader.recording(check_units, (press,))
-    return replace(about, presses=(*about.presses, press), check_units=check_units)
-
-
-def _short(error: Exception, source: Path) -> str:
-    """A complaint without the file's name, which the reader of it knows."""
-    text = str(error).removeprefix(f"recording '{source}' ")
-    return text.removeprefix("does not hold together: ")
+def _extended(
+    reader: RecordingReader, recording: Recording | None, press: Press, check_units: bool
+) -> Recording:
+    """Return a checked recording with another press."""
+    if recording is None:
+        return Recording(**reader.fields(presses=(press,)), check_units=check_units)
+    return replace(recording, presses=(*recording.presses, press), check_units=check_units)

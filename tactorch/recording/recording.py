@@ -15,6 +15,8 @@ from tactorch.recording.arrays import real_array, require_finite
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.plausibility import check_units
 from tactorch.recording.press import Press
+from tactorch.recording.storage import load_fields, save_fields
+from tactorch.recording.summary import describe_material, describe_moduli, describe_presses
 from tactorch.recording.support import free_motion
 
 
@@ -74,10 +76,12 @@ class Recording:
         self._check_loads_and_supports()
 
     def save(self, path: str | Path) -> None:
-        """Write the recording to an HDF5 file (see `tactorch.recording.schema`), whole or not."""
-        from tactorch.recording.storage import save_recording
+        """Write the recording to an HDF5 file (see `tactorch.recording.schema`), whole or not.
 
-        save_recording(self, path)
+        Raises:
+            FileError: The file cannot be written.
+        """
+        save_fields(path, vars(self))
 
     @classmethod
     def load(cls, path: str | Path, *, check_units: bool = True) -> "Recording":
@@ -87,13 +91,18 @@ class Recording:
             path: The HDF5 file.
             check_units: As on construction.
 
+        Returns:
+            The recording.
+
         Raises:
             FileError: The file is missing, truncated or not HDF5.
-            RecordingError: It is HDF5 but not a sound recording; names the dataset.
+            RecordingError: The file is HDF5 but not a valid recording; names the dataset.
         """
-        from tactorch.recording.storage import load_recording
-
-        return load_recording(path, check_units=check_units)
+        reader, fields = load_fields(path)
+        try:
+            return cls(**fields, check_units=check_units)
+        except RecordingError as error:
+            raise reader.error(f"is not consistent: {error}") from error
 
     def select(self, indices: Sequence[int]) -> "Recording":
         """Return the recording with only the presses at `indices` (from 0), in that order.
@@ -111,10 +120,20 @@ class Recording:
         return replace(self, presses=chosen, check_units=False)
 
     def summary(self) -> str:
-        """Describe the recording in a few lines of text."""
-        from tactorch.recording.summary import summary
-
-        return summary(self)
+        """Return a description of the recording in a few lines of text."""
+        size = " x ".join(f"{edge:.3g}" for edge in self.mesh.bounds[1] - self.mesh.bounds[0])
+        lines = [
+            f"object: {size} mm, {self.mesh.n_points} nodes, {self.mesh.n_tets} tetrahedra",
+            *describe_presses(self.presses),
+            describe_material(self.material),
+            describe_moduli("truth", self.truth),
+        ]
+        if self.reference is not None:
+            lines.append(describe_moduli("reference", self.reference))
+        if self.density and self.gravity.any():
+            gravity = float(np.linalg.norm(self.gravity)) / 1000
+            lines.append(f"weight: {self.density:.3g} tonne/mm^3 under {gravity:.3g} m/s^2")
+        return "\n".join(lines)
 
     def _moduli(self, name: str) -> Float[np.ndarray, " m"] | None:
         value = getattr(self, name)

@@ -1,20 +1,20 @@
-"""What a file of a recording looks like: HDF5.
+"""Layout of the file of a recording: HDF5.
 
-Layout, version 2 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
+Versions 2 and 3 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
 fixed length; the structure is that of HDF5 1.10, with checksums):
 
 | path | type | unit |
 |---|---|---|
 | / `format` | attribute, "tactorch-recording" | |
-| / `version` | attribute, 2 | |
+| / `version` | attribute, 2; 3 while presses are appended | |
 | / `units` | attribute, "mm, N, MPa, tonne/mm^3" | |
-| / `density` | attribute, float64; absent where weight plays no part | tonne/mm^3 |
+| / `density` | attribute, float64; absent where weight is not modelled | tonne/mm^3 |
 | /mesh/points | float64 (n, 3) | mm |
 | /mesh/tets | int64 (m, 4) | |
 | /material `name`, `poisson` | attributes | |
 | /material `parameters` | attribute, JSON object of numbers | |
 | /gravity | float64 (3,) | mm/s^2 |
-| /provenance | text, JSON object | |
+| /provenance | text, JSON object; its SHA-256 in the attribute `sha256` | |
 | /truth, /reference | float64 (m,), each may be absent | MPa |
 | /unloaded | float64 (frames, n, 3), NaN where not observed; may be absent | mm |
 | /presses `count` | attribute | |
@@ -29,12 +29,22 @@ fixed length; the structure is that of HDF5 1.10, with checksums):
 | /presses/0000/weights | float64 (n, 3), may be absent | |
 | /presses/0000/direction | float64 (3,), may be absent | |
 
-A reader refuses a version above its own. Whoever changes the layout raises `VERSION` and teaches
-`tactorch.recording.reader` the older ones. Version 1 had no `unloaded`.
+Links, external storage and virtual datasets are refused: they lead to other files.
+
+In version 3 presses follow the end of the HDF5 part, as its superblock states it. HDF5 ignores
+them, and drops them when it opens the file for writing. Each is a record of 60 bytes (the text
+`TACPRESS`; number of the press, uint64; length of the image, uint64; SHA-256 of the image; CRC-32
+of the 56 bytes before; little-endian) and an image: an HDF5 file whose root is a group as
+/presses/0000. An incomplete last record is ignored. `tactorch.recording.compact` makes version 2
+of such a file.
+
+A reader refuses a version above its own. A change of the layout raises `VERSION`;
+`tactorch.recording.reader` reads all versions. Version 1 had no `unloaded`.
 """
 
 FORMAT = "tactorch-recording"
-VERSION = 2
+SAVED, GROWING = 2, 3
+VERSION = GROWING
 UNITS = "mm, N, MPa, tonne/mm^3"
 PRESS_ARRAYS = ("forces", "observed", "displacement", "springs", "fixed", "prescribed")
 PRESS_MASKS = ("observed", "fixed")

@@ -1,6 +1,6 @@
-"""One HTML file from the folder of an inversion: what was found, where, how sure."""
+"""Self-contained HTML report of one inversion, or of several side by side."""
 
-from tactorch.report.runs import Run, load_run, names_of
+from tactorch.report.runs import Run, load_run, run_names
 from tactorch.report.write import COLOURS, write_report
 
-__all__ = ["COLOURS", "Run", "load_run", "names_of", "write_report"]
+__all__ = ["COLOURS", "Run", "load_run", "run_names", "write_report"]

@@ -1,4 +1,4 @@
-"""Numbers and text as a page can hold them: few bytes, and nothing that could run."""
+"""Compact and safe encoding of arrays and text in a page."""
 
 import base64
 import json
@@ -11,10 +11,10 @@ _STEPS = 65_535
 
 
 def packed(array: Shaped[np.ndarray, "..."], dtype: str) -> dict[str, Any]:
-    """Return an array as its little-endian bytes in base64.
+    """Return the little-endian bytes of an array in base64.
 
     Args:
-        array: Numbers that `dtype` can hold.
+        array: Numbers within the range of `dtype`.
         dtype: "float32", "uint32", "uint16", "int16" or "uint8".
     """
     data = np.ascontiguousarray(array, dtype=np.dtype(dtype).newbyteorder("<")).tobytes()
@@ -22,15 +22,14 @@ def packed(array: Shaped[np.ndarray, "..."], dtype: str) -> dict[str, Any]:
 
 
 def indices(array: Int[np.ndarray, "..."], count: int) -> dict[str, Any]:
-    """Return indices below `count`, in two bytes each where that does."""
+    """Return indices below `count`, with two bytes each if possible."""
     return packed(array, "uint16" if count <= _STEPS + 1 else "uint32")
 
 
 def quantised(values: Float[np.ndarray, " m"]) -> dict[str, Any]:
-    """Return a field in two bytes a value, in steps of equal ratio where all are above 0.
+    """Return a field with two bytes per value, on a logarithmic scale if all are positive.
 
-    Between the least and the largest value there are 65,535 steps: of a modulus that goes from
-    0.001 to 100 MPa each is 0.02 %.
+    There are 65,535 steps between minimum and maximum: 0.02 % for moduli of 0.001 to 100 MPa.
     """
     ratio = bool(values.min() > 0)
     scaled = np.log(values) if ratio else values
@@ -41,7 +40,7 @@ def quantised(values: Float[np.ndarray, " m"]) -> dict[str, Any]:
 
 
 def rows(values: Float[np.ndarray, "k 3"]) -> dict[str, Any]:
-    """Return vectors in two bytes a component, in steps of their largest; NaN is kept."""
+    """Return vectors with two bytes per component, relative to the largest; NaN is kept."""
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     step = largest / (_STEPS // 2) if largest > 0 else 1.0
     whole = np.where(np.isnan(values), -(_STEPS // 2) - 1, np.rint(values / step))
@@ -49,6 +48,6 @@ def rows(values: Float[np.ndarray, "k 3"]) -> dict[str, Any]:
 
 
 def script_json(value: Any) -> str:
-    """Return JSON that stands within a script element of a page and cannot end it."""
+    """Return JSON that cannot close the script element that contains it."""
     text = json.dumps(value, allow_nan=False, ensure_ascii=True, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,4 +1,4 @@
-"""What the folder of an inversion holds."""
+"""Run folders of inversions."""
 
 import json
 from collections.abc import Sequence
@@ -10,8 +10,10 @@ from tactorch.errors import FileError, RecordingError
 from tactorch.files import require_file, require_folder
 from tactorch.inverse import Reconstruction, Settings
 from tactorch.recording import Recording
+from tactorch.text import one_line
 
 _LOG_LINES = 200
+_MAX_NAME_LENGTH = 255
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,20 +21,20 @@ class Run:
     """An inversion, read from its folder.
 
     Attributes:
-        folder: Where it is.
-        name: What the report calls it.
-        found: Its result.
-        recording: What was inverted, or None where it is gone.
-        missing: Why there is no recording; empty where there is one.
-        summary: `summary.json`.
-        text: `summary.txt`.
-        log: The end of its log.
-        settings: Settings of the inversion, where the result does not hold them all.
+        folder: Folder of the run.
+        name: Name of the run in the report.
+        result: Result of the inversion.
+        recording: Inverted recording, or None if it is missing.
+        missing: Reason why the recording is missing, or empty.
+        summary: Content of `summary.json`.
+        text: Content of `summary.txt`.
+        log: Last lines of the log.
+        settings: Settings of the inversion if the result does not contain all of them.
     """
 
     folder: Path
     name: str
-    found: Reconstruction
+    result: Reconstruction
     recording: Recording | None
     missing: str
     summary: dict[str, Any]
@@ -48,37 +50,40 @@ def load_run(
     recording: str | Path | None = None,
     check_units: bool = True,
 ) -> Run:
-    """Read what an inversion left.
+    """Read the folder of an inversion.
 
     Args:
         folder: Folder of `tactorch invert` or `tactorch demo`.
-        name: What to call it; by default as the folder is called.
-        recording: What was inverted, where it is not the file that the run names.
-        check_units: Refuse a recording whose numbers look like another unit.
+        name: Name of the run; the name of the folder if empty.
+        recording: Inverted recording, if it is not the file that the run refers to.
+        check_units: Whether recordings whose numbers suggest another unit are refused.
+
+    Returns:
+        The run.
 
     Raises:
-        FileError: it is not the folder of a finished inversion, or a file cannot be read.
-        RecordingError: the recording that is given is on another mesh.
+        FileError: The folder has no finished inversion, or a file cannot be read.
+        RecordingError: The given recording is on another mesh.
     """
-    place = require_folder(folder, "run")
-    found = Reconstruction.load(_required(place, "reconstruction.h5"))
-    summary = _summary(_required(place, "summary.json"))
-    text = place / "summary.txt"
-    seen, missing = _recording(place, found, summary, recording, check_units)
+    path = require_folder(folder, "run")
+    result = Reconstruction.load(_required_file(path, "reconstruction.h5"))
+    summary = _load_summary(_required_file(path, "summary.json"))
+    text = path / "summary.txt"
+    loaded, missing = _load_recording(path, result, summary, recording, check_units)
     return Run(
-        folder=place,
-        name=name or place.resolve().name,
-        found=found,
-        recording=seen,
+        folder=path,
+        name=one_line(name or path.resolve().name, _MAX_NAME_LENGTH),
+        result=result,
+        recording=loaded,
         missing=missing,
         summary=summary,
         text=text.read_text(encoding="utf-8", errors="replace") if text.is_file() else "",
-        log=_log(place),
+        log=_load_log(path),
     )
 
 
-def names_of(folders: Sequence[Path]) -> list[str]:
-    """Return a short name for each run, no two the same."""
+def run_names(folders: Sequence[Path]) -> list[str]:
+    """Return a short, unique name of each run folder."""
     parts = [folder.resolve().parts for folder in folders]
     for length in range(1, max(map(len, parts)) + 1):
         names = ["/".join(part[-length:]) for part in parts]
@@ -87,17 +92,17 @@ def names_of(folders: Sequence[Path]) -> list[str]:
     return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
 
 
-def _required(place: Path, name: str) -> Path:
-    """Return a file of a finished inversion, or say that it is none."""
+def _required_file(folder: Path, name: str) -> Path:
+    """Return the path of a file of a finished inversion."""
     try:
-        return require_file(place / name, "result of an inversion")
+        return require_file(folder / name, "result of an inversion")
     except FileError as error:
         raise FileError(
             f"{error} Give the folder of a finished `tactorch invert` or `tactorch demo`."
         ) from error
 
 
-def _summary(path: Path) -> dict[str, Any]:
+def _load_summary(path: Path) -> dict[str, Any]:
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(summary, dict):
@@ -107,25 +112,25 @@ def _summary(path: Path) -> dict[str, Any]:
     return summary
 
 
-def _recording(
-    place: Path,
-    found: Reconstruction,
+def _load_recording(
+    folder: Path,
+    result: Reconstruction,
     summary: dict[str, Any],
     given: str | Path | None,
     check_units: bool,
 ) -> tuple[Recording | None, str]:
-    """Return the recording, or why there is none; one that is given has to be there and fit."""
+    """Return the recording, or the reason why it is missing; a given one has to match."""
     source = summary.get("recording") if given is None else given
     if source is None:
-        return None, f"'{place / 'summary.json'}' names no recording"
+        return None, f"'{folder / 'summary.json'}' refers to no recording"
     try:
         recording = Recording.load(Path(str(source)), check_units=check_units)
-        if recording.mesh.content_hash() != found.mesh.content_hash():
+        if recording.mesh.content_hash() != result.mesh.content_hash():
             raise RecordingError(f"recording '{source}' is on another mesh than the result.")
-        if len(recording.presses) != len(found.displacements):
+        if len(recording.presses) != len(result.displacements):
             raise RecordingError(
                 f"recording '{source}' has {len(recording.presses)} presses, the result"
-                f" {len(found.displacements)}."
+                f" {len(result.displacements)}."
             )
     except (FileError, RecordingError) as error:
         if given is not None:
@@ -134,12 +139,12 @@ def _recording(
     return recording, ""
 
 
-def _log(place: Path) -> str:
-    """Return the end of the log that the run was written to."""
-    logs = sorted(place.glob("*.log"), key=lambda path: path.stat().st_mtime)
+def _load_log(folder: Path) -> str:
+    """Return the last lines of the latest log of a run."""
+    logs = sorted(folder.glob("*.log"), key=lambda path: path.stat().st_mtime)
     if not logs:
         return ""
     lines = logs[-1].read_text(encoding="utf-8", errors="replace").splitlines()
-    left = len(lines) - _LOG_LINES
-    head = [f"... {left} lines before"] if left > 0 else []
+    omitted = len(lines) - _LOG_LINES
+    head = [f"... {omitted} lines omitted"] if omitted > 0 else []
     return "\n".join([*head, *lines[-_LOG_LINES:]])

@@ -1,19 +1,36 @@
-"""From runs to the file."""
+"""Rendering of runs to one HTML file."""
 
 import logging
 from collections.abc import Sequence
+from datetime import datetime
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from tactorch.errors import ConfigError
 from tactorch.files import atomic_path
-from tactorch.report.belief import ProgressCallback, judge
-from tactorch.report.document import Told, document
-from tactorch.report.finding import finding
+from tactorch.report.assessment import ProgressCallback, assess
+from tactorch.report.content import (
+    RunReport,
+    describe_run,
+    difference_table,
+    history_table,
+    score_table,
+    versions_table,
+)
+from tactorch.report.encode import script_json
+from tactorch.report.figure_data import figure_data
 from tactorch.report.runs import Run
+from tactorch.text import printable
+from tactorch.versions import versions
 
-#: How the modulus may be coloured; "ultrasound" is grey, linear from black to white.
+#: Colour maps of the modulus; "ultrasound" is grey, linear from black to white.
 COLOURS = ("viridis", "cividis", "ultrasound")
-_LARGE = 10_000_000  # bytes
+_SCRIPTS = ("core.js", "mesh.js", "slices.js", "solid.js", "charts.js", "main.js")
+_LARGE_BYTES = 10_000_000
 
 _log = logging.getLogger("tactorch")
 
@@ -24,32 +41,69 @@ def write_report(
     *,
     uncertainty: bool = True,
     colours: str = "viridis",
-    tell: ProgressCallback | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Path:
-    """Write one HTML file that needs nothing else: no server, no network.
+    """Write a self-contained HTML file that needs neither a server nor a network.
 
     Args:
         runs: One inversion, or several to compare; see `load_run`.
-        out: The file.
-        uncertainty: Whether to solve the presses again for credibility and posterior.
-        colours: One of `COLOURS`; the page can switch.
-        tell: Called before each step of what takes long.
+        out: Path of the file.
+        uncertainty: Whether the presses are solved again for credibility and posterior.
+        colours: Initial colour map, one of `COLOURS`; the page has a control for it.
+        progress: Called before each step of a long computation.
+
+    Returns:
+        The path.
 
     Raises:
-        ConfigError: no run, or unknown colours.
-        FileError: the file cannot be written.
+        ConfigError: There is no run, or the colour map is unknown.
+        FileError: The file cannot be written.
     """
     if not runs:
         raise ConfigError("write_report: no run given; pass at least one.")
     if colours not in COLOURS:
         raise ConfigError(f"colours={colours} is unknown; choose one of {', '.join(COLOURS)}.")
-    told = []
-    for run in runs:
-        judged = judge(run, uncertainty=uncertainty, tell=tell)
-        told.append(Told(run, judged, finding(run, judged)))
-    page = document(told, colours)
+    reports = [
+        describe_run(run, assess(run, uncertainty=uncertainty, progress=progress)) for run in runs
+    ]
+    page = render(reports, colours)
     with atomic_path(out) as temporary:
         temporary.write_text(page, encoding="utf-8")
-    if len(page) > _LARGE:
-        _log.warning("the report has %.0f MB: its meshes are large", len(page) / 1e6)
+    if len(page) > _LARGE_BYTES:
+        _log.warning("the report has %.0f MB because its meshes are large", len(page) / 1e6)
     return Path(out)
+
+
+def render(reports: Sequence[RunReport], colours: str) -> str:
+    """Return the page as HTML; all text is escaped."""
+    environment = Environment(
+        loader=PackageLoader("tactorch.report", "page"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True, finalize=_printable,
+    )  # fmt: skip
+    runs = [report.run for report in reports]
+    return environment.get_template("page.html").render(
+        title=f"{runs[0].name}: {reports[0].headline}"
+        if len(runs) == 1
+        else f"{len(runs)} runs compared",
+        created=f"{datetime.now().astimezone():%d %B %Y, %H:%M} by tactorch"
+        f" {versions()['tactorch']}",
+        reports=reports,
+        has_truth=any(
+            run.recording is not None and run.recording.truth is not None for run in runs
+        ),
+        scores=score_table(runs),
+        histories=[history_table(run) for run in runs],
+        differences=difference_table(runs),
+        versions=versions_table(runs),
+        style=Markup(_asset("style.css")),
+        script=Markup("\n".join(_asset(name) for name in _SCRIPTS)),
+        data=Markup(script_json(figure_data(reports, colours))),
+    )
+
+
+def _printable(value: Any) -> Any:
+    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def _asset(name: str) -> str:
+    return (files("tactorch.report") / "page" / name).read_text(encoding="utf-8")

@@ -61,11 +61,11 @@ def work(case: Case, scratch: Path) -> Outcome:
     edge = settings["relative_edge_length"]
     recording = simulate(
         phantom,
-        PressPlan.ramp(
-            settings["p_max_mpa"],
-            settings["steps"],
+        PressPlan(
+            p_max_mpa=settings["p_max_mpa"],
+            steps=settings["steps"],
             faces=settings["faces"],
-            hold=settings["hold"],
+            support=settings["support"],
         ),
         material=MATERIAL,
         mesh=phantom.mesh(relative_edge_length=edge),

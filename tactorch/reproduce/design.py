@@ -82,7 +82,7 @@ CELLS = {
 def plan_of(cell: Cell) -> PressPlan:
     """Return the presses of one cell."""
     faces = SIDES[: cell.sides]
-    return PressPlan.ramp(faces=faces, p_max_mpa=cell.p_max_kpa * _KPA, steps=cell.frames)
+    return PressPlan(faces=faces, p_max_mpa=cell.p_max_kpa * _KPA, steps=cell.frames)
 
 
 def record(

@@ -40,7 +40,7 @@ def pressed(settings: Mapping[str, Any]) -> Recording:
     mesh = phantom.mesh(relative_edge_length=settings["relative_edge_length"])
     truth = phantom.on_mesh(mesh)
     if isinstance(phantom.body, Box):
-        plan = PressPlan.ramp(settings["p_max_mpa"], settings["steps"], faces=SIDES)
+        plan = PressPlan(p_max_mpa=settings["p_max_mpa"], steps=settings["steps"], faces=SIDES)
         return simulate(phantom, plan, material=MATERIAL, mesh=mesh, samples=1)
     return _pressed_by_sensor(phantom, mesh, truth, settings)
 

@@ -70,7 +70,7 @@ class DepthsSize(Options):
     faces: tuple[str, ...] = option(("z+", "x+", "y+"), "Pressed faces")
     p_max_mpa: float = option(0.2, "Highest pressure", unit="MPa", gt=0)
     steps: int = option(1, "Load steps", ge=1)
-    hold: Literal["springs", "fixed", "roller"] = option("fixed", "Support of the opposite face")
+    support: Literal["springs", "fixed", "roller"] = option("fixed", "Support of the opposite face")
     snr_db: float = option(40.0, "Signal-to-noise ratio", unit="dB")
     seed: int = option(10, "Seed of the places and of the noise", ge=0)
 

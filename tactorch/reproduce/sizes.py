@@ -26,7 +26,7 @@ from tactorch.phantoms import make_phantom
 from tactorch.reproduce.cases import Case, Outcome
 from tactorch.reproduce.objects import MATERIAL, SIDES, START_MPA, stored_mesh
 from tactorch.reproduce.table import Table
-from tactorch.simulation import PressPlan, misjudged, simulate
+from tactorch.simulation import PressPlan, perturb_recording, simulate
 from tactorch.viz.paper import Panel, plot_panels
 
 SIZES = {
@@ -63,7 +63,7 @@ def work(case: Case, scratch: Path) -> Outcome:
     edge = settings["relative_edge_length"]
     right = simulate(
         phantom,
-        PressPlan.ramp(0.02, settings["steps"], faces=SIDES),
+        PressPlan(p_max_mpa=0.02, steps=settings["steps"], faces=SIDES),
         material=MATERIAL,
         mesh=phantom.mesh(relative_edge_length=edge),
         fine_mesh=phantom.mesh(relative_edge_length=edge / 2),
@@ -72,7 +72,7 @@ def work(case: Case, scratch: Path) -> Outcome:
     )
     truth = right.truth
     assert truth is not None
-    wrong = misjudged(replace(right, truth=None), size=settings["size"])
+    wrong = perturb_recording(replace(right, truth=None), size=settings["size"])
     if settings["how"] == "contact":
         pairs = zip(wrong.presses, right.presses, strict=True)
         wrong = replace(

@@ -1,18 +1,17 @@
-"""Simulated presses on a phantom, as a recording. Units: mm, N, MPa, tonne/mm^3."""
+"""Simulation of presses on a phantom. Units: mm, N, MPa, tonne/mm^3."""
 
-from tactorch.simulation.misjudge import misjudged
 from tactorch.simulation.noise import add_noise, noise_level
+from tactorch.simulation.perturbation import perturb_recording
 from tactorch.simulation.pipeline import simulate
-from tactorch.simulation.plan import HOLDS, PressPlan, Series
+from tactorch.simulation.plan import PressPlan, PressSite
 from tactorch.simulation.transfer import Transfer
 
 __all__ = [
-    "HOLDS",
     "PressPlan",
-    "Series",
+    "PressSite",
     "Transfer",
     "add_noise",
-    "misjudged",
     "noise_level",
+    "perturb_recording",
     "simulate",
 ]

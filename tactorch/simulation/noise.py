@@ -1,4 +1,4 @@
-"""Measurement noise of a given signal-to-noise ratio."""
+"""White Gaussian measurement noise of a given signal-to-noise ratio."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,7 +8,7 @@ from tactorch.mesh.values import Real
 
 
 def noise_level(signal: Float[np.ndarray, " k"], snr_db: Real) -> float:
-    """Return the standard deviation sigma for which 20 log10(rms(signal) / sigma) is `snr_db`.
+    """Return the standard deviation sigma with 20 log10(rms(signal) / sigma) = `snr_db`.
 
     Raises:
         ConfigError: `snr_db` is not finite.
@@ -28,9 +28,9 @@ def add_noise(
 
     Args:
         displacement: Exact displacement, mm.
-        observed: The degrees of freedom that are the signal; all three components count alike.
+        observed: Degrees of freedom of the signal; all three components have equal weight.
         snr_db: Signal-to-noise ratio, see `noise_level`.
-        rng: Where the noise comes from.
+        rng: Generator of the noise.
 
     Returns:
         The noisy displacement, mm, and the standard deviation of the noise, mm.

@@ -1,8 +1,8 @@
-"""A uniform pressure on a circular patch of a flat side, exact whatever the mesh.
+"""Uniform pressure on a circular patch of a flat face, integrated exactly on any mesh.
 
-The circle (a polygon of equal area) is intersected with each triangle of the side, and the shape
-functions are integrated over what is common. So the total force is pressure times area on every
-mesh, and its moment is right too: the same press may be put on a fine and on a coarse mesh.
+The circle (a polygon of equal area) is intersected with each triangle of the face, and the shape
+functions are integrated over the intersection. The total force is pressure times area and the
+moment is exact on every mesh, so the same press can be applied to a fine and to a coarse mesh.
 """
 
 import numpy as np
@@ -12,94 +12,94 @@ from tactorch.errors import ConfigError
 from tactorch.fem import Discretisation
 from tactorch.mesh import TetMesh, select_face
 from tactorch.mesh.values import Real
-from tactorch.simulation.plan import Series
+from tactorch.simulation.plan import PressSite
 
-_SIDES = 96
+_N_SIDES = 96
 
 
-def patch_center(mesh: TetMesh, series: Series) -> Float[np.ndarray, "3"]:
-    """Return the centre of the patch on the side, mm; the side's middle where none is given.
+def patch_center(mesh: TetMesh, site: PressSite) -> Float[np.ndarray, "3"]:
+    """Return the centre of the patch on the face, mm; by default the middle of the face.
 
     Raises:
-        ConfigError: It lies outside the side's rectangle.
+        ConfigError: The centre is outside the face's rectangle.
     """
     low, high = mesh.bounds
     middle = (low + high) / 2
-    center = middle if series.center_mm is None else np.array(series.center_mm)
-    across = [i for i in range(3) if i != series.axis]
-    if ((center < low) | (center > high))[across].any():
+    center = middle if site.center_mm is None else np.array(site.center_mm)
+    tangential = [i for i in range(3) if i != site.axis]
+    if ((center < low) | (center > high))[tangential].any():
         raise ConfigError(
-            f"The patch {series.name} lies beside the object, which spans"
+            f"The patch {site.name} is outside the object, which spans"
             f" {np.round(low, 4).tolist()} to {np.round(high, 4).tolist()} mm; move its centre."
         )
-    plane = (high if series.face[1] == "+" else low)[series.axis]
-    return np.where(np.arange(3) == series.axis, plane, center)
+    plane = (high if site.face[1] == "+" else low)[site.axis]
+    return np.where(np.arange(3) == site.axis, plane, center)
 
 
 def nodes_within(
-    mesh: TetMesh, nodes: Int[np.ndarray, " k"], series: Series, radius_mm: Real
+    mesh: TetMesh, nodes: Int[np.ndarray, " k"], site: PressSite, radius_mm: Real
 ) -> Int[np.ndarray, " q"]:
-    """Return those of the `nodes` that lie within the patch.
+    """Return the `nodes` within the patch.
 
     Raises:
-        ConfigError: There are none.
+        ConfigError: The patch contains no node.
     """
-    across = [i for i in range(3) if i != series.axis]
-    offsets = (mesh.points[nodes] - patch_center(mesh, series))[:, across]
+    tangential = [i for i in range(3) if i != site.axis]
+    offsets = (mesh.points[nodes] - patch_center(mesh, site))[:, tangential]
     inside = nodes[np.linalg.norm(offsets, axis=1) <= radius_mm]
     if not len(inside):
         raise ConfigError(
-            f"No node of the mesh lies within {radius_mm:.4g} mm of the patch {series.name}, so"
-            " nothing would be observed; enlarge patch_radius_mm, or refine the mesh."
+            f"No node of the mesh is within {radius_mm:.4g} mm of the patch {site.name}, so"
+            " nothing would be observed; enlarge press.patch_radius_mm, or refine the mesh."
         )
     return inside
 
 
 def patch_forces(
-    discretisation: Discretisation, series: Series, radius_mm: Real
+    discretisation: Discretisation, site: PressSite, radius_mm: Real
 ) -> Float[np.ndarray, "nodes 3"]:
     """Return the nodal forces of a pressure of 1 MPa on the patch, N.
 
     Raises:
-        ConfigError: The patch's centre lies beside the side.
-        MeshError: The object has no flat side there.
+        ConfigError: The patch's centre is outside the face.
+        MeshError: The object has no flat face there.
     """
     mesh = discretisation.mesh
-    across = [i for i in range(3) if i != series.axis]
-    circle = _circle(patch_center(mesh, series)[across], float(radius_mm))
+    tangential = [i for i in range(3) if i != site.axis]
+    circle = _circle(patch_center(mesh, site)[tangential], float(radius_mm))
     forces = np.zeros((discretisation.n_nodes, 3))
-    for index in select_face(mesh, series.face):
+    for index in select_face(mesh, site.face):
         triangle = mesh.surface.triangles[index]
-        corners = mesh.points[triangle][:, across]
-        common = _clip(corners, circle)
-        if len(common) < 3:
+        corners = mesh.points[triangle][:, tangential]
+        polygon = _clip(corners, circle)
+        if len(polygon) < 3:
             continue
-        shares = _shares(discretisation, triangle, corners, common)
+        integrals = _shape_integrals(discretisation, triangle, corners, polygon)
         inward = -mesh.surface.normals[index] * mesh.surface.areas[index]
-        for node, share in shares:
-            forces[node] += share * inward
+        for node, integral in integrals:
+            forces[node] += integral * inward
     return forces
 
 
 def _circle(center: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "k 2"]:
-    """A regular polygon of the circle's area, counter-clockwise."""
-    angles = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
-    outer = radius * np.sqrt(2.0 * np.pi / (_SIDES * np.sin(2.0 * np.pi / _SIDES)))
+    """Regular polygon of the circle's area, counter-clockwise."""
+    angles = 2.0 * np.pi * np.arange(_N_SIDES) / _N_SIDES
+    outer = radius * np.sqrt(2.0 * np.pi / (_N_SIDES * np.sin(2.0 * np.pi / _N_SIDES)))
     return center + outer * np.column_stack((np.cos(angles), np.sin(angles)))
 
 
 def _clip(
     polygon: Float[np.ndarray, "k 2"], convex: Float[np.ndarray, "s 2"]
 ) -> Float[np.ndarray, "q 2"]:
-    """Return what a polygon has in common with a convex, counter-clockwise one.
+    """Return the intersection of a polygon with a convex, counter-clockwise one.
 
-    One edge of `convex` at a time cuts off what is to its right (Sutherland and Hodgman, 1974).
+    Each edge of `convex` cuts off the part to its right (Sutherland and Hodgman, 1974).
     """
     edges = np.roll(convex, -1, axis=0) - convex
     sides = _left_of(convex[:, None], edges[:, None], polygon)
     if (sides <= 0).all(axis=1).any():
         return polygon[:0]
-    # An edge that has the whole polygon on its left leaves it as it is, now and later.
+    # Edges with the whole polygon on their left do not change it.
     for i in np.flatnonzero((sides < 0).any(axis=1)):
         left = _left_of(convex[i], edges[i], polygon)
         if (left <= 0).all():
@@ -119,24 +119,24 @@ def _cut(
     polygon: Float[np.ndarray, "k 2"], left: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "q 2"]:
     """Keep the part of a polygon where `left`, linear between its corners, is not negative."""
-    kept = []
+    corners = []
     for i in range(len(polygon)):
         a, b, at_a, at_b = polygon[i - 1], polygon[i], left[i - 1], left[i]
         if (at_a < 0) != (at_b < 0):
-            kept.append(a + at_a / (at_a - at_b) * (b - a))
+            corners.append(a + at_a / (at_a - at_b) * (b - a))
         if at_b >= 0:
-            kept.append(b)
-    return np.array(kept)
+            corners.append(b)
+    return np.array(corners)
 
 
-def _shares(
+def _shape_integrals(
     discretisation: Discretisation,
     triangle: Int[np.ndarray, "3"],
     corners: Float[np.ndarray, "3 2"],
-    common: Float[np.ndarray, "q 2"],
+    polygon: Float[np.ndarray, "q 2"],
 ) -> list[tuple[int, float]]:
-    """Integrals of the shape functions over `common`, as shares of the triangle's area."""
-    points, weights = _rule(common)
+    """Integrals of the shape functions over a polygon, divided by the triangle's area."""
+    points, weights = _quadrature(polygon)
     edges = (corners[1:] - corners[0]).T
     second_third = np.linalg.solve(edges, (points - corners[0]).T).T
     L = np.column_stack((1.0 - second_third.sum(axis=1), second_third))
@@ -150,10 +150,10 @@ def _shares(
     return list(zip(nodes, [*at_corners.tolist(), *at_midsides], strict=True))
 
 
-def _rule(polygon: Float[np.ndarray, "q 2"]) -> tuple[np.ndarray, np.ndarray]:
+def _quadrature(polygon: Float[np.ndarray, "q 2"]) -> tuple[np.ndarray, np.ndarray]:
     """Points and weights that integrate quadratics over a convex polygon exactly.
 
-    It is cut into a fan of triangles; each takes the middles of its edges.
+    The polygon is divided into a fan of triangles with the midpoint rule on their edges.
     """
     a, b, c = polygon[0], polygon[1:-1], polygon[2:]
     ab, ac = b - a, c - a
@@ -162,7 +162,7 @@ def _rule(polygon: Float[np.ndarray, "q 2"]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _midside(discretisation: Discretisation, ends: Int[np.ndarray, "2"]) -> int:
-    """The midside node between two vertices; edges are sorted by their end points."""
+    """Midside node between two vertices; edges are sorted by their end points."""
     n = discretisation.mesh.n_points
     edges = discretisation.edges
     low, high = sorted(ends.tolist())

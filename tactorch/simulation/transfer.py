@@ -1,4 +1,4 @@
-"""Displacements of one mesh at the nodes of another."""
+"""Interpolation of displacements between meshes."""
 
 from dataclasses import dataclass
 
@@ -11,21 +11,20 @@ from tactorch.fem import Discretisation
 from tactorch.mesh import LOCAL_EDGES, TetMesh
 from tactorch.mesh.locate import locate
 
-# Elements of nearest centroid looked at for a point outside the mesh.
-_CANDIDATES = 64
-# How far outside a point may be, as a share of the diagonal: meshes of one curved body differ.
-_OUTSIDE = 1e-2
+# Number of elements of nearest centroid tested for a point outside the mesh.
+_N_CANDIDATES = 64
+# Maximum distance of a point outside the mesh, as a fraction of the diagonal: meshes of one curved
+# body differ.
+_MAX_OUTSIDE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Interpolation with the element's own shape functions.
-
-    Linear (barycentric) in a linear element, quadratic in a quadratic one.
+    """Interpolation with the shape functions of linear or quadratic elements.
 
     Attributes:
-        nodes: Nodes that each target point takes its value from.
-        weights: Their weights; they sum to 1.
+        nodes: Nodes that each target point is interpolated from.
+        weights: Weights of the nodes; they sum to 1.
     """
 
     nodes: Int[np.ndarray, "p k"]
@@ -35,11 +34,11 @@ class Transfer:
     def between(cls, source: Discretisation, points: Float[np.ndarray, "p 3"]) -> "Transfer":
         """Prepare the interpolation from `source` to points (mm).
 
-        Points just outside, as happens between two meshes of one curved surface, continue the
-        field of the nearest element.
+        The field of the nearest element is extrapolated to points just outside, as occur between
+        two meshes of one curved surface.
 
         Raises:
-            MeshError: A point is further outside than 1 % of the diagonal.
+            MeshError: A point is farther outside than 1 % of the diagonal.
         """
         mesh = source.mesh
         elements = locate(mesh, points)
@@ -64,13 +63,13 @@ def _barycentric(
 ) -> Float[np.ndarray, "p 4"]:
     corners = mesh.points[mesh.tets[elements]]
     edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    rest = np.linalg.solve(edges, (points - corners[:, 0])[:, :, None])[:, :, 0]
-    return np.column_stack((1.0 - rest.sum(axis=1), rest))
+    others = np.linalg.solve(edges, (points - corners[:, 0])[:, :, None])[:, :, 0]
+    return np.column_stack((1.0 - others.sum(axis=1), others))
 
 
 def _nearest_elements(mesh: TetMesh, points: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
     """Return the element nearest to each point outside the mesh."""
-    count = min(_CANDIDATES, mesh.n_tets)
+    count = min(_N_CANDIDATES, mesh.n_tets)
     _, near = cKDTree(mesh.centroids).query(points, k=np.arange(1, count + 1))
     repeated = np.repeat(points, count, axis=0)
     L = _barycentric(mesh, near.ravel(), repeated).clip(0.0)
@@ -78,10 +77,10 @@ def _nearest_elements(mesh: TetMesh, points: Float[np.ndarray, "p 3"]) -> Int[np
     inside = np.einsum("pc,pcd->pd", L, mesh.points[mesh.tets[near.ravel()]])
     distances = np.linalg.norm(inside - repeated, axis=1).reshape(near.shape)
     best = distances.argmin(axis=1)
-    off = float(distances.min(axis=1).max())
-    if off > _OUTSIDE * mesh.diagonal:
+    outside = float(distances.min(axis=1).max())
+    if outside > _MAX_OUTSIDE * mesh.diagonal:
         raise MeshError(
-            f"A node of the mesh lies about {off:.3g} mm outside the fine mesh: the two are not of"
-            " the same body. Mesh the same phantom twice."
+            f"A node of the mesh is about {outside:.3g} mm outside the fine mesh: the two are not"
+            " of the same body. Mesh the same phantom twice."
         )
     return near[np.arange(len(near)), best]

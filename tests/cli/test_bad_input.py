@@ -523,11 +523,11 @@ TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=nul
     ),
     Case(
         "negative number of load steps",
-        ("press: steps=-2", "at least 1"),
+        ("press.steps=-2", "at least 1"),
         settings=("press.steps=-2",),
     ),
     Case(
-        "unknown side", ("press: faces: unknown side 'top'", "z+"), settings=("press.faces=[top]",)
+        "unknown side", ("press.faces: unknown face 'top'", "z+"), settings=("press.faces=[top]",)
     ),
     Case(
         "one side for a list of sides", ("press.faces='z+'", "[A,B]"), settings=("press.faces=z+",)
@@ -539,8 +539,8 @@ TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=nul
     ),
     Case(
         "unknown way to hold",
-        ("hold='glue'", "springs, fixed, roller"),
-        settings=("press.hold=glue",),
+        ("press.support='glue'", "springs, fixed or roller"),
+        settings=("press.support=glue",),
     ),
     Case(
         "negative modulus",

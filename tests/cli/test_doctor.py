@@ -16,7 +16,8 @@ from tactorch.cli.doctor.finding import Finding, looked_at
 CORE = ("torch", "numpy", "scipy", "numba", "h5py", "hydra-core")
 TOLD = (
     *("tactorch", "python", "lightning", "opencv-python-headless", "pytetwild", "pypardiso"),
-    *("pyamg", "vtk", "dask", "superlu", "multigrid", "cores", "threads", "memory", "GPU"),
+    *("pyamg", "vtk", "dask", "superlu", "multigrid", "torch_cg", "cores"),
+    *("threads", "memory", "GPU"),
     *("cache of numba", "settings (conf)", "shared data", "videos", "mesher", "headless browser"),
 )
 
@@ -154,14 +155,14 @@ def test_solver_that_fails_takes_down_itself_alone(monkeypatch: pytest.MonkeyPat
     def wrong(self: Any, rhs: Any) -> Any:
         return rhs
 
-    monkeypatch.setattr(multigrid.Multigrid, "solve", wrong)
+    monkeypatch.setattr(multigrid.MultigridSolver, "solve", wrong)
     found = by_name(solvers.look_at_solvers())
     assert found["multigrid"].works is False
     assert "off by" in found["multigrid"].message
     assert found["multigrid"].remedy.startswith('pip install "pyamg')
     assert found["superlu"].works is True
     assert found["any of them"].works is True
-    monkeypatch.setattr(multigrid.Multigrid, "factor", lambda self, values: Status.INDEFINITE)
+    monkeypatch.setattr(multigrid.MultigridSolver, "factor", lambda self, values: Status.INDEFINITE)
     assert "indefinite" in by_name(solvers.look_at_solvers())["multigrid"].message
 
 

@@ -74,7 +74,7 @@ def measured(folder: Path) -> dict[str, Any]:
     from tactorch.phantoms import make_phantom
     from tactorch.simulation import PressPlan, simulate
 
-    plan = PressPlan(["z+"], [0.01], hold="fixed")
+    plan = PressPlan(["z+"], [0.01], support="fixed")
     recording = simulate(make_phantom("cube_sphere"), plan, mesh=box_mesh(10.0, 2))
     write_mesh(folder / "object.msh", recording.mesh)
     (press,) = recording.presses

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tactorch.fem.materials import MATERIALS
+from tactorch.fem import MATERIALS
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER, PAGE = ROOT / "examples", ROOT / "docs" / "examples.md"
@@ -92,16 +92,15 @@ def test_find_ball(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.fixture
 def no_new_material() -> Iterator[None]:
-    before = dict(MATERIALS)
+    before = dict(MATERIALS._added)
     yield
-    MATERIALS.clear()
-    MATERIALS.update(before)
+    MATERIALS._added = before
 
 
 @pytest.mark.usefixtures("no_new_material")
 def test_own_material(capsys: pytest.CaptureFixture[str]) -> None:
     found = run("own_material", capsys)
-    assert found["derivatives"] < 1e-11
+    assert found["derivatives"] < 1e-7
     assert found["neo_hookean"] == pytest.approx(1.780292, abs=1e-5)
     assert found["fung, b = 1e-6"] == pytest.approx(found["neo_hookean"], abs=1e-5)
     assert found["fung, b = 2"] == pytest.approx(1.358660, abs=1e-5)

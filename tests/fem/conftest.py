@@ -78,8 +78,8 @@ def _pairs() -> list[Any]:
             id=f"{material}-{element}",
             marks=[] if element == "tet4" or material == "neo_hookean" else [pytest.mark.slow],
         )
-        for material in MATERIALS
-        for element in ELEMENTS
+        for material in MATERIALS.names()
+        for element in ELEMENTS.names()
     ]
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import SoftBody, Supports, make_element, make_material
+from tactorch.fem import SoftBody, Supports, make_material
 
 
 @pytest.fixture
@@ -29,9 +29,7 @@ def forces(body):
 
 
 def test_unknown_elements_are_refused_with_the_choices(block):
-    with pytest.raises(ConfigError, match=r"'hex8' is unknown; choose one of tet4, tet10"):
-        make_element("hex8")
-    with pytest.raises(ConfigError, match="hex8"):
+    with pytest.raises(ConfigError, match="element=hex8 is unknown; choose one of tet4, tet10"):
         SoftBody(block, make_material("linear", 0.3), element="hex8")
 
 

@@ -1,13 +1,16 @@
 """Nodal forces of pressures, tractions and gravity."""
 
+import inspect
+
 import numpy as np
 import pytest
 import torch
 from torch.autograd import gradcheck
 
 from tactorch.errors import ConfigError, MeshError
-from tactorch.fem import ELEMENTS, SoftBody, make_material
+from tactorch.fem import ELEMENTS, STANDARD_GRAVITY, SoftBody, make_material
 from tactorch.mesh import TetMesh, box_mesh, select_face
+from tactorch.simulation import simulate
 
 FACES = {"x-": (0, -1), "x+": (0, 1), "y-": (1, -1), "y+": (1, 1), "z-": (2, -1), "z+": (2, 1)}
 
@@ -21,7 +24,7 @@ def slab():
     return TetMesh(grid.points + free * rng.uniform(-0.1, 0.1, free.shape), grid.tets)
 
 
-@pytest.fixture(params=ELEMENTS)
+@pytest.fixture(params=ELEMENTS.names())
 def body(request, slab):
     return SoftBody(slab, make_material("neo_hookean", 0.45), element=request.param)
 
@@ -77,8 +80,15 @@ def test_gravity_weighs_what_the_body_weighs(body):
     torch.testing.assert_close(weight.sum(0), expected, rtol=1e-13, atol=0)
 
 
+def test_standard_gravity_is_one_constant(body):
+    """9.80665 m/s^2 (CGPM 1901), for bodies as for simulated recordings."""
+    weight = float(body.gravity(1.07e-9)[:, 2].sum())
+    assert weight == pytest.approx(-1.07e-9 * 9806.65 * 48.0, rel=1e-12)
+    assert inspect.signature(simulate).parameters["gravity"].default is STANDARD_GRAVITY
+
+
 def test_gravity_acts_at_the_centre_of_mass(body):
-    forces = body.gravity(1e-9, (0.0, 0.0, -9810.0)).numpy()
+    forces = body.gravity(1e-9).numpy()
     x = body.discretisation.positions
     centre = (forces[:, 2, None] * x).sum(0) / forces[:, 2].sum()
     np.testing.assert_allclose(centre, [3.0, 2.0, 1.0], atol=1e-12)
@@ -101,7 +111,7 @@ def test_tractions_are_consistent_with_the_shape_functions(slab):
     assert forces @ x[:, 0] ** 2 == pytest.approx(6.0**3 / 3 * 4.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("element", ELEMENTS.names())
 def test_loads_are_differentiable_in_the_rest_shape(element, cell):
     body = cell("neo_hookean", element).body
     triangles = np.array([0, 3, 5])

@@ -6,7 +6,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, SoftBody, Supports, make_material
 
 
-@pytest.fixture(params=ELEMENTS)
+@pytest.fixture(params=ELEMENTS.names())
 def body(request, block):
     return SoftBody(block, make_material("neo_hookean", 0.45), element=request.param)
 

@@ -8,12 +8,12 @@ from tactorch.fem import ELEMENTS, MATERIALS, SoftBody, Supports, make_material
 from tactorch.mesh import TetMesh
 
 
-@pytest.fixture(params=ELEMENTS)
+@pytest.fixture(params=ELEMENTS.names())
 def element(request):
     return request.param
 
 
-@pytest.fixture(params=MATERIALS)
+@pytest.fixture(params=MATERIALS.names())
 def name(request):
     return request.param
 

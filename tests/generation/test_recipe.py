@@ -70,7 +70,7 @@ def test_poissons_ratio_is_the_objects(make_recipe: Make) -> None:
     ("changes", "message"),
     [
         ({"faces": ()}, "at least one choice"),
-        ({"faces": (("top",),)}, "unknown side 'top'"),
+        ({"faces": (("top",),)}, "unknown face 'top'"),
         ({"p_max_mpa": (0.02, 0.01)}, "upper end lies below"),
         ({"p_max_mpa": (0.02,)}, "lower and the upper"),
         ({"load": (0.1, 0.05)}, "load=.*upper end lies below"),
@@ -126,7 +126,7 @@ def test_configuration_says_all_and_fits_json(make_recipe: Make) -> None:
     changed = [
         {"seed": 1},
         {"mesh": MeshSizes(0.3, None)},
-        {"presses": PressDraw(hold="fixed")},
+        {"presses": PressDraw(support="fixed")},
         {"inversion": Settings()},
         {"inversion": "linear"},
         {"inversion": Settings(regularization="smoothness")},

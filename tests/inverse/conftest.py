@@ -29,10 +29,10 @@ def make_tiny(phantom: Phantom, tiny: TetMesh) -> Callable[..., Recording]:
     def make(
         faces: tuple[str, ...] = ("z+", "x-"),
         pressures: tuple[float, ...] = (0.01,),
-        hold: str = "springs",
+        support: str = "springs",
         **settings: Any,
     ) -> Recording:
-        plan = PressPlan(faces, pressures, hold=hold)
+        plan = PressPlan(faces, pressures, support=support)
         return simulate(phantom, plan, mesh=tiny, samples=4, **settings)
 
     return make

@@ -101,7 +101,7 @@ def test_names_do_for_optimizers(recording: Recording) -> None:
 
 
 def test_quadratic_elements_invert(make_tiny: Callable[..., Recording]) -> None:
-    recording = make_tiny(faces=("z+",), hold="fixed", element="tet10")
+    recording = make_tiny(faces=("z+",), support="fixed", element="tet10")
     found = invert(recording, Settings(optimizer=GaussNewton(max_iterations=6), element="tet10"))
     assert found.misfit_mm2 < 1e-3 * found.history[0]["misfit"]
     assert found.displacements.shape == (1, recording.mesh.n_points, 3)

@@ -22,7 +22,7 @@ from tactorch.inverse import (
     uniform_fit,
 )
 from tactorch.recording import Recording
-from tactorch.simulation import misjudged
+from tactorch.simulation import perturb_recording
 
 Make = Callable[..., Recording]
 ALL = NuisancePrior(
@@ -38,7 +38,7 @@ def heavy(make_tiny: Make) -> Recording:
     return make_tiny(density=1e-9, gravity=(0.0, 0.0, -9810.0))
 
 
-@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("element", ELEMENTS.names())
 @pytest.mark.parametrize("k", range(ALL.size))
 def test_each_column_is_the_finite_difference(
     heavy: Recording, moduli: np.ndarray, element: str, k: int
@@ -114,7 +114,7 @@ def test_what_was_wrong_is_found(
 ) -> None:
     deviation = {"poisson": 0.05, "force_scale": 0.3, "rest_scale": 0.15}[name]
     settings = Settings(nuisance=NuisancePrior(**{name: deviation}), noise=EXACT)
-    found = invert(misjudged(cube, **wrong), settings)
+    found = invert(perturb_recording(cube, **wrong), settings)
     estimate = found.nuisance[name]
     off = np.abs(estimate.value / np.array(expected) - 1.0)
     before = (
@@ -145,7 +145,7 @@ def test_an_offset_and_a_turn_of_the_sensor_are_found(cube: Recording) -> None:
 
 
 def test_without_a_known_stiffness_the_force_scale_stays_open(make_tiny: Make) -> None:
-    free = make_tiny(hold="fixed")
+    free = make_tiny(support="fixed")
     settings = Settings(nuisance=NuisancePrior(force_scale=0.2), noise=EXACT)
     estimate = invert(free, settings).nuisance["force_scale"]
     assert estimate.deviation[0] == pytest.approx(0.2, rel=0.05)
@@ -159,7 +159,9 @@ def test_the_uniform_fit_finds_both(make_tiny: Make) -> None:
     uniform = simulate(make_phantom("uniform_cube"), PressPlan(("z+", "x-"), (0.01,)), mesh=mesh)
     assert uniform.truth is not None
     fit = uniform_fit(
-        InverseProblem(misjudged(uniform, size=1.1)), Bounds(), NuisancePrior(rest_scale=1.0)
+        InverseProblem(perturb_recording(uniform, size=1.1)),
+        Bounds(),
+        NuisancePrior(rest_scale=1.0),
     )
     assert fit.youngs_mpa == pytest.approx(float(uniform.truth[0]), rel=1e-2)
     np.testing.assert_allclose(fit.nuisance.rest_scale, 1 / 1.1, rtol=1e-3)

@@ -20,7 +20,7 @@ from tactorch.inverse import (
 )
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
-from tactorch.simulation import PressPlan, misjudged, simulate
+from tactorch.simulation import PressPlan, perturb_recording, simulate
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def test_every_iteration_is_shown_with_its_map(recording: Recording):
 
 def test_what_is_free_beside_the_map_is_fitted_with_the_modulus(uniform: Recording):
     """A shape that is believed a tenth too large would be taken for another modulus."""
-    large = misjudged(uniform, size=1.1)
+    large = perturb_recording(uniform, size=1.1)
     free = Settings(nuisance=NuisancePrior(rest_scale=0.2), model_error="none")
     beside, alone = (
         homogeneous(make_objective(large, settings).problem, Bounds())[0]

@@ -33,7 +33,7 @@ from tactorch.learning.surrogate.weights import export, load_surrogate
 from tactorch.learning.symmetry import symmetries
 from tactorch.learning.training import BEST, TrainerOptions, fit
 from tactorch.recording import Recording
-from tactorch.simulation import misjudged
+from tactorch.simulation import perturb_recording
 
 
 @pytest.fixture(scope="module")
@@ -231,7 +231,7 @@ def test_only_a_map_that_explains_the_presses_is_trusted(
 
 def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -> None:
     """Both maps are judged at the nuisance values from which inversions start."""
-    problem, bounds = InverseProblem(misjudged(recording, size=1.05)), Bounds()
+    problem, bounds = InverseProblem(perturb_recording(recording, size=1.05)), Bounds()
     problem.nuisance = NuisancePrior(rest_scale=0.1)
     plain = uniform_fit(problem, bounds).youngs_mpa
     known = problem.evaluate(np.full(problem.n_elements, plain)).chi2

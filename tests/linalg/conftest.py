@@ -4,7 +4,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from tactorch.fem import Discretisation, make_element
+from tactorch.fem import ELEMENTS, Discretisation
 from tactorch.linalg import SymmetricPattern
 from tactorch.mesh import box_mesh
 
@@ -25,7 +25,7 @@ class System:
 
 def spring_lattice(seed: int) -> System:
     """Positive definite matrix on the pattern of a small mesh: random springs and a ground."""
-    d = Discretisation(box_mesh(1.0, 2), make_element("tet4"))
+    d = Discretisation(box_mesh(1.0, 2), ELEMENTS["tet4"])
     pattern = d.pattern
     values = np.random.default_rng(seed).uniform(-1.0, 1.0, pattern.nnz)
     sums = np.zeros(pattern.size)

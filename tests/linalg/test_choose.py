@@ -2,23 +2,26 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.linalg import BACKENDS, SymmetricPattern, analyse, available, choose, pardiso
+from tactorch.linalg import SOLVERS, SolverPool, SymmetricPattern, analyse, available_solvers
+from tactorch.linalg.multigrid import Multigrid
+from tactorch.linalg.pardiso import Pardiso
+from tactorch.linalg.torch_cg import TorchCG
 
 
 def ring(size: int) -> SymmetricPattern:
     return SymmetricPattern.from_pairs(size, np.arange(size), np.roll(np.arange(size), 1))
 
 
-def test_unknown_backend_is_refused_by_name_with_the_choices():
+def test_unknown_solver_is_refused_by_name_with_the_choices():
     with pytest.raises(ConfigError, match=r"cholmod.*pardiso.*superlu.*multigrid"):
         analyse(ring(4), "cholmod")
 
 
-def test_pardiso_without_its_library_is_refused_with_the_way_out(monkeypatch):
-    monkeypatch.setattr(pardiso, "available", lambda: False)
-    with pytest.raises(ConfigError, match="pip install pypardiso"):
+def test_pardiso_without_its_library_is_refused_with_the_remedy(monkeypatch):
+    monkeypatch.setattr(Pardiso, "available", staticmethod(lambda: False))
+    with pytest.raises(ConfigError, match=r"solver=pardiso.*pip install pypardiso"):
         analyse(ring(4), "pardiso")
-    assert "pardiso" not in available()
+    assert "pardiso" not in available_solvers()
 
 
 @pytest.mark.parametrize(
@@ -30,15 +33,25 @@ def test_pardiso_without_its_library_is_refused_with_the_way_out(monkeypatch):
         (False, 100_000, "multigrid"),
     ],
 )
-def test_auto_goes_by_what_is_installed_and_by_size(monkeypatch, installed, size, expected):
-    monkeypatch.setattr(pardiso, "available", lambda: installed)
-    assert choose.resolve("auto", size) == expected
+def test_auto_depends_on_what_is_installed_and_on_the_size(monkeypatch, installed, size, expected):
+    monkeypatch.setattr(Pardiso, "available", staticmethod(lambda: installed))
+    resolved = SOLVERS["auto"]().resolve(size)
+    assert SOLVERS.name_of(type(resolved)) == expected
 
 
-@pytest.mark.parametrize("name", available())
-def test_analyse_returns_the_backend_asked_for(name):
-    assert analyse(ring(9), name).name == name
+@pytest.mark.parametrize("name", available_solvers())
+def test_a_pool_analyses_with_the_chosen_solver(name):
+    pool = SolverPool(ring(9), name)
+    assert isinstance(pool.options, SOLVERS[name])
+    assert type(pool.take()) is type(analyse(ring(9), name))
 
 
-def test_every_available_backend_is_a_known_one():
-    assert set(available()) < set(BACKENDS)
+def test_settings_of_a_solver_are_checked_by_name():
+    with pytest.raises(ConfigError, match=r"solver.max_iterations=0.*at least 1"):
+        Multigrid(max_iterations=0)
+    with pytest.raises(ConfigError, match=r"solver.device=cuda:9.*CUDA"):
+        TorchCG(device="cuda:9").analyse(ring(9))
+
+
+def test_every_available_solver_is_a_known_one():
+    assert set(available_solvers()) < set(SOLVERS.names())

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from tactorch.errors import ConvergenceError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.linalg import analyse
-from tactorch.linalg.multigrid import Multigrid
+from tactorch.linalg.multigrid import Multigrid, MultigridSolver
 from tactorch.mesh import box_mesh, face_nodes
 
 
@@ -22,7 +23,7 @@ def stiffness(divisions: int):
     return d.pattern, d.pattern.apply_dirichlet(values, fixed.ravel()), d.rigid_modes, load
 
 
-def iterations(solver: Multigrid, load: np.ndarray, monkeypatch) -> int:
+def iterations(solver: MultigridSolver, load: np.ndarray, monkeypatch) -> int:
     """Count preconditioner applications of one solve."""
     count = 0
     inner = solver._preconditioner
@@ -41,9 +42,9 @@ def iterations(solver: Multigrid, load: np.ndarray, monkeypatch) -> int:
 
 def test_rigid_modes_keep_iterations_few_and_the_answer_is_the_direct_one(monkeypatch):
     pattern, values, modes, load = stiffness(9)
-    with_modes = Multigrid(pattern, modes)
+    with_modes = Multigrid().analyse(pattern, modes)
     with_modes.factor(values)
-    without = Multigrid(pattern)
+    without = Multigrid().analyse(pattern)
     without.factor(values)
     few = iterations(with_modes, load, monkeypatch)
     many = iterations(without, load, monkeypatch)
@@ -59,21 +60,37 @@ def test_rigid_modes_keep_iterations_few_and_the_answer_is_the_direct_one(monkey
 
 def test_kept_aggregates_serve_new_values():
     pattern, values, modes, load = stiffness(7)
-    solver = Multigrid(pattern, modes)
+    solver = Multigrid().analyse(pattern, modes)
     solver.factor(values)
     solver.factor(2.0 * values)
     twice = solver.solve(load)
-    fresh = Multigrid(pattern, modes)
+    fresh = Multigrid().analyse(pattern, modes)
     fresh.factor(values)
     np.testing.assert_allclose(2.0 * twice, fresh.solve(load), rtol=0, atol=1e-9)
 
 
 def test_a_solve_that_does_not_get_there_says_so():
     pattern, values, modes, load = stiffness(7)
-    solver = Multigrid(pattern, modes, max_iterations=2)
+    solver = Multigrid(max_iterations=2).analyse(pattern, modes)
     solver.factor(values)
-    with pytest.raises(RuntimeError, match=r"residual of .*2 iterations.*solver=pardiso"):
+    with pytest.raises(
+        ConvergenceError, match=r"residual of .*2 iterations.*solver=pardiso.*solver.max_iterations"
+    ):
         solver.solve(load)
+
+
+def test_an_equilibrium_whose_solver_fails_is_not_found_for_that_reason():
+    mesh = box_mesh(10.0, 7)
+    fixed = np.zeros((mesh.n_points, 3), dtype=bool)
+    fixed[face_nodes(mesh, "z-")] = True
+    solver = Multigrid(max_iterations=2)
+    body = SoftBody(mesh, make_material("neo_hookean", 0.45), solver=solver)
+    forces = body.pressure("z+", 0.01).numpy()
+    result = body.equilibrate(np.ones(mesh.n_tets), forces, Supports(fixed=fixed))
+    assert not result.converged
+    assert result.reason.startswith("solver=multigrid did not converge")
+    with pytest.raises(ConvergenceError, match="use solver=pardiso"):
+        result.require()
 
 
 def test_equilibrium_by_multigrid_is_that_of_the_direct_solver():

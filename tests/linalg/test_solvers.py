@@ -5,9 +5,9 @@ import threading
 import numpy as np
 import pytest
 
-from tactorch.linalg import IndefiniteError, Status, analyse, available, single_threaded
+from tactorch.linalg import IndefiniteError, Status, analyse, available_solvers, single_threaded
 
-BACKENDS = available()
+BACKENDS = available_solvers()
 
 
 @pytest.fixture(params=BACKENDS)
@@ -66,7 +66,7 @@ def test_the_callers_values_may_change_after_factoring(backend, lattice):
     np.testing.assert_allclose(solver.solve(rhs), expected, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("direct", [b for b in BACKENDS if b != "multigrid"])
+@pytest.mark.parametrize("direct", [b for b in BACKENDS if b in ("pardiso", "superlu")])
 def test_indefinite_matrices_are_reported_and_the_solver_lives_on(direct, lattice):
     system = lattice(0)
     solver = analyse(system.pattern, direct)
@@ -78,9 +78,12 @@ def test_indefinite_matrices_are_reported_and_the_solver_lives_on(direct, lattic
     np.testing.assert_allclose(system.dense @ solver.solve(rhs), rhs, rtol=0, atol=1e-11)
 
 
-def test_multigrid_reports_indefinite_matrices_at_the_latest_when_solving(lattice):
+@pytest.mark.parametrize("iterative", ["multigrid", "torch_cg"])
+def test_iterative_solvers_report_indefinite_matrices_at_the_latest_when_solving(
+    iterative, lattice
+):
     system = lattice(0)
-    solver = analyse(system.pattern, "multigrid")
+    solver = analyse(system.pattern, iterative)
     shifted = system.values.copy()
     shifted[system.pattern.diagonal] -= 1.1 * np.linalg.eigvalsh(system.dense)[0]
     lowest = np.linalg.eigh(system.dense)[1][:, 0]

@@ -11,7 +11,14 @@ import pytest
 
 from tactorch.errors import FileError, RecordingError
 from tactorch.mesh import box_mesh
-from tactorch.recording import MaterialSpec, Press, Recording, append_press, read_presses
+from tactorch.recording import (
+    MaterialSpec,
+    Press,
+    Recording,
+    append_press,
+    compact,
+    read_presses,
+)
 from tactorch.recording.append import OtherObjectError, digest
 
 
@@ -38,21 +45,112 @@ def test_an_appended_press_is_as_if_saved_with_the_others(path: Path, second: Pr
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("killed", ["copyfile", "mark"])
+@pytest.mark.parametrize("presses_before", [1, 2])
 def test_a_writer_that_dies_leaves_what_was_there(
-    path: Path, second: Press, monkeypatch: pytest.MonkeyPatch, killed: str
+    path: Path, second: Press, monkeypatch: pytest.MonkeyPatch, presses_before: int
 ) -> None:
+    """The first append rewrites the file, the second one adds to its end."""
+    if presses_before == 2:
+        append_press(path, second)
     content = path.read_bytes()
 
     def die(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    place = "shutil.copyfile" if killed == "copyfile" else "tactorch.recording.append.mark"
-    monkeypatch.setattr(place, die)
+    monkeypatch.setattr("tactorch.recording.append.write_attribute", die)
+    monkeypatch.setattr("tactorch.recording.append._write_at", die)
     with pytest.raises(KeyboardInterrupt):
         append_press(path, second)
     assert path.read_bytes() == content
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("part", [0.0, 0.01, 0.5, 0.99])
+@pytest.mark.parametrize("zeros", [0, 1000])
+def test_half_an_appended_press_is_ignored_and_written_over(
+    path: Path, second: Press, part: float, zeros: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    for _ in range(2):
+        append_press(path, second)
+    before = path.stat().st_size
+    append_press(path, replace(second, name="lost"))
+    record = path.read_bytes()[before:]
+    with open(path, "r+b") as file:
+        file.truncate(before + int(part * len(record)))
+        file.seek(0, 2)
+        file.write(b"\0" * (zeros if part == 0.0 else 0))
+    assert [press.name for press in Recording.load(path).presses] == ["top", "second", "second"]
+    assert ("incomplete press" in caplog.text) == (path.stat().st_size > before)
+    assert read_presses(path).count == 3
+    assert append_press(path, replace(second, name="third")) == 3
+    assert Recording.load(path).presses[3].name == "third"
+
+
+def test_appending_writes_no_more_than_the_press(path: Path, second: Press) -> None:
+    """Bytes written, all in all, stay proportional to the file; nothing is copied for a press."""
+    append_press(path, second)
+    written, size, content = 0, path.stat().st_size, path.read_bytes()
+    for _ in range(30):
+        append_press(path, second)
+        after = path.read_bytes()
+        assert after.startswith(content)
+        written, content = written + len(after) - len(content), after
+    assert len(Recording.load(path).presses) == 32
+    assert written == path.stat().st_size - size
+
+
+def test_a_long_tail_is_merged(path: Path, second: Press, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tactorch.recording.append._MIN_TAIL_BYTES", 0)
+    for number in range(20):
+        append_press(path, replace(second, name=f"press {number}"))
+    with h5py.File(path) as file:
+        assert len(file["presses"]) > 10
+    names = [press.name for press in Recording.load(path).presses]
+    assert names == ["top", *(f"press {number}" for number in range(20))]
+
+
+def test_compact_makes_a_plain_file(path: Path, second: Press) -> None:
+    for _ in range(3):
+        append_press(path, second)
+    before = Recording.load(path)
+    compact(path)
+    with h5py.File(path) as file:
+        assert file.attrs["version"] == 2
+        assert len(file["presses"]) == file["presses"].attrs["count"] == 4
+    after = Recording.load(path)
+    assert [digest(press) for press in after.presses] == [digest(p) for p in before.presses]
+    content = path.read_bytes()
+    compact(path)
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("place", ["header", "image"])
+def test_a_damaged_appended_press_is_named(path: Path, second: Press, place: str) -> None:
+    append_press(path, second)
+    begin = path.stat().st_size
+    for _ in range(2):
+        append_press(path, second)
+    content = bytearray(path.read_bytes())
+    content[begin + {"header": 20, "image": 300}[place]] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"session\.h5' is damaged at press 3"):
+        Recording.load(path)
+    if place == "image":
+        contents = read_presses(path)
+        assert list(contents.presses) == [0, 1, 3]
+        assert "checksum" in contents.faults[2]
+
+
+def test_files_of_an_older_structure_grow_too(path: Path, second: Press, tmp_path: Path) -> None:
+    old = tmp_path / "old.h5"
+    with h5py.File(path) as file, h5py.File(old, "w", libver="earliest") as target:
+        for name in file:
+            file.copy(name, target)
+        for name, value in file.attrs.items():
+            target.attrs[name] = value
+    for _ in range(2):
+        append_press(old, second)
+    assert [press.name for press in Recording.load(old).presses] == ["top", "second", "second"]
 
 
 def test_a_reader_never_sees_half_a_press(path: Path) -> None:
@@ -104,17 +202,18 @@ def test_a_broken_press_is_told_and_the_others_are_read(
 ) -> None:
     for _ in range(2):
         append_press(path, second)
+    compact(path)
     spoil(path, 1, field, value)
     found = read_presses(path)
     assert list(found.presses) == [0, 2]
     assert words in found.faults[1]
     assert str(path) not in found.faults[1]
-    assert found.about is not None
-    assert len(found.about.presses) == 2
+    assert found.recording is not None
+    assert len(found.recording.presses) == 2
 
 
 def test_only_new_presses_are_read_where_some_are_known(path: Path, second: Press) -> None:
-    known = read_presses(path).about
+    known = read_presses(path).recording
     append_press(path, second)
     found = read_presses(path, after=1, known=known)
     assert list(found.presses) == [1]
@@ -125,7 +224,7 @@ def test_a_light_touch_after_a_firm_one_is_no_wrong_unit(path: Path, second: Pre
     light = replace(second, displacement=1e-4 * second.displacement, forces=1e-4 * second.forces)
     append_press(path, light)
     assert list(read_presses(path).presses) == [0, 1]
-    known = read_presses(path).about
+    known = read_presses(path).recording
     assert list(read_presses(path, after=1, known=known).presses) == [1]
 
 

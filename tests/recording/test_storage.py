@@ -124,6 +124,7 @@ def test_round_trip_changes_nothing(
 
 def test_the_first_version_is_still_read(saved: Path) -> None:
     with h5py.File(saved, "r+") as file:
+        del file["provenance"].attrs["sha256"]
         file.attrs["version"] = 1
     assert Recording.load(saved).unloaded is None
 
@@ -163,7 +164,7 @@ def test_failed_save_leaves_the_old_file(
     def full(*_: object) -> None:
         raise OSError("No space left on device")
 
-    monkeypatch.setattr("tactorch.recording.storage.write_press", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(FileError, match=r"cannot write '.*case\.h5': No space"):
         record().save(saved)
     assert saved.read_bytes() == before
@@ -268,7 +269,7 @@ def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
     [
         (mark("/", "format", None), "has format None"),
         (mark("/", "format", "other"), "has format 'other'"),
-        (mark("/", "version", 3), "has version 3, and this tactorch reads up to 2; upgrade"),
+        (mark("/", "version", 4), "has version 4, and this tactorch reads up to 3; upgrade"),
         (mark("/", "version", 0), "has version 0, which never existed"),
         (mark("/", "version", "one"), "attribute 'version' of '/' is 'one'; int is needed"),
         (mark("/", "units", "m"), "is in units 'm'"),
@@ -285,10 +286,14 @@ def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
         (drop("provenance"), "lacks dataset 'provenance'"),
         (put("provenance", 3.0), "dataset 'provenance' is not text"),
         (put("truth", np.ones(7)), r"'truth' has shape \(7,\); \(48\) is needed"),
-        (put("truth", -np.ones(48)), "does not hold together: truth is -1"),
+        (put("truth", -np.ones(48)), "is not consistent: truth is -1"),
         (drop("presses"), "lacks group 'presses'"),
-        (drop("presses/0000"), "lacks dataset 'presses/0000/forces'"),
-        (mark("presses", "count", 2), "lacks dataset 'presses/0001/forces'"),
+        (drop("presses/0000"), "declares 1 presses .* and holds 0"),
+        (drop("presses/0000/forces"), "lacks dataset 'presses/0000/forces'"),
+        (mark("presses", "count", 2), "declares 2 presses .* and holds 1"),
+        (mark("presses", "count", 10**9), "declares 1000000000 presses .* and holds 1"),
+        (mark("presses", "count", -1), "declares -1 presses .* and holds 1"),
+        (mark("presses", "count", np.ones(3, int)), "is \\(3,\\); int is needed"),
         (mark("presses", "count", 0), "presses is empty"),
         (drop("presses/0000/springs"), "lacks dataset 'presses/0000/springs'"),
         (put("presses/0000/forces", np.zeros((9, 3))), r"forces' has shape \(9, 3\); \(27, 3\)"),
@@ -315,3 +320,89 @@ def test_suspects_units_when_loading(saved: Path) -> None:
     with pytest.raises(RecordingError, match=r"case\.h5' .*kPa"):
         Recording.load(saved)
     assert Recording.load(saved, check_units=False).truth is not None
+
+
+def external_link(file: h5py.File, name: str, other: Path) -> None:
+    file[name] = h5py.ExternalLink(str(other), "secret")
+
+
+def soft_link(file: h5py.File, name: str, other: Path) -> None:
+    file["elsewhere"] = h5py.ExternalLink(str(other), "/")
+    file[name] = h5py.SoftLink("/elsewhere/secret")
+
+
+def external_storage(file: h5py.File, name: str, other: Path) -> None:
+    with h5py.File(other) as source:
+        shape, dtype = source["secret"].shape or (1,), source["secret"].dtype
+    size = int(np.prod(shape)) * dtype.itemsize
+    file.create_dataset(name, shape, dtype, external=[(str(other), 0, size)])
+
+
+def virtual_dataset(file: h5py.File, name: str, other: Path) -> None:
+    with h5py.File(other) as source:
+        layout = h5py.VirtualLayout(source["secret"].shape, source["secret"].dtype)
+        layout[...] = h5py.VirtualSource(source["secret"])
+    file.create_virtual_dataset(name, layout)
+
+
+@pytest.mark.parametrize("lead", [external_link, soft_link, external_storage, virtual_dataset])
+@pytest.mark.parametrize("name", ["presses/0000/forces", "truth", "provenance", "mesh/tets"])
+def test_other_files_are_never_read(
+    saved: Path, lead: Callable[[h5py.File, str, Path], None], name: str
+) -> None:
+    """What other files of the reader's machine hold must not reach results and reports."""
+    other = saved.with_name("private.h5")
+    with h5py.File(saved, "r+") as file, h5py.File(other, "w") as private:
+        file.copy(name, private, name="secret")
+        del file[name]
+    with h5py.File(saved, "r+") as file:
+        lead(file, name, other)
+    with pytest.raises(RecordingError, match=rf"'{name}' is .*copy"):
+        Recording.load(saved)
+
+
+def test_a_whole_group_of_another_file_is_never_read(saved: Path) -> None:
+    other = saved.with_name("private.h5")
+    other.write_bytes(saved.read_bytes())
+    with h5py.File(saved, "r+") as file:
+        del file["presses"]
+        file["presses"] = h5py.ExternalLink(str(other), "presses")
+    with pytest.raises(RecordingError, match="'presses' is an external link"):
+        Recording.load(saved)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "chunks"),
+    [
+        ("mesh/points", (10**12, 3), True),
+        ("unloaded", (10**12, 27, 3), True),
+        ("mesh/tets", (10**10, 4), None),
+        ("provenance", (), None),
+    ],
+)
+def test_shapes_that_the_file_does_not_hold_are_refused(
+    saved: Path, name: str, shape: tuple[int, ...], chunks: bool | None
+) -> None:
+    with h5py.File(saved, "r+") as file:
+        if name in file:
+            del file[name]
+        kind = {"mesh/tets": "i8", "provenance": "S2000000000"}.get(name, "f8")
+        file.create_dataset(name, shape, kind, chunks=chunks)
+    with pytest.raises(RecordingError, match=rf"dataset '{name}' has shape .* never written"):
+        Recording.load(saved)
+
+
+def test_changed_provenance_is_noticed(record: Make, tmp_path: Path) -> None:
+    path = tmp_path / "case.h5"
+    record(provenance={"operator": "Ada"}).save(path)
+    path.write_bytes(path.read_bytes().replace(b'"Ada"', b'"Eve"'))
+    with pytest.raises(RecordingError, match=r"'provenance' is damaged \(its checksum differs"):
+        Recording.load(path)
+
+
+def test_deeply_nested_provenance_is_refused(saved: Path) -> None:
+    with h5py.File(saved, "r+") as file:
+        del file["provenance"]
+        file["provenance"] = np.bytes_("[" * 100_000)
+    with pytest.raises(RecordingError, match="'provenance' is not JSON"):
+        Recording.load(saved)

@@ -25,7 +25,7 @@ def test_it_needs_nothing_but_itself(report: Path, visit: Open) -> None:
     seen.settle()
     assert seen.requests == [seen.address]
     assert not seen.troubles
-    assert seen.page.locator("#trouble").is_hidden()
+    assert seen.page.locator("#error").is_hidden()
     assert "inclusion" in seen.page.locator("h1").inner_text().lower()
 
 
@@ -149,7 +149,7 @@ def test_without_webgl_it_says_so_and_shows_the_rest(
         assert "needs WebGL" in seen.page.locator(".view .none").inner_text()
         assert seen.page.locator("#solid-controls").is_hidden()
         assert len(np.unique(seen.pixels(".slice").reshape(-1, 4), axis=0)) > 10
-        assert seen.page.locator("#trouble").is_hidden()
+        assert seen.page.locator("#error").is_hidden()
     finally:
         browser.close()
 
@@ -169,8 +169,8 @@ def test_paper_gets_fixed_slices_and_a_still(report: Path, visit: Open) -> None:
     assert page.locator("img.still").is_visible()
     assert page.locator("img.still").get_attribute("src").startswith("data:image/png")
     assert page.locator("details:not([open])").count() == 0
-    assert "missed by" in page.locator("#press-told").inner_text()
-    assert "Young's modulus passes" in page.locator(".view .paper").inner_text()
+    assert "residual" in page.locator("#press-summary").inner_text()
+    assert "the isosurface of Young's modulus" in page.locator(".view .paper").inner_text()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     page.emulate_media(media="screen")
     page.wait_for_selector("#print-slices", state="hidden")
@@ -218,7 +218,7 @@ def test_everything_has_a_name(report: Path, visit: Open) -> None:
 def test_a_press_is_chosen(report: Path, visit: Open) -> None:
     seen = visit(report)
     before, told = seen.pixels("#scatter"), seen.page.locator("#press-out").inner_text()
-    assert re.search(r"missed by [\d.]+ µm RMS, [\d.]+ standard deviations", told)
+    assert re.search(r"residual [\d.]+ µm RMS, [\d.]+ standard deviations", told)
     seen.page.select_option("#press", "0")
     assert (seen.pixels("#scatter") != before).any()
     assert seen.page.locator("#press-out").inner_text() != told
@@ -269,4 +269,48 @@ def test_text_from_outside_stays_text(run_folder: Path, visit: Open, tmp_path: P
     seen = visit(write_report([run], tmp_path / "report.html", uncertainty=False))
     assert seen.page.evaluate("window.bad === undefined")
     assert seen.page.locator(".subject").inner_text() == name
+    assert not seen.troubles
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        r"$\frac{$",
+        "<script>window.bad = 1</script>",
+        '"><img src=x onerror="window.bad=1">',
+        "\x1b[31mred",
+        "{{ 7 * 7 }}{% raw %}",
+        "a\nb",
+        "\u202egnp.exe",
+        "long " * 60,
+    ],
+)
+@pytest.mark.slow
+def test_names_of_presses_stay_text(
+    name: str, run_folder: Path, visit: Open, tmp_path: Path
+) -> None:
+    from tactorch.report import load_run, write_report
+    from tactorch.text import one_line
+
+    run = load_run(run_folder)
+    assert run.recording is not None
+    first, *others = run.recording.presses
+    recording = dataclasses.replace(
+        run.recording, presses=(dataclasses.replace(first, name=name), *others)
+    )
+    seen = visit(
+        write_report(
+            [dataclasses.replace(run, recording=recording)],
+            tmp_path / "report.html",
+            uncertainty=False,
+        )
+    )
+    seen.page.select_option("#press", "0")
+    seen.settle()
+    assert seen.page.evaluate("window.bad === undefined")
+    cell = seen.page.locator("#presses tbody th").first
+    assert cell.text_content() == f"1: {one_line(name)}"
+    assert (
+        seen.page.locator("#press option").first.text_content().startswith(f"1: {one_line(name)}")
+    )
     assert not seen.troubles

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError, RecordingError
+from tactorch.findings.text import Fact
 from tactorch.inverse import (
     Bounds,
     Composite,
@@ -24,10 +25,9 @@ from tactorch.inverse.misfit import Huber
 from tactorch.inverse.nuisance_estimate import NuisanceEstimate
 from tactorch.inverse.settings import settings_from, stored_settings
 from tactorch.recording import Recording
-from tactorch.report import load_run, names_of, write_report
-from tactorch.report.belief import judge
-from tactorch.report.finding import finding
-from tactorch.report.tables import score_table
+from tactorch.report import load_run, run_names, write_report
+from tactorch.report.assessment import assess
+from tactorch.report.content import describe_run, score_table
 
 
 def page_of(run: Any, out: Path, **options: Any) -> str:
@@ -57,26 +57,30 @@ def test_a_thousand_elements_take_some_tens_of_kilobytes(run_folder: Path, tmp_p
         displacements=np.zeros((2, mesh.n_points, 3)),
     )
     run = dataclasses.replace(
-        load_run(run_folder), found=large, recording=None, missing="it is left out"
+        load_run(run_folder), result=large, recording=None, missing="it is left out"
     )
-    least = len(page_of(dataclasses.replace(run, found=found), tmp_path))
+    least = len(page_of(dataclasses.replace(run, result=found), tmp_path))
     each = (len(page_of(run, tmp_path)) - least) / (mesh.n_tets - found.mesh.n_tets)
     assert each < 50
 
 
 def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
     run = load_run(run_folder)
-    judged = judge(run)
-    told = finding(run, judged)
+    assessment = assess(run)
+    told = describe_run(run, assessment)
     assert told.inclusion is not None
     assert told.headline.startswith("A stiff inclusion, ")
     assert f"{told.inclusion.contrast:.2g} times" in told.headline
     # Pressed from above and from the side of x: the nearer of the two is how deep it lies.
-    x, _, z = told.inclusion.center_mm
-    assert told.facts[0].value == f"{min(10 - x, 10 - z):.1f} mm deep"
-    sure = next(fact for fact in told.facts if fact.label == "How sure")
-    assert judged.belief is not None
-    stated = judged.belief.sure
+    x, y, z = told.inclusion.center_mm
+    assert told.facts[0] == Fact(
+        "Depth",
+        f"{min(10 - x, 10 - z):.1f} mm",
+        f"below the pressed side {'x+' if x > z else 'z+'}; at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
+    )
+    sure = next(fact for fact in told.facts if fact.label == "Probability")
+    assert assessment.uncertainty is not None
+    stated = assessment.uncertainty.confidence
     assert stated is not None
     assert sure.value == "over 99.9 %" or sure.value == f"{100 * stated.probability:.3g} %"
     assert f"at least {stated.contrast[0]:.2g} times" in sure.note
@@ -87,7 +91,7 @@ def test_an_alarm_stands_before_the_finding(run_folder: Path, tmp_path: Path) ->
     alarm = "DO NOT TRUST THIS MAP: 93% of it lie at a bound."
     page = page_of(dataclasses.replace(run, text=f"a\n{alarm}\nb"), tmp_path, uncertainty=False)
     assert page.index("Do not trust this map") < page.index("93% of it lie") < page.index("<h1")
-    assert 'class="doubted"' in page
+    assert 'class="unreliable"' in page
     assert "Do not trust this map" not in page_of(run, tmp_path, uncertainty=False)
 
 
@@ -96,12 +100,12 @@ def test_alarms_are_those_of_the_summary(run_folder: Path) -> None:
     from tactorch.cli.outputs import describe, summarise
 
     run = load_run(run_folder)
-    found = dataclasses.replace(run.found, youngs=np.full_like(run.found.youngs, 100.0))
+    found = dataclasses.replace(run.result, youngs=np.full_like(run.result.youngs, 100.0))
     assert run.recording is not None
     summary = summarise(run.recording, found, None, "x")
     text = describe(run.recording, found, None, summary)
-    doubted = dataclasses.replace(run, found=found, text=text)
-    assert len(finding(doubted, judge(doubted, uncertainty=False)).alarms) == 1
+    doubted = dataclasses.replace(run, result=found, text=text)
+    assert len(describe_run(doubted, assess(doubted, uncertainty=False)).warnings) == 1
 
 
 def test_uncertainty_is_that_of_the_posterior(run_folder: Path) -> None:
@@ -109,13 +113,13 @@ def test_uncertainty_is_that_of_the_posterior(run_folder: Path) -> None:
 
     run = load_run(run_folder)
     steps: list[tuple[int, int]] = []
-    judged = judge(run, tell=lambda what, done, of: steps.append((done, of)))
-    assert judged.belief is not None
+    assessment = assess(run, progress=lambda what, done, of: steps.append((done, of)))
+    assert assessment.uncertainty is not None
     assert run.recording is not None
     settings = Settings(optimizer=GaussNewton(max_iterations=6))
-    low, high = posterior_of(run.recording, run.found, settings).interval(0.95)
-    np.testing.assert_allclose(judged.belief.low, low)
-    np.testing.assert_allclose(judged.belief.high, high)
+    low, high = posterior_of(run.recording, run.result, settings).interval(0.95)
+    np.testing.assert_allclose(assessment.uncertainty.low, low)
+    np.testing.assert_allclose(assessment.uncertainty.high, high)
     assert steps == [(k, 4) for k in range(5)]
 
 
@@ -124,11 +128,11 @@ def test_misses_are_those_of_the_inversion(model_error: str, make_run: Any, tmp_
     """All presses together, they are the misfit and the chi2 that it ended with."""
     settings = Settings(optimizer=GaussNewton(max_iterations=2), model_error=model_error)
     run = load_run(make_run(tmp_path / "run", settings))
-    last = run.found.history[-1]
-    judged = [judge(run)]
+    last = run.result.history[-1]
+    assessment = [assess(run)]
     if model_error == "none":  # else they take solving the presses again
-        judged.append(judge(run, uncertainty=False))
-    for one in judged:
+        assessment.append(assess(run, uncertainty=False))
+    for one in assessment:
         squares = sum(np.nansum(fit.residual**2) for fit in one.fits)
         assert 0.5 * squares == pytest.approx(last["misfit"], rel=1e-4)
         mean = np.mean([fit.rms_deviations**2 for fit in one.fits])
@@ -139,15 +143,17 @@ def test_no_uncertainty_is_told_at_a_bound(make_run: Any, tmp_path: Path) -> Non
     """There the interval is cut off, and would look as if the modulus were known."""
     settings = Settings(optimizer=GaussNewton(max_iterations=6), bounds=Bounds(0.1, 0.21))
     run = load_run(make_run(tmp_path / "run", settings))
-    judged = judge(run)
-    assert judged.belief is not None
-    above = run.found.youngs > 0.2099
+    assessment = assess(run)
+    assert assessment.uncertainty is not None
+    above = run.result.youngs > 0.2099
     assert 0.05 < above.mean() < 0.95
-    assert np.isnan(judged.belief.spread[above]).all()
-    assert np.isfinite(judged.belief.spread[~judged.belief.at_bound]).all()
-    volumes = run.found.mesh.volumes
-    share = volumes[judged.belief.at_bound].sum() / volumes.sum()
-    told = [line for line in finding(run, judged).cautions if "factor of two" in line]
+    assert np.isnan(assessment.uncertainty.relative_half_width[above]).all()
+    assert np.isfinite(
+        assessment.uncertainty.relative_half_width[~assessment.uncertainty.at_bound]
+    ).all()
+    volumes = run.result.mesh.volumes
+    share = volumes[assessment.uncertainty.at_bound].sum() / volumes.sum()
+    told = [line for line in describe_run(run, assessment).limitations if "factor of two" in line]
     assert f"{100 * share:.0f} %" in told[0]
     page_of(run, tmp_path)
 
@@ -155,10 +161,10 @@ def test_no_uncertainty_is_told_at_a_bound(make_run: Any, tmp_path: Path) -> Non
 def test_bounds_are_told_by_modulus_whatever_the_parameters(make_run: Any, tmp_path: Path) -> None:
     settings = Settings(optimizer=GaussNewton(max_iterations=2), parameterization=Scaled())
     run = load_run(make_run(tmp_path / "run", settings))
-    judged = judge(run)
-    assert judged.belief is not None
-    assert run.found.youngs.max() < 50.0  # of 100
-    np.testing.assert_array_equal(judged.belief.at_bound, run.found.youngs < 0.00101)
+    assessment = assess(run)
+    assert assessment.uncertainty is not None
+    assert run.result.youngs.max() < 50.0  # of 100
+    np.testing.assert_array_equal(assessment.uncertainty.at_bound, run.result.youngs < 0.00101)
 
 
 def test_plain_misses_are_where_the_run_believes_the_sensor(make_run: Any, tmp_path: Path) -> None:
@@ -167,9 +173,9 @@ def test_plain_misses_are_where_the_run_believes_the_sensor(make_run: Any, tmp_p
         nuisance=NuisancePrior(translation_mm=0.1, rotation_rad=0.01), noise=NoiseModel(mm=0.02),
     )  # fmt: skip
     run = load_run(make_run(tmp_path / "run", settings))
-    plain = judge(run, uncertainty=False).fits
+    plain = assess(run, uncertainty=False).fits
     assert sum(0.5 * np.nansum(fit.residual**2) for fit in plain) == pytest.approx(
-        run.found.history[-1]["misfit"], rel=1e-4
+        run.result.history[-1]["misfit"], rel=1e-4
     )
     for fit in plain:
         np.testing.assert_allclose(fit.deviations, fit.residual / 0.02)
@@ -182,23 +188,23 @@ def test_a_posterior_that_does_not_fit_the_memory_costs_no_report(
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr("tactorch.report.belief.posterior_at", fail)
-    judged = judge(load_run(run_folder))
-    assert judged.belief is None
-    assert "memory" in judged.missing
-    assert len(judged.fits) == 2
+    monkeypatch.setattr("tactorch.report.assessment.posterior_at", fail)
+    assessment = assess(load_run(run_folder))
+    assert assessment.uncertainty is None
+    assert "memory" in assessment.missing
+    assert len(assessment.fits) == 2
 
 
 def test_a_nuisance_whose_deviation_was_not_computed_is_not_said_to_be_unknown(
     run_folder: Path,
 ) -> None:
     run = load_run(run_folder)
-    for deviation, words in ((np.nan, "was not computed"), (0.02, "tell little"), (0.001, "")):
+    for deviation, words in ((np.nan, "was not computed"), (0.02, "hardly determine"), (0.001, "")):
         estimate = NuisanceEstimate(np.array([0.4]), np.array([deviation]), 0.02)
-        found = dataclasses.replace(run.found, nuisance={"poisson": estimate})
-        told = finding(
-            dataclasses.replace(run, found=found), judge(run, uncertainty=False)
-        ).cautions
+        found = dataclasses.replace(run.result, nuisance={"poisson": estimate})
+        told = describe_run(
+            dataclasses.replace(run, result=found), assess(run, uncertainty=False)
+        ).limitations
         named = [line for line in told if "poisson" in line]
         assert [words in line for line in named] == [True] * bool(words)
 
@@ -213,9 +219,9 @@ def test_references_that_differ_have_their_own_columns(run_folder: Path) -> None
         )
         for name, youngs in zip(("a", "b"), maps, strict=True)
     ]
-    assert "reference of a" in score_table(runs)
-    assert "reference of b" in score_table(runs)
-    assert "reference of" not in score_table([runs[0], dataclasses.replace(runs[0], name="c")])
+    assert list(score_table(runs).header) == ["", "a", "b", "reference of a", "reference of b"]
+    same = score_table([runs[0], dataclasses.replace(runs[0], name="c")])
+    assert list(same.header) == ["", "a", "c", "reference"]
 
 
 def test_without_its_recording_it_tells_what_is_left(run_folder: Path, tmp_path: Path) -> None:
@@ -227,7 +233,7 @@ def test_without_its_recording_it_tells_what_is_left(run_folder: Path, tmp_path:
     assert run.recording is None
     assert "gone.h5" in run.missing
     page = page_of(run, tmp_path)
-    assert "the recording is not there" in page
+    assert "the recording is missing" in page
     assert 'id="presses"' not in page
     assert "A stiff inclusion" in page
 
@@ -269,14 +275,14 @@ def test_text_is_escaped(run_folder: Path, tmp_path: Path) -> None:
     (folder / "invert.log").write_text("<script>alert(1)</script>")
     page = page_of(load_run(folder), tmp_path, uncertainty=False)
     assert "<b>" not in page
-    assert "&lt;b&gt;&quot;&#x27;&amp;$title" in page
+    assert "&lt;b&gt;&#34;&#39;&amp;$title" in page
     assert page.count("<script") == 2
     assert "&lt;script&gt;alert(1)" in page
 
 
 def test_names_are_short_and_differ() -> None:
-    assert names_of([Path("/a/runs/x")]) == ["x"]
-    assert names_of([Path("/a/x"), Path("/b/x"), Path("/b/y")]) == ["a/x", "b/x", "b/y"]
+    assert run_names([Path("/a/runs/x")]) == ["x"]
+    assert run_names([Path("/a/x"), Path("/b/x"), Path("/b/y")]) == ["a/x", "b/x", "b/y"]
 
 
 @pytest.mark.parametrize(
@@ -332,33 +338,41 @@ def test_settings_that_are_not_all_told_are_refused() -> None:
 
 def test_a_report_goes_without_what_cannot_be_told(run_folder: Path, tmp_path: Path) -> None:
     run = load_run(run_folder)
-    config = json.loads(json.dumps(run.found.config))
+    config = json.loads(json.dumps(run.result.config))
     config["settings"]["regularization"]["mean_mpa"] = "float64 array [135], sha256 abc..."
     page = page_of(
-        dataclasses.replace(run, found=dataclasses.replace(run.found, config=config)), tmp_path
+        dataclasses.replace(run, result=dataclasses.replace(run.result, config=config)), tmp_path
     )
-    assert "credibility and uncertainty are left out (the prior was about a map" in page
+    assert "Omitted: credibility and uncertainty (the prior was about a map" in page
 
 
 def test_the_best_score_is_marked(run_folder: Path) -> None:
-    from tactorch.report.tables import score_table
-
     run = load_run(run_folder)
     assert run.recording is not None
     assert run.recording.truth is not None
-    true = dataclasses.replace(run.found, youngs=run.recording.truth)
-    best = dataclasses.replace(run, name="right", found=true)
+    true = dataclasses.replace(run.result, youngs=run.recording.truth)
+    best = dataclasses.replace(run, name="right", result=true)
     table = score_table([run, best])
-    row = table.split("Error of the modulus")[1].split("</tr>")[0]
-    assert row.count("best") == 2  # the class and the word
-    assert row.index("</td><td") < row.index("best")
-    assert "best" not in score_table([run])
-    # Scores against different truths are no match.
+    (row,) = (k for k, cells in enumerate(table.rows) if cells[0].startswith("RMSE"))
+    assert table.best[row] == {2}
+    assert not any(score_table([run]).best.values())
+    # Scores against different truths cannot be compared.
     recording = dataclasses.replace(run.recording, truth=run.recording.truth * 1.1)
-    other = dataclasses.replace(best, recording=recording)
-    table = score_table([run, other])
-    assert 'class="best"' not in table
-    assert "the truths differ" in table
+    table = score_table([run, dataclasses.replace(best, recording=recording)])
+    assert not table.best
+    assert "the truths differ" in table.caption
+
+
+def test_the_best_score_is_marked_on_the_page(run_folder: Path, tmp_path: Path) -> None:
+    run = load_run(run_folder)
+    assert run.recording is not None
+    assert run.recording.truth is not None
+    true = dataclasses.replace(run.result, youngs=run.recording.truth)
+    runs = [run, dataclasses.replace(run, name="right", result=true)]
+    page = write_report(runs, tmp_path / "report.html", uncertainty=False).read_text()
+    row = page.split("RMSE of the modulus")[1].split("</tr>")[0]
+    assert row.count('class="best"') == row.count(">best</span>") == 1
+    assert row.index("</td>") < row.index('class="best"')
 
 
 def test_a_recording_without_a_truth_has_no_scores(run_folder: Path, tmp_path: Path) -> None:

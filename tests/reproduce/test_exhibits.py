@@ -37,7 +37,7 @@ TINY = {
         "faces": ["z+", "x+", "y+"],
         "p_max_mpa": 0.1,
         "steps": 1,
-        "hold": "fixed",
+        "support": "fixed",
         "snr_db": 40.0,
         "seed": 1,
     },

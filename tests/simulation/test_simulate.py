@@ -34,7 +34,7 @@ def depth(press: Press) -> float:
 @pytest.mark.parametrize("face", ["z+", "x-"])
 def test_uniform_cube_on_rollers_is_the_uniaxial_solution(poisson: float, face: str) -> None:
     cube = make_phantom("uniform_cube", side_mm=1.0, youngs_mpa=1.0)
-    plan = PressPlan(face, (0.1, 0.2), hold="roller")
+    plan = PressPlan(face, (0.1, 0.2), support="roller")
     mesh, law = box_mesh(1.0, 3), MaterialSpec("neo_hookean", poisson)
     press = simulate(cube, plan, mesh=mesh, material=law).presses[-1]
     stretch, lateral = UNIAXIAL[poisson]
@@ -47,7 +47,7 @@ def test_uniform_cube_on_rollers_is_the_uniaxial_solution(poisson: float, face: 
 
 def test_uniaxial_solution_survives_a_finer_mesh_and_quadratic_elements() -> None:
     cube = make_phantom("uniform_cube", side_mm=1.0, youngs_mpa=1.0)
-    plan = PressPlan("z+", (0.2,), hold="roller")
+    plan = PressPlan("z+", (0.2,), support="roller")
     for fine, element in ((box_mesh(1.0, 3), "tet4"), (box_mesh(1.0, 3), "tet10"), (None, "tet10")):
         recording = simulate(cube, plan, mesh=box_mesh(1.0, 2), fine_mesh=fine, element=element)
         np.testing.assert_allclose(depth(recording.presses[0]), 1.0 - UNIAXIAL[0.45][0], atol=1e-9)
@@ -73,11 +73,11 @@ def test_recording_holds_the_plan(phantom: Phantom, mesh: TetMesh) -> None:
     np.testing.assert_array_equal(recording.truth, phantom.on_mesh(mesh))
 
 
-@pytest.mark.parametrize("hold", ["springs", "fixed", "roller"])
+@pytest.mark.parametrize("support", ["springs", "fixed", "roller"])
 def test_same_mesh_is_an_exact_solution_of_the_recorded_problem(
-    phantom: Phantom, mesh: TetMesh, hold: str
+    phantom: Phantom, mesh: TetMesh, support: str
 ) -> None:
-    recording = simulate(phantom, PressPlan("y+", (0.01, 0.02), hold=hold), mesh=mesh)
+    recording = simulate(phantom, PressPlan("y+", (0.01, 0.02), support=support), mesh=mesh)
     press, law = recording.presses[1], recording.material
     body = SoftBody(mesh, make_material(law.name, law.poisson))
     supports = Supports(fixed=press.fixed, springs=press.springs)
@@ -96,7 +96,7 @@ def test_springs_carry_the_load(phantom: Phantom, mesh: TetMesh) -> None:
         for plan in (
             PressPlan(pressures_mpa=(0.02,), spring_n_per_mm=1.0),
             PressPlan(pressures_mpa=(0.02,), spring_n_per_mm=1e4),
-            PressPlan(pressures_mpa=(0.02,), hold="fixed"),
+            PressPlan(pressures_mpa=(0.02,), support="fixed"),
         )
     )
     # Thirty-six springs under 2 N give way by 2 / 36 mm, and sideways a little.

@@ -88,8 +88,8 @@ def test_errors_fall_at_the_rate_of_the_element(name, element, order, below):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MATERIALS)
-@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("name", MATERIALS.names())
+@pytest.mark.parametrize("element", ELEMENTS.names())
 def test_rates_of_all_materials(name, element):
     material = make_material(name, NU)
     sizes = (8, 12) if element == "tet10" else (8, 16)

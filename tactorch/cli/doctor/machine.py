@@ -72,7 +72,7 @@ def _of_container(name: str) -> list[str]:
 
 def _gpu() -> Finding:
     """Look at the GPU; that there is none is told, not judged."""
-    feature = "fem.device, trainer=gpu"
+    feature = "solver=torch_cg, trainer=gpu"
     try:
         reason = _why_none()
     except Exception as error:  # a broken torch, told among the packages

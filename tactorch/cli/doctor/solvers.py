@@ -8,8 +8,8 @@ from tactorch.cli.doctor.packages import PACKAGES, install
 from tactorch.errors import ConvergenceError
 
 PART = "solvers"
-SOLVERS = ("pardiso", "superlu", "multigrid")
-_NEEDS = {"pardiso": "pypardiso", "superlu": "scipy", "multigrid": "pyamg"}
+SOLVERS = ("pardiso", "superlu", "multigrid", "torch_cg")
+_NEEDS = {"pardiso": "pypardiso", "superlu": "scipy", "multigrid": "pyamg", "torch_cg": "torch"}
 _SIZE = 300
 # Uniaxial press of a Neo-Hookean block, E = 1, Poisson's ratio 0.3, nominal traction -0.2: exact.
 _STRETCH = 0.828310984658

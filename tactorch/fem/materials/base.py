@@ -1,30 +1,30 @@
-"""What a hyperelastic material is here: an energy per unit of Young's modulus.
+"""Hyperelastic materials: a strain energy per unit of Young's modulus.
 
-The energy density of every material is `youngs * psi1(F)` at fixed Poisson's ratio, so stress
-and tangent are given per unit modulus too, and the derivative of the internal force with
-respect to an element's modulus is its unit force (eq. 11 of the paper).
+The energy density of every material is `youngs * psi(F)` at a fixed Poisson's ratio. Stress and
+tangent are given per unit modulus too, and the derivative of the internal force with respect to
+the modulus of an element is its unit force (eq. 11 of the paper).
 
-Isotropic materials need only one small function of the invariants and its derivatives, written
-in plain arithmetic: the same lines then run on NumPy arrays (inside the compiled kernels), on
-torch tensors (the reference, CUDA, autograd), and on floats.
+A new material is a subclass of `IsotropicMaterial` with a strain energy of the invariants, or of
+`Material` with an energy of F. Derivatives are computed by autograd, for all elements at once.
+Closed forms of the derivatives are an optional acceleration.
 """
 
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from tactorch.errors import ConfigError
+from tactorch.config import Options, option
 
 # A float, a NumPy array or a torch tensor; elements broadcast.
 Scalars = Any
 
 
 def lame(poisson: Scalars) -> tuple[Scalars, Scalars]:
-    """Return Lame's (lambda, mu) for a Young's modulus of one."""
+    """Return Lame's parameters (lambda, mu) for a Young's modulus of one."""
     mu = 0.5 / (1.0 + poisson)
     return 2.0 * mu * poisson / (1.0 - 2.0 * poisson), mu
 
@@ -35,7 +35,7 @@ def bulk(poisson: Scalars) -> Scalars:
 
 
 class InvariantDerivatives(NamedTuple):
-    """psi(I1, I2, J) per unit modulus, with its first and second derivatives."""
+    """Strain energy psi(I1, I2, J) per unit modulus, with its first and second derivatives."""
 
     psi: Scalars
     d1: Scalars = 0.0
@@ -49,8 +49,8 @@ class InvariantDerivatives(NamedTuple):
     djj: Scalars = 0.0
 
 
-class Dilatation(NamedTuple):
-    """U(J) per unit modulus, with its first and second derivatives."""
+class VolumetricDerivatives(NamedTuple):
+    """Volumetric energy U(J) per unit modulus, with its first and second derivatives."""
 
     psi: Scalars
     dj: Scalars = 0.0
@@ -58,108 +58,125 @@ class Dilatation(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Material(ABC):
-    """Energy density per unit Young's modulus, with closed-form stress and tangent.
+class Material(Options):
+    """A hyperelastic material, given by its energy density per unit Young's modulus.
+
+    A subclass defines `energy` in torch operations. Its further fields, declared by
+    `tactorch.config.option`, are the parameters of the material.
 
     Attributes:
-        poisson: Poisson's ratio, -1 < poisson < 0.5.
+        poisson: Poisson's ratio.
+        allows_inversion: Whether the energy is finite for det F <= 0.
 
     Raises:
-        ConfigError: `poisson` is outside its range.
+        ConfigError: A parameter is outside its range.
     """
 
-    poisson: float = 0.45
+    section: ClassVar[str] = "material"
+    allows_inversion: ClassVar[bool] = False
 
-    def __post_init__(self) -> None:
-        """Check the range of Poisson's ratio."""
-        if not -1.0 < self.poisson < 0.5:
-            raise ConfigError(
-                f"poisson={self.poisson} is outside (-1, 0.5); soft tissue and silicone have 0.45 "
-                "to 0.499 (exact incompressibility, 0.5, is not representable)."
-            )
+    poisson: float = option(
+        0.45, "Poisson's ratio; soft tissue and silicone have 0.45 to 0.499", gt=-1.0, lt=0.5
+    )
 
-    @abstractmethod
     def energy(self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars) -> Float[Tensor, "*batch"]:
-        """Energy density per unit modulus (dimensionless)."""
+        """Return the energy density per unit modulus (dimensionless).
 
-    @abstractmethod
+        Args:
+            F: Deformation gradient.
+            poisson: Poisson's ratio, one for all or one each.
+        """
+        raise NotImplementedError(f"{type(self).__name__} defines no energy")
+
     def stress(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
     ) -> Float[Tensor, "*batch 3 3"]:
-        """First Piola-Kirchhoff stress per unit modulus, d psi1 / dF."""
+        """Return the first Piola-Kirchhoff stress per unit modulus, d psi / dF."""
+        gradient = torch.func.grad(lambda A: self.energy(A, poisson).sum())(F)
+        return gradient
 
-    @abstractmethod
     def tangent(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
     ) -> Float[Tensor, "*batch 3 3 3 3"]:
-        """Tangent per unit modulus, d P_iI / d F_jJ at [i, I, j, J]."""
+        """Return the tangent per unit modulus, d P_iI / d F_jJ at [i, I, j, J]."""
+        pullback = torch.func.vjp(lambda A: self.stress(A, poisson), F)[1]
+        basis = torch.eye(9, dtype=F.dtype, device=F.device).reshape(9, *[1] * (F.ndim - 2), 3, 3)
+        (rows,) = torch.func.vmap(pullback)(basis.expand(9, *F.shape))
+        return rows.movedim(0, -3).unflatten(-3, (3, 3))
 
 
 class IsotropicMaterial(Material):
-    """A material given by its energy in the invariants of C = F^T F.
+    """A material given by a strain energy of the invariants of C = F^T F.
 
-    I1 = tr C, I2 = (I1^2 - tr C^2) / 2, J = det F. The part that depends on J alone may be given
-    apart as `dilatation`: elements that average the volume change use it so.
+    I1 = tr C, I2 = (I1^2 - tr C^2) / 2, J = det F. A subclass defines `strain_energy`. The part
+    that depends on J only may be given as `volumetric_energy` instead: elements that average the
+    volume change do so with this part.
     """
 
-    @abstractmethod
-    def distortion(
+    def strain_energy(
+        self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
+    ) -> Scalars:
+        """Return the energy density per unit modulus, without `volumetric_energy`."""
+        raise NotImplementedError(f"{type(self).__name__} defines no strain_energy")
+
+    def volumetric_energy(self, j: Scalars, log_j: Scalars, poisson: Scalars) -> Scalars:
+        """Return the part of the energy density that depends on J only; zero by default."""
+        return 0.0 * j
+
+    def strain_derivatives(
         self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
     ) -> InvariantDerivatives:
-        """Energy and derivatives of the part that is not `dilatation`."""
+        """Return `strain_energy` with its derivatives: by autograd, or in closed form."""
 
-    def dilatation(self, j: Scalars, log_j: Scalars, poisson: Scalars) -> Dilatation:
-        """Energy and derivatives of the part in J alone; none by default."""
-        return Dilatation(0.0 * j)
+        def energy(i1: Tensor, i2: Tensor, j: Tensor, poisson: Scalars) -> Tensor:
+            return self.strain_energy(i1, i2, j, torch.log(j), poisson)
+
+        psi, (d1, d2, dj), (h1, h2, hj) = _differentiate(energy, (i1, i2, j), poisson)
+        return InvariantDerivatives(psi, d1, d2, dj, h1[0], h1[1], h1[2], h2[1], h2[2], hj[2])
+
+    def volumetric_derivatives(
+        self, j: Scalars, log_j: Scalars, poisson: Scalars
+    ) -> VolumetricDerivatives:
+        """Return `volumetric_energy` with its derivatives: by autograd, or in closed form."""
+        if type(self).volumetric_energy is IsotropicMaterial.volumetric_energy:
+            return VolumetricDerivatives(0.0 * j)
+
+        def energy(j: Tensor, poisson: Scalars) -> Tensor:
+            return self.volumetric_energy(j, torch.log(j), poisson)
+
+        psi, (dj,), ((djj,),) = _differentiate(energy, (j,), poisson)
+        return VolumetricDerivatives(psi, dj, djj)
 
     def energy(self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars) -> Float[Tensor, "*batch"]:
-        """Energy density per unit modulus (dimensionless)."""
-        i1, i2, j = _invariants(F)
+        """Return the energy density per unit modulus (dimensionless)."""
+        i1, i2, j = invariants(F)
         log_j = torch.log(j)
-        shape = self.distortion(i1, i2, j, log_j, poisson)
-        return shape.psi + self.dilatation(j, log_j, poisson).psi
-
-    @staticmethod
-    def invariants(
-        F: Float[Tensor, "*batch 3 3"],
-    ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-        """Return I1, I2 and J."""
-        return _invariants(F)
-
-    def _derivatives(self, F: Tensor, poisson: Scalars) -> InvariantDerivatives:
-        """All derivatives at F, the two parts together."""
-        i1, i2, j = _invariants(F)
-        log_j = torch.log(j)
-        shape = self.distortion(i1, i2, j, log_j, poisson)
-        volume = self.dilatation(j, log_j, poisson)
-        total = shape._replace(dj=shape.dj + volume.dj, djj=shape.djj + volume.djj)
-        return InvariantDerivatives(*(_spread(d, j) for d in total))
+        strain = self.strain_energy(i1, i2, j, log_j, poisson)
+        return strain + self.volumetric_energy(j, log_j, poisson)
 
     def stress(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
     ) -> Float[Tensor, "*batch 3 3"]:
-        """First Piola-Kirchhoff stress per unit modulus, d psi1 / dF."""
+        """Return the first Piola-Kirchhoff stress per unit modulus, d psi / dF."""
         d = self._derivatives(F, poisson)
         return _combine(F, d.d1, d.d2, d.dj)
 
     def averaged_stress(
-        self,
-        F: Float[Tensor, "*cases m q 3 3"],
-        weights: Float[Tensor, "m q"],
-        poisson: Scalars,
+        self, F: Float[Tensor, "*cases m q 3 3"], weights: Float[Tensor, "m q"], poisson: Scalars
     ) -> Float[Tensor, "*cases m q 3 3"]:
-        """Stress per unit modulus with the dilatation taken at the element's mean J."""
-        i1, i2, j = _invariants(F)
+        """Return the stress per unit modulus with the volumetric part at the element's mean J."""
+        i1, i2, j = invariants(F)
         mean = (weights * j).sum(-1) / weights.sum(-1)
         per_point = poisson[..., None] if getattr(poisson, "ndim", 0) else poisson
-        d = self.distortion(i1, i2, j, torch.log(j), per_point)
-        pressure = _spread(self.dilatation(mean, torch.log(mean), poisson).dj, mean)
-        return _combine(F, _spread(d.d1, j), _spread(d.d2, j), d.dj + pressure[..., None])
+        d = self.strain_derivatives(i1, i2, j, torch.log(j), per_point)
+        pressure = self.volumetric_derivatives(mean, torch.log(mean), poisson).dj
+        pressure = _expand(pressure, mean)[..., None]
+        return _combine(F, _expand(d.d1, j), _expand(d.d2, j), d.dj + pressure)
 
     def tangent(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
     ) -> Float[Tensor, "*batch 3 3 3 3"]:
-        """Tangent per unit modulus, d P_iI / d F_jJ at [i, I, j, J]."""
+        """Return the tangent per unit modulus, d P_iI / d F_jJ at [i, I, j, J]."""
         d = self._derivatives(F, poisson)
         g = torch.stack(_invariant_gradients(F), dim=-3)
         mixed = torch.stack(
@@ -170,18 +187,58 @@ class IsotropicMaterial(Material):
         weight = [x[..., None, None, None, None] for x in (d.d1, d.d2, d.dj)]
         return outer + weight[0] * h1 + weight[1] * h2 + weight[2] * hj
 
+    def _derivatives(self, F: Tensor, poisson: Scalars) -> InvariantDerivatives:
+        """All derivatives at F, of both parts together."""
+        i1, i2, j = invariants(F)
+        log_j = torch.log(j)
+        strain = self.strain_derivatives(i1, i2, j, log_j, poisson)
+        volume = self.volumetric_derivatives(j, log_j, poisson)
+        total = strain._replace(dj=strain.dj + volume.dj, djj=strain.djj + volume.djj)
+        return InvariantDerivatives(*(_expand(d, j) for d in total))
 
-def _spread(value: Scalars, like: Tensor) -> Tensor:
+
+def _differentiate(
+    energy: Callable[..., Tensor], arguments: tuple[Scalars, ...], poisson: Scalars
+) -> tuple[Scalars, tuple[Scalars, ...], tuple[tuple[Scalars, ...], ...]]:
+    """Value, gradient and Hessian of an elementwise function, in the type of the arguments."""
+    as_numpy = not isinstance(arguments[0], Tensor)
+    if as_numpy:
+        arguments = tuple(torch.as_tensor(x, dtype=torch.float64) for x in arguments)
+        poisson = torch.as_tensor(poisson, dtype=torch.float64)
+    which = tuple(range(len(arguments)))
+
+    def psi(*x: Tensor) -> Tensor:
+        return energy(*x, poisson) + 0.0 * x[0]  # an energy may be constant
+
+    def total(*x: Tensor) -> Tensor:
+        return psi(*x).sum()
+
+    first, pullback = torch.func.vjp(torch.func.grad(total, argnums=which), *arguments)[:2]
+    zeros = [torch.zeros_like(d) for d in first]
+    second = tuple(
+        pullback(tuple(torch.ones_like(d) if i == k else zeros[i] for i, d in enumerate(first)))
+        for k in which
+    )
+    if not as_numpy:
+        return psi(*arguments), first, second
+    rows = tuple(tuple(d.numpy() for d in row) for row in second)
+    return psi(*arguments).numpy(), tuple(d.numpy() for d in first), rows
+
+
+def _expand(value: Scalars, like: Tensor) -> Tensor:
     return torch.as_tensor(value, dtype=like.dtype, device=like.device).expand(like.shape)
 
 
 def _combine(F: Tensor, d1: Tensor, d2: Tensor, dj: Tensor) -> Tensor:
-    """Sum of the invariants' gradients with these weights."""
+    """Sum of the gradients of the invariants with these weights."""
     g1, g2, gj = _invariant_gradients(F)
     return d1[..., None, None] * g1 + d2[..., None, None] * g2 + dj[..., None, None] * gj
 
 
-def _invariants(F: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def invariants(
+    F: Float[Tensor, "*batch 3 3"],
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+    """Return I1, I2 and J of deformation gradients."""
     C = F.mT @ F
     i1 = C.diagonal(dim1=-2, dim2=-1).sum(-1)
     i2 = 0.5 * (i1 * i1 - (C * C).sum((-2, -1)))

@@ -1,6 +1,7 @@
-"""Linear elasticity: small strains, small rotations."""
+"""Linear elasticity."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -11,17 +12,21 @@ from tactorch.fem.materials.base import Material, Scalars, lame
 
 @dataclass(frozen=True)
 class LinearElastic(Material):
-    """psi = lambda/2 (tr eps)^2 + mu eps:eps with eps = sym(F - I)."""
+    """Linear elasticity, for small strains and rotations.
+
+    psi = lambda/2 (tr eps)^2 + mu eps:eps with eps = sym(F - I).
+    """
+
+    allows_inversion: ClassVar[bool] = True
 
     def energy(self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars) -> Float[Tensor, "*batch"]:
-        """Energy density per unit modulus (dimensionless)."""
-        strain = _strain(F)
-        return 0.5 * (self.stress(F, poisson) * strain).sum((-2, -1))
+        """See `Material.energy`."""
+        return 0.5 * (self.stress(F, poisson) * _strain(F)).sum((-2, -1))
 
     def stress(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
     ) -> Float[Tensor, "*batch 3 3"]:
-        """Sum of lambda tr(eps) I and 2 mu eps."""
+        """Return lambda tr(eps) I + 2 mu eps."""
         lam, mu = (_as_matrix(x, F) for x in lame(poisson))
         strain = _strain(F)
         trace = strain.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
@@ -30,7 +35,7 @@ class LinearElastic(Material):
     def tangent(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
     ) -> Float[Tensor, "*batch 3 3 3 3"]:
-        """Sum of lambda d_iI d_jJ and mu (d_ij d_IJ + d_iJ d_jI)."""
+        """Return lambda d_iI d_jJ + mu (d_ij d_IJ + d_iJ d_jI)."""
         lam, mu = (_as_matrix(x, F)[..., None, None] for x in lame(poisson))
         one = torch.eye(3, dtype=F.dtype, device=F.device)
         trace = torch.einsum("iI,jJ->iIjJ", one, one)

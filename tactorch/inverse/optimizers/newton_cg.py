@@ -18,11 +18,11 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers.base import Optimizer, projected_gradient
-from tactorch.inverse.optimizers.conjugate_gradients import truncated
 from tactorch.inverse.optimizers.hessian import SecondOrder
 from tactorch.inverse.optimizers.preconditioner import PriorSolver
 from tactorch.inverse.optimizers.probing import data_trace, start_cooling
 from tactorch.inverse.optimizers.weight import RegularizationSchedule
+from tactorch.linalg import conjugate_gradients
 
 _POOR, _LEEWAY = 0.1, 2.0  # as in `gauss_newton`
 _LEAST, _LEAST_RAISED = 1e-12, 1e-4
@@ -179,13 +179,15 @@ class _Run:
         def damped(change: np.ndarray) -> np.ndarray:
             return np.where(free, curved(change) + shift * change, 0.0)
 
-        solved = truncated(
-            damped, self.prior.solve, gradient, accuracy, self.settings.cg_iterations
-        )
-        change = _cut(point, solved.step)
+        solved = conjugate_gradients(
+            damped, self.prior.solve, -gradient, rtol=accuracy,
+            max_iterations=self.settings.cg_iterations, preconditioned_norm=True,
+            orthogonalize=True,
+        )  # fmt: skip
+        change = _cut(point, solved.solution)
         if not np.all(np.isfinite(change)):
             return None
-        as_solved = np.array_equal(change, solved.step)
+        as_solved = np.array_equal(change, solved.solution)
         image = solved.image - shift * change if as_solved else curved(change)
         return _Move(change, -float(gradient @ change + 0.5 * change @ image), solved.iterations)
 

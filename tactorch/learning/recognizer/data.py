@@ -1,4 +1,4 @@
-"""Maps and labels to train a recognizer on."""
+"""SampleMaps and labels to train a recognizer on."""
 
 import json
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, TensorDataset
 
 from tactorch.errors import ConfigError
-from tactorch.generation import Maps, SampleSet
+from tactorch.generation import SampleMaps, SampleSet
 from tactorch.learning.order import EpochSampler
 from tactorch.learning.splits import PARTS, split_objects
 from tactorch.learning.symmetry import IDENTITY, Symmetry, apply, symmetries
@@ -20,7 +20,7 @@ from tactorch.mesh import VoxelGrid
 
 
 class Turned(Dataset[tuple[Tensor, Tensor]]):
-    """Maps, each seen through a symmetry and a factor drawn anew in each epoch.
+    """SampleMaps, each seen through a symmetry and a factor drawn anew in each epoch.
 
     Args:
         maps: (n, 1, v, v, v) log-modulus.
@@ -61,7 +61,7 @@ class RecognitionData(lightning.LightningDataModule):
     Args:
         folder: Dataset, such as `tactorch generate dataset=recognition` makes.
         voxels: In each direction.
-        batch: Maps in a batch.
+        batch: SampleMaps in a batch.
         shares: Of the objects in training, validation and test.
         split: Seed of the split.
         source: "reconstruction" or "truth".
@@ -151,7 +151,7 @@ class RecognitionData(lightning.LightningDataModule):
         places = self.parts[name]
         return TensorDataset(self.maps[places], self.labels[places])
 
-    def _map(self, sample: Maps, grid: VoxelGrid) -> Tensor:
+    def _map(self, sample: SampleMaps, grid: VoxelGrid) -> Tensor:
         youngs = sample.truth if self.source == "truth" else sample.reconstruction
         if youngs is None:
             raise ConfigError(
@@ -161,7 +161,7 @@ class RecognitionData(lightning.LightningDataModule):
         return torch.from_numpy(np.log(grid.fill(youngs))).float()[None]
 
 
-def _common_symmetries(samples: Sequence[Maps]) -> list[Symmetry]:
+def _common_symmetries(samples: Sequence[SampleMaps]) -> list[Symmetry]:
     """What keeps the pressed sides of every sample as they are; at least: nothing."""
     if any(sample.pushes is None for sample in samples):
         return [IDENTITY]

@@ -1,8 +1,8 @@
-// Data, colours, numbers and axes that all figures share.
+// Data, colours, numbers and axes shared by all figures.
 
 const data = JSON.parse(document.getElementById("data").textContent);
-const one = (selector, within = document) => within.querySelector(selector);
-const all = (selector, within = document) => [...within.querySelectorAll(selector)];
+const query = (selector, within = document) => within.querySelector(selector);
+const queryAll = (selector, within = document) => [...within.querySelectorAll(selector)];
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
 const ARRAYS = {
@@ -10,25 +10,25 @@ const ARRAYS = {
   uint8: Uint8Array,
 };
 
-function unpacked(packed) {
+function decode(packed) {
   const text = atob(packed.data), bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
   return new ARRAYS[packed.dtype](bytes.buffer);
 }
 
-function values(packed) {
+function decodeField(packed) {
   const step = (packed.high - packed.low) / 65535;
-  return Float32Array.from(unpacked(packed), (k) => {
+  return Float32Array.from(decode(packed), (k) => {
     const value = packed.low + k * step;
     return packed.ratio ? Math.exp(value) : value;
   });
 }
 
-function vectors(packed) {
-  return Float32Array.from(unpacked(packed), (k) => (k === -32768 ? NaN : k * packed.step));
+function decodeVectors(packed) {
+  return Float32Array.from(decode(packed), (k) => (k === -32768 ? NaN : k * packed.step));
 }
 
-// ------------------------------------------------------------ what the reader has chosen
+// ------------------------------------------------------------ state of the controls
 
 const state = {
   at: [0, 0, 0], // mm, the slice across each axis
@@ -42,8 +42,8 @@ const state = {
 const listeners = [];
 let drawing = 0;
 
-// Redraw, once a frame however much has changed.
-function changed() {
+// Redraw in the next animation frame.
+function scheduleRedraw() {
   if (drawing) return;
   drawing = requestAnimationFrame(redraw);
 }
@@ -56,11 +56,11 @@ function redraw() {
 
 // ------------------------------------------------------------ colours
 
-const MAPS = Object.fromEntries(Object.entries(data.maps).map(([k, v]) => [k, unpacked(v)]));
+const MAPS = Object.fromEntries(Object.entries(data.maps).map(([k, v]) => [k, decode(v)]));
 const MODULI = new Set(["youngs", "truth", "reference"]);
 
-// Young's modulus in the colours chosen, what is known of it in others; or all in grey.
-function mapOf(field) {
+// Moduli use the selected colours and other fields cividis; in grey, all fields are grey.
+function colourMap(field) {
   if (state.colours === "ultrasound" || MODULI.has(field)) return MAPS[state.colours];
   return MAPS.cividis;
 }
@@ -72,28 +72,28 @@ function isLog(field) {
 function limitsOf(field) {
   const [low, high] = data.limits[field];
   if (!isLog(field)) return [low, high];
-  return [low > 0 ? low : lowest(field), high];
+  return [low > 0 ? low : minModulus(field), high];
 }
 
-const least = {};
-// A logarithmic scale starts at the least modulus of all runs, or two decades below the largest.
-function lowest(field) {
-  if (!(field in least)) {
-    least[field] = Infinity;
+const minimums = {};
+// A logarithmic scale starts at the minimum of all runs, at most three decades below the maximum.
+function minModulus(field) {
+  if (!(field in minimums)) {
+    minimums[field] = Infinity;
     for (const run of runs)
       for (const name of MODULI)
         for (const value of run.fields[name] || [])
-          least[field] = Math.min(least[field], value);
-    least[field] = Math.max(least[field], data.limits[field][1] / 1000);
+          minimums[field] = Math.min(minimums[field], value);
+    minimums[field] = Math.max(minimums[field], data.limits[field][1] / 1000);
   }
-  return least[field];
+  return minimums[field];
 }
 
-// An uncertainty below 0 stands for none, where the map lies at a bound.
-const isTold = (field, value) => field !== "spread" || value > -0.5;
+// A negative uncertainty is undefined: the map is at a bound.
+const isDefined = (field, value) => field !== "uncertainty" || value > -0.5;
 
-function shareOf(field, value) {
-  if (!isTold(field, value)) return 1;
+function colourFraction(field, value) {
+  if (!isDefined(field, value)) return 1;
   const [low, high] = limitsOf(field);
   const share = isLog(field)
     ? Math.log(Math.max(value, 1e-12) / low) / Math.log(high / low)
@@ -101,15 +101,15 @@ function shareOf(field, value) {
   return clamp(share, 0, 1);
 }
 
-function shade(map, share) {
+function mapColour(map, share) {
   const k = 3 * Math.round(255 * clamp(share, 0, 1));
   return [map[k], map[k + 1], map[k + 2]];
 }
 
-const css = ([r, g, b]) => `rgb(${r} ${g} ${b})`;
-const colourOf = (field, value) => shade(mapOf(field), shareOf(field, value));
+const cssColour = ([r, g, b]) => `rgb(${r} ${g} ${b})`;
+const colourOf = (field, value) => mapColour(colourMap(field), colourFraction(field, value));
 
-function ink(name) {
+function cssValue(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 }
 
@@ -117,7 +117,7 @@ function ink(name) {
 
 const RAISED = Object.fromEntries([..."-0123456789"].map((c, i) => [c, "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"[i]]));
 
-function number(value, digits = 3) {
+function formatNumber(value, digits = 3) {
   if (!Number.isFinite(value)) return "–";
   if (value === 0) return "0";
   const size = Math.abs(value);
@@ -128,30 +128,30 @@ function number(value, digits = 3) {
   return String(Number(value.toPrecision(digits)));
 }
 
-const mm = (value) => (Math.abs(value) < 5e-3 ? 0 : value).toFixed(2);
+const formatMm = (value) => (Math.abs(value) < 5e-3 ? 0 : value).toFixed(2);
 
 function ticks(low, high, count = 5) {
   const rough = (high - low) / count;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough * 0.999);
-  const found = [];
+  const result = [];
   for (let k = Math.ceil(low / step - 1e-6); k <= high / step + 1e-6; k++)
-    found.push(Number((k * step).toPrecision(8)));
-  return found;
+    result.push(Number((k * step).toPrecision(8)));
+  return result;
 }
 
 function logTicks(low, high) {
-  const found = [];
+  const result = [];
   for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power++)
     for (const lead of [1, 2, 5]) {
       const value = lead * 10 ** power;
-      if (value >= low * 0.999 && value <= high * 1.001) found.push(Number(value.toPrecision(3)));
+      if (value >= low * 0.999 && value <= high * 1.001) result.push(Number(value.toPrecision(3)));
     }
-  return found.length > 6 ? found.filter((v) => /^[1]/.test(v.toExponential())) : found;
+  return result.length > 6 ? result.filter((v) => /^[1]/.test(v.toExponential())) : result;
 }
 
-// A canvas of a size in CSS pixels, sharp on any screen; its context draws in CSS pixels.
-function prepared(canvas, width, height, sharpness = window.devicePixelRatio || 1) {
+// Set the size of a canvas in CSS pixels and return its context, which draws in CSS pixels.
+function prepareCanvas(canvas, width, height, sharpness = window.devicePixelRatio || 1) {
   const w = Math.round(width * sharpness), h = Math.round(height * sharpness);
   if (canvas.width !== w || canvas.height !== h) {
     canvas.width = w;
@@ -167,19 +167,19 @@ function prepared(canvas, width, height, sharpness = window.devicePixelRatio || 
 }
 
 function colourBar(canvas, field, width) {
-  const g = prepared(canvas, width, 30), map = mapOf(field), [low, high] = limitsOf(field);
+  const g = prepareCanvas(canvas, width, 30), map = colourMap(field), [low, high] = limitsOf(field);
   const left = 4, right = width - 4;
   for (let x = left; x < right; x++) {
-    g.fillStyle = css(shade(map, (x - left) / (right - left)));
+    g.fillStyle = cssColour(mapColour(map, (x - left) / (right - left)));
     g.fillRect(x, 0, 1.5, 10);
   }
-  g.strokeStyle = ink("line");
+  g.strokeStyle = cssValue("line");
   g.strokeRect(left, 0.5, right - left, 10);
-  g.fillStyle = ink("soft");
+  g.fillStyle = cssValue("soft");
   g.textBaseline = "top";
   let end = -Infinity;
   for (const tick of isLog(field) ? logTicks(low, high) : ticks(low, high, 4)) {
-    const x = left + shareOf(field, tick) * (right - left), label = number(tick);
+    const x = left + colourFraction(field, tick) * (right - left), label = formatNumber(tick);
     const half = g.measureText(label).width / 2;
     const middle = clamp(x, half, width - half);
     if (middle - half < end + 6) continue;

@@ -1,8 +1,8 @@
-// Begin.
+// Controls, printing and start-up.
 
-function makeChoices() {
+function makeControls() {
   const fields = Object.keys(data.fields).filter((f) => runs.some((run) => run.fields[f]));
-  const shown = one("#shown"), quantity = one("#quantity");
+  const shown = query("#shown"), quantity = query("#quantity");
   if (shown)
     for (const field of fields) {
       const label = shown.appendChild(document.createElement("label"));
@@ -24,39 +24,38 @@ function makeChoices() {
       rebuild();
     });
   }
-  const colours = one("#colours");
+  const colours = query("#colours");
   colours.value = state.colours;
   colours.addEventListener("change", () => {
     state.colours = colours.value;
-    changed();
+    scheduleRedraw();
   });
-  one("#scale").addEventListener("change", (event) => {
+  query("#scale").addEventListener("change", (event) => {
     state.log = event.target.value === "log";
-    changed();
+    scheduleRedraw();
   });
-  one("#outlines").addEventListener("change", (event) => {
+  query("#outlines").addEventListener("change", (event) => {
     state.outlines = event.target.checked;
-    changed();
+    scheduleRedraw();
   });
 }
 
 function rebuild() {
   makeGrid();
-  describe();
-  changed();
+  describeFields();
+  scheduleRedraw();
 }
 
-// On paper all is light, whatever the screen, and folded parts are open; but the settings and logs
-// of several runs, page after page, only where the reader has opened them.
-let folded = [];
-function paper(begins) {
+// Prints are light and all collapsed parts are open, except settings and logs of several runs.
+let opened = [];
+function setPrinting(begins) {
   if (begins === state.printing) return;
   state.printing = begins;
   document.documentElement.classList.toggle("printing", begins);
   if (begins) {
-    folded = all("details:not([open])").filter((part) => runs.length === 1 || !one("pre", part));
-    for (const part of folded) part.open = true;
-  } else for (const part of folded) part.open = false;
+    opened = queryAll("details:not([open])").filter((part) => runs.length === 1 || !query("pre", part));
+    for (const part of opened) part.open = true;
+  } else for (const part of opened) part.open = false;
   redraw();
   if (!begins) return;
   drawForPrint();
@@ -66,29 +65,29 @@ function paper(begins) {
 function begin() {
   const first = runs.find((run) => run.center);
   state.at = first ? [...first.center] : bounds[0].map((low, a) => 0.5 * (low + bounds[1][a]));
-  makeChoices();
+  makeControls();
   makeGrid();
-  describe();
-  makeSolid();
+  describeFields();
+  makeViews();
   makePresses();
-  listeners.push(drawSlices, drawSolid, drawPresses, drawCurve);
+  listeners.push(drawSlices, drawViews, drawPresses, drawCurve);
   redraw();
-  new ResizeObserver(changed).observe(one("main"));
+  new ResizeObserver(scheduleRedraw).observe(query("main"));
   for (const query of ["(prefers-color-scheme: dark)", "(min-resolution: 1.5dppx)"])
-    matchMedia(query).addEventListener("change", changed);
+    matchMedia(query).addEventListener("change", scheduleRedraw);
   const printing = matchMedia("print");
-  printing.addEventListener("change", () => paper(printing.matches));
-  addEventListener("beforeprint", () => paper(true));
-  addEventListener("afterprint", () => paper(false));
+  printing.addEventListener("change", () => setPrinting(printing.matches));
+  addEventListener("beforeprint", () => setPrinting(true));
+  addEventListener("afterprint", () => setPrinting(false));
   document.documentElement.dataset.ready = "true";
 }
 
 try {
   begin();
 } catch (error) {
-  const box = one("#trouble");
+  const box = query("#error");
   box.hidden = false;
-  box.textContent = `The pictures could not be drawn (${error.message}); try a newer browser.` +
-    " Text and tables stand below all the same.";
+  box.textContent = `The figures could not be drawn (${error.message}); try a newer browser.` +
+    " Text and tables are complete without them.";
   throw error;
 }

@@ -1,19 +1,19 @@
-// Meshes cut by planes and by the value of a field.
+// Plane sections and isosurfaces of meshes.
 
-const PLANE = [[1, 2], [0, 2], [0, 1]]; // axes of a slice's picture, across and up
+const PLANE = [[1, 2], [0, 2], [0, 1]]; // horizontal and vertical axes of slices across x, y and z
 const AXES = "xyz";
 
 const runs = data.runs.map((run) => {
-  const points = unpacked(run.points), tets = unpacked(run.tets);
+  const points = decode(run.points), tets = decode(run.tets);
   const fields = {};
-  for (const [name, packed] of Object.entries(run.fields)) fields[name] = values(packed);
+  for (const [name, packed] of Object.entries(run.fields)) fields[name] = decodeField(packed);
   return {
     ...run, points, tets, fields,
-    surface: unpacked(run.surface),
-    found: run.found && unpacked(run.found),
-    true: run.true && unpacked(run.true),
-    contact: run.contact.map((c) => ({ ...c, triangles: unpacked(c.triangles) })),
-    interval: run.interval && run.interval.map(values),
+    surface: decode(run.surface),
+    inclusion: run.inclusion && decode(run.inclusion),
+    trueInclusion: run.trueInclusion && decode(run.trueInclusion),
+    contact: run.contact.map((c) => ({ ...c, triangles: decode(c.triangles) })),
+    interval: run.interval && run.interval.map(decodeField),
     nudge: 1e-6 * Math.hypot(...run.bounds[1].map((h, a) => h - run.bounds[0][a])),
     cuts: [{}, {}, {}],
   };
@@ -22,21 +22,21 @@ const runs = data.runs.map((run) => {
 const bounds = [0, 1].map((end) =>
   [0, 1, 2].map((a) => Math[end ? "max" : "min"](...runs.map((run) => run.bounds[end][a]))));
 
-// Where a plane is laid: beside nodes, and within the body where it is to touch its last side.
-function placeOf(run, axis, at) {
+// Position of a cutting plane, off the nodes, and within the body at its upper side.
+function planePosition(run, axis, at) {
   const high = run.bounds[1][axis];
   return at <= high + run.nudge ? Math.min(at + run.nudge, high - run.nudge) : at;
 }
 
-// Where elements meet a plane: corners of each polygon in the plane's two coordinates.
+// Sections of elements by a plane: corners of each polygon in the two coordinates of the plane.
 function cut(run, axis, at) {
-  const kept = run.cuts[axis];
-  if (kept.at === at) return kept.found;
+  const cached = run.cuts[axis];
+  if (cached.at === at) return cached.section;
   const { points, tets } = run, [across, up] = PLANE[axis];
   const corners = [], ends = [0], elements = [];
-  const place = placeOf(run, axis, at);
+  const plane = planePosition(run, axis, at);
   const crossing = (i, j) => {
-    const a = points[3 * i + axis] - place, b = points[3 * j + axis] - place, t = a / (a - b);
+    const a = points[3 * i + axis] - plane, b = points[3 * j + axis] - plane, t = a / (a - b);
     corners.push(
       points[3 * i + across] + t * (points[3 * j + across] - points[3 * i + across]),
       points[3 * i + up] + t * (points[3 * j + up] - points[3 * i + up]));
@@ -44,7 +44,7 @@ function cut(run, axis, at) {
   for (let e = 0; e < tets.length / 4; e++) {
     const above = [], below = [];
     for (let k = 4 * e; k < 4 * e + 4; k++)
-      (points[3 * tets[k] + axis] >= place ? above : below).push(tets[k]);
+      (points[3 * tets[k] + axis] >= plane ? above : below).push(tets[k]);
     if (!above.length || !below.length) continue;
     const [few, many] = above.length <= below.length ? [above, below] : [below, above];
     if (few.length === 1) for (const other of many) crossing(few[0], other);
@@ -57,31 +57,32 @@ function cut(run, axis, at) {
     ends.push(corners.length / 2);
     elements.push(e);
   }
-  const found = { corners, ends, elements };
-  run.cuts[axis] = { at, found };
-  return found;
+  const section = { corners, ends, elements };
+  run.cuts[axis] = { at, section };
+  return section;
 }
 
-// Where triangles meet a plane: ends of segments.
+// Sections of triangles by a plane: ends of segments.
 function cutTriangles(run, triangles, axis, at) {
-  const { points } = run, [across, up] = PLANE[axis], place = placeOf(run, axis, at), found = [];
+  const { points } = run, [across, up] = PLANE[axis], plane = planePosition(run, axis, at);
+  const segments = [];
   for (let t = 0; t < triangles.length; t += 3) {
     const ends = [];
     for (let k = 0; k < 3; k++) {
       const i = triangles[t + k], j = triangles[t + ((k + 1) % 3)];
-      const a = points[3 * i + axis] - place, b = points[3 * j + axis] - place;
+      const a = points[3 * i + axis] - plane, b = points[3 * j + axis] - plane;
       if (a >= 0 === b >= 0) continue;
       const s = a / (a - b);
       ends.push(
         points[3 * i + across] + s * (points[3 * j + across] - points[3 * i + across]),
         points[3 * i + up] + s * (points[3 * j + up] - points[3 * i + up]));
     }
-    if (ends.length === 4) found.push(ends);
+    if (ends.length === 4) segments.push(ends);
   }
-  return found;
+  return segments;
 }
 
-// The element of a cut that holds a point of the plane, or -1.
+// Element of a section that contains a point of the plane, or -1.
 function elementAt({ corners, ends, elements }, x, y) {
   for (let e = 0; e < elements.length; e++) {
     let sign = 0, inside = true;
@@ -98,9 +99,9 @@ function elementAt({ corners, ends, elements }, x, y) {
   return -1;
 }
 
-// The modulus at the nodes: the mean logarithm over the elements around, by volume.
-function nodal(run) {
-  if (run.nodal) return run.nodal;
+// Modulus at the nodes: mean logarithm over the adjacent elements, weighted by volume.
+function nodalModulus(run) {
+  if (run.nodalModulus) return run.nodalModulus;
   const { points, tets } = run, youngs = run.fields.youngs;
   const sum = new Float64Array(points.length / 3), weight = new Float64Array(points.length / 3);
   for (let e = 0; e < youngs.length; e++) {
@@ -112,38 +113,38 @@ function nodal(run) {
       weight[tets[4 * e + k]] += volume;
     }
   }
-  run.nodal = Float32Array.from(sum, (s, i) => Math.exp(s / weight[i]));
-  return run.nodal;
+  run.nodalModulus = Float32Array.from(sum, (s, i) => Math.exp(s / weight[i]));
+  return run.nodalModulus;
 }
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) =>
   [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 
-// Gradient of the nodal modulus at the nodes, which lights the surface smoothly.
-function slopes(run) {
-  if (run.slopes) return run.slopes;
-  const { points, tets } = run, field = nodal(run);
-  const found = new Float32Array(points.length);
+// Gradient of the nodal modulus, for smooth shading of the isosurface.
+function nodalGradient(run) {
+  if (run.nodalGradient) return run.nodalGradient;
+  const { points, tets } = run, field = nodalModulus(run);
+  const gradient = new Float32Array(points.length);
   for (let e = 0; e < tets.length / 4; e++) {
     const ids = [0, 1, 2, 3].map((k) => tets[4 * e + k]);
     const p = ids.map((i) => points.subarray(3 * i, 3 * i + 3));
     const [a, b, c] = [1, 2, 3].map((k) => [0, 1, 2].map((d) => p[k][d] - p[0][d]));
     const normals = [cross(b, c), cross(c, a), cross(a, b)];
     for (let d = 0; d < 3; d++) {
-      let slope = 0; // times six volumes, the weight by which elements count
+      let slope = 0; // times six volumes, the weight of the element
       for (let k = 0; k < 3; k++)
         slope += normals[k][d] * (field[ids[k + 1]] - field[ids[0]]);
-      for (const i of ids) found[3 * i + d] += slope;
+      for (const i of ids) gradient[3 * i + d] += slope;
     }
   }
-  run.slopes = found;
-  return found;
+  run.nodalGradient = gradient;
+  return gradient;
 }
 
 // Marching tetrahedra: positions and normals of the surface where the nodal modulus is `level`.
 function isosurface(run, level) {
-  const { points, tets } = run, field = nodal(run), slope = slopes(run);
+  const { points, tets } = run, field = nodalModulus(run), slope = nodalGradient(run);
   const positions = [], normals = [];
   const corner = (i, j) => {
     const t = (level - field[i]) / (field[j] - field[i]);

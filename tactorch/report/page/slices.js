@@ -1,22 +1,22 @@
-// Slices across x, y and z: a row and a slider for each axis, a column for each map.
+// Slices across x, y and z: one row and slider per axis, one column per field or run.
 
-const grid = one("#grid");
+const grid = query("#grid");
 const MARGIN = { left: 38, right: 8, top: 6, bottom: 34 };
 const CONTACT = "#d55e00";
 const sliders = [];
 let columns = [], panels = [];
 
-function columnsShown() {
+function selectColumns() {
   if (runs.length === 1)
     return Object.keys(runs[0].fields)
       .filter((field) => !state.hidden.has(field))
       .map((field) => ({ run: runs[0], field, title: data.fields[field].title }));
-  const found = runs
+  const result = runs
     .filter((run) => run.fields[state.quantity])
     .map((run) => ({ run, field: state.quantity, title: run.name }));
-  if (!MODULI.has(state.quantity)) return found;
+  if (!MODULI.has(state.quantity)) return result;
   for (const field of ["truth", "reference"]) {
-    // Runs on the same object have the same truth: it is shown once.
+    // A truth that several runs share is shown once.
     const seen = new Map();
     for (const run of runs)
       if (run.fields[field]) {
@@ -26,14 +26,14 @@ function columnsShown() {
       }
     for (const run of seen.values()) {
       const of = seen.size > 1 ? ` of ${run.name}` : "";
-      found.push({ run, field, title: data.fields[field].title + of });
+      result.push({ run, field, title: data.fields[field].title + of });
     }
   }
-  return found;
+  return result;
 }
 
 function makeGrid() {
-  columns = columnsShown();
+  columns = selectColumns();
   panels = [];
   grid.replaceChildren();
   grid.style.setProperty("--columns", Math.max(columns.length, 1));
@@ -68,7 +68,7 @@ function makeRow(axis) {
   slider.step = (high - low) / 400;
   slider.addEventListener("input", () => {
     state.at[axis] = Number(slider.value);
-    changed();
+    scheduleRedraw();
   });
   sliders[axis] = { slider, out };
   for (const column of columns) {
@@ -76,16 +76,16 @@ function makeRow(axis) {
     canvas.setAttribute("role", "img");
     canvas.className = "slice";
     const panel = { canvas, axis, column };
-    canvas.addEventListener("pointermove", (event) => read(panel, event));
-    canvas.addEventListener("click", (event) => moveTo(panel, event));
+    canvas.addEventListener("pointermove", (event) => showValues(panel, event));
+    canvas.addEventListener("click", (event) => moveSlices(panel, event));
     panels.push(panel);
   }
 }
 
-// Room in CSS pixels, and how many of them a mm takes; the same for all panels.
+// Width of the panels in CSS pixels and their scale in pixels per mm.
 function layout() {
   const first = panels[0].canvas.parentElement;
-  const control = one(".control", first).offsetWidth;
+  const control = query(".control", first).offsetWidth;
   const gap = 12, stacked = control > 0.6 * first.clientWidth;
   const room = stacked ? first.clientWidth - gap * (columns.length - 1)
     : first.clientWidth - control - gap * columns.length;
@@ -94,7 +94,7 @@ function layout() {
   return { width, scale: (width - MARGIN.left - MARGIN.right) / (1.06 * widest) };
 }
 
-// From mm in the plane to pixels of a panel.
+// Transformation from mm in the plane to pixels of a panel.
 function framing(axis, { width, scale }) {
   const [across, up] = PLANE[axis];
   const middle = 0.5 * (bounds[0][across] + bounds[1][across]);
@@ -112,13 +112,13 @@ function framing(axis, { width, scale }) {
 }
 
 function drawSlice(canvas, { run, field }, axis, at, frame, sharpness) {
-  const g = prepared(canvas, frame.width, frame.height, sharpness);
+  const g = prepareCanvas(canvas, frame.width, frame.height, sharpness);
   const { corners, ends, elements } = cut(run, axis, at), values = run.fields[field];
   g.lineJoin = "round";
   g.lineWidth = 1.2;
   for (let e = 0; e < elements.length; e++) {
-    // The thin line of the same colour closes the seams that smoothing leaves.
-    g.fillStyle = g.strokeStyle = css(colourOf(field, values[elements[e]]));
+    // A thin line of the same colour closes the seams between anti-aliased polygons.
+    g.fillStyle = g.strokeStyle = cssColour(colourOf(field, values[elements[e]]));
     g.beginPath();
     for (let k = ends[e]; k < ends[e + 1]; k++)
       g.lineTo(frame.x(corners[2 * k]), frame.y(corners[2 * k + 1]));
@@ -132,26 +132,26 @@ function drawSlice(canvas, { run, field }, axis, at, frame, sharpness) {
       g.strokeStyle = colour;
       g.lineWidth = width;
       g.setLineDash(dash || []);
-      g.stroke(chained(segments, frame));
+      g.stroke(joinSegments(segments, frame));
     }
     g.setLineDash([]);
     return segments;
   };
-  strokes(run.surface, [[ink("soft"), 0.8]]);
+  strokes(run.surface, [[cssValue("soft"), 0.8]]);
   if (state.outlines) {
-    if (run.true) strokes(run.true, [["#000", 2.6], ["#fff", 1.4, [4, 3]]]);
-    if (run.found) strokes(run.found, [["#000", 2.8], ["#fff", 1.4]]);
+    if (run.trueInclusion) strokes(run.trueInclusion, [["#000", 2.6], ["#fff", 1.4, [4, 3]]]);
+    if (run.inclusion) strokes(run.inclusion, [["#000", 2.8], ["#fff", 1.4]]);
     for (const patch of run.contact) {
       const segments = strokes(patch.triangles, [[CONTACT, 3]]);
-      arrows(g, segments, patch.direction, frame);
+      drawArrows(g, segments, patch.direction, frame);
     }
   }
-  axesOf(g, axis, frame);
+  drawAxes(g, axis, frame);
   return elements.length;
 }
 
-// Segments joined to lines, so that dashes run on from one to the next.
-function chained(segments, frame) {
+// Join segments to polylines, for continuous dashes.
+function joinSegments(segments, frame) {
   const path = new Path2D(), key = (x, y) => `${x.toFixed(4)},${y.toFixed(4)}`;
   const near = new Map();
   segments.forEach((s, i) => {
@@ -179,8 +179,8 @@ function chained(segments, frame) {
   return path;
 }
 
-// Up to three arrows in the body, along the push, beside the line of contact.
-function arrows(g, segments, direction, frame) {
+// Three arrows along the force, inside the line of contact.
+function drawArrows(g, segments, direction, frame) {
   const flat = [direction[frame.across], direction[frame.up]], size = Math.hypot(...flat);
   if (!segments.length || size < 0.3) return;
   const [dx, dy] = [flat[0] / size, -flat[1] / size];
@@ -202,17 +202,17 @@ function arrows(g, segments, direction, frame) {
   }
 }
 
-function axesOf(g, axis, frame) {
+function drawAxes(g, axis, frame) {
   const { across, up, width, height } = frame;
   const bottom = height - MARGIN.bottom + 2;
-  g.fillStyle = g.strokeStyle = ink("soft");
+  g.fillStyle = g.strokeStyle = cssValue("soft");
   g.lineWidth = 1;
   g.textAlign = "center";
   g.textBaseline = "top";
   const count = clamp(Math.round((bounds[1][across] - bounds[0][across]) * frame.scale / 45), 2, 6);
   for (const tick of ticks(bounds[0][across], bounds[1][across], count)) {
     g.fillRect(Math.round(frame.x(tick)) - 0.5, bottom, 1, 4);
-    g.fillText(number(tick), frame.x(tick), bottom + 6);
+    g.fillText(formatNumber(tick), frame.x(tick), bottom + 6);
   }
   g.fillText(`${AXES[across]} (mm)`, (MARGIN.left + width - MARGIN.right) / 2, bottom + 19);
   g.textAlign = "right";
@@ -221,7 +221,7 @@ function axesOf(g, axis, frame) {
   const left = Math.min(frame.x(bounds[0][across]) - 4, MARGIN.left);
   for (const tick of ticks(bounds[0][up], bounds[1][up], high)) {
     g.fillRect(left - 4, Math.round(frame.y(tick)) - 0.5, 4, 1);
-    g.fillText(number(tick), left - 6, frame.y(tick));
+    g.fillText(formatNumber(tick), left - 6, frame.y(tick));
   }
   g.save();
   g.translate(left - 30, frame.y(0.5 * (bounds[0][up] + bounds[1][up])));
@@ -231,9 +231,9 @@ function axesOf(g, axis, frame) {
   g.restore();
 }
 
-// Where the other two slices are: thin lines.
-function crossHair(g, axis, frame) {
-  g.strokeStyle = ink("hair");
+// Thin lines at the positions of the other two slices.
+function drawCrossHair(g, axis, frame) {
+  g.strokeStyle = cssValue("hair");
   g.lineWidth = 1;
   g.setLineDash([2, 3]);
   g.beginPath();
@@ -249,32 +249,32 @@ function crossHair(g, axis, frame) {
 
 function drawSlices() {
   if (!panels.length) return;
-  const place = layout();
-  grid.style.setProperty("--panel", `${place.width}px`);
-  for (const column of columns) colourBar(column.bar, column.field, place.width);
+  const size = layout();
+  grid.style.setProperty("--panel", `${size.width}px`);
+  for (const column of columns) colourBar(column.bar, column.field, size.width);
   for (const axis of [0, 1, 2]) {
     const { slider, out } = sliders[axis];
     slider.value = state.at[axis];
-    out.textContent = `${AXES[axis]} = ${mm(state.at[axis])} mm`;
+    out.textContent = `${AXES[axis]} = ${formatMm(state.at[axis])} mm`;
     slider.setAttribute("aria-valuetext", out.textContent);
   }
   for (const panel of panels) {
     const { canvas, axis, column } = panel;
-    panel.frame = framing(axis, place);
-    const shown = repaint(panel);
-    const g = prepared(canvas, panel.frame.width, panel.frame.height);
+    panel.frame = framing(axis, size);
+    const shown = renderPanel(panel);
+    const g = prepareCanvas(canvas, panel.frame.width, panel.frame.height);
     g.drawImage(panel.base, 0, 0, panel.frame.width, panel.frame.height);
-    crossHair(g, axis, panel.frame);
-    const label = `${column.title}, slice across ${AXES[axis]} at ${mm(state.at[axis])} mm`;
-    canvas.setAttribute("aria-label", shown ? label + rangeOf(panel) : `${label}: outside the body`);
+    drawCrossHair(g, axis, panel.frame);
+    const label = `${column.title}, slice across ${AXES[axis]} at ${formatMm(state.at[axis])} mm`;
+    canvas.setAttribute("aria-label", shown ? label + describeRange(panel) : `${label}: outside the body`);
   }
 }
 
-// The picture without the lines that show the other slices: drawn anew only when it differs.
-function repaint(panel) {
+// The slice without the cross hair, redrawn only if it changes.
+function renderPanel(panel) {
   const { axis, column, frame } = panel;
   const look = [state.at[axis], state.colours, state.log, state.outlines, frame.width, frame.scale,
-    ink("scheme"), window.devicePixelRatio].join();
+    cssValue("scheme"), window.devicePixelRatio].join();
   if (panel.look !== look) {
     panel.look = look;
     panel.base = panel.base || document.createElement("canvas");
@@ -283,65 +283,65 @@ function repaint(panel) {
   return panel.shown;
 }
 
-function rangeOf({ axis, column }) {
+function describeRange({ axis, column }) {
   const { elements } = cut(column.run, axis, state.at[axis]);
   let low = Infinity, high = -Infinity;
   for (const e of elements) {
     const value = column.run.fields[column.field][e];
-    if (!isTold(column.field, value)) continue;
+    if (!isDefined(column.field, value)) continue;
     low = Math.min(low, value);
     high = Math.max(high, value);
   }
-  return `: ${number(low)} to ${number(high)} ${data.fields[column.field].unit}`;
+  return `: ${formatNumber(low)} to ${formatNumber(high)} ${data.fields[column.field].unit}`;
 }
 
 // ------------------------------------------------------------ pointing
 
-function pointed({ canvas, axis, column, frame }, event) {
+function locatePointer({ canvas, axis, column, frame }, event) {
   const box = canvas.getBoundingClientRect();
   const [x, y] = frame.back(event.clientX - box.left, event.clientY - box.top);
   return { x, y, element: elementAt(cut(column.run, axis, state.at[axis]), x, y) };
 }
 
-function read(panel, event) {
-  const { x, y, element } = pointed(panel, event), { run } = panel.column;
+function showValues(panel, event) {
+  const { x, y, element } = locatePointer(panel, event), { run } = panel.column;
   if (element < 0) return;
-  const place = [...state.at];
-  place[panel.frame.across] = x;
-  place[panel.frame.up] = y;
-  const parts = [`(${place.map((v) => v.toFixed(1)).join(", ")}) mm`];
+  const point = [...state.at];
+  point[panel.frame.across] = x;
+  point[panel.frame.up] = y;
+  const parts = [`(${point.map((v) => v.toFixed(1)).join(", ")}) mm`];
   if (runs.length > 1) parts.push(run.name);
   for (const [field, values] of Object.entries(run.fields)) {
     const { title, unit } = data.fields[field];
-    let text = `${title} ${number(values[element])} ${unit}`;
-    if (field === "spread") text = `${title} ± ${number(values[element], 2)} %`;
-    if (!isTold(field, values[element])) text = `${title} not told: the map is at a bound`;
-    if (field === "youngs" && run.interval && isTold("spread", run.fields.spread[element])) {
-      const [low, high] = run.interval.map((end) => number(end[element]));
+    let text = `${title} ${formatNumber(values[element])} ${unit}`;
+    if (field === "uncertainty") text = `${title} ± ${formatNumber(values[element], 2)} %`;
+    if (!isDefined(field, values[element])) text = `${title} undefined: the map is at a bound`;
+    if (field === "youngs" && run.interval && isDefined("uncertainty", run.fields.uncertainty[element])) {
+      const [low, high] = run.interval.map((end) => formatNumber(end[element]));
       text += ` (95 %: ${low} to ${high})`;
     }
     parts.push(text);
   }
-  one("#readout").textContent = parts.join("  ·  ");
+  query("#readout").textContent = parts.join("  ·  ");
 }
 
-function moveTo(panel, event) {
-  const { x, y, element } = pointed(panel, event);
+function moveSlices(panel, event) {
+  const { x, y, element } = locatePointer(panel, event);
   if (element < 0) return;
   state.at[panel.frame.across] = x;
   state.at[panel.frame.up] = y;
-  changed();
+  scheduleRedraw();
 }
 
-// ------------------------------------------------------------ what is shown, and on paper
+// ------------------------------------------------------------ legend, and prints
 
-function describe() {
+function describeFields() {
   const legend = [];
   const has = (what) => runs.some((run) => run[what] && run[what].length);
-  if (has("found")) legend.push(["solid", "the inclusion that is told of"]);
-  if (has("true")) legend.push(["dashed", "the true inclusions"]);
-  if (has("contact")) legend.push(["touched", "where it was pressed, arrows along the force"]);
-  one("#legend").replaceChildren(...legend.map(([kind, text]) => {
+  if (has("inclusion")) legend.push(["solid", "inclusion"]);
+  if (has("trueInclusion")) legend.push(["dashed", "true inclusions"]);
+  if (has("contact")) legend.push(["touched", "contact, with arrows along the force"]);
+  query("#legend").replaceChildren(...legend.map(([kind, text]) => {
     const entry = document.createElement("span"), key = document.createElement("span");
     key.className = `key ${kind}`;
     entry.append(key, text);
@@ -349,14 +349,14 @@ function describe() {
   }));
   const notes = [...new Set(columns.map((column) => column.field))].map((field) =>
     `${data.fields[field].title}: ${data.fields[field].note}.`);
-  if (columns.some((column) => column.field === "spread"))
+  if (columns.some((column) => column.field === "uncertainty"))
     notes.push(...new Set(columns.map((column) => column.run.posterior).filter(Boolean)));
-  one("#field-notes").textContent = notes.join(" ");
+  query("#field-notes").textContent = notes.join(" ");
 }
 
-// Paper has no sliders: three fixed places on each axis, the middle one the slider's.
+// Prints have slices at the positions of the sliders and at two fixed positions per axis.
 function drawForPrint() {
-  const paper = one("#print-slices"), width = Math.min(230, Math.floor(700 / columns.length));
+  const paper = query("#print-slices"), width = Math.min(230, Math.floor(700 / columns.length));
   const widest = Math.max(...PLANE.map(([a]) => bounds[1][a] - bounds[0][a]));
   const scale = (width - MARGIN.left - MARGIN.right) / (1.06 * widest);
   paper.replaceChildren();
@@ -369,10 +369,10 @@ function drawForPrint() {
   }
   for (const axis of [2, 1, 0]) {
     const low = bounds[0][axis], size = bounds[1][axis] - low;
-    const places = [low + 0.2 * size, state.at[axis], low + 0.8 * size].sort((a, b) => a - b);
-    for (const at of places) {
+    const positions = [low + 0.2 * size, state.at[axis], low + 0.8 * size].sort((a, b) => a - b);
+    for (const at of positions) {
       const title = paper.appendChild(document.createElement("p"));
-      title.textContent = `Slice across ${AXES[axis]} at ${mm(at)} mm`;
+      title.textContent = `Slice across ${AXES[axis]} at ${formatMm(at)} mm`;
       const row = paper.appendChild(document.createElement("div"));
       for (const column of columns)
         drawSlice(row.appendChild(document.createElement("canvas")), column, axis, at,

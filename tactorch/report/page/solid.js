@@ -1,11 +1,11 @@
-// The body in 3-D: translucent, with the surface where the modulus passes a value, and a cut.
+// 3-D view: the translucent body with an isosurface of the modulus and a cut.
 
-const turn = { yaw: 0.6, pitch: 0.42, zoom: 1 }; // radians; shared by the views of all runs
+const orientation = { yaw: 0.6, pitch: 0.42, zoom: 1 }; // radians; shared by the views of all runs
 const solid = { level: 0, axis: -1, keep: 1 };
 const VIEWS = {
   oblique: [0.6, 0.42], x: [Math.PI / 2, 0], y: [0, 0], z: [0, Math.PI / 2],
 };
-const NONE = "The 3-D view needs WebGL, which this browser does not offer or has switched off." +
+const NONE = "The 3-D view needs WebGL, which this browser does not support or has disabled." +
   " The slices below show the same map.";
 
 const VERTEX = `
@@ -19,7 +19,7 @@ void main() {
   gl_Position = view * vec4(position, 1.0);
 }`;
 
-// Light comes from the eye. What faces it is clearer; rims are denser, as those of glass.
+// A headlight; translucent surfaces are more opaque at their rims.
 const FRAGMENT = `
 precision highp float;
 varying vec3 at, outward, paint;
@@ -35,80 +35,80 @@ void main() {
   gl_FragColor = vec4(min(paint * shine, 1.0) * alpha, alpha);
 }`;
 
-function program(gl) {
-  const made = gl.createProgram();
+function createProgram(gl) {
+  const linked = gl.createProgram();
   for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
     const shader = gl.createShader(kind);
     gl.shaderSource(shader, source);
     gl.compileShader(shader);
-    gl.attachShader(made, shader);
+    gl.attachShader(linked, shader);
   }
-  gl.linkProgram(made);
-  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw Error(gl.getProgramInfoLog(made));
-  gl.useProgram(made);
-  return made;
+  gl.linkProgram(linked);
+  if (!gl.getProgramParameter(linked, gl.LINK_STATUS)) throw Error(gl.getProgramInfoLog(linked));
+  gl.useProgram(linked);
+  return linked;
 }
 
-// The axes of the picture in the body's: right, up, and away from the eye.
+// Unit vectors of the picture: right, up, and away from the viewer.
 function camera() {
   const [cy, sy, cp, sp] =
-    [Math.cos(turn.yaw), Math.sin(turn.yaw), Math.cos(turn.pitch), Math.sin(turn.pitch)];
+    [Math.cos(orientation.yaw), Math.sin(orientation.yaw), Math.cos(orientation.pitch), Math.sin(orientation.pitch)];
   const right = [cy, sy, 0], away = [-sy * cp, cy * cp, -sp];
   return { right, away, up: cross(right, away) };
 }
 
 class View {
-  constructor(place, run) {
-    Object.assign(this, { place, run, surfaces: {} });
-    this.canvas = one("canvas.gl", place);
-    this.overlay = one("canvas.overlay", place);
+  constructor(container, run) {
+    Object.assign(this, { container, run, surfaces: {} });
+    this.canvas = query("canvas.gl", container);
+    this.overlay = query("canvas.overlay", container);
     this.gl = this.canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
     if (!this.gl) {
       this.canvas.hidden = this.overlay.hidden = true;
-      one(".none", place).hidden = false;
-      one(".none", place).textContent = NONE;
+      query(".none", container).hidden = false;
+      query(".none", container).textContent = NONE;
       return;
     }
-    this.begin();
+    this.initialise();
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     this.canvas.addEventListener("webglcontextrestored", () => {
-      this.begin();
-      changed();
+      this.initialise();
+      scheduleRedraw();
     });
-    steer(this.canvas);
+    addControls(this.canvas);
   }
 
-  begin() {
+  initialise() {
     const { gl, run } = this;
-    this.program = program(gl);
+    this.program = createProgram(gl);
     this.names = Object.fromEntries(["view", "plane", "eye", "clear", "lit"].map(
       (name) => [name, gl.getUniformLocation(this.program, name)]));
     this.surfaces = {};
     this.shown = {};
-    this.put("body", ...triangles(run, run.surface));
-    this.put("touched", ...triangles(run, run.contact.flatMap((c) => [...c.triangles])));
-    this.put("edges", edges(run));
+    this.put("body", ...expandTriangles(run, run.surface));
+    this.put("touched", ...expandTriangles(run, run.contact.flatMap((c) => [...c.triangles])));
+    this.put("edges", sharpEdges(run));
     this.put("box", boxEdges(run.bounds));
   }
 
   put(name, position, normal, colour) {
-    const { gl } = this, held = this.surfaces[name] || (this.surfaces[name] = {});
+    const { gl } = this, buffers = this.surfaces[name] || (this.surfaces[name] = {});
     for (const [what, list] of Object.entries({ position, normal, colour })) {
       if (!list) continue;
-      held[what] = held[what] || gl.createBuffer();
-      gl.bindBuffer(gl.ARRAY_BUFFER, held[what]);
+      buffers[what] = buffers[what] || gl.createBuffer();
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffers[what]);
       gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(list), gl.STATIC_DRAW);
     }
-    held.count = position.length / 3;
+    buffers.count = position.length / 3;
   }
 
   paint(name, { colour = [0, 0, 0], clear = 1, lit = true, mode, plane }) {
-    const { gl, names } = this, held = this.surfaces[name];
-    if (!held || !held.count) return;
+    const { gl, names } = this, buffers = this.surfaces[name];
+    if (!buffers || !buffers.count) return;
     for (const what of ["position", "normal", "colour"]) {
       const where = gl.getAttribLocation(this.program, what);
-      if (held[what]) {
-        gl.bindBuffer(gl.ARRAY_BUFFER, held[what]);
+      if (buffers[what]) {
+        gl.bindBuffer(gl.ARRAY_BUFFER, buffers[what]);
         gl.enableVertexAttribArray(where);
         gl.vertexAttribPointer(where, 3, gl.FLOAT, false, 0, 0);
       } else {
@@ -119,12 +119,12 @@ class View {
     gl.uniform4fv(names.plane, plane);
     gl.uniform1f(names.clear, clear);
     gl.uniform1f(names.lit, lit ? 1 : 0);
-    gl.drawArrays(mode === undefined ? gl.TRIANGLES : mode, 0, held.count);
+    gl.drawArrays(mode === undefined ? gl.TRIANGLES : mode, 0, buffers.count);
   }
 
   draw() {
     if (!this.gl || this.gl.isContextLost()) return;
-    const width = this.place.clientWidth, height = this.place.clientHeight;
+    const width = this.container.clientWidth, height = this.container.clientHeight;
     const sharpness = Math.min(window.devicePixelRatio || 1, 2);
     const [w, h] = [width, height].map((size) => Math.max(1, Math.round(size * sharpness)));
     if (this.canvas.width !== w) this.canvas.width = w;
@@ -135,7 +135,7 @@ class View {
     this.label(width, height);
   }
 
-  // Make anew what follows from the controls.
+  // Update surfaces that depend on the controls.
   refresh() {
     const { run, shown } = this, at = state.at[solid.axis];
     if (shown.level !== solid.level) {
@@ -143,7 +143,7 @@ class View {
       this.put("level", positions, normals);
     }
     const look = [solid.axis, at, state.colours, state.log].join();
-    if (shown.look !== look) this.put("cut", ...cap(run, solid.axis, at));
+    if (shown.look !== look) this.put("cut", ...cutFace(run, solid.axis, at));
     this.shown = { level: solid.level, look };
   }
 
@@ -151,7 +151,7 @@ class View {
     const { right, up, away } = camera(), [low, high] = bounds;
     const middle = low.map((v, a) => 0.5 * (v + high[a]));
     const reach = 0.5 * Math.hypot(...high.map((v, a) => v - low[a]));
-    const scale = (0.84 * turn.zoom * Math.min(width, height)) / (2 * reach); // pixels a mm
+    const scale = (0.84 * orientation.zoom * Math.min(width, height)) / (2 * reach); // pixels a mm
     this.project = (p) => {
       const from = p.map((v, a) => v - middle[a]);
       return [width / 2 + scale * dot(right, from), height / 2 - scale * dot(up, from)];
@@ -165,7 +165,7 @@ class View {
 
   scene(w, h) {
     const { gl, names, run } = this;
-    const grey = state.colours === "ultrasound", dark = ink("scheme") === "dark";
+    const grey = state.colours === "ultrasound", dark = cssValue("scheme") === "dark";
     const neutral = dark ? [0.75, 0.79, 0.84] : [0.42, 0.47, 0.53];
     const whole = [0, 0, 0, 1], plane = [0, 0, 0, 1];
     if (solid.axis >= 0) {
@@ -174,7 +174,7 @@ class View {
     }
     gl.viewport(0, 0, w, h);
     gl.enable(gl.DEPTH_TEST);
-    gl.depthMask(true); // else the depth would not be cleared
+    gl.depthMask(true); // required to clear the depth buffer
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniformMatrix4fv(names.view, false, this.matrix);
@@ -184,7 +184,7 @@ class View {
     const colour = colourOf("youngs", solid.level).map((v) => v / 255);
     this.paint("level", { colour, plane });
     if (solid.axis >= 0) {
-      gl.enable(gl.POLYGON_OFFSET_FILL); // where the surface meets the cut, the cut is seen
+      gl.enable(gl.POLYGON_OFFSET_FILL); // the cut is in front of the isosurface
       gl.polygonOffset(-1, -1);
       this.paint("cut", { lit: false, plane: whole });
       gl.disable(gl.POLYGON_OFFSET_FILL);
@@ -204,10 +204,10 @@ class View {
     gl.depthFunc(gl.LESS);
   }
 
-  // Millimetres along one edge of the box for each axis: the lowest in the picture, or leftmost.
+  // Label one edge of the bounding box per axis, the lowest in the picture or the leftmost.
   label(width, height) {
-    const g = prepared(this.overlay, width, height), [low, high] = this.run.bounds;
-    g.fillStyle = g.strokeStyle = ink("soft");
+    const g = prepareCanvas(this.overlay, width, height), [low, high] = this.run.bounds;
+    g.fillStyle = g.strokeStyle = cssValue("soft");
     g.textBaseline = "middle";
     const written = [];
     for (const axis of [0, 1, 2]) {
@@ -228,9 +228,9 @@ class View {
       if (out[0] * (mx - width / 2) + out[1] * (my - height / 2) < 0) out = out.map((v) => -v);
       g.textAlign = Math.abs(out[0]) < 0.4 ? "center" : out[0] > 0 ? "left" : "right";
       for (const tick of ticks(low[axis], high[axis], clamp(Math.floor(length / 40), 1, 5))) {
-        const place = [...edge.start];
-        place[axis] = tick;
-        const [x, y] = this.project(place);
+        const end = [...edge.start];
+        end[axis] = tick;
+        const [x, y] = this.project(end);
         g.beginPath();
         g.moveTo(x, y);
         g.lineTo(x + 4 * out[0], y + 4 * out[1]);
@@ -238,19 +238,19 @@ class View {
         const at = [x + 9 * out[0], y + 10 * out[1]];
         if (written.some(([p, q]) => Math.hypot(p - at[0], q - at[1]) < 17)) continue;
         written.push(at);
-        g.fillText(number(tick), ...at);
+        g.fillText(formatNumber(tick), ...at);
       }
       g.fillText(`${AXES[axis]} (mm)`, mx + 30 * out[0], my + 26 * out[1]);
     }
-    const told =
-      `3-D view of ${this.run.name}: the surface where Young's modulus passes ` +
-      `${number(solid.level)} MPa, within the translucent body` +
-      (solid.axis < 0 ? "" : `, cut across ${AXES[solid.axis]} at ${mm(state.at[solid.axis])} mm`);
-    this.canvas.setAttribute("aria-label", told);
-    one(".paper", this.place).textContent = told;
+    const label =
+      `3-D view of ${this.run.name}: the isosurface of Young's modulus at ` +
+      `${formatNumber(solid.level)} MPa, in the translucent body` +
+      (solid.axis < 0 ? "" : `, cut across ${AXES[solid.axis]} at ${formatMm(state.at[solid.axis])} mm`);
+    this.canvas.setAttribute("aria-label", label);
+    query(".paper", this.container).textContent = label;
   }
 
-  // A picture for paper.
+  // Image of the view for prints.
   still() {
     if (!this.gl) return;
     const flat = document.createElement("canvas");
@@ -259,13 +259,13 @@ class View {
     const g = flat.getContext("2d");
     g.drawImage(this.canvas, 0, 0);
     g.drawImage(this.overlay, 0, 0, flat.width, flat.height);
-    const image = one("img.still", this.place);
+    const image = query("img.still", this.container);
     image.src = flat.toDataURL("image/png");
     image.alt = this.canvas.getAttribute("aria-label");
   }
 }
 
-function triangles(run, list) {
+function expandTriangles(run, list) {
   const position = [], normal = [];
   for (let t = 0; t < list.length; t += 3) {
     const p = [0, 1, 2].map((k) => [...run.points.subarray(3 * list[t + k], 3 * list[t + k] + 3)]);
@@ -279,31 +279,31 @@ function triangles(run, list) {
   return [position, normal];
 }
 
-// Edges of the body where its surface bends by more than some 30 degrees.
-function edges(run) {
-  const [, normal] = triangles(run, run.surface), open = new Map(), found = [];
+// Edges of the surface with a dihedral angle above about 30 degrees.
+function sharpEdges(run) {
+  const [, normal] = expandTriangles(run, run.surface), open = new Map(), points = [];
   for (let t = 0; t < run.surface.length; t++) {
     const i = run.surface[t], j = run.surface[t % 3 === 2 ? t - 2 : t + 1];
     const key = i < j ? `${i},${j}` : `${j},${i}`, n = normal.slice(3 * t, 3 * t + 3);
     if (open.has(key) && dot(open.get(key), n) < 0.86)
-      for (const k of [i, j]) found.push(...run.points.subarray(3 * k, 3 * k + 3));
+      for (const k of [i, j]) points.push(...run.points.subarray(3 * k, 3 * k + 3));
     open.set(key, n);
   }
-  return found;
+  return points;
 }
 
 function boxEdges([low, high]) {
-  const found = [];
+  const points = [];
   for (let i = 0; i < 8; i++)
     for (let axis = 0; axis < 3; axis++)
       if (!(i & (1 << axis)))
         for (const k of [i, i | (1 << axis)])
-          found.push(...[0, 1, 2].map((a) => (k & (1 << a) ? high[a] : low[a])));
-  return found;
+          points.push(...[0, 1, 2].map((a) => (k & (1 << a) ? high[a] : low[a])));
+  return points;
 }
 
-// The face of a cut, each element in its colour.
-function cap(run, axis, at) {
+// The face of a cut with the colour of each element.
+function cutFace(run, axis, at) {
   const position = [], colour = [];
   if (axis < 0) return [position, null, colour];
   const { corners, ends, elements } = cut(run, axis, at), [across, up] = PLANE[axis];
@@ -322,48 +322,48 @@ function cap(run, axis, at) {
   return [position, null, colour];
 }
 
-// ------------------------------------------------------------ hands and keys
+// ------------------------------------------------------------ pointer and keyboard
 
 function rotate(yaw, pitch) {
-  turn.yaw += yaw;
-  turn.pitch = clamp(turn.pitch + pitch, -Math.PI / 2, Math.PI / 2);
-  changed();
+  orientation.yaw += yaw;
+  orientation.pitch = clamp(orientation.pitch + pitch, -Math.PI / 2, Math.PI / 2);
+  scheduleRedraw();
 }
 
-function enlarge(factor) {
-  turn.zoom = clamp(turn.zoom * factor, 0.4, 5);
-  changed();
+function zoom(factor) {
+  orientation.zoom = clamp(orientation.zoom * factor, 0.4, 5);
+  scheduleRedraw();
 }
 
-function steer(canvas) {
-  const held = new Map();
+function addControls(canvas) {
+  const pointers = new Map();
   const spread = () => {
-    const [a, b] = [...held.values()];
+    const [a, b] = [...pointers.values()];
     return Math.hypot(a[0] - b[0], a[1] - b[1]);
   };
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
-    held.set(event.pointerId, [event.clientX, event.clientY]);
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
   });
   for (const end of ["pointerup", "pointercancel"])
-    canvas.addEventListener(end, (event) => held.delete(event.pointerId));
+    canvas.addEventListener(end, (event) => pointers.delete(event.pointerId));
   canvas.addEventListener("pointermove", (event) => {
-    const before = held.get(event.pointerId);
+    const before = pointers.get(event.pointerId);
     if (!before) return;
-    const apart = held.size === 2 && spread();
-    held.set(event.pointerId, [event.clientX, event.clientY]);
-    if (held.size === 2) enlarge(spread() / Math.max(apart, 1));
+    const distance = pointers.size === 2 && spread();
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (pointers.size === 2) zoom(spread() / Math.max(distance, 1));
     else rotate(-0.01 * (event.clientX - before[0]), 0.01 * (event.clientY - before[1]));
   });
   canvas.addEventListener("wheel", (event) => {
     if (!event.ctrlKey) return; // the page scrolls
     event.preventDefault();
-    enlarge(Math.exp(-0.01 * event.deltaY));
+    zoom(Math.exp(-0.01 * event.deltaY));
   }, { passive: false });
   const keys = {
     ArrowLeft: () => rotate(0.1, 0), ArrowRight: () => rotate(-0.1, 0),
     ArrowUp: () => rotate(0, -0.1), ArrowDown: () => rotate(0, 0.1),
-    "+": () => enlarge(1.15), "=": () => enlarge(1.15), "-": () => enlarge(1 / 1.15),
+    "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(1 / 1.15),
   };
   canvas.addEventListener("keydown", (event) => {
     if (!(event.key in keys)) return;
@@ -374,61 +374,61 @@ function steer(canvas) {
 
 let views = [];
 
-function makeSolid() {
-  views = all(".view").map((place, index) => {
-    one(".label", place).textContent = runs.length > 1 ? runs[index].name : "";
-    return new View(place, runs[index]);
+function makeViews() {
+  views = queryAll(".view").map((container, index) => {
+    query(".label", container).textContent = runs.length > 1 ? runs[index].name : "";
+    return new View(container, runs[index]);
   });
   if (views.every((view) => !view.gl)) {
-    one("#solid-controls").hidden = true;
+    query("#solid-controls").hidden = true;
     return;
   }
-  const fields = runs.map(nodal);
+  const fields = runs.map(nodalModulus);
   const low = Math.min(...fields.map((f) => f.reduce((a, b) => Math.min(a, b), Infinity)));
   const high = Math.max(...fields.map((f) => f.reduce((a, b) => Math.max(a, b), 0)));
-  const slider = one("#level"), share = (value) => Math.log(value / low) / Math.log(high / low);
+  const slider = query("#level"), share = (value) => Math.log(value / low) / Math.log(high / low);
   const levels = runs.map((run) => run.level).filter((level) => level).sort((a, b) => a - b);
-  const told = levels[(levels.length - 1) >> 1];
-  solid.level = told ? clamp(told, low, high) : Math.sqrt(low * high);
+  const label = levels[(levels.length - 1) >> 1];
+  solid.level = label ? clamp(label, low, high) : Math.sqrt(low * high);
   slider.value = high > low ? 1000 * share(solid.level) : 500;
   slider.addEventListener("input", () => {
     solid.level = low * (high / low) ** (slider.value / 1000);
-    changed();
+    scheduleRedraw();
   });
-  one("#cut").addEventListener("change", (event) => {
+  query("#cut").addEventListener("change", (event) => {
     solid.axis = event.target.value === "" ? -1 : Number(event.target.value);
-    // What lies before the cut, as the eye sees it, is taken away.
+    // Remove the part in front of the cut.
     if (solid.axis >= 0) solid.keep = camera().away[solid.axis] > 0 ? -1 : 1;
-    one("#cut-flip").checked = false;
-    changed();
+    query("#cut-flip").checked = false;
+    scheduleRedraw();
   });
-  one("#cut-at").addEventListener("input", (event) => {
+  query("#cut-at").addEventListener("input", (event) => {
     const [low, high] = [bounds[0][solid.axis], bounds[1][solid.axis]];
     state.at[solid.axis] = low + (high - low) * (event.target.value / 1000);
-    changed();
+    scheduleRedraw();
   });
-  one("#cut-flip").addEventListener("change", () => {
+  query("#cut-flip").addEventListener("change", () => {
     solid.keep = -solid.keep;
-    changed();
+    scheduleRedraw();
   });
-  for (const button of all("[data-view]"))
+  for (const button of queryAll("[data-view]"))
     button.addEventListener("click", () => {
-      [turn.yaw, turn.pitch] = VIEWS[button.dataset.view];
-      turn.zoom = 1;
-      changed();
+      [orientation.yaw, orientation.pitch] = VIEWS[button.dataset.view];
+      orientation.zoom = 1;
+      scheduleRedraw();
     });
 }
 
-function drawSolid() {
-  const { axis } = solid, at = one("#cut-at");
-  one("#level-out").textContent = `${number(solid.level)} MPa`;
-  one("#level").setAttribute("aria-valuetext", `${number(solid.level)} MPa`);
-  for (const control of all("#cut-place, #flip")) control.hidden = axis < 0;
-  one("#cut-out").textContent = axis < 0 ? "" : `${mm(state.at[axis])} mm`;
+function drawViews() {
+  const { axis } = solid, at = query("#cut-at");
+  query("#level-out").textContent = `${formatNumber(solid.level)} MPa`;
+  query("#level").setAttribute("aria-valuetext", `${formatNumber(solid.level)} MPa`);
+  for (const control of queryAll("#cut-position, #flip")) control.hidden = axis < 0;
+  query("#cut-out").textContent = axis < 0 ? "" : `${formatMm(state.at[axis])} mm`;
   if (axis >= 0) {
     const share = (state.at[axis] - bounds[0][axis]) / (bounds[1][axis] - bounds[0][axis]);
     at.value = 1000 * share;
-    at.setAttribute("aria-valuetext", `${AXES[axis]} = ${mm(state.at[axis])} mm`);
+    at.setAttribute("aria-valuetext", `${AXES[axis]} = ${formatMm(state.at[axis])} mm`);
   }
   for (const view of views) view.draw();
 }

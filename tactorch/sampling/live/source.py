@@ -113,10 +113,10 @@ class Source:
                 self._tell(f"{file.name(index)} is passed over: {fault}")
         new = {i: press for i, press in contents.presses.items() if i >= file.count}
         file.count = contents.count
-        if contents.about is not None and new:
+        if contents.recording is not None and new:
             before = () if self.about is None else self.about.presses
             everything = (*before, *new.values())
-            self.about = replace(contents.about, presses=everything, check_units=False)
+            self.about = replace(contents.recording, presses=everything, check_units=False)
         arrivals = [Arrival(press, file.name(i), digest(press)) for i, press in new.items()]
         file.last = (max(new), digest(new[max(new)])) if new else file.last
         return arrivals

@@ -8,9 +8,9 @@ surface is known to be undeformed: there the height is drawn to zero.
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import dctn, idctn
-from scipy.sparse.linalg import LinearOperator, cg
 
 from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.linalg import conjugate_gradients
 from tactorch.mesh.values import positive
 
 _TOLERANCE = 1e-6
@@ -49,7 +49,7 @@ def integrate(
     if flat is None or not flat.any():
         return _solved(right, stiffness, 0.0)
     weight = (positive("slope_noise", slope_noise) / positive("flat_mm", flat_mm)) ** 2
-    shape, size = slope_x.shape, slope_x.size
+    shape = slope_x.shape
 
     def applied(z: np.ndarray) -> np.ndarray:
         z = z.reshape(shape)
@@ -58,14 +58,14 @@ def integrate(
     def eased(z: np.ndarray) -> np.ndarray:
         return _solved(z.reshape(shape), stiffness, weight * float(flat.mean())).ravel()
 
-    matrix = LinearOperator((size, size), applied, dtype=np.float64)
-    helper = LinearOperator((size, size), eased, dtype=np.float64)
-    found, failed = cg(matrix, right.ravel(), rtol=_TOLERANCE, maxiter=_MOST_STEPS, M=helper)
-    if failed:
+    result = conjugate_gradients(
+        applied, eased, right.ravel(), rtol=_TOLERANCE, max_iterations=_MOST_STEPS
+    )
+    if not result.converged:
         raise ConvergenceError(
             f"heights were not found in {_MOST_STEPS} steps; is flat_mm={flat_mm:g} too small?"
         )
-    return found.reshape(shape)
+    return result.solution.reshape(shape)
 
 
 def _divergence(slope_x: np.ndarray, slope_y: np.ndarray, x: float, y: float) -> np.ndarray:

@@ -217,14 +217,14 @@ class GelModel:
         """
         assert state.found.response is not None
         values = self.body.assembly.tangent(state.found.response, self.youngs)
-        pattern, extend = state.tangent.pattern, self.body.discretisation.extend
+        pattern, extend = self.body.discretisation.pattern, self.body.discretisation.extend
         rows = []
         for axis in range(3):
             along = np.zeros(known.shape)
             along[:, axis] = 1.0
             moved = np.zeros(self.meshed.mesh.points.shape)
             moved[self.meshed.face] = np.where(known, along, 0.0)
-            jump = np.where(state.search.held.fixed, extend(moved), 0.0).ravel()
+            jump = np.where(state.search.supports.fixed, extend(moved), 0.0).ravel()
             move = jump - state.tangent.solve(pattern.product(values, jump))
             answer = pattern.product(values, move).reshape(-1, 3)
             rows.append(self.face.at_nodes(answer)[known])

@@ -7,7 +7,7 @@ from tactorch.errors import ConfigError
 from tactorch.inverse import InverseProblem, Nuisance
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
-from tactorch.simulation import PressPlan, misjudged, simulate
+from tactorch.simulation import PressPlan, perturb_recording, simulate
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def recording() -> Recording:
 
 def test_nuisance_values_undo_every_wrong_belief(recording: Recording) -> None:
     size = np.array([1.1, 0.95, 1.2])
-    wrong = misjudged(recording, poisson=0.02, force_scale=1.2, size=size.tolist())
+    wrong = perturb_recording(recording, poisson=0.02, force_scale=1.2, size=size.tolist())
     values = Nuisance(0.45, force_scale=1 / 1.2, rest_scale=1 / size)
     truth = recording.truth
     assert truth is not None
@@ -31,7 +31,7 @@ def test_nuisance_values_undo_every_wrong_belief(recording: Recording) -> None:
 def test_an_enlarged_object_seems_softer(recording: Recording) -> None:
     """As Section V-C2 has it: more compression to the same deformed surface."""
     top = recording.presses[0]
-    wrong = misjudged(recording, size=1.1).presses[0]
+    wrong = perturb_recording(recording, size=1.1).presses[0]
     down = recording.mesh.points[:, 2] > 9.99
     assert wrong.displacement[down, 2].mean() == pytest.approx(
         top.displacement[down, 2].mean() - 1.0, abs=0.01
@@ -39,7 +39,7 @@ def test_an_enlarged_object_seems_softer(recording: Recording) -> None:
 
 
 def test_no_wrong_belief_changes_nothing(recording: Recording) -> None:
-    same = misjudged(recording)
+    same = perturb_recording(recording)
     np.testing.assert_array_equal(same.mesh.points, recording.mesh.points)
     for a, b in zip(same.presses, recording.presses, strict=True):
         np.testing.assert_array_equal(a.displacement, b.displacement)
@@ -54,4 +54,4 @@ def test_factors_that_cannot_be_are_refused(
     recording: Recording, wrong: dict[str, object], words: str
 ) -> None:
     with pytest.raises(ConfigError, match=words):
-        misjudged(recording, **wrong)
+        perturb_recording(recording, **wrong)
