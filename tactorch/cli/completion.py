@@ -1,7 +1,7 @@
 """`tactorch completion SHELL`: what a shell offers after TAB.
 
 The shells' scripts call `tactorch completion words WORD...` (bash: `line LINE`) at each TAB. Only
-the stored schema is read: Hydra's own completion, which composes settings, takes four times as long.
+the stored schema is read: Hydra's own completion composes settings, which takes four times as long.
 """
 
 import os

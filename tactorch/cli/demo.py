@@ -1,8 +1,8 @@
 """`tactorch demo`: from presses to a map of stiffness.
 
-    tactorch demo                                       a soft cube with a stiff ball, simulated on a
-                                                        finer mesh and with noise, then inverted
-    tactorch demo source=published path=FOLDER          a published case
+    tactorch demo                                  a soft cube with a stiff ball, simulated on a
+                                                   finer mesh and with noise, then inverted
+    tactorch demo source=published path=FOLDER     a published case
 
 The run folder gets recording.h5 and the same files as that of `tactorch invert`.
 """

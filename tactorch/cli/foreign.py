@@ -12,8 +12,6 @@ from tactorch.cli.schema import EXPERIMENT, Schema, add_presets, read_experiment
 from tactorch.errors import ConfigError
 from tactorch.files import require_folder
 
-_PROGRAMS = "can run programs"
-
 
 def add_folder(schema: Schema, folder: Path) -> None:
     """Add the presets and experiments of a folder to a command's schema.
@@ -47,8 +45,8 @@ def _check_plain(path: Path, folder: Path) -> None:
     if is_hydra or reasons:
         shown = f" sets '{reasons[0]}'" if reasons else " sets 'hydra'"
         raise ConfigError(
-            f"'{path}'{shown}, which {_PROGRAMS}; remove it, or add --trust-config-dir if you trust "
-            "everything in that folder."
+            f"'{path}'{shown}, which can run programs; remove it, or add --trust-config-dir if you "
+            "trust everything in that folder."
         )
 
 

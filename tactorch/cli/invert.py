@@ -32,9 +32,7 @@ class InversionOptions(Settings):
 
     initialization: Any = option("uniform", "Start of the inversion", section="initialization")
     resume: Path | None = option(None, "Run folder to continue")
-    compare: tuple[Path, ...] = option(
-        (), "Run folders whose convergence is drawn with this one's"
-    )
+    compare: tuple[Path, ...] = option((), "Run folders whose convergence is drawn with this one's")
     plots: bool = option(True, "Draw slices.png and convergence.png")
 
 

@@ -98,9 +98,7 @@ def with_split(data: Any, number: int) -> Any:
     return replace(data, split=data.split + number)
 
 
-def make_model(
-    options: "TrainOptions", data: Any, stored: Mapping[str, Any] | None = None
-) -> Any:
+def make_model(options: "TrainOptions", data: Any, stored: Mapping[str, Any] | None = None) -> Any:
     """Return the network for the data, with weights that depend on the seed only.
 
     Args:

@@ -34,12 +34,8 @@ class ReproduceOptions(CommandOptions):
     ] = option("all", "Exhibit of the paper")  # fmt: skip
     size: StudySizes = option(factory=StudySizes, help="Size of the studies", preset="quick")
     out: Path | None = option(None, "Folder of the files; null: outputs/reproduce/SIZE")
-    workers: int | None = option(
-        None, "Processes, of one thread each; null: one per core", ge=1
-    )
-    run_dir: str = option(
-        "outputs/reproduce/log/${now:%Y-%m-%d_%H-%M-%S}", "Folder of the log"
-    )
+    workers: int | None = option(None, "Processes, of one thread each; null: one per core", ge=1)
+    run_dir: str = option("outputs/reproduce/log/${now:%Y-%m-%d_%H-%M-%S}", "Folder of the log")
 
 
 def run(options: ReproduceOptions) -> list[Path]:

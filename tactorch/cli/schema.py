@@ -50,7 +50,9 @@ def app_name(command: str) -> str:
 
 def command_module(command: str) -> Any:
     """Import the module of a command."""
-    return importlib.import_module(f"tactorch.cli.{_MODULES.get(command, command).replace(' ', '.')}")
+    return importlib.import_module(
+        f"tactorch.cli.{_MODULES.get(command, command).replace(' ', '.')}"
+    )
 
 
 def options_class(command: str) -> type:
@@ -142,11 +144,20 @@ def _code_key() -> str:
             for name in sorted(files):
                 if name.endswith((".py", ".yaml")):
                     status = os.stat(os.path.join(folder, name))
-                    digest.update(f"{folder}/{name} {status.st_mtime_ns} {status.st_size};".encode())
+                    digest.update(
+                        f"{folder}/{name} {status.st_mtime_ns} {status.st_size};".encode()
+                    )
     for place in sys.path:  # installing a package, and with it an entry point, changes its folder
         with suppress(OSError):
-            digest.update(f"{place} {os.stat(place or '.').st_mtime_ns};".encode() if place else b"")
+            digest.update(
+                f"{place} {os.stat(place or '.').st_mtime_ns};".encode() if place else b""
+            )
     return digest.hexdigest()[:16]
+
+
+def _file_key(path: str) -> bytes:
+    status = os.stat(path)
+    return f"{path} {status.st_mtime_ns} {status.st_size};".encode()
 
 
 # ------------------------------------------------------------------ describing
@@ -185,7 +196,7 @@ def describe_command(command: str) -> dict[str, Any]:
 def _rank(name: str, options: type) -> int:
     """Return how far up the setting is declared: a command's own settings come first."""
     classes = options.__mro__
-    return next(i for i, c in enumerate(classes) if name in c.__dict__.get("__annotations__", ()))
+    return next(i for i, c in enumerate(classes) if name in inspect.get_annotations(c))
 
 
 def _is_group(setting: Any) -> bool:

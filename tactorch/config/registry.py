@@ -45,6 +45,10 @@ class Registry:
         others = sorted({*self._plugins(), *self._added} - set(self._paths))
         return (*self._paths, *others)
 
+    def __contains__(self, name: object) -> bool:
+        """Return whether there is a component of this name."""
+        return name in self.names()
+
     def register(self, name: str, component: Any) -> Any:
         """Add a component for this process, and return it.
 
@@ -177,7 +181,7 @@ def unknown_choice(section: str, name: str, names: Iterable[str]) -> str:
 
 def unknown_setting(name: str, known: Iterable[str], chosen: str = "") -> str:
     """Return the message for a setting that does not exist, with the one likely meant."""
-    known, leaf = tuple(known), name.rpartition(".")[2]
+    known, leaf = tuple(known), str(name).rpartition(".")[2]
     prefix = name.removesuffix(leaf)
     match = difflib.get_close_matches(leaf, known, n=1)
     if match:

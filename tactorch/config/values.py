@@ -121,7 +121,9 @@ def describe(annotation: Any) -> str:
         letters = ",".join(_LETTERS[:count])
         return f"a list of {_COUNTS.get(count, count)} {_plural(arguments[0])}: [{letters}]"
     if origin in (tuple, list, Sequence):
-        example = "[[...],[...]]" if get_origin(arguments[0]) in (tuple, list, Sequence) else "[A,B]"
+        example = (
+            "[[...],[...]]" if get_origin(arguments[0]) in (tuple, list, Sequence) else "[A,B]"
+        )
         return f"a list of {_plural(arguments[0])}: {example}"
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return f"a table of {_plural(arguments[1])}: {{NAME: VALUE}}"

@@ -38,7 +38,9 @@ class PressDraw(Options):
     patch_share: float = option(
         1.0, "Share of the plans that press patches; the others press whole faces", ge=0, le=1
     )
-    support: Literal["springs", "fixed", "roller"] = option("springs", "Support of the opposite face")
+    support: Literal["springs", "fixed", "roller"] = option(
+        "springs", "Support of the opposite face"
+    )
     spring_n_per_mm: float = option(1.0, "Stiffness of each spring", unit="N/mm", gt=0)
 
     def __post_init__(self) -> None:

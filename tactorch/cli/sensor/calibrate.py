@@ -1,6 +1,6 @@
-"""`tactorch sensor calibrate`: fit the map from colours to slopes, from presses of a ball.
+r"""`tactorch sensor calibrate`: fit the map from colours to slopes, from presses of a ball.
 
-    tactorch sensor calibrate sensor=gelsight_mini images=presses reference=still.png \\
+    tactorch sensor calibrate sensor=gelsight_mini images=presses reference=still.png \
       ball_radius_mm=2.35 out=calib.npz
     tactorch sensor calibrate ... labels=contacts.csv held_out=6 map=mlp
     tactorch sensor calibrate ... folds=6              few presses: cross-validation
@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.cli.sensor.options import CalibrateSettings
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
+from tactorch.cli.sensor.options import CalibrateSettings
 from tactorch.cli.sensor.presses import Pressed, presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
 from tactorch.cli.settings import log, run_folder
@@ -74,7 +74,10 @@ def run(cfg: CalibrateSettings) -> Path:
     options = _options(cfg)
     sensor = sensor_of(cfg)
     x, y = map(float, sensor.mm_per_px)
-    ball, reference = Ball(float(cfg.ball_radius_mm), (x, y)), reference_of(cfg.reference, cfg.reference_frames, sensor)
+    ball, reference = (
+        Ball(float(cfg.ball_radius_mm), (x, y)),
+        reference_of(cfg.reference, cfg.reference_frames, sensor),
+    )
     look = look_of(sensor, cfg.marker_diameter_px)
     presses = presses_of(cfg, sensor, ball, reference, look)
     used, held = _parted(presses, cfg, options.seed)

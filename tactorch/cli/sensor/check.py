@@ -1,6 +1,6 @@
-"""`tactorch sensor check`: test a calibration on presses that it was not fitted to.
+r"""`tactorch sensor check`: test a calibration on presses that it was not fitted to.
 
-    tactorch sensor check sensor=gelsight_mini calibration=calib.npz images=other \\
+    tactorch sensor check sensor=gelsight_mini calibration=calib.npz images=other \
       ball_radius_mm=2.35
 
 The run folder gets quality.json and .txt, circles.csv and held_out.png. Presses that the
@@ -10,10 +10,9 @@ calibration was fitted to are named: their figures are no test of the calibratio
 from pathlib import Path
 from typing import Any
 
-
-from tactorch.cli.sensor.options import CheckSettings
 from tactorch.cli.sensor.calibrate import digest
 from tactorch.cli.sensor.inputs import calibrated, reference_of
+from tactorch.cli.sensor.options import CheckSettings
 from tactorch.cli.sensor.presses import presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
 from tactorch.cli.settings import log, run_folder
@@ -27,7 +26,11 @@ def run(cfg: CheckSettings) -> Quality:
         (place / name).unlink(missing_ok=True)
     sensor, calibration = calibrated(cfg)
     ball = Ball(float(cfg.ball_radius_mm), calibration.mm_per_px)
-    reference = calibration.reference if cfg.reference is None else reference_of(cfg.reference, cfg.reference_frames, sensor)
+    reference = (
+        calibration.reference
+        if cfg.reference is None
+        else reference_of(cfg.reference, cfg.reference_frames, sensor)
+    )
     presses = presses_of(cfg, sensor, ball, reference, calibration.look)
     judged = [
         Judged(one, new_circle(one.touch, calibration.map, ball), calibration.map)

@@ -8,12 +8,11 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from matplotlib.figure import Figure
 
-from tactorch.cli.sensor.options import PictureSettings
 from tactorch.cli.outputs import write_json
 from tactorch.cli.progress import progress
+from tactorch.cli.sensor.options import PictureSettings
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.settings import log
-from tactorch.errors import ConfigError
 from tactorch.files import atomic_path
 from tactorch.sensor.frames import Frame
 from tactorch.viz.figure import save_figure

@@ -1,6 +1,6 @@
-"""`tactorch sensor force`: force on the gel in each frame: resultant and distribution.
+r"""`tactorch sensor force`: force on the gel in each frame: resultant and distribution.
 
-    tactorch sensor force sensor=gelsight_markers calibration=calib.npz frames=press.avi \\
+    tactorch sensor force sensor=gelsight_markers calibration=calib.npz frames=press.avi \
       reference=still.png
     tactorch sensor force ... element=tet4                          fast: forces too high
 
@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch.cli.sensor.options import ForceSettings
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.inputs import calibrated, reference_of
+from tactorch.cli.sensor.options import ForceSettings
 from tactorch.cli.sensor.sequence import (
     FrameSequence,
     caption_of,

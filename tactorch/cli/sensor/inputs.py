@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-
 from tactorch.cli.sensor.options import CalibratedSettings, SensorSettings
 from tactorch.cli.settings import log
 from tactorch.errors import ConfigError

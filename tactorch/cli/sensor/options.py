@@ -35,9 +35,7 @@ class SequenceSettings(SensorSettings):
     reference: int | Path = option(
         help="Image of the gel without contact, or a folder or video that starts with it"
     )
-    max_frames: int | None = option(
-        None, "Largest number of frames; required for a camera", ge=1
-    )
+    max_frames: int | None = option(None, "Largest number of frames; required for a camera", ge=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +57,7 @@ class CalibratedSettings(SensorSettings):
 class ContactSettings(CalibratedSettings):
     """Detection of contact."""
 
-    min_depth_mm: float = option(
-        0.03, "Smallest depth of a frame with contact", unit="mm", gt=0
-    )
+    min_depth_mm: float = option(0.03, "Smallest depth of a frame with contact", unit="mm", gt=0)
     steep: float = option(
         0.12, "Slope from which the surface counts as deformed; less for wide, flat objects", gt=0
     )

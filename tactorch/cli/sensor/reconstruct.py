@@ -1,6 +1,6 @@
-"""`tactorch sensor reconstruct`: depth of the gel's surface in each frame.
+r"""`tactorch sensor reconstruct`: depth of the gel's surface in each frame.
 
-    tactorch sensor reconstruct sensor=gelsight_mini calibration=calib.npz frames=press.avi \\
+    tactorch sensor reconstruct sensor=gelsight_mini calibration=calib.npz frames=press.avi \
       reference=still.png
 
 The run folder gets heights/NUMBER.npz (height_mm, negative where pressed in, and contact),
@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tactorch.cli.sensor.options import ReconstructSettings
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.inputs import calibrated, reference_of
+from tactorch.cli.sensor.options import ReconstructSettings
 from tactorch.cli.sensor.sequence import (
     FrameSequence,
     caption_of,

@@ -1,6 +1,6 @@
-"""`tactorch sensor record`: frames and poses of a session into a recording, to invert.
+r"""`tactorch sensor record`: frames and poses of a session into a recording, to invert.
 
-    tactorch sensor record sensor=finger calibration=calib.npz frames=session.mp4 \\
+    tactorch sensor record sensor=finger calibration=calib.npz frames=session.mp4 \
       poses=poses.csv reference=still.png object.size_mm=[20,20,15]
     tactorch sensor record ... object=mesh object.path=liver.vtu held_side=z-
     tactorch sensor record ... object=virtual_cube object.side_mm=12
@@ -12,7 +12,7 @@ From a camera, with poses that a robot appends to a table, and the map at the sa
     tactorch live recording=session.h5
 
 The run folder gets recording.h5, session.csv (each frame), summary.json and .txt,
-over_time.png (depth, contacts, frames kept) and presses.png (the measured contacts, on the object).
+over_time.png (depth, contacts, frames kept) and presses.png (the contacts, on the object).
 """
 
 from collections.abc import Callable
@@ -22,11 +22,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from tactorch.cli.sensor.options import MeshObject, RecordSettings, VirtualCubeObject
 from tactorch.cli.progress import ProgressCallback, progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.growing import grow
 from tactorch.cli.sensor.inputs import calibrated, reference_of
+from tactorch.cli.sensor.options import MeshObject, RecordSettings, VirtualCubeObject
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.sensor.tables import write_table
 from tactorch.cli.settings import log, material_spec, run_folder

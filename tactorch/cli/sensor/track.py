@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from tactorch.cli.sensor.options import TrackSettings
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
+from tactorch.cli.sensor.options import TrackSettings
 from tactorch.cli.sensor.sequence import (
     FrameSequence,
     caption_of,

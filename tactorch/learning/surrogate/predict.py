@@ -70,8 +70,7 @@ class SurrogateStart(Options):
     )
     prior_mean: bool | Literal["auto"] = option(
         "auto",
-        "Use the map as the mean of the prior too; auto: where it explains the presses but for some "
-        "noise",
+        "Use the map as the mean of the prior too; auto: where it explains the presses",
     )
     prior_share: float = option(
         HALF, "Share of the prior with this mean; at 0.5 the data decide", gt=0, le=1
@@ -187,7 +186,8 @@ class SurrogateStart(Options):
             return settings
         _log.info("The prior is about the surrogate's map")
         return replace(
-            settings, regularization=ShiftedPrior(prior=prior, mean_mpa=found, share=self.prior_share)
+            settings,
+            regularization=ShiftedPrior(prior=prior, mean_mpa=found, share=self.prior_share),
         )
 
 
