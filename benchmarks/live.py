@@ -36,7 +36,14 @@ from tactorch.mesh import box_mesh
 from tactorch.metrics import find_inclusion, scores
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording, append_press
-from tactorch.sampling.live import Follower, FollowOptions, Seen, Source, Suggester, SuggestOptions
+from tactorch.sampling import (
+    LoopOptions,
+    RecordingSource,
+    SamplingLoop,
+    Suggester,
+    SuggestOptions,
+    Update,
+)
 from tactorch.simulation import PressPlan, simulate
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl", "matplotlib")
@@ -98,10 +105,10 @@ def recording_of(name: str) -> Recording:
 
 
 class Robot(Screen):
-    """The screen of a run, and whoever presses when the run waits."""
+    """Screen of a run that presses when the run waits."""
 
     def __init__(self, folder: Path, path: Path, recording: Recording) -> None:
-        """Take what is to be pressed."""
+        """Set the presses to replay."""
         super().__init__(folder, path)
         self._recording, self._path, self._pressed = recording, path, 0
         self._began, self._cpu, self._meter = 0.0, 0.0, OtherWork()
@@ -119,31 +126,31 @@ class Robot(Screen):
             append_press(self._path, self._recording.presses[self._pressed])
         self._pressed += 1
 
-    def updated(self, seen: Seen) -> None:
-        """Note how long it took, drawn and not."""
+    def updated(self, update: Update) -> None:
+        """Record the time to the map and to its figure."""
         until_map = time.perf_counter() - self._began
         worked, stolen = time.process_time() - self._cpu, self._meter.stolen()
-        super().updated(seen)
-        youngs = seen.found.result.youngs
+        super().updated(update)
+        youngs = update.youngs
         self.rows.append(
             {
-                "press": seen.entry["press"],
-                "at_rest": not seen.entry["names"],
+                "press": update.entry["press"],
+                "at_rest": not update.entry["names"],
                 "map_s": until_map,
                 "map_cpu_s": worked,
                 "stolen": stolen,
                 "picture_s": time.perf_counter() - self._began,
                 "next_s": None,
-                "iterations": seen.entry["iterations"],
-                "chi2": seen.entry["chi2"],
+                "iterations": update.entry["iterations"],
+                "chi2": update.entry["chi2"],
                 **quality(self._recording, youngs),
             }
         )
-        print(f"press {seen.entry['press']}: {until_map:.1f} s", flush=True)
+        print(f"press {update.entry['press']}: {until_map:.1f} s", flush=True)
 
-    def suggested(self, seen: Seen) -> None:
-        """Note how long that took."""
-        super().suggested(seen)
+    def suggested(self, update: Update) -> None:
+        """Record the time to the suggestion."""
+        super().suggested(update)
         press = next(row for row in reversed(self.rows) if not row["at_rest"])
         press["next_s"] = time.perf_counter() - self._began
 
@@ -155,17 +162,22 @@ def session(name: str, rule: str) -> dict[str, Any]:
         folder, path = Path(place) / "run", Path(place) / "session.h5"
         folder.mkdir()
         count = len(recording.presses)
-        options = FollowOptions(poll_seconds=0.05, max_presses=count)
+        options = LoopOptions(poll_seconds=0.05, max_presses=count)
         with Robot(folder, path, recording) as robot:
             suggester = Suggester(Settings(), SuggestOptions(rule=rule))
-            ended = Follower(
-                Source(path), Settings(), folder, robot, options=options, suggester=suggester
+            ended = SamplingLoop.following(
+                RecordingSource(path),
+                Settings(),
+                folder,
+                robot,
+                options=options,
+                suggester=suggester,
             ).run()
-    assert ended.seen is not None
+    assert ended.update is not None
     before = time.perf_counter()
     whole = invert(recording, show_progress=False)
     whole_s = time.perf_counter() - before
-    live = ended.seen.found.result.youngs
+    live = ended.update.youngs
     before = time.perf_counter()
     invert(recording, start_mpa=live, show_progress=False)
     again_s = time.perf_counter() - before

@@ -1,93 +1,121 @@
-"""`tactorch live`."""
+"""`tactorch live`: follow a growing recording: the map after each press, and where to press next.
+
+    tactorch live recording=session.h5
+    tactorch live recording=FOLDER idle_seconds=60
+    tactorch live recording=session.h5 run_dir=runs/session     again, to continue it
+    tactorch live replay=FILE.h5                                no robot: replays a recording
+
+Append presses with tactorch.recording.append_press. Open live.html in the run folder: it updates
+itself. The folder also gets live.png, reconstruction.h5 and history.jsonl.
+"""
 
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
+from typing import Literal
 
-from omegaconf import DictConfig
-
-from tactorch.cli.kinds import HOMOGENEOUS
 from tactorch.cli.live_view import PAGE, Screen
 from tactorch.cli.logs import log_text
+from tactorch.cli.options import CommandOptions, UnitCheck
 from tactorch.cli.outputs import finding
-from tactorch.cli.settings import build, folder, inversion_of, log, plain
+from tactorch.cli.settings import inversion_settings, log, run_folder
+from tactorch.config import option, settings_of
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.inverse import Start, homogeneous
+from tactorch.inverse import Settings, Start, homogeneous
+from tactorch.inverse.starts import START_MPA
 from tactorch.recording import Recording
-from tactorch.sampling.live import (
-    Ended,
-    Follower,
-    FollowOptions,
-    Source,
+from tactorch.sampling import (
+    LoopOptions,
+    LoopResult,
+    RecordingSource,
+    SamplingLoop,
     Suggester,
     SuggestOptions,
     replay,
 )
 
-_OPTIONS = (
-    "poll_seconds", "max_batch", "max_iterations", "update_seconds", "max_presses",
-    "idle_seconds",
-)  # fmt: skip
+
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions(LoopOptions, Settings, UnitCheck, CommandOptions):
+    """Settings of the command."""
+
+    recording: Path | None = option(
+        None, "File (.h5) that presses are appended to, or a folder of such files"
+    )
+    patience_seconds: float = option(
+        5.0, "Time after which an unreadable file is reported", unit="s", ge=0
+    )
+    suggest: SuggestOptions = option(factory=SuggestOptions, help="Suggestion of the next press")
+    replay: Path | None = option(
+        None, "Whole recording to replay into `recording` press by press, to try without a robot"
+    )
+    pause_seconds: float = option(4.0, "Pause between replayed presses", unit="s", ge=0)
+    start_mpa: float | Literal["homogeneous"] = option(
+        START_MPA, "Modulus of the start; homogeneous: the one that fits best", unit="MPa", gt=0
+    )
+    plots: bool = option(True, "Draw live.png")
 
 
-def run(cfg: DictConfig) -> Ended:
-    """Follow a recording; Ctrl-C ends it, and what was found until then stays."""
-    out, settings = folder(), inversion_of(cfg)
-    for name in ("patience_seconds", "pause_seconds"):
-        if cfg[name] < 0:
-            raise ConfigError(f"{name}={cfg[name]}: give a time of at least 0 s.")
-    options = FollowOptions(**{name: cfg[name] for name in _OPTIONS})
-    suggester = Suggester(settings, build("suggest", SuggestOptions, plain(cfg.suggest)))
-    played = None if cfg.replay is None else Recording.load(str(cfg.replay))
-    path = _path(cfg, out)
-    with Screen(out, path, plots=cfg.plots) as screen, _playing(cfg, played, path, screen):
-        source = Source(
+def run(options: LiveOptions) -> LoopResult:
+    """Follow a recording; Ctrl-C ends the run and keeps its results."""
+    out, settings = run_folder(), inversion_settings(options)
+    loop = LoopOptions(**{s.name: getattr(options, s.name) for s in settings_of(LoopOptions)})
+    replayed = None if options.replay is None else Recording.load(options.replay)
+    path = _path(options, out)
+    start: Start = homogeneous if isinstance(options.start_mpa, str) else options.start_mpa
+    with (
+        Screen(out, path, plots=options.plots) as screen,
+        _replaying(options, replayed, path, screen),
+    ):
+        source = RecordingSource(
             path,
-            patience_seconds=cfg.patience_seconds,
-            check_units=cfg.check_units,
-            tell=screen.show_message,
+            patience_seconds=options.patience_seconds,
+            check_units=options.check_units,
+            report=screen.show_message,
         )
-        start: Start = homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa)
-        follower = Follower(
-            source, settings, out, screen, options=options, suggester=suggester, start_mpa=start
-        )
-        ended = follower.run()
-        screen.ended(ended)
-    _say(ended, out)
-    return ended
+        suggester = Suggester(settings, options.suggest)
+        result = SamplingLoop.following(
+            source, settings, out, screen, options=loop, suggester=suggester, start_mpa=start
+        ).run()
+        screen.ended(result)
+    _log_result(result, out)
+    return result
 
 
-def _path(cfg: DictConfig, out: Path) -> Path:
-    """What to follow."""
-    if cfg.recording is not None:
-        return Path(str(cfg.recording))
-    if cfg.replay is None:
+def _path(options: LiveOptions, out: Path) -> Path:
+    """Return the path of the recording to follow."""
+    if options.recording is not None:
+        return options.recording
+    if options.replay is None:
         raise ConfigError(
-            "'recording' is missing; give recording=FILE.h5 or a folder, or replay=FILE.h5 to play "
-            "a whole recording (see tactorch live --help)."
+            "'recording' is missing; give recording=FILE.h5 or a folder, or replay=FILE.h5 to "
+            "replay a whole recording (see tactorch live --help)."
         )
     return out / "recording.h5"
 
 
 @contextmanager
-def _playing(
-    cfg: DictConfig, recording: Recording | None, path: Path, screen: Screen
+def _replaying(
+    options: LiveOptions, recording: Recording | None, path: Path, screen: Screen
 ) -> Iterator[None]:
-    """Play a recording beside the run, where that is asked for."""
+    """Replay a recording during the run, if one is given."""
     if recording is None:
         yield
         return
     if path.is_dir():
-        raise ConfigError(f"recording={path} is a folder; a recording is played into a file.")
+        raise ConfigError(
+            f"recording={path} is a folder; give a file to replay the recording into."
+        )
     stop = Event()
 
     def play() -> None:
         try:
-            replay(recording, path, cfg.pause_seconds, stop)
+            replay(recording, path, options.pause_seconds, stop)
         except TactorchError as error:
-            screen.show_message(f"the replay has ended: {error}")
+            screen.show_message(f"the replay failed: {error}")
 
     thread = Thread(target=play, daemon=True)
     thread.start()
@@ -98,15 +126,15 @@ def _playing(
         thread.join()
 
 
-def _say(ended: Ended, out: Path) -> None:
-    """A few last sentences."""
-    logging.getLogger("tactorch").info("The run has ended: %s.", ended.reason)
-    if ended.seen is not None:
-        log.info("%s", finding(ended.seen.inclusion, ended.seen.entry["youngs_median_mpa"]))
-        if ended.seen.recording.truth is not None:
+def _log_result(result: LoopResult, out: Path) -> None:
+    """Log how the run ended, the finding, and the scores if the truth is known."""
+    logging.getLogger("tactorch").info("The run ended: %s.", result.reason)
+    update = result.update
+    if update is not None:
+        log.info("%s", finding(update.lump, update.entry["youngs_median_mpa"]))
+        if update.recording.truth is not None:
             from tactorch.cli.outputs import score_table
 
-            found = ended.seen.found.result.youngs
-            table = score_table(ended.seen.recording, {"live": found}).table
+            table = score_table(update.recording, {"live": update.youngs}).table
             log_text(table.text(), table)
     log.info("results: %s", out / PAGE)

@@ -1,4 +1,4 @@
-"""The page of a live run: one file that holds its picture and loads itself anew."""
+"""Page of a live run: one self-contained file that reloads itself."""
 
 import base64
 from collections.abc import Sequence
@@ -35,19 +35,19 @@ def page(
     """Return the page as HTML.
 
     Args:
-        source: What is followed.
-        status: How far it is.
-        finding: What the map shows.
-        notes: What went wrong lately.
-        columns: Of the table.
-        rows: Of the table, the newest first; the last cell is the next press.
-        picture: To be put into the page, if it is there.
-        refresh: Whether the page loads itself anew.
+        source: Recording that is followed.
+        status: Progress.
+        finding: Finding of the map.
+        notes: Latest messages on invalid presses and files.
+        columns: Headings of the table.
+        rows: Rows of the table, the newest first; the last cell is the next press.
+        picture: Figure to embed, if the file exists.
+        refresh: Whether the page reloads itself.
     """
-    again = f'<meta http-equiv="refresh" content="{_REFRESH_S}">' if refresh else ""
+    refresh_tag = f'<meta http-equiv="refresh" content="{_REFRESH_S}">' if refresh else ""
     parts = [
         "<!DOCTYPE html>",
-        f'<html lang="en"><head><meta charset="utf-8">{again}',
+        f'<html lang="en"><head><meta charset="utf-8">{refresh_tag}',
         f"<title>tactorch live: {escape(Path(source).name)}</title><style>{_STYLE}</style></head>",
         f"<body><h1>{escape(source)}</h1>",
         f'<p class="status">{escape(status)}</p>',

@@ -1,4 +1,4 @@
-"""What a live run shows: a table at a terminal, lines elsewhere, a picture and a page."""
+"""Display of a live run: a table at a terminal, log lines elsewhere, a figure and a page."""
 
 import logging
 import math
@@ -14,7 +14,7 @@ from tactorch.cli.live_page import page
 from tactorch.cli.outputs import finding
 from tactorch.cli.settings import log
 from tactorch.files import atomic_path
-from tactorch.sampling.live import Ended, Seen
+from tactorch.sampling import LoopResult, Observer, Update
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -26,11 +26,16 @@ _ROWS = 14  # of the table at a terminal
 _NOTES = 3
 
 
-class Screen:
-    """Shows a live run; a `tactorch.sampling.live.View`."""
+class Screen(Observer):
+    """Display of a live run.
+
+    Args:
+        folder: Folder of the run.
+        source: Recording that is followed.
+        plots: Whether to draw the figure.
+    """
 
     def __init__(self, folder: Path, source: Path, *, plots: bool = True) -> None:
-        """Take the run's folder, what it follows, and whether to draw."""
         self._folder, self._source, self._plots = folder, source, plots
         self._entries: list[dict[str, Any]] = []
         self._notes: list[str] = []
@@ -39,7 +44,7 @@ class Screen:
         self._live: Live | None = None
 
     def __enter__(self) -> "Screen":
-        """Take the terminal over, if there is one."""
+        """Start the table, at a terminal."""
         at_terminal = sys.stdout.isatty()
         _quieten(self._stack, everything=at_terminal)
         if at_terminal:
@@ -48,20 +53,20 @@ class Screen:
             self._live = Live(self._table(), refresh_per_second=4)
             self._stack.enter_context(self._live)
         self._write_page(refresh=True)
-        log.info("following %s; look at %s", self._source, self._folder / PAGE)
+        log.info("following %s; open %s", self._source, self._folder / PAGE)
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Give the terminal back."""
+        """End the table."""
         self._stack.close()
 
     def waiting(self, presses: int, idle_seconds: float) -> None:
-        """See `View.waiting`."""
+        """See `Observer.waiting`."""
         self._status = f"{presses} presses; waiting for the next, {idle_seconds:.0f} s"
         self._refresh()
 
     def resumed(self, history: Sequence[Mapping[str, Any]]) -> None:
-        """See `View.resumed`."""
+        """See `Observer.resumed`."""
         self._entries = [dict(entry) for entry in history]
         presses = history[-1]["press"] if history else 0
         self._status = f"continues a run of {presses} presses"
@@ -69,56 +74,56 @@ class Screen:
         self._write_page(refresh=True)
 
     def show_message(self, text: str) -> None:
-        """See `View.show_message`."""
+        """See `Observer.show_message`."""
         self._notes.append(text)
         log.warning("%s", text)
         self._write_page(refresh=True)
         self._refresh()
 
-    def updated(self, seen: Seen) -> None:
-        """See `View.updated`."""
-        self._entries.append(seen.entry)
-        self._finding = finding(seen.inclusion, seen.entry["youngs_median_mpa"])
-        self._status = f"{seen.entry['press']} presses; looking for the next place"
-        number, seconds, chi2, found = cells(seen.entry)[:4]
-        log.info("press %s: %s, chi2 %s, %s", number, seconds, chi2, found)
+    def updated(self, update: Update) -> None:
+        """See `Observer.updated`."""
+        self._entries.append(update.entry)
+        self._finding = finding(update.lump, update.entry["youngs_median_mpa"])
+        self._status = f"{update.entry['press']} presses; choosing the next place"
+        number, seconds, chi2, lump = cells(update.entry)[:4]
+        log.info("press %s: %s, chi2 %s, %s", number, seconds, chi2, lump)
         self._refresh()
-        self._draw(seen)
+        self._draw(update)
         self._write_page(refresh=True)
 
-    def suggested(self, seen: Seen) -> None:
-        """See `View.suggested`."""
-        self._status = f"{seen.entry['press']} presses; waiting for the next"
-        row = cells(seen.entry)
+    def suggested(self, update: Update) -> None:
+        """See `Observer.suggested`."""
+        self._status = f"{update.entry['press']} presses; waiting for the next"
+        row = cells(update.entry)
         log.info("  deviation %s; next press %s", row[4], row[5])
         self._refresh()
-        if seen.suggestion is not None and seen.suggestion.patch is not None:
-            self._draw(seen)
+        if update.suggestion is not None and update.suggestion.patch is not None:
+            self._draw(update)
         self._write_page(refresh=True)
 
-    def ended(self, ended: Ended) -> None:
-        """The run is over; the page refreshes itself no more."""
-        self._status = f"ended: {ended.reason}"
+    def ended(self, result: LoopResult) -> None:
+        """Show the end; the page no longer reloads itself."""
+        self._status = f"ended: {result.reason}"
         self._write_page(refresh=False)
         self._refresh()
 
-    def _draw(self, seen: Seen) -> None:
+    def _draw(self, update: Update) -> None:
         if not self._plots:
             return
         from tactorch.viz import save_figure
         from tactorch.viz.live import live_figure
 
-        recording = seen.recording
-        patch = None if seen.suggestion is None else seen.suggestion.patch
+        recording = update.recording
+        patch = None if update.suggestion is None else update.suggestion.patch
         figure = live_figure(
             recording.mesh,
-            seen.found.result.youngs,
+            update.youngs,
             pressed=np.sum([np.abs(press.forces) for press in recording.presses], axis=0),
-            inclusion_mm=None if seen.inclusion is None else seen.inclusion.center_mm,
+            inclusion_mm=None if update.lump is None else update.lump.center_mm,
             next_mm=None if patch is None else patch.center,
             inward=None if patch is None else patch.inward,
             radius_mm=0.0 if patch is None else float(patch.radius_mm),
-            title=f"Young's modulus after {seen.entry['press']} presses",
+            title=f"Young's modulus after {update.entry['press']} presses",
         )
         save_figure(figure, self._folder / PICTURE, dpi=110)
 
@@ -156,9 +161,9 @@ class Screen:
 
 
 def cells(entry: dict[str, Any]) -> tuple[str, ...]:
-    """Return a line of the history in words, by `COLUMNS`."""
+    """Return the cells of a history entry, in the order of `COLUMNS`."""
     return (
-        str(entry["press"]) if entry["names"] else f"{entry['press']}, at rest",
+        str(entry["press"]) if entry["names"] else f"{entry['press']}, refined",
         f"{entry['seconds']:.1f} s",
         f"{entry['chi2']:.2g}",
         _inclusion(entry),
@@ -168,24 +173,24 @@ def cells(entry: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _inclusion(entry: dict[str, Any]) -> str:
-    found = entry["inclusion"]
-    if found is None:
+    lump = entry["inclusion"]
+    if lump is None:
         return f"none; {entry['youngs_median_mpa']:.3g} MPa"
-    x, y, z = found["center_mm"]
+    x, y, z = lump["center_mm"]
     return (
-        f"{found['side']} at ({x:.1f}, {y:.1f}, {z:.1f}) mm, radius "
-        f"{found['equivalent_radius_mm']:.1f} mm: {found['mean_mpa']:.3g} MPa in "
-        f"{found['background_mpa']:.3g}"
+        f"{lump['side']} at ({x:.1f}, {y:.1f}, {z:.1f}) mm, radius "
+        f"{lump['equivalent_radius_mm']:.1f} mm: {lump['mean_mpa']:.3g} MPa in "
+        f"{lump['background_mpa']:.3g}"
     )
 
 
 def _deviation(entry: dict[str, Any]) -> str:
-    """Standard deviation of the modulus as a factor: of the map, and within the inclusion."""
-    whole, within = entry.get("deviation"), entry.get("deviation_inclusion")
-    if whole is None:
+    """Standard deviation of the modulus as a factor: over the map, and over the inclusion."""
+    overall, within = entry.get("deviation"), entry.get("deviation_inclusion")
+    if overall is None:
         return "-"
     inside = "" if within is None else f", inclusion ×{math.exp(within):.2f}"
-    return f"×{math.exp(whole):.2f}{inside}"
+    return f"×{math.exp(overall):.2f}{inside}"
 
 
 def _next(entry: dict[str, Any]) -> str:
@@ -202,12 +207,12 @@ def _next(entry: dict[str, Any]) -> str:
 
 
 def _quieten(stack: ExitStack, everything: bool) -> None:
-    """Keep lines to the log file: an optimizer's always, at a terminal with a table all."""
+    """Keep log lines off the terminal: the optimizer's, or all if there is a table."""
 
-    def kept(record: logging.LogRecord) -> bool:
+    def is_shown(record: logging.LogRecord) -> bool:
         return not everything and record.name != "tactorch.inverse.monitor"
 
     for handler in logging.getLogger().handlers:
         if not isinstance(handler, logging.FileHandler):
-            handler.addFilter(kept)
-            stack.callback(handler.removeFilter, kept)
+            handler.addFilter(is_shown)
+            stack.callback(handler.removeFilter, is_shown)

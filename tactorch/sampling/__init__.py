@@ -1,17 +1,21 @@
-"""Active sampling: where to press next.
+"""Active sampling: a loop of press, inversion and suggestion of the next press.
 
+- `sample`: presses by a robot, real or simulated (`Presser`, `SimulatedPresser`), placed by a
+  rule.
+- `SamplingLoop`: the loop itself, over presses on request or over a recording that grows
+  (`RecordingSource`); `replay` writes such a recording.
 - `candidate_patches`: patches of the surface that a sensor can press.
-- `Presser`, `SimulatedPresser`: robots, real or simulated.
-- `Rule`: criterion for the next patch. `LargestUncertainty` is the paper's;
-  `ExpectedInformation`, `ExpectedError`, `UniformGrid` and `Random` are alternatives.
-- `sample`: loop of press, inversion and choice.
-- `tactorch.sampling.live`: the same for a recording that grows while a robot presses.
+- `Rule`: criterion for the next press. `LargestUncertainty` is the paper's; `ExpectedError`,
+  `ExpectedInformation`, `UniformGrid` and `Random` are alternatives. The registry `RULES` lists
+  them by name.
 """
 
 from tactorch.sampling.candidates import Patch, candidate_patches
-from tactorch.sampling.loop import Step, sample
+from tactorch.sampling.loop import LoopOptions, LoopResult, Observer, SamplingLoop, Update
 from tactorch.sampling.presser import Presser, SimulatedPresser
+from tactorch.sampling.replay import replay
 from tactorch.sampling.rules import (
+    RULES,
     ExpectedError,
     ExpectedInformation,
     LargestUncertainty,
@@ -20,19 +24,37 @@ from tactorch.sampling.rules import (
     SamplingState,
     UniformGrid,
 )
+from tactorch.sampling.sample import Step, sample
+from tactorch.sampling.sources import Arrival, PresserSource, PressSource, RecordingSource
+from tactorch.sampling.suggest import Candidates, Suggester, Suggestion, SuggestOptions
 
 __all__ = [
+    "RULES",
+    "Arrival",
+    "Candidates",
     "ExpectedError",
     "ExpectedInformation",
     "LargestUncertainty",
+    "LoopOptions",
+    "LoopResult",
+    "Observer",
     "Patch",
+    "PressSource",
     "Presser",
+    "PresserSource",
     "Random",
+    "RecordingSource",
     "Rule",
+    "SamplingLoop",
     "SamplingState",
     "SimulatedPresser",
     "Step",
+    "SuggestOptions",
+    "Suggester",
+    "Suggestion",
     "UniformGrid",
+    "Update",
     "candidate_patches",
+    "replay",
     "sample",
 ]

@@ -1,4 +1,4 @@
-"""What presses tell of the map: those made, and those that might be made."""
+"""Sensitivity of presses to the map: presses made, and candidates predicted."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,66 +11,68 @@ from tactorch.inverse import CorrelatedNoise, InverseProblem, Point, Settings, s
 from tactorch.recording import Press
 
 
-def credibilities(point: Point) -> Float[np.ndarray, "presses m"]:
+def press_credibility(point: Point) -> Float[np.ndarray, "presses m"]:
     """Return the square of L (eq. 15) of each press by itself, as a precision.
 
-    L is by the parameter, in standard deviations of the noise, and of an element of mean volume:
-    else small elements would count as hardly felt.
+    L is by the parameter, in standard deviations of the noise, and scaled to an element of mean
+    volume, so that small elements do not count as less sensitive.
     """
     mesh = point.objective.problem.recording.mesh
-    counts = [len(seen.index) for seen in point.objective.problem.observations]
-    rows = np.split(point.jacobian[:, : mesh.n_tets], np.cumsum(counts)[:-1])
-    felt = np.array([np.abs(part).max(axis=0) for part in rows])
-    return (felt * mesh.volumes.mean() / mesh.volumes) ** 2
+    blocks = _split(point.jacobian[:, : mesh.n_tets], point.objective.problem)
+    sensitivity = np.array([np.abs(block).max(axis=0) for block in blocks])
+    return (sensitivity * mesh.volumes.mean() / mesh.volumes) ** 2
 
 
-def foretold(
+def predict_jacobians(
     presses: Sequence[Press], point: Point, settings: Settings
 ) -> list[Float[np.ndarray, "data m"] | None]:
-    """Return the Jacobians of presses not made yet, side by side, at the present map.
+    """Predict the Jacobians of candidate presses at the current map.
 
-    Their errors are what the inversion takes the present data to have: the sensor's noise, and
-    what the mesh gets wrong, rough and smooth.
+    Their noise is that of the current data: the sensor's noise, and the model error of the mesh,
+    white and smooth.
 
     Args:
-        presses: As they would be reported; their displacements do not matter.
-        point: The present map, with the presses made so far.
-        settings: Of its inversion.
+        presses: Candidates as they would be recorded; their displacements are ignored.
+        point: Solution of the presses made so far.
+        settings: Settings of its inversion.
 
     Returns:
         Derivatives of each press's data by the parameters, in standard deviations; None for a
-        press under which the body would collapse.
+        press under which the body collapses.
     """
-    scales = np.concatenate([seen.scale for seen in point.objective.problem.observations])
+    scales = np.concatenate([data.scale for data in point.objective.problem.observations])
     noise = float(1.0 / np.median(scales))
-    # Displacements do not matter here; presses that moved nothing are refused as data.
-    nothing = np.full(presses[0].forces.shape, noise)
-    planned = [replace(press, displacement=nothing, noise_mm=noise) for press in presses]
+    # Presses without any displacement are refused as data.
+    placeholder = np.full(presses[0].forces.shape, noise)
+    planned = [replace(press, displacement=placeholder, noise_mm=noise) for press in presses]
     try:
-        return list(_rows(planned, point, settings))
+        return list(_jacobians(planned, point, settings))
     except ConvergenceError:
-        return [_rows_or_none(press, point, settings) for press in planned]
+        return [_jacobian_or_none(press, point, settings) for press in planned]
 
 
-def _rows_or_none(press: Press, point: Point, settings: Settings) -> np.ndarray | None:
+def _jacobian_or_none(press: Press, point: Point, settings: Settings) -> np.ndarray | None:
     try:
-        return _rows([press], point, settings)[0]
+        return _jacobians([press], point, settings)[0]
     except ConvergenceError:
         return None
 
 
-def _rows(presses: Sequence[Press], point: Point, settings: Settings) -> list[np.ndarray]:
-    made = point.objective.problem
-    # Presses yet to be made are without displacement, so units are not told by it.
-    recording = replace(made.recording, presses=tuple(presses), check_units=False)
-    problem = InverseProblem(recording, newton=settings.newton, body=made.body)
+def _jacobians(presses: Sequence[Press], point: Point, settings: Settings) -> list[np.ndarray]:
+    current = point.objective.problem
+    # Placeholder displacements carry no unit.
+    recording = replace(current.recording, presses=tuple(presses), check_units=False)
+    problem = InverseProblem(recording, newton=settings.newton, body=current.body)
     slope = point.objective.parameterization.slope(point.elements)
-    counts = [len(seen.index) for seen in problem.observations]
-    rows = problem.evaluate(point.youngs).jacobian() * slope
-    parts = np.split(rows, np.cumsum(counts)[:-1])
-    known = made.model_deviation
-    if known is None:
-        return parts
-    left, points = float(np.median(known)), recording.mesh.points
-    smooth = [smooth_pattern(points, seen, left) for seen in problem.observations]
-    return [CorrelatedNoise(s).whiten(part) for s, part in zip(smooth, parts, strict=True)]
+    blocks = _split(problem.evaluate(point.youngs).jacobian() * slope, problem)
+    if current.model_deviation is None:
+        return blocks
+    deviation, points = float(np.median(current.model_deviation)), recording.mesh.points
+    patterns = [smooth_pattern(points, data, deviation) for data in problem.observations]
+    return [CorrelatedNoise(s).whiten(block) for s, block in zip(patterns, blocks, strict=True)]
+
+
+def _split(rows: np.ndarray, problem: InverseProblem) -> list[np.ndarray]:
+    """Rows of each press."""
+    counts = [len(data.index) for data in problem.observations]
+    return np.split(rows, np.cumsum(counts)[:-1])

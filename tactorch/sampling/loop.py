@@ -1,153 +1,432 @@
-"""Active sampling: press, invert, and choose where to press next (Section V-C)."""
+"""The loop of press, inversion and suggestion, over any source of presses."""
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 
-from tactorch.errors import ConfigError
+from tactorch.config import Options, option
+from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
+from tactorch.findings import find_lump
 from tactorch.inverse import (
     INTERRUPTED,
     START_MPA,
-    Point,
+    IncrementalInversion,
+    IncrementalResult,
     Settings,
-    invert,
-    make_objective,
+    Start,
 )
-from tactorch.mesh import TetMesh
-from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.sampling.candidate_jacobians import credibilities, foretold
-from tactorch.sampling.candidates import Patch
-from tactorch.sampling.presser import Presser
-from tactorch.sampling.rules import Rule, SamplingState
-from tactorch.uncertainty.gaussian import GaussianPosterior
-from tactorch.uncertainty.gaussian_state import GaussianState
-from tactorch.uncertainty.select import posterior_at
+from tactorch.metrics import Inclusion
+from tactorch.plain import plain
+from tactorch.recording import Press, Recording
+from tactorch.sampling.sources import Arrival, PressSource, RecordingSource
+from tactorch.sampling.store import Store
+from tactorch.sampling.suggest import Suggester, Suggestion
+
+_RESUME_TIMEOUT_S = 10.0  # for the presses of a continued run to be readable
+
+
+@dataclass(frozen=True)
+class LoopOptions(Options):
+    """Pace of the loop, and when it ends."""
+
+    poll_seconds: float = option(0.2, "Interval between looks for new presses", unit="s", gt=0)
+    max_batch: int = option(4, "Largest number of waiting presses taken in one update", ge=1)
+    max_iterations: int = option(
+        6, "Iterations of one update; while no press waits, the map is refined beyond that", ge=1
+    )
+    update_seconds: float | None = option(
+        2.2, "Time limit of one update, which makes at least one iteration", unit="s", gt=0
+    )
+    max_presses: int | None = option(None, "Number of presses after which the run ends", ge=1)
+    idle_seconds: float | None = option(
+        None, "Time without a new press after which the run ends", unit="s", gt=0
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """What stands after one more press.
+class Update:
+    """State after an inversion.
 
     Attributes:
-        place: The candidate that was pressed.
-        press: What it gave; a `Recording` of all steps' presses holds the whole session.
-        youngs: The map from all presses so far, MPa.
-        deviation: Of each parameter (log-modulus by default) under the posterior there.
-        rms_deviation: Its root mean square by volume.
-        seconds: Since the first press began.
+        recording: All presses so far.
+        solution: Result of the inversion; its history is that of this update.
+        lump: Most conspicuous lump of the map; None if none stands out.
+        entry: Line of the history, plain values: press (number so far), names, seconds,
+            iterations, chi2, weight, inclusion, deviation, next and more.
+        suggestion: Suggested next press; None until it is known.
     """
 
-    place: int
-    press: Press
-    youngs: Float[np.ndarray, " m"]
-    deviation: Float[np.ndarray, " m"]
-    rms_deviation: float
-    seconds: float
+    recording: Recording
+    solution: IncrementalResult
+    lump: Inclusion | None
+    entry: dict[str, Any]
+    suggestion: Suggestion | None = None
 
+    @property
+    def youngs(self) -> np.ndarray:
+        """The map, MPa."""
+        return self.solution.result.youngs
 
-def sample(
-    presser: Presser,
-    mesh: TetMesh,
-    candidates: Sequence[Patch],
-    rule: Rule,
-    budget: int,
-    settings: Settings | None = None,
-    *,
-    material: MaterialSpec,
-    start_mpa: float = START_MPA,
-    target_deviation: float = 0.0,
-    on_press: Callable[[Step], None] | None = None,
-) -> list[Step]:
-    """Press where the rule says, inverting all presses after each, from the map before.
+    @property
+    def rms_deviation(self) -> float | None:
+        """Volume-weighted root mean square of the parameters' standard deviations."""
+        return self._rms(np.ones(self.recording.mesh.n_tets, dtype=bool))
 
-    An interruption (Ctrl-C) within an inversion keeps that inversion's best map, and no further
-    press is made.
-
-    Args:
-        presser: Who presses.
-        mesh: Of the inversion.
-        candidates: Places to press.
-        rule: Chooses among those not pressed yet.
-        budget: How many presses at most.
-        settings: Of the inversions.
-        material: Law of the body.
-        start_mpa: Where the first inversion starts.
-        target_deviation: Root mean square deviation of the parameters at which to stop.
-        on_press: Called after each press and its inversion.
-
-    Raises:
-        ConfigError: there are fewer candidates than the budget, nuisance parameters are to be
-            estimated, or a setting cannot be used.
-        ConvergenceError: the presses have no equilibrium at the map before.
-    """
-    if not 1 <= budget <= len(candidates):
-        raise ConfigError(
-            f"budget={budget} must be 1 to {len(candidates)}, as many as there are candidates."
+    def suggested(self, suggestion: Suggestion) -> "Update":
+        """Return the update with a suggestion, also in its entry."""
+        update, patch = replace(self, suggestion=suggestion), suggestion.patch
+        place = None
+        if patch is not None:
+            place = {
+                "center_mm": [float(x) for x in patch.center],
+                "inward": [float(x) for x in patch.inward],
+                "radius_mm": float(patch.radius_mm),
+            }
+        update.entry.update(
+            deviation=update.rms_deviation,
+            deviation_inclusion=None if self.lump is None else update._rms(self.lump.elements),
+            next=place,
+            next_why_not=suggestion.reason,
+            next_rule=suggestion.rule,
+            next_seconds=suggestion.seconds,
         )
-    settings, began = settings or Settings(), time.perf_counter()
-    if settings.nuisance.size:
-        raise ConfigError(
-            "active sampling does not know nuisance parameters; estimate them from a recording "
-            "first, and sample with Settings(nuisance=Unknowns())."
-        )
-    body = _Body(mesh, material, settings)
-    presses: list[Press] = []
-    steps: list[Step] = []
-    youngs = np.full(mesh.n_tets, float(start_mpa))
-    place = rule.first(candidates)
-    while True:
-        presses.append(presser.press(candidates[place]))
-        point, posterior, stopped = body.solve(presses, youngs)
-        youngs, deviation = point.youngs, posterior.deviation()
-        rms = float(np.sqrt(mesh.volumes @ deviation**2 / mesh.volumes.sum()))
-        steps.append(Step(place, presses[-1], youngs, deviation, rms, time.perf_counter() - began))
-        if on_press is not None:
-            on_press(steps[-1])
-        if stopped or len(steps) == budget or rms <= target_deviation:
-            return steps
-        pressed = tuple(step.place for step in steps)
+        return update
 
-        def predict(places: Sequence[int], at: Point = point) -> list[np.ndarray | None]:
-            return foretold([presser.plan(candidates[i]) for i in places], at, body.settings)
+    def _rms(self, elements: np.ndarray) -> float | None:
+        deviation = None if self.suggestion is None else self.suggestion.deviation
+        if deviation is None or not elements.any():
+            return None
+        volumes = self.recording.mesh.volumes[elements]
+        return float(np.sqrt(volumes @ deviation[elements] ** 2 / volumes.sum()))
 
-        place = rule.choose(
-            SamplingState(
-                mesh=mesh,
-                candidates=candidates,
-                pressed=pressed,
-                parameterization=point.objective.parameterization,
-                belief=GaussianState(posterior.mean, posterior.covariance(np.arange(mesh.n_tets))),
-                credibility=credibilities(point),
-                jacobians=predict,
-            )
-        )
+
+class Observer:
+    """Receives the events of a loop; override the methods of interest."""
+
+    def waiting(self, presses: int, idle_seconds: float) -> None:
+        """No press came since the last look."""
+
+    def resumed(self, history: Sequence[Mapping[str, Any]]) -> None:
+        """A run with this history is continued."""
+
+    def show_message(self, text: str) -> None:
+        """A press or a file is invalid."""
+
+    def updated(self, update: Update) -> None:
+        """The map was updated; the suggestion is not known yet."""
+
+    def suggested(self, update: Update) -> None:
+        """The next press was suggested."""
+
+
+@runtime_checkable
+class Inversion(Protocol):
+    """Inversion to which presses are added, such as `IncrementalInversion`."""
+
+    @property
+    def recording(self) -> Recording:
+        """The object with all presses so far."""
+        ...
+
+    def add(self, presses: Sequence[Press]) -> IncrementalResult:
+        """Invert all presses so far and these."""
+        ...
+
+    def refine(self, *, stop: Callable[[], bool]) -> IncrementalResult:
+        """Continue until the optimizer converges or `stop` returns True."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
-class _Body:
-    """What all inversions share."""
+class LoopResult:
+    """End of a loop.
 
-    mesh: TetMesh
-    material: MaterialSpec
-    settings: Settings
+    Attributes:
+        reason: Why it ended.
+        history: One entry per update.
+        update: Last update; None if no press came.
+        interrupted: Whether Ctrl-C ended it.
+    """
 
-    def _recording(self, presses: Sequence[Press]) -> Recording:
-        # Presses yet to be made are without displacement, so units are not told by it.
-        return Recording(
-            mesh=self.mesh, presses=tuple(presses), material=self.material, check_units=False
+    reason: str
+    history: list[dict[str, Any]]
+    update: Update | None
+    interrupted: bool = False
+
+
+class SamplingLoop:
+    """Inverts presses as they come, and suggests the next one.
+
+    Args:
+        source: Source of presses.
+        inversion: Makes the inversion, once a press has come.
+        suggester: Suggests the next press; it is requested from the source.
+        observers: Receive the loop's events.
+        options: Pace and end.
+        store: Folder of the run's state; a state there is continued. None keeps none.
+        skip_invalid: Report presses that cannot be inverted, and skip them; False raises.
+        target_deviation: Root mean square deviation of the parameters at which the loop ends.
+    """
+
+    def __init__(
+        self,
+        source: PressSource,
+        inversion: Callable[[], Inversion],
+        suggester: Suggester,
+        observers: Sequence[Observer] = (),
+        *,
+        options: LoopOptions | None = None,
+        store: Store | None = None,
+        skip_invalid: bool = True,
+        target_deviation: float = 0.0,
+    ) -> None:
+        self._source, self._make_inversion = source, inversion
+        self._suggester, self._observers = suggester, tuple(observers)
+        self._options, self._store = options or LoopOptions(), store
+        self._skip_invalid, self._target_deviation = skip_invalid, target_deviation
+        self._waiting: list[Arrival] = []
+        self._done: list[Arrival] = []
+        self._history: list[dict[str, Any]] = []
+        self._inversion: Inversion | None = None
+        self._update: Update | None = None
+
+    @staticmethod
+    def following(
+        source: RecordingSource,
+        settings: Settings,
+        folder: str | Path,
+        *observers: Observer,
+        options: LoopOptions | None = None,
+        suggester: Suggester | None = None,
+        start_mpa: Start = START_MPA,
+    ) -> "SamplingLoop":
+        """Return a loop over a recording that somebody else extends.
+
+        Args:
+            source: The recording, or a folder of recordings.
+            settings: Settings of the inversions.
+            folder: Folder of the run; a run there is continued.
+            observers: Receive the loop's events.
+            options: Pace and end.
+            suggester: Suggests the next press; expected error by default.
+            start_mpa: Start of the first inversion.
+        """
+        options = options or LoopOptions()
+
+        def make_inversion() -> IncrementalInversion:
+            assert source.about is not None
+            return IncrementalInversion(
+                source.about,
+                settings,
+                max_iterations=options.max_iterations,
+                max_seconds_per_update=options.update_seconds,
+                start_mpa=start_mpa,
+            )
+
+        digest = sha256(repr(plain(settings)).encode()).hexdigest()[:16]
+        return SamplingLoop(
+            source,
+            make_inversion,
+            suggester or Suggester(settings),
+            observers,
+            options=options,
+            store=Store(folder, digest),
         )
 
-    def solve(
-        self, presses: Sequence[Press], start: np.ndarray
-    ) -> tuple[Point, GaussianPosterior, bool]:
-        """Return the map of the presses, the posterior there, and whether it was interrupted."""
-        recording, settings = self._recording(presses), self.settings
-        found = invert(recording, settings, start_mpa=start, show_progress=False)
-        objective = make_objective(recording, settings)
-        point = objective.at(objective.start(found.youngs))
-        # The widest that can be had: Laplace's trusts total variation where no press was yet.
-        posterior = posterior_at(point, found.history[-1].get("weight", 0.0))
-        return point, posterior, found.stop_reason == INTERRUPTED
+    def run(self) -> LoopResult:
+        """Run to the end; Ctrl-C ends it with the last complete update.
+
+        Raises:
+            KeyboardInterrupt: before the first update.
+            FileError: the state to continue cannot be read, or its presses are missing.
+            RecordingError: the object or presses that were read changed.
+        """
+        try:
+            self._resume()
+            self._refine_and_suggest()  # a run that was killed may not have come to it
+            reason = self._follow()
+            self._refine_and_suggest()
+        except KeyboardInterrupt:
+            if self._update is None and not self._history:
+                raise
+            return LoopResult("interrupted", self._history, self._update, interrupted=True)
+        return LoopResult(reason, self._history, self._update)
+
+    def _follow(self) -> str:
+        """Update as presses come; return the reason of the end."""
+        options, last = self._options, time.monotonic()
+        while True:
+            reason = self._end()
+            if reason:
+                return reason
+            self._poll()
+            if self._waiting:
+                count = min(options.max_batch, self._remaining(), len(self._waiting))
+                batch, self._waiting = self._waiting[:count], self._waiting[count:]
+                self._add(batch)
+                self._refine_and_suggest()
+                last = time.monotonic()
+                continue
+            idle = time.monotonic() - last
+            if options.idle_seconds is not None and idle >= options.idle_seconds:
+                return f"no press came for {options.idle_seconds:g} s"
+            for observer in self._observers:
+                observer.waiting(len(self._done), idle)
+            time.sleep(options.poll_seconds)
+
+    def _end(self) -> str:
+        """Reason to end now; empty if there is none."""
+        if self._remaining() == 0:
+            return f"{self._options.max_presses} presses (max_presses) were made"
+        update = self._update
+        if update is None:
+            return ""
+        if update.solution.result.stop_reason == INTERRUPTED:
+            return "interrupted"
+        deviation = update.rms_deviation
+        reached = deviation is not None and deviation <= self._target_deviation
+        return f"the deviation is {deviation:.3g}, as low as the target" if reached else ""
+
+    def _remaining(self) -> int:
+        """Number of presses until `max_presses`."""
+        max_presses = self._options.max_presses
+        return 2**62 if max_presses is None else max(max_presses - len(self._done), 0)
+
+    def _poll(self) -> None:
+        self._waiting += self._source.poll()
+
+    def _press_waits(self) -> bool:
+        """Whether a press waits to be inverted."""
+        if self._remaining() == 0:
+            return False
+        self._poll()
+        return bool(self._waiting)
+
+    def _add(self, batch: list[Arrival]) -> None:
+        """Invert new presses; invalid ones are reported and skipped."""
+        started = time.perf_counter()
+        try:
+            inversion = self._inversion or self._make_inversion()
+            solution = inversion.add([arrival.press for arrival in batch])
+        except (ConvergenceError, RecordingError, ConfigError) as error:
+            if not self._skip_invalid:
+                raise
+            if len(batch) > 1:  # find the invalid one
+                for arrival in batch:
+                    self._add([arrival])
+                return
+            if isinstance(error, ConfigError):
+                raise
+            for observer in self._observers:
+                observer.show_message(f"{batch[0].key} is invalid and skipped: {error}")
+            return
+        self._inversion = inversion
+        self._done += batch
+        self._publish(solution, [a.key for a in batch], time.perf_counter() - started)
+
+    def _refine_and_suggest(self) -> None:
+        """Refine the map and suggest a press, unless a press waits."""
+        if not self._press_waits():
+            self._refine()
+        update = self._update
+        if update is not None and update.suggestion is None and not self._press_waits():
+            self._suggest(update)
+
+    def _refine(self) -> None:
+        """Continue an update that ended at its limit, until a press comes."""
+        inversion, update = self._inversion, self._update
+        if inversion is None or (update is not None and update.solution.settled):
+            return
+        last = self._history[-1]
+        if update is None and last["settled"] and "next" in last:
+            return
+        started = time.perf_counter()
+        solution = inversion.refine(stop=self._press_waits)
+        self._publish(solution, [], time.perf_counter() - started)
+
+    def _publish(self, solution: IncrementalResult, names: list[str], seconds: float) -> None:
+        assert self._inversion is not None
+        result, recording = solution.result, self._inversion.recording
+        lump = find_lump(recording.mesh, result.youngs)
+        entry = {
+            "press": len(self._done),
+            "names": names,
+            "seconds": seconds,
+            "iterations": result.iterations,
+            "stop_reason": result.stop_reason,
+            "settled": solution.settled,
+            "chi2": float(result.history[-1]["chi2"]),
+            "weight": solution.weight,
+            "youngs_median_mpa": float(np.median(result.youngs)),
+            "inclusion": None if lump is None else lump.plain(),
+        }
+        self._history.append(entry)
+        self._update = Update(recording, solution, lump, entry)
+        self._save()
+        if self._store is not None:
+            self._store.save_result(result)
+        for observer in self._observers:
+            observer.updated(self._update)
+
+    def _suggest(self, update: Update) -> None:
+        solution = update.solution
+        suggestion = self._suggester.suggest(solution.point, solution.weight, self._press_waits)
+        if suggestion is None:
+            return
+        self._update = update.suggested(suggestion)
+        self._save()
+        for observer in self._observers:
+            observer.suggested(self._update)
+        if suggestion.patch is not None:
+            self._source.request(suggestion.patch)
+
+    def _save(self) -> None:
+        if self._store is not None and isinstance(self._inversion, IncrementalInversion):
+            self._store.save(self._inversion.state(), self._done, self._history)
+
+    def _resume(self) -> None:
+        """Continue the run that the store holds."""
+        state = None if self._store is None else self._store.load()
+        if state is None or self._store is None:
+            return
+        keys = [str(key) for key in state["keys"]]
+        digests = dict(zip(keys, map(str, state["marks"]), strict=True))
+        arrivals = self._await(keys)
+        for arrival in arrivals:
+            if arrival.digest != digests[arrival.key]:
+                raise RecordingError(
+                    f"{arrival.key} differs from the press of this run; choose another run_dir "
+                    "for another recording."
+                )
+        inversion = self._make_inversion()
+        assert isinstance(inversion, IncrementalInversion), "no other inversion has a state"
+        inversion.restore([arrival.press for arrival in arrivals], state)
+        self._inversion, self._done = inversion, arrivals
+        self._history = self._store.history(state)
+        self._store.write_history(self._history)
+        for observer in self._observers:
+            observer.resumed(self._history)
+
+    def _await(self, keys: Sequence[str]) -> list[Arrival]:
+        """Presses of the continued run in its order; a file may not be readable at once."""
+        deadline = time.monotonic() + _RESUME_TIMEOUT_S
+        while True:
+            self._poll()
+            available = {arrival.key: arrival for arrival in self._waiting}
+            missing = [key for key in keys if key not in available]
+            if not missing:
+                break
+            if time.monotonic() > deadline:
+                raise FileError(
+                    f"{self._source.name} lacks {missing[0]!r} ({len(missing)} presses in all) of "
+                    "the continued run; give the recording that it followed, or choose another "
+                    "run_dir."
+                )
+            time.sleep(self._options.poll_seconds)
+        self._waiting = [arrival for arrival in self._waiting if arrival.key not in set(keys)]
+        return [available[key] for key in keys]

@@ -1,164 +1,228 @@
-"""Where to press next: rules over what is known so far (Section V-C, and beyond it)."""
+"""Rules that choose the next press from the posterior so far (Section V-C, and beyond it).
+
+A rule is an `Options` class with `choose`, listed in `RULES` by name. Packages add rules by an
+entry point of the group `tactorch.rule`.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 from tactorch.inverse.parameterization import Parameterization
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
-from tactorch.mesh.values import Real, positive
+from tactorch.recording import Recording
 from tactorch.sampling.candidates import Patch
 from tactorch.uncertainty.gaussian_state import GaussianState
 
-_REACH = 2.0  # radii of the sensor: how far from its centre a patch's area goes
+RULES = Registry(
+    "rule",
+    {
+        "auto": "tactorch.sampling.rules:Automatic",
+        "expected_error": "tactorch.sampling.rules:ExpectedError",
+        "expected_information": "tactorch.sampling.rules:ExpectedInformation",
+        "largest_uncertainty": "tactorch.sampling.rules:LargestUncertainty",
+        "uniform_grid": "tactorch.sampling.rules:UniformGrid",
+        "random": "tactorch.sampling.rules:Random",
+        "none": "tactorch.sampling.rules:NoSuggestion",
+    },
+    "rules that choose the next press",
+)
+
+MAX_DENSE_ELEMENTS = 4_000  # elements up to which a dense posterior takes seconds
+_AREA_RADII = 2.0  # radius of a patch's area over that of the sensor
 
 
 @dataclass(frozen=True, eq=False)
 class SamplingState:
-    """What is known after some presses.
+    """What a rule knows after some presses.
 
     Attributes:
-        mesh: The body.
-        candidates: Places to press.
-        pressed: Which of them were pressed, in turn.
-        belief: Of the parameters (log-moduli by default), from all presses.
-        parameterization: Makes moduli (MPa) of the parameters.
-        credibility: Of each press: the square of the largest derivative of any datum (in standard
+        mesh: Mesh of the inversion.
+        candidates: Patches that can be pressed.
+        pressed: Indices of the candidates pressed so far, in order.
+        parameterization: Map from parameters to moduli (MPa).
+        credibility: For each press, the squared largest derivative of any datum (in standard
             deviations of its noise) by the parameter of an element of mean volume.
-        jacobians: Foretells the derivatives of candidates' data, in standard deviations of the
-            noise; None for a candidate under which the body would collapse.
+        jacobians: Predicts the derivatives of candidates' data by the parameters, in standard
+            deviations of the noise; None for a candidate under which the body collapses.
+        posterior: Normal distribution of the parameters (log-moduli by default) given all presses;
+            None for rules without `uses_posterior`.
     """
 
     mesh: TetMesh
     candidates: Sequence[Patch]
     pressed: tuple[int, ...]
-    belief: GaussianState
     parameterization: Parameterization
     credibility: Float[np.ndarray, "presses m"]
     jacobians: Callable[[Sequence[int]], list[np.ndarray | None]]
+    posterior: GaussianState | None = None
 
     @property
-    def left(self) -> list[int]:
-        """Candidates that were not pressed."""
-        return _left(len(self.candidates), self.pressed)
+    def remaining(self) -> list[int]:
+        """Indices of the candidates that were not pressed."""
+        return _remaining(len(self.candidates), self.pressed)
 
 
-@runtime_checkable
-class Rule(Protocol):
-    """Chooses places to press."""
+class Rule(Options, ABC):
+    """Criterion for the next press.
 
-    def first(self, candidates: Sequence[Patch]) -> int:
-        """Return the candidate to press before anything is known."""
-        ...
+    Attributes:
+        uses_posterior: Whether `choose` reads `SamplingState.posterior`, a dense covariance.
+    """
 
-    def choose(self, now: SamplingState) -> int:
-        """Return the candidate to press next, one that was not pressed."""
-        ...
+    section = "rule"
+    uses_posterior: ClassVar[bool] = False
 
-
-class _FromTheTop:
-    """Begins with the first candidate: `candidate_patches` puts it farthest from what is held."""
+    def resolve(self, recording: Recording) -> "Rule":
+        """Return the rule to apply to this object and its presses so far."""
+        return self
 
     def first(self, candidates: Sequence[Patch]) -> int:
-        """See `Rule.first`."""
+        """Return the candidate to press before any data.
+
+        `candidate_patches` lists the one farthest from the fixed nodes first.
+        """
         return 0
 
+    @abstractmethod
+    def choose(self, state: SamplingState) -> int:
+        """Return the candidate to press next, one that was not pressed."""
+
 
 @dataclass(frozen=True)
-class LargestUncertainty(_FromTheTop):
-    """The paper's rule: press the area of largest uncertainty under eq. (16).
+class Automatic(Rule):
+    """Expected error up to 4,000 elements if forces are known; otherwise largest uncertainty."""
+
+    def resolve(self, recording: Recording) -> Rule:
+        """See `Rule.resolve`."""
+        loaded = any(press.forces.any() for press in recording.presses)
+        dense = recording.mesh.n_tets <= MAX_DENSE_ELEMENTS
+        return ExpectedError() if dense and loaded else LargestUncertainty()
+
+    def choose(self, state: SamplingState) -> int:
+        """See `Rule.choose`."""
+        rule = LargestUncertainty() if state.posterior is None else ExpectedError()
+        return rule.choose(state)
+
+
+@dataclass(frozen=True)
+class NoSuggestion(Rule):
+    """No suggestion of the next press."""
+
+    def resolve(self, recording: Recording) -> Rule:
+        """See `Rule.resolve`.
+
+        Raises:
+            ConfigError: always.
+        """
+        raise ConfigError("suggestions are off (suggest.rule=none)")
+
+    def choose(self, state: SamplingState) -> int:
+        """See `Rule.choose`."""
+        raise ConfigError("suggestions are off (suggest.rule=none)")
+
+
+@dataclass(frozen=True)
+class LargestUncertainty(Rule):
+    """The paper's rule: the area of largest uncertainty under eq. (16).
 
     Sigma* and R are diagonal there, so the precisions of an element add up: that of the prior, and
-    its credibility under each press. The paper says of the place no more than that it is found "by
-    projecting onto the area with the maximum uncertainty". Here each element belongs to the
-    candidate nearest to its centroid, within two radii of the sensor; the next press is the
-    candidate whose elements have the largest mean variance, by volume.
-
-    Attributes:
-        prior_deviation: Of each parameter before any press.
+    its credibility under each press. The paper finds the place "by projecting onto the area with
+    the maximum uncertainty". Here each element belongs to the candidate nearest to its centroid,
+    within two radii of the sensor; the next press is the candidate whose elements have the largest
+    volume-weighted mean variance.
     """
 
-    prior_deviation: Real = 1.0
+    prior_deviation: float = option(1.0, "Standard deviation of each parameter before data", gt=0)
 
-    def __post_init__(self) -> None:
-        positive("prior_deviation", self.prior_deviation)
-
-    def choose(self, now: SamplingState) -> int:
+    def choose(self, state: SamplingState) -> int:
         """See `Rule.choose`."""
-        variance = 1.0 / (self.prior_deviation**-2 + now.credibility.sum(axis=0))
-        means = area_means(now.mesh, now.candidates, variance)
-        return max(now.left, key=lambda i: means[i])
+        variance = 1.0 / (self.prior_deviation**-2 + state.credibility.sum(axis=0))
+        means = area_means(state.mesh, state.candidates, variance)
+        return max(state.remaining, key=lambda i: means[i])
 
 
-class _Foretelling(_FromTheTop, ABC):
-    """Foretells each candidate's data, and takes the one that scores best."""
+class ScoredRule(Rule):
+    """Rule that scores each candidate by its predicted Jacobian and takes the best."""
 
-    def choose(self, now: SamplingState) -> int:
+    uses_posterior = True
+
+    def choose(self, state: SamplingState) -> int:
         """See `Rule.choose`."""
-        found = zip(now.left, now.jacobians(now.left), strict=True)
-        scores = {i: self.score(now, rows) for i, rows in found if rows is not None}
-        return max(scores, key=lambda i: scores[i]) if scores else now.left[0]
+        assert state.posterior is not None
+        predicted = zip(state.remaining, state.jacobians(state.remaining), strict=True)
+        scores = {
+            i: self.score(state, state.posterior, jacobian)
+            for i, jacobian in predicted
+            if jacobian is not None
+        }
+        return max(scores, key=lambda i: scores[i]) if scores else state.remaining[0]
 
     @abstractmethod
-    def score(self, now: SamplingState, jacobian: Float[np.ndarray, "data m"]) -> float:
-        """Return how much a press with this Jacobian is worth."""
+    def score(
+        self,
+        state: SamplingState,
+        posterior: GaussianState,
+        jacobian: Float[np.ndarray, "data m"],
+    ) -> float:
+        """Return the value of a press with this Jacobian."""
 
 
 @dataclass(frozen=True)
-class ExpectedInformation(_Foretelling):
-    """Press where the data are expected to tell most: log det(I + J Sigma J^T) / 2."""
+class ExpectedInformation(ScoredRule):
+    """Largest expected information of the data: log det(I + J Sigma J^T) / 2."""
 
-    def score(self, now: SamplingState, jacobian: Float[np.ndarray, "data m"]) -> float:
-        """Return the expected information, in nats."""
-        return now.belief.information_gain(jacobian)
+    def score(
+        self,
+        state: SamplingState,
+        posterior: GaussianState,
+        jacobian: Float[np.ndarray, "data m"],
+    ) -> float:
+        """Return the expected information, nats."""
+        return posterior.information_gain(jacobian)
 
 
 @dataclass(frozen=True)
-class ExpectedError(_Foretelling):
-    """Press where the mean squared error of the map, by volume, is expected to fall most.
+class ExpectedError(ScoredRule):
+    """Largest expected reduction of the map's volume-weighted mean squared error.
 
-    Of the moduli, a press is worth most where something stiff was found that is not yet sharp; of
-    the parameters (log-moduli by default), everything counts alike.
-
-    Attributes:
-        of: "youngs" or "parameters".
+    Measured on the moduli, presses near stiff regions of uncertain extent score highest; measured
+    on the parameters (log-moduli by default), all regions count alike.
     """
 
-    of: str = "youngs"
+    of: Literal["youngs", "parameters"] = option("youngs", "Quantity whose error is reduced")
 
-    def __post_init__(self) -> None:
-        if self.of not in ("youngs", "parameters"):
-            raise ConfigError(f"of={self.of} is unknown; choose youngs or parameters.")
-
-    def score(self, now: SamplingState, jacobian: Float[np.ndarray, "data m"]) -> float:
-        """Return the fall of the mean variance by volume."""
-        fall = now.belief.expected_variance_reduction(jacobian)
+    def score(
+        self,
+        state: SamplingState,
+        posterior: GaussianState,
+        jacobian: Float[np.ndarray, "data m"],
+    ) -> float:
+        """Return the expected reduction of the mean variance."""
+        reduction = posterior.expected_variance_reduction(jacobian)
         if self.of == "youngs":
-            before = now.belief.covariance.diagonal()
-            fall = now.parameterization.expected_variance_reduction(
-                now.belief.mean, before, before - fall
+            variance = posterior.covariance.diagonal()
+            reduction = state.parameterization.expected_variance_reduction(
+                posterior.mean, variance, variance - reduction
             )
-        return float(fall @ now.mesh.volumes / now.mesh.volumes.sum())
+        return float(reduction @ state.mesh.volumes / state.mesh.volumes.sum())
 
 
 @dataclass(frozen=True)
-class UniformGrid:
-    """A grid over the candidates for the whole budget, laid out before the first press.
+class UniformGrid(Rule):
+    """Even grid over the candidates for the whole budget, fixed before the first press.
 
-    It begins with farthest points and evens them out (Lloyd's k-medoids): each place moves to the
-    middle of the candidates that are nearest to it.
-
-    Attributes:
-        budget: How many places.
+    Farthest points are evened out by Lloyd's algorithm (k-medoids).
     """
 
-    budget: int
+    budget: int = option(help="Number of presses", ge=1)
 
     def places(self, candidates: Sequence[Patch]) -> list[int]:
         """Return the grid in farthest-point order.
@@ -166,83 +230,80 @@ class UniformGrid:
         Raises:
             ConfigError: there are fewer candidates than places.
         """
-        if not 1 <= self.budget <= len(candidates):
+        if self.budget > len(candidates):
             raise ConfigError(
                 f"budget={self.budget}: a grid takes 1 to {len(candidates)} places, as many as "
                 "there are candidates."
             )
         centers = np.array([patch.center for patch in candidates])
-        gaps = np.linalg.norm(centers[:, None] - centers, axis=2)
+        distances = np.linalg.norm(centers[:, None] - centers, axis=2)
         places = farthest_point_order(centers, self.budget, 0)
-        for _ in range(len(gaps)):
-            owner = gaps[:, places].argmin(axis=1)
-            groups = [np.flatnonzero(owner == k) for k in range(self.budget)]
-            moved = [
-                int(g[(gaps[np.ix_(g, g)] ** 2).sum(axis=1).argmin()]) if len(g) else place
+        for _ in range(len(distances)):
+            nearest = distances[:, places].argmin(axis=1)
+            groups = [np.flatnonzero(nearest == k) for k in range(self.budget)]
+            medoids = [
+                int(g[(distances[np.ix_(g, g)] ** 2).sum(axis=1).argmin()]) if len(g) else place
                 for g, place in zip(groups, places, strict=True)
             ]
-            if moved == places:
+            if medoids == places:
                 break
-            places = moved
-        first = int(gaps[0, places].argmin())
+            places = medoids
+        first = int(distances[0, places].argmin())
         return [places[i] for i in farthest_point_order(centers[places], self.budget, first)]
 
     def first(self, candidates: Sequence[Patch]) -> int:
         """See `Rule.first`."""
         return self.places(candidates)[0]
 
-    def choose(self, now: SamplingState) -> int:
+    def choose(self, state: SamplingState) -> int:
         """See `Rule.choose`.
 
         Raises:
             ConfigError: all places of the grid were pressed.
         """
-        if len(now.pressed) >= self.budget:
+        if len(state.pressed) >= self.budget:
             raise ConfigError(
-                f"budget={self.budget}: all places of the uniform grid were pressed; give it as "
-                "large a budget as the sampling has."
+                f"budget={self.budget}: all places of the uniform grid were pressed; set its "
+                "budget to that of the sampling."
             )
-        return self.places(now.candidates)[len(now.pressed)]
+        return self.places(state.candidates)[len(state.pressed)]
 
 
 @dataclass(frozen=True)
-class Random:
-    """Any candidate, as the seed says.
+class Random(Rule):
+    """Random candidate."""
 
-    Attributes:
-        seed: Of the order.
-    """
-
-    seed: int = 0
+    seed: int = option(0, "Seed of the order", ge=0)
 
     def first(self, candidates: Sequence[Patch]) -> int:
         """See `Rule.first`."""
         return self._draw(len(candidates), ())
 
-    def choose(self, now: SamplingState) -> int:
+    def choose(self, state: SamplingState) -> int:
         """See `Rule.choose`."""
-        return self._draw(len(now.candidates), now.pressed)
+        return self._draw(len(state.candidates), state.pressed)
 
     def _draw(self, count: int, pressed: tuple[int, ...]) -> int:
         rng = np.random.default_rng([self.seed, len(pressed)])
-        return int(rng.choice(_left(count, pressed)))
+        return int(rng.choice(_remaining(count, pressed)))
 
 
 def area_means(
     mesh: TetMesh, candidates: Sequence[Patch], values: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, " candidates"]:
-    """Return the mean of each candidate's elements by volume; 0 where it has none.
+    """Return the volume-weighted mean over each candidate's elements; 0 where it has none.
 
     An element belongs to the candidate nearest to its centroid, if within two radii of the sensor.
     """
     centers = np.array([patch.center for patch in candidates])
-    gaps = np.linalg.norm(mesh.centroids[:, None] - centers, axis=2)
-    owner = gaps.argmin(axis=1)
-    reach = _REACH * np.array([patch.radius_mm for patch in candidates])
-    share = np.where(gaps.min(axis=1) <= reach[owner], mesh.volumes, 0.0)
-    total = np.bincount(owner, share, minlength=len(candidates))
-    return np.bincount(owner, share * values, minlength=len(candidates)) / np.maximum(total, 1e-300)
+    distances = np.linalg.norm(mesh.centroids[:, None] - centers, axis=2)
+    nearest = distances.argmin(axis=1)
+    radii = _AREA_RADII * np.array([patch.radius_mm for patch in candidates])
+    volumes = np.where(distances.min(axis=1) <= radii[nearest], mesh.volumes, 0.0)
+    total = np.bincount(nearest, volumes, minlength=len(candidates))
+    sums = np.bincount(nearest, volumes * values, minlength=len(candidates))
+    return sums / np.maximum(total, 1e-300)
 
 
-def _left(count: int, pressed: tuple[int, ...]) -> list[int]:
+def _remaining(count: int, pressed: tuple[int, ...]) -> list[int]:
     return [i for i in range(count) if i not in set(pressed)]

@@ -33,7 +33,7 @@ def test_a_played_recording_leaves_picture_page_and_map(
     assert done.status == 0, done.err
     assert re.search(r"press 1: [\d.]+ s, chi2 ", done.out)
     assert "next press (" in done.out
-    assert "2 presses were asked for" in done.out
+    assert "2 presses (max_presses) were made" in done.out
     assert "pearson" in done.out  # the recording carries its truth
     run = Path("run")
     assert (run / "live.png").read_bytes()[:4] == b"\x89PNG"
@@ -89,7 +89,7 @@ def test_at_a_terminal_there_is_a_table(
         (("recording=a.h5", "max_presses=1.5"), "max_presses=1.5: give a whole number, or null"),
         (("recording=a.h5", "idle_seconds=-2"), "idle_seconds=-2"),
         (("recording=a.h5", "pause_seconds=-2"), "pause_seconds=-2"),
-        (("recording=a.h5", "suggest.rule=guess"), "suggest.rule=guess is unknown"),
+        (("recording=a.h5", "suggest.rule=guess"), "rule=guess is unknown"),
         (("recording=a.h5", "suggest.radius_mm=x"), "suggest.radius_mm='x': give a number"),
         (("replay=none.h5",), "none.h5"),
     ],

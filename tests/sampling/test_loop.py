@@ -106,26 +106,26 @@ def test_information_is_of_the_data_the_press_would_have(
     patches: list[Patch],
 ) -> None:
     """The Jacobians foretold are those of presses made, at the same map and noise."""
-    seen: list[SamplingState] = []
+    states: list[SamplingState] = []
 
     class Watching(UniformGrid):
-        def choose(self, now: SamplingState) -> int:
-            seen.append(now)
-            return super().choose(now)
+        def choose(self, state: SamplingState) -> int:
+            states.append(state)
+            return super().choose(state)
 
     run(Watching(3), 3, settings=replace(SETTINGS, model_error=model_error))
-    now = seen[-1]
-    assert now.pressed == tuple(UniformGrid(3).places(patches)[:2])
-    assert set(now.left) | set(now.pressed) == set(range(8))
-    again = now.jacobians(now.pressed)
-    counts = [int(presser.plan(patches[i]).observed.sum()) for i in now.pressed]
+    state = states[-1]
+    assert state.pressed == tuple(UniformGrid(3).places(patches)[:2])
+    assert set(state.remaining) | set(state.pressed) == set(range(8))
+    again = state.jacobians(state.pressed)
+    counts = [int(presser.plan(patches[i]).observed.sum()) for i in state.pressed]
     assert [len(rows) for rows in again] == counts
-    felt = [np.abs(rows).max(axis=0) for rows in again]
-    expected = (np.array(felt) * now.mesh.volumes.mean() / now.mesh.volumes) ** 2
+    sensitivity = [np.abs(rows).max(axis=0) for rows in again]
+    expected = (np.array(sensitivity) * state.mesh.volumes.mean() / state.mesh.volumes) ** 2
     # Each press has its own share of the mesh's error, the foretold ones the median of them.
     rtol = 1e-4 if model_error == "none" else 0.5
     large = expected > 1e-3 * expected.max()
-    np.testing.assert_allclose(now.credibility[large], expected[large], rtol=rtol)
+    np.testing.assert_allclose(state.credibility[large], expected[large], rtol=rtol)
 
 
 def test_nuisance_parameters_are_refused(run: Callable[..., list[Step]]) -> None:

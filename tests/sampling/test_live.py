@@ -14,8 +14,8 @@ from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.inverse import IncrementalInversion, Reconstruction, Settings, invert
 from tactorch.metrics import scores
 from tactorch.recording import Recording, append_press
-from tactorch.sampling.live import FollowOptions, SuggestOptions, replay
-from tactorch.sampling.live.store import HISTORY, RESULT, STATE
+from tactorch.sampling import LoopOptions, SuggestOptions, replay
+from tactorch.sampling.store import HISTORY, RESULT, STATE
 
 
 def lines(folder: Path) -> list[dict]:
@@ -28,7 +28,7 @@ def test_a_recording_that_another_process_writes_is_followed_to_its_end(
     source = tmp_path / "whole.h5"
     whole.save(source)
     writer = (
-        "import sys; from tactorch.sampling.live import replay; "
+        "import sys; from tactorch.sampling import replay; "
         "from tactorch.recording import Recording; "
         "replay(Recording.load(sys.argv[1]), sys.argv[2], 0.2)"
     )
@@ -41,8 +41,8 @@ def test_a_recording_that_another_process_writes_is_followed_to_its_end(
     assert [seen.entry["press"] for seen in view.maps if seen.entry["names"]] == [1, 2, 3, 4]
     assert lines(tmp_path / "run") == ended.history
     saved = Reconstruction.load(tmp_path / "run" / RESULT)
-    assert ended.seen is not None
-    np.testing.assert_array_equal(saved.youngs, ended.seen.found.result.youngs)
+    assert ended.update is not None
+    np.testing.assert_array_equal(saved.youngs, ended.update.youngs)
     assert len(saved.displacements) == 4
 
 
@@ -52,14 +52,14 @@ def test_the_last_map_is_close_to_that_of_a_whole_inversion(
 ) -> None:
     whole.save(path)
     ended = follow(path, tmp_path / "run", view, idle_seconds=0.01)
-    assert ended.seen is not None
-    assert ended.seen.found.settled
+    assert ended.update is not None
+    assert ended.update.solution.settled
     one, other = (
         scores(whole.mesh, youngs, whole.truth)
-        for youngs in (ended.seen.found.result.youngs, invert(whole).youngs)
+        for youngs in (ended.update.youngs, invert(whole).youngs)
     )
     assert one["pearson"] == pytest.approx(other["pearson"], abs=0.05)
-    assert "no press has come" in ended.reason
+    assert "no press came" in ended.reason
 
 
 def test_a_run_that_is_killed_goes_on_to_the_same_map(
@@ -88,9 +88,9 @@ def test_a_run_that_is_killed_goes_on_to_the_same_map(
     (run / HISTORY).write_text("")  # killed between the state and the history
     again = follow(path, run, view)
     assert [entry["press"] for entry in view.history] == [1, 2]
-    assert again.seen is not None
-    assert alone.seen is not None
-    one, other = (ended.seen.found.result.youngs for ended in (again, alone))
+    assert again.update is not None
+    assert alone.update is not None
+    one, other = (ended.update.youngs for ended in (again, alone))
     np.testing.assert_allclose(one, other, rtol=1e-6)
     assert [entry["press"] for entry in lines(run)] == [e["press"] for e in alone.history]
 
@@ -149,10 +149,10 @@ def test_a_run_is_not_continued_with_other_presses_or_settings(
     whole.select([0, 1]).save(path)
     follow(path, run, new_view())
     whole.select([1, 0]).save(path)
-    with pytest.raises(RecordingError, match="another than when this run had it"):
+    with pytest.raises(RecordingError, match="differs from the press of this run"):
         follow(path, run, new_view())
     whole.select([0]).save(path)
-    monkeypatch.setattr("tactorch.sampling.live.follow._PATIENCE_S", 0.05)
+    monkeypatch.setattr("tactorch.sampling.loop._RESUME_TIMEOUT_S", 0.05)
     with pytest.raises(FileError, match=r"lacks 'session\.h5, press 2'"):
         follow(path, run, new_view())
     (run / STATE).write_bytes((run / STATE).read_bytes()[:-40])
@@ -168,9 +168,9 @@ def test_a_press_that_nothing_carries_is_passed_over(
         path
     )
     ended = follow(path, tmp_path / "run", view, max_batch=3)
-    assert ended.seen is not None
-    assert len(ended.seen.recording.presses) == 2
-    assert view.notes[0].startswith("session.h5, press 2 is passed over")
+    assert ended.update is not None
+    assert len(ended.update.recording.presses) == 2
+    assert view.notes[0].startswith("session.h5, press 2 is invalid and skipped")
 
 
 def test_a_press_that_moved_nothing_is_passed_over(
@@ -181,21 +181,23 @@ def test_a_press_that_moved_nothing_is_passed_over(
         path
     )
     ended = follow(path, tmp_path / "run", view)
-    assert ended.seen is not None
-    assert len(ended.seen.recording.presses) == 2
-    assert "press 2 is passed over" in view.notes[0]
+    assert ended.update is not None
+    assert len(ended.update.recording.presses) == 2
+    assert "press 2 is invalid and skipped" in view.notes[0]
     assert "displacements are zero" in view.notes[0]
 
 
 def test_the_size_of_suggested_places_follows_the_presses(whole: Recording) -> None:
-    from tactorch.sampling.live import Suggester
-    from tactorch.sampling.live.suggest import sensor_radius_mm
+    from tactorch.sampling import Suggester
+    from tactorch.sampling.suggest import sensor_radius_mm
 
     suggester, mesh = Suggester(Settings(), SuggestOptions(candidates=4)), whole.mesh
     sizes = []
     for presses in (whole.presses[:1], [narrow(whole)] * 2):
         radius = sensor_radius_mm(mesh, presses)
-        places = suggester._candidates(mesh, presses, radius)
+        places = suggester._candidates(
+            replace(whole, presses=tuple(presses), check_units=False)
+        ).patches
         assert {place.radius_mm for place in places} == {radius}
         sizes.append(radius)
     assert sizes[1] < sizes[0]
@@ -260,17 +262,17 @@ def test_a_press_that_comes_meanwhile_stops_the_suggestion(
     monkeypatch: pytest.MonkeyPatch,
     follow: Callable[..., Any],
 ) -> None:
-    from tactorch.sampling.live import Suggester
+    from tactorch.sampling.suggest import _WarmStartedPosterior
 
     whole.select([0]).save(path)
-    posterior = Suggester._posterior
+    posterior = _WarmStartedPosterior.__call__
 
-    def pressed_meanwhile(self: Suggester, point: Any, weight: float) -> Any:
+    def pressed_meanwhile(self: _WarmStartedPosterior, point: Any, weight: float) -> Any:
         if len(Recording.load(path).presses) == 1:
             append_press(path, whole.presses[1])
         return posterior(self, point, weight)
 
-    monkeypatch.setattr(Suggester, "_posterior", pressed_meanwhile)
+    monkeypatch.setattr(_WarmStartedPosterior, "__call__", pressed_meanwhile)
     follow(path, tmp_path / "run", view, rule="expected_error", max_iterations=30)
     assert [seen.entry["press"] for seen in view.suggestions] == [2]
 
@@ -279,12 +281,17 @@ def test_where_no_place_can_be_suggested_it_says_why(
     path: Path, whole: Recording, tmp_path: Path, view: Any
 ) -> None:
     whole.select([0]).save(path)
-    from tactorch.sampling.live import Follower, Source, Suggester
+    from tactorch.sampling import RecordingSource, SamplingLoop, Suggester
 
-    options = FollowOptions(idle_seconds=0.01, max_iterations=2)
+    options = LoopOptions(idle_seconds=0.01, max_iterations=2)
     suggester = Suggester(Settings(), SuggestOptions(radius_mm=0.01))
-    Follower(
-        Source(path), Settings(), tmp_path / "run", view, options=options, suggester=suggester
+    SamplingLoop.following(
+        RecordingSource(path),
+        Settings(),
+        tmp_path / "run",
+        view,
+        options=options,
+        suggester=suggester,
     ).run()
     assert view.suggestions[0].entry["next"] is None
     assert "no surface" in view.suggestions[0].entry["next_why_not"]
@@ -313,7 +320,7 @@ def test_control_c_ends_a_run_with_what_it_has(
 
 def test_a_replay_goes_on_where_it_was_and_can_be_stopped(path: Path, whole: Recording) -> None:
     stop = threading.Event()
-    assert replay(whole, path, 60.0, stop, told=lambda number: stop.set()) == 1
+    assert replay(whole, path, 60.0, stop, on_press=lambda number: stop.set()) == 1
     assert len(Recording.load(path).presses) == 1
     append_press(path, whole.presses[1])
     assert replay(whole, path, 0.0) == 4
@@ -341,7 +348,7 @@ def test_a_replay_goes_on_where_it_was_and_can_be_stopped(path: Path, whole: Rec
 )
 def test_options_that_cannot_be_used_are_refused(options: dict, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        FollowOptions(**options)
+        LoopOptions(**options)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What a live run leaves in its folder, so that a killed one goes on where it was."""
+"""Files of a live run, from which a killed run continues."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -10,25 +10,24 @@ import numpy as np
 
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
-from tactorch.sampling.live.source import Arrival
+from tactorch.inverse import Reconstruction
+from tactorch.sampling.sources import Arrival
 
 STATE, HISTORY, RESULT = "state.npz", "history.jsonl", "reconstruction.h5"
 
 
 class Store:
-    """State and history of a run, each file whole at every moment.
+    """State, history and result of a run; each file is replaced as a whole.
 
     The state holds the history too, so that the two never disagree: a run that was killed between
-    writing one and the other writes the history again.
+    writing them writes the history again.
+
+    Args:
+        folder: Folder of the run.
+        task: Digest of the settings; a run is continued with the same ones only.
     """
 
     def __init__(self, folder: str | Path, task: str) -> None:
-        """Take the folder.
-
-        Args:
-            folder: Of the run.
-            task: What must be the same for a run to be continued: the settings, in few characters.
-        """
         self.folder, self._task = Path(folder), task
 
     def save(
@@ -37,18 +36,22 @@ class Store:
         arrivals: Sequence[Arrival],
         history: Sequence[Mapping[str, Any]],
     ) -> None:
-        """Write the state after an update, and the history."""
+        """Write the state and the history after an update."""
         lines = [json.dumps(entry, allow_nan=False) for entry in history]
         with atomic_path(self.folder / STATE) as path, path.open("wb") as file:
             texts = {
-                "keys": [one.key for one in arrivals],
-                "marks": [one.mark for one in arrivals],
+                "keys": [arrival.key for arrival in arrivals],
+                "marks": [arrival.digest for arrival in arrivals],
                 "history": lines,
                 "task": [self._task],
             }
             arrays = {name: np.array(values, dtype=str) for name, values in texts.items()}
             np.savez(file, allow_pickle=False, **arrays, **state)
         self.write_history(history)
+
+    def save_result(self, result: Reconstruction) -> None:
+        """Write the reconstruction."""
+        result.save(self.folder / RESULT)
 
     def write_history(self, history: Sequence[Mapping[str, Any]]) -> None:
         """Write the history, one JSON object a line."""
@@ -57,17 +60,17 @@ class Store:
             path.write_text(text, encoding="utf-8")
 
     def load(self) -> dict[str, np.ndarray] | None:
-        """Return the state of the run to continue; None where the folder holds none.
+        """Return the state of the run to continue; None if the folder holds none.
 
         Raises:
-            FileError: it cannot be read, or was made with other settings.
+            FileError: the state cannot be read, or is of a run with other settings.
         """
         path = self.folder / STATE
         if not path.exists():
             return None
         try:
             if not is_zipfile(path):
-                raise ValueError("cut short, or no state")
+                raise ValueError("cut short, or not a state")
             with path.open("rb") as file:
                 archive = np.load(file, allow_pickle=False)
                 state = {name: archive[name] for name in archive.files}
@@ -83,7 +86,7 @@ class Store:
             )
         return state
 
-
-def history_of(state: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
-    """Return the history that a state holds."""
-    return [json.loads(str(line)) for line in state["history"]]
+    @staticmethod
+    def history(state: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+        """Return the history that a state holds."""
+        return [json.loads(str(line)) for line in state["history"]]

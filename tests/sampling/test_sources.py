@@ -11,11 +11,11 @@ from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording, append_press
 from tactorch.recording.append import OtherObjectError, digest
-from tactorch.sampling.live import Source
+from tactorch.sampling import RecordingSource
 from tactorch.simulation import PressPlan, simulate
 
 
-def keys(source: Source) -> list[str]:
+def keys(source: RecordingSource) -> list[str]:
     return [arrival.key for arrival in source.poll()]
 
 
@@ -25,12 +25,12 @@ def notes() -> list[str]:
 
 
 def test_presses_come_once_in_their_order(path: Path, whole: Recording) -> None:
-    source = Source(path)
+    source = RecordingSource(path)
     assert keys(source) == []
     whole.select([0, 1]).save(path)
     first = source.poll()
     assert [one.key for one in first] == ["session.h5, press 1", "session.h5, press 2"]
-    assert [one.mark for one in first] == [digest(press) for press in whole.presses[:2]]
+    assert [one.digest for one in first] == [digest(press) for press in whole.presses[:2]]
     assert keys(source) == []
     append_press(path, whole.presses[2])
     assert keys(source) == ["session.h5, press 3"]
@@ -41,7 +41,7 @@ def test_presses_come_once_in_their_order(path: Path, whole: Recording) -> None:
 def test_a_folder_gives_its_recordings_by_name_and_follows_each(
     tmp_path: Path, whole: Recording
 ) -> None:
-    source = Source(tmp_path)
+    source = RecordingSource(tmp_path)
     assert keys(source) == []
     whole.select([1]).save(tmp_path / "b.h5")
     whole.select([0]).save(tmp_path / "a.h5")
@@ -58,7 +58,7 @@ def test_a_half_written_file_is_tried_again_and_told_only_after_a_while(
     done = tmp_path / "done" / "session.h5"
     whole.save(done)
     content = done.read_bytes()
-    source = Source(path, patience_seconds=1e6, tell=notes.append)
+    source = RecordingSource(path, patience_seconds=1e6, report=notes.append)
     for share in (0.0, 0.3, 0.9):
         path.write_bytes(content[: int(share * len(content))])
         assert keys(source) == []
@@ -66,7 +66,7 @@ def test_a_half_written_file_is_tried_again_and_told_only_after_a_while(
     path.write_bytes(content)
     assert len(keys(source)) == 4
 
-    hasty = Source(tmp_path, patience_seconds=0.0, tell=notes.append)
+    hasty = RecordingSource(tmp_path, patience_seconds=0.0, report=notes.append)
     (tmp_path / "half.h5").write_bytes(content[:900])
     path.unlink()
     for _ in range(3):
@@ -81,7 +81,7 @@ def test_a_half_written_file_is_tried_again_and_told_only_after_a_while(
 def test_a_broken_press_is_told_once_and_passed_over(
     path: Path, whole: Recording, notes: list[str]
 ) -> None:
-    source = Source(path, tell=notes.append)
+    source = RecordingSource(path, report=notes.append)
     whole.select([0, 1]).save(path)
     with h5py.File(path, "r+") as file:
         forces = file["presses/0001/forces"]
@@ -90,12 +90,12 @@ def test_a_broken_press_is_told_once_and_passed_over(
     append_press(path, whole.presses[2])
     assert keys(source) == ["session.h5, press 3"]
     assert len(notes) == 1
-    assert notes[0].startswith("session.h5, press 2 is passed over: ")
+    assert notes[0].startswith("session.h5, press 2 is invalid and skipped: ")
     assert "NaN" in notes[0]
 
 
 def test_another_object_ends_it(tmp_path: Path, whole: Recording) -> None:
-    source = Source(tmp_path)
+    source = RecordingSource(tmp_path)
     whole.save(tmp_path / "a.h5")
     assert len(source.poll()) == 4
     other = simulate(
@@ -113,7 +113,7 @@ def test_another_object_ends_it(tmp_path: Path, whole: Recording) -> None:
 def test_a_recording_that_was_replaced_ends_it(
     path: Path, whole: Recording, presses: list[int]
 ) -> None:
-    source = Source(path)
+    source = RecordingSource(path)
     whole.select([0, 1]).save(path)
     source.poll()
     whole.select(presses).save(path)
@@ -122,7 +122,7 @@ def test_a_recording_that_was_replaced_ends_it(
 
 
 def test_a_file_that_vanishes_for_a_while_is_waited_for(path: Path, whole: Recording) -> None:
-    source = Source(path)
+    source = RecordingSource(path)
     whole.select([0]).save(path)
     assert len(source.poll()) == 1
     shutil.move(path, path.with_suffix(".away"))
@@ -134,7 +134,7 @@ def test_a_file_that_vanishes_for_a_while_is_waited_for(path: Path, whole: Recor
 
 def test_what_can_be_no_source_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="neither a folder nor a recording"):
-        Source(tmp_path / "none")
+        RecordingSource(tmp_path / "none")
 
 
 def test_declared_presses_that_are_not_there_are_reported(
@@ -143,7 +143,7 @@ def test_declared_presses_that_are_not_there_are_reported(
     whole.select([0]).save(path)
     with h5py.File(path, "r+") as file:
         file["presses"].attrs["count"] = 1_000_000_000
-    source = Source(path, patience_seconds=0.0, tell=notes.append)
+    source = RecordingSource(path, patience_seconds=0.0, report=notes.append)
     assert keys(source) == []
     assert len(notes) == 1
     assert "declares 1000000000 presses" in notes[0]

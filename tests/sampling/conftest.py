@@ -10,25 +10,26 @@ from tactorch.inverse import Settings
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
-from tactorch.sampling.live import (
-    Ended,
-    Follower,
-    FollowOptions,
-    Seen,
-    Source,
+from tactorch.sampling import (
+    LoopOptions,
+    LoopResult,
+    Observer,
+    RecordingSource,
+    SamplingLoop,
     Suggester,
     SuggestOptions,
+    Update,
 )
 from tactorch.simulation import PressPlan, simulate
 
 
-class Memory:
-    """A `View` that keeps what it is shown."""
+class Memory(Observer):
+    """An observer that keeps what it is shown."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
-        self.maps: list[Seen] = []
-        self.suggestions: list[Seen] = []
+        self.maps: list[Update] = []
+        self.suggestions: list[Update] = []
         self.history: list[Mapping[str, Any]] = []
         self.waits = 0
 
@@ -41,11 +42,11 @@ class Memory:
     def show_message(self, text: str) -> None:
         self.notes.append(text)
 
-    def updated(self, seen: Seen) -> None:
-        self.maps.append(seen)
+    def updated(self, update: Update) -> None:
+        self.maps.append(update)
 
-    def suggested(self, seen: Seen) -> None:
-        self.suggestions.append(seen)
+    def suggested(self, update: Update) -> None:
+        self.suggestions.append(update)
 
 
 @pytest.fixture
@@ -80,24 +81,24 @@ def _follow(
     rule: str = "none",
     patience: float = 5.0,
     **options: Any,
-) -> Ended:
+) -> LoopResult:
     """Follow until nothing comes any more, one press at a time."""
     settings = Settings()
     usual = {"idle_seconds": 0.05, "poll_seconds": 0.01, "max_batch": 1, "max_iterations": 3}
     usual["update_seconds"] = None
-    source = Source(path, patience_seconds=patience, tell=view.show_message)
-    return Follower(
+    source = RecordingSource(path, patience_seconds=patience, report=view.show_message)
+    return SamplingLoop.following(
         source,
         settings,
         folder,
         view,
-        options=FollowOptions(**{**usual, **options}),
+        options=LoopOptions(**{**usual, **options}),
         suggester=Suggester(settings, SuggestOptions(rule=rule, candidates=6)),
     ).run()
 
 
 @pytest.fixture
-def follow() -> Callable[..., Ended]:
+def follow() -> Callable[..., LoopResult]:
     return _follow
 
 
