@@ -143,15 +143,10 @@ def _code_key() -> str:
             folders[:] = sorted(f for f in folders if f not in ("__pycache__", "shells"))
             for name in sorted(files):
                 if name.endswith((".py", ".yaml")):
-                    status = os.stat(os.path.join(folder, name))
-                    digest.update(
-                        f"{folder}/{name} {status.st_mtime_ns} {status.st_size};".encode()
-                    )
+                    digest.update(_file_key(os.path.join(folder, name)))
     for place in sys.path:  # installing a package, and with it an entry point, changes its folder
-        with suppress(OSError):
-            digest.update(
-                f"{place} {os.stat(place or '.').st_mtime_ns};".encode() if place else b""
-            )
+        if place.endswith("-packages") and os.path.isdir(place):
+            digest.update(_file_key(place))
     return digest.hexdigest()[:16]
 
 
