@@ -1,4 +1,4 @@
-"""The configuration reference: every command, group and setting, from the schema of the commands."""
+"""The configuration reference: every command, group and setting, read from the schema."""
 
 import html
 from collections.abc import Iterator, Mapping, Sequence

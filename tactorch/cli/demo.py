@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tactorch.cli.import_ import FORMATS  # noqa: F401  (the registry of the section)
 from tactorch.cli.invert import InversionOptions, invert_recording
 from tactorch.cli.options import CommandOptions
 from tactorch.cli.settings import log, run_folder
 from tactorch.cli.simulate import SimulationOptions, simulate_recording
 from tactorch.config import option
 from tactorch.errors import ConfigError
+from tactorch.importers import FORMATS  # noqa: F401  (the registry of the section)
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 

@@ -71,7 +71,7 @@ def run(options: GenerateOptions) -> SampleSet:
         log.info("sample %s failed: %s", index, reason)
     if options.card:
         from tactorch.generation.card import PICTURE, looked_at, write_card
-        from tactorch.viz.samples import plot_samples
+        from tactorch.viz.learning import plot_samples
 
         plot_samples(looked_at(samples), samples.folder / PICTURE)
         log.info("data card: %s", write_card(samples))

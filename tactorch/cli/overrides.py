@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactorch.cli.schema import EXPERIMENT, Entry, Schema
-from tactorch.config.registry import MISSING, did_you_mean, missing_setting, unknown_choice
+from tactorch.config.registry import MISSING, missing_setting, unknown_choice
 from tactorch.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -39,9 +39,9 @@ def check_overrides(
     """
     words = [_renamed(word, schema) for word in words]
     overrides = [_parse(word, schema) for word in words]
-    entries = _reachable(schema, overrides)
+    entries, chosen = _reachable(schema, overrides)
     return [
-        _checked(override, word, schema, entries, multirun, trusted)
+        _checked(override, word, schema, entries, chosen, multirun, trusted)
         for override, word in zip(overrides, words, strict=True)
     ]
 
@@ -105,15 +105,18 @@ def _no_setting(word: str, schema: Schema) -> str:
     return f"'{word}' is not a setting; write KEY=VALUE{hint}."
 
 
-def _reachable(schema: Schema, overrides: Sequence["Override"]) -> dict[str, Entry]:
-    """Return the settings of all options that are chosen, of each value of a sweep."""
+def _reachable(
+    schema: Schema, overrides: Sequence["Override"]
+) -> tuple[dict[str, Entry], dict[str, str | None]]:
+    """Return the settings of all options that are chosen (in a sweep: of each), and the first."""
     chosen = {o.key_or_group: _values(o) for o in overrides if o.key_or_group in schema.defaults}
     first = {group: str(options[0]) for group, options in chosen.items() if options}
-    entries = schema.entries(schema.resolve(first))
+    resolved = schema.resolve(first)
+    entries = schema.entries(resolved)
     for group, options in chosen.items():
         for option in options[1:]:
             entries |= schema.entries(schema.resolve({**first, group: str(option)}))
-    return entries
+    return entries, resolved
 
 
 def _values(override: "Override") -> list[Any]:
@@ -128,6 +131,7 @@ def _checked(
     word: str,
     schema: Schema,
     entries: Mapping[str, Entry],
+    chosen: Mapping[str, str | None],
     multirun: bool,
     trusted: bool,
 ) -> str:
@@ -146,7 +150,7 @@ def _checked(
         plain = word.lstrip("+")
         return word if override.is_delete() else f"++{plain}" if key != table else plain
     else:
-        _check_names(override, key, schema, entries)
+        _check_names(override, key, schema, entries, chosen)
     if override.is_delete():
         raise ConfigError(f"'{word}' would remove a setting; give it another value instead.")
     return word.lstrip("+")
@@ -168,19 +172,23 @@ def _table_of(key: str, entries: Mapping[str, Entry]) -> str:
 
 
 def _check_names(
-    override: "Override", key: str, schema: Schema, entries: Mapping[str, Entry]
+    override: "Override",
+    key: str,
+    schema: Schema,
+    entries: Mapping[str, Entry],
+    chosen: Mapping[str, str | None],
 ) -> None:
     """Refuse an unknown name, and a table's name with a plain value."""
     if key in entries:
         return
     if not any(name.startswith(f"{key}.") for name in entries):
-        raise ConfigError(unknown_setting(key, schema, entries))
+        raise ConfigError(unknown_setting(key, schema, entries, chosen))
     value = override.value()
     if not isinstance(value, Mapping):
         raise ConfigError(f"{key}={value}: it holds several settings; give {key}.KEY=VALUE.")
     for name in _leaves(value, f"{key}."):
         if name not in entries and not _table_of(name, entries):
-            raise ConfigError(unknown_setting(name, schema, entries))
+            raise ConfigError(unknown_setting(name, schema, entries, chosen))
 
 
 def _leaves(values: Mapping[Any, Any], prefix: str) -> Iterator[str]:
@@ -191,17 +199,19 @@ def _leaves(values: Mapping[Any, Any], prefix: str) -> Iterator[str]:
             yield f"{prefix}{key}"
 
 
-def unknown_setting(key: str, schema: Schema, entries: Mapping[str, Entry]) -> str:
+def unknown_setting(
+    key: str, schema: Schema, entries: Mapping[str, Entry], chosen: Mapping[str, str | None]
+) -> str:
     """Return the message for an unknown setting, with the one likely meant."""
     text = f"unknown setting '{key}'."
     group = key.split(".")[0]
-    chosen = [name for name in entries if name.startswith(f"{group}.")]
+    inside = [name for name in entries if name.startswith(f"{group}.")]
     match = nearest(key, [*entries, *schema.defaults])
     if match is not None:
         text += f" Did you mean '{match}'?"
     elif group in schema.groups and "." in key:
-        names = ", ".join(name.removeprefix(f"{group}.") for name in chosen) or "none"
-        text += f" Settings of {group}: {names}."
+        names = ", ".join(name.removeprefix(f"{group}.") for name in inside) or "none"
+        text += f" Settings of {group}={chosen.get(group)}: {names}."
     return f"{text} See tactorch {schema.command} --help."
 
 
@@ -213,6 +223,3 @@ def nearest(key: str, known: Sequence[str]) -> str | None:
     leaves = {name.rpartition(".")[2]: name for name in reversed(inside or known)}
     matches = difflib.get_close_matches(leaf, list(leaves), n=1, cutoff=0.6 if inside else 0.75)
     return leaves[matches[0]] if matches else None
-
-
-__all__ = ["check_overrides", "check_required", "did_you_mean", "key_of", "nearest"]

@@ -166,7 +166,7 @@ def describe_command(command: str) -> dict[str, Any]:
     options = options_class(command)
     settings: list[Entry] = []
     groups: dict[str, Any] = {}
-    ordered = sorted(settings_of(options), key=lambda s: (not s.required, _rank(s.name, options)))
+    ordered = sorted(settings_of(options), key=lambda s: _order(s, options))
     for setting in ordered:
         if _is_group(setting):
             groups[setting.name] = _describe_group(setting)
@@ -188,10 +188,11 @@ def describe_command(command: str) -> dict[str, Any]:
     }
 
 
-def _rank(name: str, options: type) -> int:
-    """Return how far up the setting is declared: a command's own settings come first."""
+def _order(setting: Any, options: type) -> tuple[bool, int]:
+    """Sort required settings first, from the bases; of the others, a command's own come first."""
     classes = options.__mro__
-    return next(i for i, c in enumerate(classes) if name in inspect.get_annotations(c))
+    rank = next(i for i, c in enumerate(classes) if setting.name in inspect.get_annotations(c))
+    return (not setting.required, -rank if setting.required else rank)
 
 
 def _is_group(setting: Any) -> bool:
@@ -273,16 +274,16 @@ def _read_defaults(entries: Sequence[Any], path: Path) -> tuple[str, dict[str, s
     """Return the option that a defaults list inherits from, and what it chooses elsewhere."""
     inherited, overrides = "", {}
     for entry in entries:
-        pairs = entry.items() if isinstance(entry, Mapping) else ()
+        names = [str(name) for name in entry] if isinstance(entry, Mapping) else []
         if isinstance(entry, str) and "/" not in entry and not inherited:
             inherited = "" if entry == "_self_" else entry
-        elif entry != "_self_" and not all(str(n).startswith(_OVERRIDE) for n, _ in pairs or "-"):
+        elif entry != "_self_" and not (names and all(n.startswith(_OVERRIDE) for n in names)):
             raise ConfigError(
                 f"'{path}': defaults: {entry!r} is neither an option of the same group nor an entry"
                 f" '{_OVERRIDE}GROUP: OPTION'; change it."
             )
-        for name, option in pairs:
-            overrides[str(name).removeprefix(_OVERRIDE).partition("@")[0]] = option
+        for name in names:
+            overrides[name.removeprefix(_OVERRIDE).partition("@")[0]] = entry[name]
     return inherited, overrides
 
 

@@ -16,6 +16,7 @@ from tactorch.cli.options import CommandOptions
 from tactorch.cli.progress import progress
 from tactorch.cli.settings import log, material_spec, run_folder
 from tactorch.config import Options, option
+from tactorch.errors import ConfigError
 from tactorch.fem import MATERIALS  # noqa: F401  (the registry of the section)
 from tactorch.linalg import SOLVERS  # noqa: F401
 from tactorch.phantoms import MeshSize
@@ -60,7 +61,10 @@ def run(options: SimulateOptions) -> Path:
 
 def simulate_recording(options: SimulationOptions) -> Recording:
     """Simulate a recording."""
-    phantom = options.phantom.build()
+    try:
+        phantom = options.phantom.build()
+    except ConfigError as error:  # of shapes, which know no settings
+        raise ConfigError(f"phantom: {error}") from error
     mesh, fine = options.mesh.build(phantom)
     with progress("simulating", "presses") as update:
         return simulate(

@@ -34,7 +34,7 @@ def options_from_arguments(
         section: Section of the settings.
         without: Arguments that are no settings.
     """
-    called = function.__init__ if inspect.isclass(function) else function  # type: ignore[misc]
+    called = function.__init__ if inspect.isclass(function) else function
     hints = get_type_hints(called)
     help_texts = _argument_help(inspect.getdoc(function) or "")
     fields = []

@@ -1,7 +1,7 @@
 """Named components of a kind, built in or from installed packages, and settings that choose one."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
@@ -44,6 +44,10 @@ class Registry:
         """Return all names: built-in ones in their order, then those of other packages."""
         others = sorted({*self._plugins(), *self._added} - set(self._paths))
         return (*self._paths, *others)
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self.names())
 
     def __contains__(self, name: object) -> bool:
         """Return whether there is a component of this name."""

@@ -83,7 +83,7 @@ def run(cfg: CalibrateSettings) -> Path:
     used, held = _parted(presses, cfg, options.seed)
     options, maps = _with_map(cfg.map, used, ball, options)
     fit = _in_folds if cfg.folds is not None else _held_out
-    found = fit(used, held, ball, options, cfg.folds)
+    found = fit(used, held, ball, options, cfg.folds or 0)
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,

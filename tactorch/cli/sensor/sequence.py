@@ -69,7 +69,7 @@ class FrameSequence:
         """How many frames there are, as far as is known before they are read."""
         found = 1
         if isinstance(self.source, int):
-            found = int(self.most)
+            found = int(self.most or 1)
         elif isinstance(self.source, Path) and self.source.is_dir():
             found = sum(p.suffix.lower() in IMAGE_SUFFIXES for p in self.source.iterdir())
         elif isinstance(self.source, Path) and self.source.suffix.lower() in VIDEO_SUFFIXES:
