@@ -32,7 +32,7 @@ import numpy as np
 from machine import describe_machine
 
 from tactorch.mesh import TetMesh, box_mesh
-from tactorch.reproduce.credibility import PRESSURES_MPA, YOUNGS_MPA, metric, profile
+from tactorch.reproduce.credibility import PRESSURES_MPA, YOUNGS_MPA, compute_metric, layer_sums
 from tactorch.viz import depth_figure, save_figure
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
@@ -49,8 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, help="folder for credibility.json, .md and .png")
     options = parser.parse_args(arguments)
     mesh = box_mesh(options.side_mm, options.divisions, tets_per_cell=5)
-    maps = {(e, p): metric(mesh, e, p) for e in YOUNGS_MPA for p in PRESSURES_MPA}
-    profiles = {key: profile(mesh, values, options.layers) for key, values in maps.items()}
+    maps = {(e, p): compute_metric(mesh, e, p) for e in YOUNGS_MPA for p in PRESSURES_MPA}
+    profiles = {key: layer_sums(mesh, values, options.layers) for key, values in maps.items()}
     report = {
         "elements": mesh.n_tets,
         "side_mm": options.side_mm,

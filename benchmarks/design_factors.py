@@ -22,7 +22,7 @@ from machine import OtherWork, describe_machine
 
 from tactorch.inverse import Settings, invert
 from tactorch.metrics import scores
-from tactorch.reproduce.design import CELLS, METRICS, MODELS, Cell, record
+from tactorch.reproduce.design import CELLS, METRICS, MODELS, Cell, simulate_cell
 from tactorch.reproduce.paper import paper
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 @cache
 def run_cell(model: str, cell: Cell, prior: str, *, same_mesh: bool) -> dict[str, float]:
     """Simulate and invert one cell; returns the metrics of Table II and a few more."""
-    recording = record(model, cell, same_mesh=same_mesh)
+    recording = simulate_cell(model, cell, same_mesh=same_mesh)
     truth = recording.truth
     assert truth is not None
     blind, settings = replace(recording, truth=None), Settings(regularization=prior)

@@ -1,4 +1,4 @@
-"""Hooks of MkDocs: pages that are made from the code when the site is built, and equations."""
+"""Hooks of MkDocs: pages generated from the code, inserted content, and equations."""
 
 import re
 from pathlib import Path
@@ -14,40 +14,49 @@ from mkdocs.structure.pages import Page
 
 _ROOT = Path(__file__).resolve().parents[2]
 _SCHEMA = "<!-- the docstring of tactorch.recording.schema -->"
-_FETCHED = re.compile(r'<(?:script|link|img|iframe)\b[^>]*(?:src|href)="?(?:https?:)?//[^>]*>')
+_WORDS = "<!-- words not used -->"
+_EXTERNAL = re.compile(r'<(?:script|link|img|iframe)\b[^>]*(?:src|href)="?(?:https?:)?//[^>]*>')
 _EXAMPLE = re.compile(r"^<!-- (examples/\w+\.py) -->$", flags=re.MULTILINE)
 
 
 def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
-    """Add the pages that have no file."""
+    """Add generated pages."""
     for path, content in {"configuration.md": configuration.page(), **api.pages()}.items():
         files.append(File.generated(config, path, content=content))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put in what stands elsewhere: the layout of recordings, and examples."""
-    found = markdown.replace(_SCHEMA, api.docstring("tactorch.recording.schema"))
-    return _EXAMPLE.sub(lambda match: _shown(match[1]), found)
+    """Insert the layout of recordings, examples, and the table of words that are not used."""
+    text = markdown.replace(_SCHEMA, api.docstring("tactorch.recording.schema"))
+    if _WORDS in text:
+        text = text.replace(_WORDS, _words_table())
+    return _EXAMPLE.sub(lambda match: _example(match[1]), text)
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Draw the equations."""
+    """Convert equations to MathML."""
     return equations.with_mathml(html)
 
 
 def on_post_page(output: str, page: Page, **_: Any) -> str:
-    """Refuse what a reader's browser would have to fetch from elsewhere.
+    """Refuse pages that load resources from a network.
 
     Raises:
-        PluginError: There is some.
+        PluginError: A page has an external resource.
     """
-    found = _FETCHED.search(output)
-    if found:
-        raise PluginError(f"{page.file.src_uri} needs a network: {found[0]}")
+    match = _EXTERNAL.search(output)
+    if match:
+        raise PluginError(f"{page.file.src_uri} needs a network: {match[0]}")
     return output
 
 
-def _shown(path: str) -> str:
+def _example(path: str) -> str:
     code = (_ROOT / path).read_text(encoding="utf-8")
     return f'```python title="{path}"\n{code}```'
+
+
+def _words_table() -> str:
+    lines = (_ROOT / "tests" / "documents" / "words.txt").read_text(encoding="utf-8").splitlines()
+    rows = [f"| {line} |" for line in lines if line and not line.startswith("#")]
+    return "\n".join(["| not used | write |", "|---|---|", *rows])

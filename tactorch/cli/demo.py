@@ -43,7 +43,7 @@ def run(options: DemoOptions) -> Reconstruction:
 
 def _recording(options: DemoOptions) -> Recording:
     if options.source == "simulated":
-        log.info("Simulating presses on a finer mesh than the one to invert on, with noise ...")
+        log.info("Simulating noisy presses on a finer mesh than that of the inversion ...")
         return simulate_recording(options)
     if options.path is None:
         raise ConfigError("source=published needs path=FOLDER, the folder of a published case.")

@@ -19,8 +19,8 @@ from tactorch.cli.options import CommandOptions
 from tactorch.cli.progress import progress
 from tactorch.cli.settings import log
 from tactorch.config import option, to_mapping
-from tactorch.reproduce import make
-from tactorch.reproduce.cases import Told
+from tactorch.reproduce import reproduce
+from tactorch.reproduce.cases import ProgressCallback
 from tactorch.reproduce.options import StudySizes
 
 
@@ -42,13 +42,13 @@ def run(options: ReproduceOptions) -> list[Path]:
     """Make the exhibits."""
     sizes = to_mapping(options.size)
     out = options.out or Path("outputs") / "reproduce" / sizes.pop("name")
-    written = make(options.exhibit, sizes, out, workers=options.workers, progress=_progress)
+    written = reproduce(options.exhibit, sizes, out, workers=options.workers, progress=_progress)
     for path in written:
         log.info("%s", path)
     return written
 
 
 @contextmanager
-def _progress(study: str) -> Iterator[Told]:
+def _progress(study: str) -> Iterator[ProgressCallback]:
     with progress(study, "cases") as update:
         yield lambda done, total, note: update(done, total, note)

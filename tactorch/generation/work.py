@@ -1,25 +1,18 @@
 """Making samples side by side: on this machine's cores, or on a Dask cluster."""
 
-import logging
-import os
-import warnings
 from collections.abc import Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager
+from functools import partial
 from threading import Lock
 from typing import Any
 
-from tactorch.errors import ConfigError, TactorchError
+from tactorch.errors import ConfigError
 from tactorch.generation.layout import to_bytes
 from tactorch.generation.recipe import Recipe
 from tactorch.generation.sample import make_sample
+from tactorch.processes import run_in_processes, single_thread
 
 EXECUTORS = ("processes", "dask")
 _ONE_AT_A_TIME = Lock()
-_KILLED = (
-    "A worker process was killed, most likely for want of memory; give fewer workers. What is done"
-    " is kept: the same command goes on."
-)
 #: A sample's number, its content, and why there is none.
 Outcome = tuple[int, bytes | None, str]
 
@@ -47,7 +40,7 @@ def outcomes(
     if executor == "dask":
         yield from _on_dask(recipe, indices, scheduler)
     else:
-        yield from _in_processes(recipe, indices, workers or os.cpu_count() or 1)
+        yield from run_in_processes(partial(work, recipe), indices, workers)
 
 
 def check_executor(executor: str, scheduler: str | None) -> None:
@@ -69,49 +62,10 @@ def work(recipe: Recipe, index: int) -> Outcome:
     """Make one sample; what goes wrong with it is its outcome."""
     try:
         # A cluster may run several tasks in one process, whose thread counts are common to all.
-        with _ONE_AT_A_TIME, alone():
+        with _ONE_AT_A_TIME, single_thread():
             return index, to_bytes(make_sample(recipe, index)), ""
     except Exception as error:  # one bad sample must not end the rest
         return index, None, f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
-@contextmanager
-def alone() -> Iterator[None]:
-    """Keep every library to one thread, so that results do not depend on how many there are.
-
-    And keep the iterations of each sample out of the log.
-    """
-    import numba
-    import torch
-    from threadpoolctl import threadpool_limits
-
-    from tactorch.linalg import limit_workers, single_threaded
-
-    threads, compiled = torch.get_num_threads(), numba.get_num_threads()
-    with ExitStack() as stack:
-        stack.callback(logging.disable, logging.root.manager.disable)
-        logging.disable(logging.INFO)
-        stack.callback(torch.set_num_threads, threads)
-        stack.callback(numba.set_num_threads, compiled)
-        torch.set_num_threads(1)
-        numba.set_num_threads(1)
-        stack.enter_context(threadpool_limits(1))
-        stack.enter_context(single_threaded())
-        stack.enter_context(limit_workers(1))
-        yield
-
-
-def _in_processes(recipe: Recipe, indices: Sequence[int], workers: int) -> Iterator[Outcome]:
-    from joblib import Parallel, delayed, parallel_config
-
-    with parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
-        # An interruption need not be told twice.
-        warnings.filterwarnings("ignore", message=".*have been cancelled")
-        pool = Parallel(n_jobs=min(workers, len(indices)), return_as="generator_unordered")
-        try:
-            yield from pool(delayed(work)(recipe, index) for index in indices)
-        except BrokenProcessPool as error:
-            raise TactorchError(_KILLED) from error
 
 
 def _on_dask(recipe: Recipe, indices: Sequence[int], scheduler: str | None) -> Iterator[Outcome]:

@@ -1,15 +1,15 @@
-"""The paper's tables and figures, made anew (Sections III-D, IV, V and V-C).
+"""Tables and figures of the paper (Sections III-D, IV and V), reproduced.
 
-Each exhibit (a table or a figure) belongs to a study: a set of cases, each a simulation and an
-inversion or two, which are made side by side, stored one by one, and never twice.
+Each exhibit (a table or figure) belongs to a study, a set of cases. A case is one simulation with
+its inversions. Cases run in parallel, and each result is stored and reused.
 
-- `make`: the exhibits that are asked for, from what is stored and what has yet to be made.
-- `EXHIBITS`: their names.
+- `reproduce`: writes exhibits from stored and new cases.
+- `EXHIBITS`: names of the exhibits.
 
-The paper's numbers stand in `paper.yaml`.
+The numbers of the paper are in `paper.yaml`.
 """
 
-from tactorch.reproduce.make import make
+from tactorch.reproduce.exhibits import reproduce
 from tactorch.reproduce.studies import EXHIBITS
 
-__all__ = ["EXHIBITS", "make"]
+__all__ = ["EXHIBITS", "reproduce"]

@@ -1,13 +1,13 @@
-"""Cases of a study: made side by side, each stored when it is done, so that a killed run goes on.
+"""Cases of a study: run in parallel, each stored when it is done.
 
-A case is told from others by all of its settings: what was made by other settings is not used.
+The settings of a case identify its stored result, so that an interrupted run can be continued.
 """
 
 import json
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
@@ -17,20 +17,22 @@ import numpy as np
 
 from tactorch.errors import FileError, TactorchError
 from tactorch.files import atomic_path
+from tactorch.processes import run_in_processes, single_thread
 from tactorch.versions import versions
 
-Told = Callable[[int, int, str], None]
+#: Called with the number of finished cases, their total and a note.
+ProgressCallback = Callable[[int, int, str], None]
 _FIGURES = "figures"
 
 
 @dataclass(frozen=True)
 class Case:
-    """One piece of work.
+    """One unit of computation.
 
     Attributes:
-        study: Name of the module of `tactorch.reproduce` whose `work` makes it.
-        name: Within the study; of letters, digits and dashes.
-        settings: All that its outcome depends on, as plain values.
+        study: Name of the module of `tactorch.reproduce` whose `run_case` computes it.
+        name: Name within the study, of letters, digits and dashes.
+        settings: All settings that determine the result, as plain values.
     """
 
     study: str
@@ -39,28 +41,33 @@ class Case:
 
     @property
     def key(self) -> str:
-        """Name of its file."""
+        """Stem of the file of its result."""
         content = json.dumps(dict(self.settings), sort_keys=True)
         return f"{self.name}-{sha256(content.encode()).hexdigest()[:10]}"
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """What a case gave: figures, as plain values, and arrays."""
+class CaseResult:
+    """Result of a case.
+
+    Attributes:
+        figures: Numbers, as plain values.
+        arrays: Arrays by name.
+    """
 
     figures: Mapping[str, Any]
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write to one file, whole or not at all."""
+        """Write to one file atomically."""
         content = {"figures": dict(self.figures), "versions": versions()}
         text = np.array(json.dumps(content))
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, **{_FIGURES: text}, **self.arrays)  # type: ignore[arg-type]
 
     @staticmethod
-    def load(path: Path) -> "Outcome":
-        """Read what `save` wrote.
+    def load(path: Path) -> "CaseResult":
+        """Read a result written by `save`.
 
         Raises:
             FileError: The file is damaged.
@@ -68,76 +75,58 @@ class Outcome:
         try:
             with np.load(path, allow_pickle=False) as content:
                 arrays = {name: content[name] for name in content.files if name != _FIGURES}
-                return Outcome(json.loads(str(content[_FIGURES]))["figures"], arrays)
-        except Exception as error:  # whatever a damaged archive leads to
-            raise FileError(f"'{path}' is damaged ({error}); delete it to make it anew.") from error
+                return CaseResult(json.loads(str(content[_FIGURES]))["figures"], arrays)
+        except Exception as error:  # a damaged archive can raise anything
+            raise FileError(
+                f"'{path}' is damaged ({error}); delete it to compute it again."
+            ) from error
 
 
-def make_cases(
-    cases: Sequence[Case], folder: Path, workers: int | None, tell: Told
-) -> tuple[dict[str, Outcome], dict[str, str]]:
-    """Return the outcomes of cases, by name; what is not stored yet is made.
+def run_cases(
+    cases: Sequence[Case], folder: Path, workers: int | None, progress: ProgressCallback
+) -> tuple[dict[str, CaseResult], dict[str, str]]:
+    """Compute the cases of a study that are not stored, and return all results.
 
     Args:
-        cases: Of one study.
-        folder: Where outcomes are stored, and what unfinished cases need to go on.
-        workers: Processes; as many as there are cores by default.
-        tell: Called with the cases done, their total, and a note.
+        cases: Cases of one study.
+        folder: Folder of the results and of the state of unfinished cases.
+        workers: Number of processes; the number of cores if None.
+        progress: Called after each case.
 
     Returns:
-        Outcomes, and what went wrong with the cases that have none.
+        Results by name of the case, and the error messages of failed cases.
 
     Raises:
-        FileError: A stored outcome is damaged.
+        FileError: A stored result is damaged.
         TactorchError: A worker process was killed.
     """
     paths = {case.name: folder / case.study / f"{case.key}.npz" for case in cases}
     missing = [case for case in cases if not paths[case.name].is_file()]
+    stored = len(cases) - len(missing)
     failed: dict[str, str] = {}
-    tell(len(cases) - len(missing), len(cases), "")
-    for done, (case, reason) in enumerate(_made(missing, folder, workers), start=1):
+    progress(stored, len(cases), "")
+    if len(missing) > 1 and workers != 1:
+        finished = run_in_processes(partial(_run_case, folder), missing, workers)
+    else:
+        finished = (_run_case(folder, case) for case in missing)
+    for done, (case, reason) in enumerate(finished, start=1):
         if reason:
             failed[case.name] = reason
-        note = f", {len(failed)} failed" if failed else ""
-        tell(len(cases) - len(missing) + done, len(cases), note)
-    found = {name: Outcome.load(path) for name, path in paths.items() if path.is_file()}
-    return found, failed
+        progress(stored + done, len(cases), f", {len(failed)} failed" if failed else "")
+    results = {name: CaseResult.load(path) for name, path in paths.items() if path.is_file()}
+    return results, failed
 
 
-def _made(cases: Sequence[Case], folder: Path, workers: int | None) -> Iterator[tuple[Case, str]]:
-    """Make cases in processes of one thread each; yields each as it is done."""
-    count = min(workers or os.cpu_count() or 1, len(cases))
-    if count <= 1:
-        yield from (_make(case, folder) for case in cases)
-        return
-    from joblib import Parallel, delayed, parallel_config
-
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        pool = Parallel(n_jobs=count, return_as="generator_unordered")
-        try:
-            yield from pool(delayed(_make)(case, folder) for case in cases)
-        except BrokenProcessPool as error:
-            raise TactorchError(
-                "A worker process was killed, most likely for want of memory; give fewer workers."
-                " What is done is kept: the same command goes on."
-            ) from error
-
-
-def _make(case: Case, folder: Path) -> tuple[Case, str]:
-    """Make and store one case; what goes wrong with it is told, and hinders no other."""
-    from tactorch.generation.work import alone
-
+def _run_case(folder: Path, case: Case) -> tuple[Case, str]:
+    """Compute and store one case; return it with the error message of a failure."""
     scratch = folder / case.study / f"{case.key}.unfinished"
     try:
-        with alone():
-            outcome = import_module(f"tactorch.reproduce.{case.study}").work(case, scratch)
-        outcome.save(folder / case.study / f"{case.key}.npz")
+        with single_thread():
+            result = import_module(f"tactorch.reproduce.{case.study}").run_case(case, scratch)
+        result.save(folder / case.study / f"{case.key}.npz")
     except TactorchError as error:
         return case, " ".join(str(error).split())
-    except Exception as error:  # one bad case must not end the rest
+    except Exception as error:  # a failed case must not end the others
         return case, f"{type(error).__name__}: {' '.join(str(error).split())}"
-    for path in sorted(scratch.rglob("*"), reverse=True) if scratch.is_dir() else ():
-        path.rmdir() if path.is_dir() else path.unlink()
-    if scratch.is_dir():
-        scratch.rmdir()
+    shutil.rmtree(scratch, ignore_errors=True)
     return case, ""

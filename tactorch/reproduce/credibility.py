@@ -1,12 +1,12 @@
 """Credibility by depth, pressure and stiffness (Section III-D, eq. 14 and 15, Fig. 3).
 
-The paper's object: a homogeneous unit cube of 5, 7.5 and 10 MPa, its top under 0.06, 0.10 and 0.14
-MPa (strains of 0.6 to 3 %). The paper gives the unit neither of length nor of support: here it is
-1 mm, on springs of 1 N/mm a node as elsewhere in the paper, Poisson's ratio 0.45. All three
-displacements of the top's nodes are observed.
+The object of the paper is a homogeneous unit cube of 5, 7.5 and 10 MPa under pressures of 0.06,
+0.10 and 0.14 MPa on its top (strains of 0.6 to 3 %). The paper states neither the unit of length
+nor the support: here it is 1 mm on springs of 1 N/mm per node, as elsewhere in the paper, with a
+Poisson's ratio of 0.45. All three displacements of the top nodes are observed.
 
-L(j) = max_i |du_i / de_j| is the metric of an element; a layer's integral is the sum of L over its
-elements, those on a border shared out.
+The metric of an element is L(j) = max_i |du_i / de_j|. The integral over a layer is the sum of L
+over its elements; elements that cross a border are divided between layers.
 """
 
 from collections.abc import Mapping
@@ -18,8 +18,8 @@ import numpy as np
 from tactorch.inverse import InverseProblem
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import make_phantom
-from tactorch.reproduce.cases import Case, Outcome
-from tactorch.reproduce.objects import MATERIAL, stored_mesh
+from tactorch.reproduce.cases import Case, CaseResult
+from tactorch.reproduce.objects import MATERIAL, mesh_arrays, stored_mesh
 from tactorch.reproduce.table import Table
 from tactorch.simulation import PressPlan, simulate
 from tactorch.uncertainty import credibility, layer_profile
@@ -30,7 +30,7 @@ PRESSURES_MPA = (0.06, 0.10, 0.14)
 _SIDE_MM = 1.0
 
 
-def metric(mesh: TetMesh, youngs_mpa: float, pressure_mpa: float) -> np.ndarray:
+def compute_metric(mesh: TetMesh, youngs_mpa: float, pressure_mpa: float) -> np.ndarray:
     """Return L of each element of the homogeneous cube, mm/MPa."""
     recording = simulate(
         make_phantom("uniform_cube", side_mm=float(mesh.bounds[1, 2]), youngs_mpa=youngs_mpa),
@@ -42,13 +42,13 @@ def metric(mesh: TetMesh, youngs_mpa: float, pressure_mpa: float) -> np.ndarray:
     return credibility(evaluation).values
 
 
-def profile(mesh: TetMesh, values: np.ndarray, layers: int) -> np.ndarray:
+def layer_sums(mesh: TetMesh, values: np.ndarray, layers: int) -> np.ndarray:
     """Return the sum of a metric over each layer, the top one first."""
     return layer_profile(mesh, values / mesh.volumes, 2, layers)[1][::-1]
 
 
 def cases(options: Mapping[str, Any]) -> list[Case]:
-    """One a stiffness and pressure."""
+    """Return one case per stiffness and pressure."""
     return [
         Case("credibility", _name(e, p), {"youngs_mpa": e, "pressure_mpa": p, **options})
         for e in YOUNGS_MPA
@@ -60,24 +60,24 @@ def _name(youngs_mpa: float, pressure_mpa: float) -> str:
     return f"{1e3 * youngs_mpa:.0f}kpa-under-{1e3 * pressure_mpa:.0f}kpa"
 
 
-def work(case: Case, scratch: Path) -> Outcome:
+def run_case(case: Case, scratch: Path) -> CaseResult:
     """Compute the metric of one cube."""
     settings = case.settings
     mesh = box_mesh(_SIDE_MM, settings["divisions"], tets_per_cell=5)
-    values = metric(mesh, settings["youngs_mpa"], settings["pressure_mpa"])
-    return Outcome(
-        {"layers": profile(mesh, values, settings["layers"]).tolist()},
-        {"points": mesh.points, "tets": mesh.tets, "metric": values},
+    values = compute_metric(mesh, settings["youngs_mpa"], settings["pressure_mpa"])
+    return CaseResult(
+        {"layers": layer_sums(mesh, values, settings["layers"]).tolist()},
+        mesh_arrays(mesh, metric=values),
     )
 
 
-def fig3(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 3: the fall with depth, and slices; say whether the paper's trends hold."""
+def fig3(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
+    """Draw Fig. 3, layer integrals and slices, and return whether the trends of the paper hold."""
     profiles = {
-        (e, p): np.array(outcomes[_name(e, p)].figures["layers"])
+        (e, p): np.array(results[_name(e, p)].figures["layers"])
         for e in YOUNGS_MPA
         for p in PRESSURES_MPA
-        if _name(e, p) in outcomes
+        if _name(e, p) in results
     }
     table = Table(["Young's modulus, MPa", "pressure, MPa", "layer from the top", "L, mm/MPa"],
                   [1, 2, None, 6])  # fmt: skip
@@ -89,49 +89,49 @@ def fig3(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path)
         f"E = {e:g} MPa": {f"{1e3 * p:g} kPa": profiles[e, p] for p in PRESSURES_MPA}
         for e in YOUNGS_MPA
     }
-    middle = outcomes[_name(YOUNGS_MPA[1], PRESSURES_MPA[1])]
+    middle = results[_name(YOUNGS_MPA[1], PRESSURES_MPA[1])]
     mesh = stored_mesh(middle.arrays)
-    # By volume: the element in a cell's middle is twice as large as the others.
+    # Per volume, because the central element of a cell is twice as large as the others.
     values = middle.arrays["metric"] / mesh.volumes
     curve = f"E = {YOUNGS_MPA[1]:g} MPa, {1e3 * PRESSURES_MPA[1]:g} kPa"
     save_figure(depth_figure(groups, mesh, values, slices_of=curve), out / "fig3.png")
     return "\n".join(
         (
-            "| what the paper's Fig. 3 shows | here |",
+            "| Fig. 3 of the paper | here |",
             "| --- | --- |",
-            f"| shallow layers are felt more | {_falls(profiles)} |",
-            f"| higher pressure reaches deeper | {_rises(profiles, by='pressure')} |",
-            f"| softer objects are felt deeper | {_rises(profiles, by='softness')} |",
+            f"| shallow layers have a higher credibility | {_decrease(profiles)} |",
+            f"| higher pressure increases it | {_increase(profiles, by='pressure')} |",
+            f"| softer objects have a higher credibility | {_increase(profiles, by='softness')} |",
             "",
             "![Credibility by depth, pressure and stiffness](fig3.png)",
         )
     )
 
 
-def _falls(profiles: Mapping[tuple[float, float], np.ndarray]) -> str:
-    falling = sum(bool((np.diff(values) < 0).all()) for values in profiles.values())
+def _decrease(profiles: Mapping[tuple[float, float], np.ndarray]) -> str:
+    decreasing = sum(bool((np.diff(values) < 0).all()) for values in profiles.values())
     drops = [values[0] / values[-1] for values in profiles.values()]
     return (
-        f"in {falling} of {len(profiles)} cubes every layer counts less than the one above; the top"
-        f" one {min(drops):.0f} to {max(drops):.0f} times as much as the lowest"
+        f"in {decreasing} of {len(profiles)} cubes it decreases from each layer to the next;"
+        f" the top layer has {min(drops):.0f} to {max(drops):.0f} times the value of the lowest"
     )
 
 
-def _rises(profiles: Mapping[tuple[float, float], np.ndarray], *, by: str) -> str:
-    """Ratios of neighbouring profiles in every layer."""
+def _increase(profiles: Mapping[tuple[float, float], np.ndarray], *, by: str) -> str:
+    """Return a summary of the ratios of neighbouring profiles in every layer."""
     ratios = []
     for e, p in profiles:
         if by == "pressure" and p != PRESSURES_MPA[-1]:
-            more = (e, PRESSURES_MPA[PRESSURES_MPA.index(p) + 1])
+            larger = (e, PRESSURES_MPA[PRESSURES_MPA.index(p) + 1])
         elif by == "softness" and e != YOUNGS_MPA[0]:
-            more = (YOUNGS_MPA[YOUNGS_MPA.index(e) - 1], p)
+            larger = (YOUNGS_MPA[YOUNGS_MPA.index(e) - 1], p)
         else:
             continue
-        ratios.append(profiles[more] / profiles[e, p])
-    every = np.concatenate(ratios)
+        ratios.append(profiles[larger] / profiles[e, p])
+    layers = np.concatenate(ratios)
     return (
-        f"in {np.mean(every > 1):.0%} of the layers each step counts more, by"
-        f" {every.min():.2f} to {every.max():.2f} times"
+        f"in {np.mean(layers > 1):.0%} of the layers each step increases it, by a factor of"
+        f" {layers.min():.2f} to {layers.max():.2f}"
     )
 
 

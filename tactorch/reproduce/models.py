@@ -1,11 +1,11 @@
-"""The ten models of Fig. 4 and 5: the paper's truncated Newton beside ours (Table I).
+"""Ten models of Fig. 4 and 5: the truncated Newton method of the paper and this package (Table I).
 
-Both start from 0.2 MPa everywhere, one after the other in one process of one thread, with the
-same exact presses on the same mesh. Each thing that the paper calls an iteration of TNC is a
-solve of all presses here (`maxfun`); where it has not reached the paper's similarity after all of
-them it may go on until it has had so many times (`tnc_patience`) as long as ours took to get there.
-No mesh follows an inclusion. Ours are the default settings,
-but that they are told how exact the data are; TNC believes its data wholly.
+Both start from 0.2 MPa, one after the other in one process with one thread, with the same exact
+presses on the same mesh. One iteration of TNC in the paper is one solve of all presses here
+(`maxfun`). If TNC has not reached the similarity of the paper after all of them, it continues for
+up to `tnc_patience` times the time that this package takes to reach it. No mesh follows an
+inclusion. This package uses the default settings with the stated accuracy of the data; TNC assumes
+exact data.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,8 +18,8 @@ import numpy as np
 from tactorch.inverse import TNC, NoiseModel, NoPrior, Scaled, Settings
 from tactorch.metrics import scores
 from tactorch.recording import Recording
-from tactorch.reproduce.cases import Case, Outcome
-from tactorch.reproduce.objects import pressed, stored_mesh
+from tactorch.reproduce.cases import Case, CaseResult
+from tactorch.reproduce.objects import mesh_arrays, press_object, stored_mesh
 from tactorch.reproduce.paper import row
 from tactorch.reproduce.table import Table
 from tactorch.reproduce.trace import TracedRun, run_with_trace, warm_up
@@ -40,11 +40,11 @@ MODELS = {
 SCORES = {"s": "normalised_correlation", "SSIM": "ssim", "PSNR": "psnr", "RMSE": "rmse_mpa"}
 COUNTS = (100, 500, 2500)
 _METHODS = ("ours", "tnc")
-_ENDLESS = 10**6
+_UNLIMITED = 10**6
 
 
 def cases(options: Mapping[str, Any]) -> list[Case]:
-    """One a model."""
+    """Return one case per model."""
     shared = {k: v for k, v in options.items() if k != "names"}
     return [
         Case("models", name, {"phantom": MODELS[name], "model": name, **shared})
@@ -52,8 +52,8 @@ def cases(options: Mapping[str, Any]) -> list[Case]:
     ]
 
 
-def work(case: Case, scratch: Path) -> Outcome:
-    """Press a model, and invert by both methods."""
+def run_case(case: Case, scratch: Path) -> CaseResult:
+    """Simulate presses on a model and invert them by both methods."""
     settings = case.settings
     recording = _recording(settings, scratch)
     warm_up(recording)
@@ -63,50 +63,45 @@ def work(case: Case, scratch: Path) -> Outcome:
     tnc = _truncated_newton(recording, settings, target, ours, scratch / "tnc")
     truth = recording.truth
     assert truth is not None
-    return Outcome(
+    return CaseResult(
         {
             "elements": recording.mesh.n_tets,
             "presses": len(recording.presses),
             "ours": _figures(ours, target, recording, truth),
             "tnc": _figures(tnc, target, recording, truth),
         },
-        {
-            "points": recording.mesh.points,
-            "tets": recording.mesh.tets,
-            "truth": truth,
-            "ours": ours.found.youngs,
-            "tnc": tnc.found.youngs,
-        },
+        mesh_arrays(recording.mesh, truth=truth, ours=ours.result.youngs, tnc=tnc.result.youngs),
     )
 
 
 def _truncated_newton(
     recording: Recording, settings: Mapping[str, Any], target: float, ours: TracedRun, scratch: Path
 ) -> TracedRun:
-    """The paper's method, for its number of solves; and on, until it has had time enough."""
+    """Run the method of the paper for its number of solves, and longer if it is slower."""
     paper = Settings(
         optimizer=TNC(max_evaluations=settings["tnc_evaluations"]),
         parameterization=Scaled(),
         regularization=NoPrior(),
         model_error="none",
     )
-    found = run_with_trace(recording, paper, scratch)
-    there = ours.first_at(target)
-    if there is None or found.first_at(target) is not None or not found.limited:
-        return found
-    enough = settings["tnc_patience"] * there.seconds
-    if found.seconds >= enough:
-        return found
-    endless = replace(paper, optimizer=TNC(max_evaluations=_ENDLESS), max_seconds=enough)
-    return run_with_trace(recording, endless, scratch)
+    run = run_with_trace(recording, paper, scratch)
+    reached = ours.first_at(target)
+    if reached is None or run.first_at(target) is not None or not run.limited:
+        return run
+    max_seconds = settings["tnc_patience"] * reached.seconds
+    if run.seconds >= max_seconds:
+        return run
+    optimizer = TNC(max_evaluations=_UNLIMITED)
+    continued = replace(paper, optimizer=optimizer, max_seconds=max_seconds)
+    return run_with_trace(recording, continued, scratch)
 
 
 def _recording(settings: Mapping[str, Any], scratch: Path) -> Recording:
-    """The presses; a case that goes on takes those that it began with."""
+    """Return the presses; a continued case uses the stored ones."""
     path = scratch / "recording.h5"
     if path.is_file():
         return Recording.load(path, check_units=False)
-    recording = pressed(settings)
+    recording = press_object(settings)
     recording.save(path)
     return recording
 
@@ -114,22 +109,22 @@ def _recording(settings: Mapping[str, Any], scratch: Path) -> Recording:
 def _figures(
     run: TracedRun, target: float, recording: Recording, truth: np.ndarray
 ) -> dict[str, Any]:
-    there = run.first_at(target)
+    reached, last = run.first_at(target), run.trace[-1]
     return {
         "seconds": run.seconds,
-        "evaluations": run.way[-1].evaluations,
-        "seconds_per_evaluation": run.seconds / max(run.way[-1].evaluations, 1),
-        "stop_reason": run.found.stop_reason,
-        "to_target": None if there is None else there.seconds,
-        "evaluations_to_target": None if there is None else there.evaluations,
-        "best_ssim": max(moment.ssim for moment in run.way),
+        "evaluations": last.evaluations,
+        "seconds_per_evaluation": run.seconds / max(last.evaluations, 1),
+        "stop_reason": run.result.stop_reason,
+        "to_target": None if reached is None else reached.seconds,
+        "evaluations_to_target": None if reached is None else reached.evaluations,
+        "best_ssim": max(point.ssim for point in run.trace),
         "after": {str(count): run.ssim_after(count) for count in COUNTS},
-        "scores": scores(recording.mesh, run.found.youngs, truth),
+        "scores": scores(recording.mesh, run.result.youngs, truth),
     }
 
 
-def table1(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path) -> str:
-    """Write Table I: the paper, its method here, and ours."""
+def table1(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
+    """Write Table I: the paper, its method here, and this package."""
     heads = ["s / iteration: paper", "s / iteration: TNC"]
     for count in COUNTS:
         heads += [f"SSIM at {count}: paper", f"SSIM at {count}: TNC"]
@@ -139,22 +134,22 @@ def table1(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Pat
         ["model", "elements: paper", "elements: here", *heads],
         [None, None, None, 2, 3, *[4] * 6, 1, 2, 0, 4, 1],
     )
-    for name, outcome in outcomes.items():
-        table.add(*_row(name, outcome.figures))
+    for name, result in results.items():
+        table.add(*_row(name, result.figures))
     table.write_csv(out / "table1.csv")
-    ratios = [r for r in (_ratio(o.figures)[0] for o in outcomes.values()) if r is not None]
+    ratios = [r for r in (_ratio(o.figures)[0] for o in results.values()) if r is not None]
     lines = [table.markdown(), ""]
     if ratios:
-        lines.append(f"Least ratio: {min(ratios):.0f}.")
-    bounds = [name for name, o in outcomes.items() if _ratio(o.figures)[1]]
+        lines.append(f"Smallest ratio: {min(ratios):.0f}.")
+    bounds = [name for name, o in results.items() if _ratio(o.figures)[1]]
     if bounds:
         lines.append(
-            f"In {', '.join(bounds)} TNC did not reach the paper's SSIM in the time given;"
-            " its whole time stands for it, and the ratio is a lower bound."
+            f"In {', '.join(bounds)} TNC did not reach the SSIM of the paper within its time limit;"
+            " the limit is used instead, so that the ratio is a lower bound."
         )
-    never = [name for name, o in outcomes.items() if o.figures["ours"]["to_target"] is None]
+    never = [name for name, o in results.items() if o.figures["ours"]["to_target"] is None]
     if never:
-        lines.append(f"In {', '.join(never)} our map never was as similar as the paper's.")
+        lines.append(f"In {', '.join(never)} this package did not reach the SSIM of the paper.")
     return "\n".join(lines)
 
 
@@ -172,7 +167,7 @@ def _row(name: str, figures: Mapping[str, Any]) -> list[Any]:
 
 
 def _ratio(figures: Mapping[str, Any]) -> tuple[float | None, bool]:
-    """How many times sooner ours is there, and whether that is only a lower bound."""
+    """Return the ratio of the times to the target, and whether it is a lower bound."""
     tnc, ours = figures["tnc"], figures["ours"]
     if ours["to_target"] is None:
         return None, False
@@ -181,38 +176,38 @@ def _ratio(figures: Mapping[str, Any]) -> tuple[float | None, bool]:
     return slower / ours["to_target"], reached is None
 
 
-def fig4(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 4: two materials; truth above, both methods below."""
-    return _maps("fig4", [name for name in outcomes if name[0] == "4"], outcomes, out)
+def fig4(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
+    """Draw Fig. 4, objects of two materials: truth (top) and both methods."""
+    return _maps("fig4", [name for name in results if name[0] == "4"], results, out)
 
 
-def fig5(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path) -> str:
+def fig5(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
     """Draw Fig. 5: heterogeneous objects."""
-    return _maps("fig5", [name for name in outcomes if name[0] == "5"], outcomes, out)
+    return _maps("fig5", [name for name in results if name[0] == "5"], results, out)
 
 
-def _maps(exhibit: str, names: Sequence[str], outcomes: Mapping[str, Outcome], out: Path) -> str:
+def _maps(exhibit: str, names: Sequence[str], results: Mapping[str, CaseResult], out: Path) -> str:
     table = Table(["model", "method", *SCORES, "position error, mm"], [None, None, 4, 4, 2, 4, 2])
     rows: list[list[Panel]] = [[], [], []]
-    truths = np.concatenate([outcomes[name].arrays["truth"] for name in names] or [np.ones(1)])
+    truths = np.concatenate([results[name].arrays["truth"] for name in names] or [np.ones(1)])
     limits = (float(truths.min()), float(truths.max()))
     for name in names:
-        outcome = outcomes[name]
-        mesh, arrays = stored_mesh(outcome.arrays), outcome.arrays
+        result = results[name]
+        mesh, arrays = stored_mesh(result.arrays), result.arrays
         for method in _METHODS:
-            found = outcome.figures[method]["scores"]
-            marks = [found[key] for key in SCORES.values()]
+            scored = result.figures[method]["scores"]
+            values = [scored[key] for key in SCORES.values()]
             table.add(
-                name, "ours" if method == "ours" else "TNC", *marks, found["position_error_mm"]
+                name, "ours" if method == "ours" else "TNC", *values, scored["position_error_mm"]
             )
         rows[0].append(Panel(mesh, arrays["truth"], limits, title=f"({name[1]})"))
         for line, method in zip(rows[1:], _METHODS, strict=True):
-            similar = outcome.figures[method]["scores"]["ssim"]
-            line.append(Panel(mesh, arrays[method], limits, caption=f"SSIM {similar:.3f}"))
+            similarity = result.figures[method]["scores"]["ssim"]
+            line.append(Panel(mesh, arrays[method], limits, caption=f"SSIM {similarity:.3f}"))
     table.write_csv(out / f"{exhibit}.csv")
     if names:
         plot_panels(rows, ["truth", "ours", "TNC"], out / f"{exhibit}.png")
-    return f"{table.markdown()}\n\n![Truth, ours and TNC, middle slices]({exhibit}.png)"
+    return f"{table.markdown()}\n\n![Truth, this package and TNC, middle slices]({exhibit}.png)"
 
 
 EXHIBITS = {"table1": table1, "fig4": fig4, "fig5": fig5}

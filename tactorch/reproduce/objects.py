@@ -1,8 +1,7 @@
-"""The paper's objects, pressed as its Section IV and V-C have it; exact data on the mesh itself.
+"""Objects of the paper, pressed as in Sections IV and V-C, without noise.
 
-That presses are computed on the mesh and by the elements of the inversion is an inverse crime,
-which the paper commits on purpose and so do these: the scores compare methods, not what a
-measurement would give.
+Simulating the presses on the mesh and with the elements of the inversion is an inverse crime. The
+paper does so, and the scores compare methods; they do not predict those of measurements.
 """
 
 from collections.abc import Mapping
@@ -22,19 +21,22 @@ from tactorch.simulation import PressPlan, simulate
 POISSON = 0.45
 MATERIAL = MaterialSpec("neo_hookean", POISSON)
 SIDES = ("z+", "x+", "y+")
-START_MPA = 0.2  # the paper's, in all its studies
+START_MPA = 0.2  # initial modulus in all studies of the paper
 
 
-def pressed(settings: Mapping[str, Any]) -> Recording:
-    """Press one of the paper's objects.
+def press_object(settings: Mapping[str, Any]) -> Recording:
+    """Simulate presses on an object of the paper.
 
-    Boxes are pressed on whole sides, on springs, with rising pressure; curved bodies stand fast
-    on their flat side and are pressed by a round sensor at places spread evenly over the rest.
+    Boxes on springs are pressed on complete sides with increasing pressure. Curved bodies are
+    fixed at their flat side and pressed by a round sensor at evenly distributed positions.
 
     Args:
-        settings: `phantom` (its name), `relative_edge_length` of the mesh, `p_max_mpa` (the
-            highest pressure), `steps`; on curved bodies `patches`, `patch_steps` and `sensor_mm`
-            (number, steps of the pressure on each, and radius).
+        settings: `phantom` (name), `relative_edge_length` of the mesh, `p_max_mpa` (maximum
+            pressure) and `steps`; for curved bodies also `patches` (number of positions),
+            `patch_steps` (steps of the pressure at each) and `sensor_mm` (radius).
+
+    Returns:
+        The recording with its truth.
     """
     phantom = make_phantom(settings["phantom"])
     mesh = phantom.mesh(relative_edge_length=settings["relative_edge_length"])
@@ -42,42 +44,42 @@ def pressed(settings: Mapping[str, Any]) -> Recording:
     if isinstance(phantom.body, Box):
         plan = PressPlan(p_max_mpa=settings["p_max_mpa"], steps=settings["steps"], faces=SIDES)
         return simulate(phantom, plan, material=MATERIAL, mesh=mesh, samples=1)
-    return _pressed_by_sensor(phantom, mesh, truth, settings)
+    return _press_by_sensor(phantom, mesh, truth, settings)
 
 
-def sensor_on(
+def make_presser(
     mesh: TetMesh, truth: np.ndarray, pressure_mpa: float, noise_mm: float = 0.0
 ) -> SimulatedPresser:
-    """Return what presses a body that stands on its lower side."""
-    held = standing(mesh)
+    """Return a simulated sensor on a body that is fixed at its lower side."""
+    fixed = lower_nodes(mesh)
     body = SoftBody(mesh, make_material(MATERIAL.name, POISSON))
-    return SimulatedPresser(body, truth, held, mesh, held, pressure_mpa, noise_mm)
+    return SimulatedPresser(body, truth, fixed, mesh, fixed, pressure_mpa, noise_mm)
 
 
-def standing(mesh: TetMesh) -> np.ndarray:
-    """Return which nodes lie on the lower side, (n,)."""
-    held = np.zeros(mesh.n_points, dtype=bool)
-    held[face_nodes(mesh, "z-")] = True
-    return held
+def lower_nodes(mesh: TetMesh) -> np.ndarray:
+    """Return the mask of the nodes on the lower side, (n,)."""
+    fixed = np.zeros(mesh.n_points, dtype=bool)
+    fixed[face_nodes(mesh, "z-")] = True
+    return fixed
 
 
-def places(mesh: TetMesh, sensor_mm: float, count: int) -> list[Patch]:
-    """Return where a round sensor can press a body that stands on its lower side."""
-    return candidate_patches(mesh, standing(mesh), sensor_mm, count)
+def sensor_patches(mesh: TetMesh, sensor_mm: float, count: int) -> list[Patch]:
+    """Return positions of a round sensor on a body that is fixed at its lower side."""
+    return candidate_patches(mesh, lower_nodes(mesh), sensor_mm, count)
 
 
-def _pressed_by_sensor(
+def _press_by_sensor(
     phantom: Phantom,
     mesh: TetMesh,
     truth: np.ndarray,
     settings: Mapping[str, Any],
 ) -> Recording:
-    patches = places(mesh, settings["sensor_mm"], settings["patches"])
+    patches = sensor_patches(mesh, settings["sensor_mm"], settings["patches"])
     presses = []
     steps = settings["patch_steps"]
     for step in range(steps):
         pressure = settings["p_max_mpa"] * (step + 1) / steps
-        presser = sensor_on(mesh, truth, pressure)
+        presser = make_presser(mesh, truth, pressure)
         presses += [replace(presser.press(patch), step=step) for patch in patches]
     return Recording(
         mesh,
@@ -88,12 +90,17 @@ def _pressed_by_sensor(
     )
 
 
+def mesh_arrays(mesh: TetMesh, **arrays: np.ndarray) -> dict[str, np.ndarray]:
+    """Return arrays of a result together with those of their mesh; see `stored_mesh`."""
+    return {"points": mesh.points, "tets": mesh.tets, **arrays}
+
+
 def stored_mesh(arrays: Mapping[str, np.ndarray]) -> TetMesh:
-    """Return the mesh that an outcome has stored.
+    """Return the mesh of a stored result.
 
     Raises:
-        FileError: It has none.
+        FileError: The result has no mesh.
     """
     if "points" not in arrays:
-        raise FileError("a stored case has no mesh; delete its folder to make it anew.")
+        raise FileError("a stored case has no mesh; delete its folder to compute it again.")
     return TetMesh.create(arrays["points"], arrays["tets"])

@@ -1,4 +1,4 @@
-"""What the paper reports, from `paper.yaml`."""
+"""Numbers of the paper, from `paper.yaml`."""
 
 from functools import cache
 from importlib.resources import files
@@ -9,21 +9,21 @@ import yaml
 
 @cache
 def paper() -> dict[str, Any]:
-    """Return the paper's numbers, by exhibit."""
+    """Return the numbers of the paper by exhibit."""
     text = files("tactorch.reproduce").joinpath("paper.yaml").read_text(encoding="utf-8")
-    found: dict[str, Any] = yaml.safe_load(text)
-    return found
+    numbers: dict[str, Any] = yaml.safe_load(text)
+    return numbers
 
 
 def column(table: str, name: str) -> list[Any]:
-    """Return a column of one of the paper's tables that are given by rows."""
+    """Return a column of a table of the paper."""
     content = paper()[table]
-    place = content["columns"].index(name)
-    return [row[place] for row in content["rows"]]
+    index = content["columns"].index(name)
+    return [row[index] for row in content["rows"]]
 
 
 def row(table: str, key: str) -> dict[str, Any]:
-    """Return the row of a table whose first value is `key`, by column."""
+    """Return the values of the row whose first value is `key` by column."""
     content = paper()[table]
-    found = next(values for values in content["rows"] if values[0] == key)
-    return dict(zip(content["columns"], found, strict=True))
+    row_values = next(values for values in content["rows"] if values[0] == key)
+    return dict(zip(content["columns"], row_values, strict=True))

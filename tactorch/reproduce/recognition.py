@@ -1,9 +1,9 @@
-"""Recognition (Section V-B, Fig. 11): how alike the truths are, and who tells them apart.
+"""Recognition (Section V-B, Fig. 11): similarity of the truths, and accuracy of the recognizer.
 
-The network is trained and judged by the commands that anyone would use, on reconstructions of a
-dataset of their own: `tactorch generate`, `tactorch train experiment=recognizer` over several
-splits, `tactorch evaluate-model`. How well people do by touch is the paper's; no software repeats
-that.
+The network is trained and evaluated by the commands of users, on reconstructions of its own
+dataset: `tactorch generate`, `tactorch train experiment=recognizer` with several splits, and
+`tactorch evaluate-model`. The accuracy of people by touch is that of the paper; software cannot
+reproduce it.
 """
 
 import json
@@ -18,42 +18,46 @@ import numpy as np
 from tactorch.errors import TactorchError
 from tactorch.metrics import ssim
 from tactorch.phantoms import make_phantom
-from tactorch.reproduce.cases import Case, Outcome
+from tactorch.reproduce.cases import Case, CaseResult
 from tactorch.reproduce.models import MODELS
 from tactorch.reproduce.paper import paper
 from tactorch.reproduce.table import Table
 from tactorch.viz.paper import plot_matrices
 
 _SHAPES = {"cake": "4a", "torus": "4b", "cone": "4c"}
-_ALIKE, _NAMED = "similarity", "recognizer"
+_SIMILARITY, _RECOGNIZER = "similarity", "recognizer"
 
 
 def cases(options: Mapping[str, Any]) -> list[Case]:
-    """Two: the truths, and the network."""
+    """Return two cases: similarity of the truths, and recognizer."""
     edge = options["relative_edge_length"]
     return [
-        Case("recognition", _ALIKE, {"relative_edge_length": edge}),
-        Case("recognition", _NAMED, options),
+        Case("recognition", _SIMILARITY, {"relative_edge_length": edge}),
+        Case("recognition", _RECOGNIZER, options),
     ]
 
 
-def work(case: Case, scratch: Path) -> Outcome:
-    """Compare the truths, or train and judge the network."""
-    return _alike(case.settings) if case.name == _ALIKE else _recognizer(case.settings, scratch)
+def run_case(case: Case, scratch: Path) -> CaseResult:
+    """Compare the truths, or train and evaluate the network."""
+    return (
+        _compare_truths(case.settings)
+        if case.name == _SIMILARITY
+        else _train_recognizer(case.settings, scratch)
+    )
 
 
-def _alike(settings: Mapping[str, Any]) -> Outcome:
+def _compare_truths(settings: Mapping[str, Any]) -> CaseResult:
     phantoms = [make_phantom(MODELS[model]) for model in _SHAPES.values()]
     mesh = phantoms[0].mesh(relative_edge_length=settings["relative_edge_length"])
     truths = [phantom.on_mesh(mesh) for phantom in phantoms]
     matrix = [[ssim(mesh, one, other) for other in truths] for one in truths]
-    return Outcome({"matrix": matrix})
+    return CaseResult({"matrix": matrix})
 
 
-def _recognizer(settings: Mapping[str, Any], scratch: Path) -> Outcome:
-    data, run, judged = (scratch / name for name in ("data", "run", "judged"))
+def _train_recognizer(settings: Mapping[str, Any], scratch: Path) -> CaseResult:
+    data, run, scores = (scratch / name for name in ("data", "run", "scores"))
     edge = settings["relative_edge_length"]
-    _command(
+    _run_command(
         "generate",
         "dataset=recognition",
         f"dataset.count={settings['count']}",
@@ -65,9 +69,9 @@ def _recognizer(settings: Mapping[str, Any], scratch: Path) -> Outcome:
         f"run_dir={scratch / 'generate'}",
     )
     if list(run.glob("**/last.ckpt")):
-        _command("train", f"resume={run}")
+        _run_command("train", f"resume={run}")
     else:
-        _command(
+        _run_command(
             "train",
             "experiment=recognizer",
             f"data.folder={data}",
@@ -75,42 +79,42 @@ def _recognizer(settings: Mapping[str, Any], scratch: Path) -> Outcome:
             f"splits={settings['splits']}",
             f"trainer.max_epochs={settings['epochs']}",
         )
-    _command("evaluate-model", f"run={run}", f"run_dir={judged}")
-    return Outcome(json.loads((judged / "scores.json").read_text()))
+    _run_command("evaluate-model", f"run={run}", f"run_dir={scores}")
+    return CaseResult(json.loads((scores / "scores.json").read_text()))
 
 
-def _command(*arguments: str) -> None:
+def _run_command(*arguments: str) -> None:
     """Run a command of tactorch.
 
     Raises:
-        TactorchError: It failed; says why.
+        TactorchError: The command failed.
     """
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "tactorch", *arguments], capture_output=True, text=True, check=False
     )
-    if done.returncode:
-        reason = (done.stderr.strip() or done.stdout.strip()).splitlines()[-1:]
+    if process.returncode:
+        reason = (process.stderr.strip() or process.stdout.strip()).splitlines()[-1:]
         raise TactorchError(f"tactorch {' '.join(arguments)} failed: {' '.join(reason)}")
 
 
-def fig11(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path) -> str:
+def fig11(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
     """Draw Fig. 11: similarity of the truths, confusion of the network."""
     known, matrices = paper()["recognition"], {}
     summary = Table(["", "paper", "here"], [None, 3, 3])
-    if _ALIKE in outcomes:
-        alike = np.array(outcomes[_ALIKE].figures["matrix"])
-        matrices["SSIM of the truths"] = (alike, tuple(_SHAPES))
-        summary.add("SSIM of cake and cone", known["ssim_cake_cone"], float(alike[0, 2]))
-    if _NAMED in outcomes:
-        found = outcomes[_NAMED].figures
-        order = [list(found["classes"]).index(name) for name in _SHAPES]
-        counts = np.array(found["confusion"], dtype=float)[np.ix_(order, order)]
-        shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
-        title = f"named (across) of true (down), {found['samples']} answers"
-        matrices[title] = (shares, tuple(_SHAPES))
-        summary.add("shapes named right", known["accuracy"], found["accuracy"])
-        summary.add("their deviation over splits", None, found["accuracy_deviation"])
-        summary.add("the same by people", known["human_accuracy"], None)
+    if _SIMILARITY in results:
+        similarity = np.array(results[_SIMILARITY].figures["matrix"])
+        matrices["SSIM of the truths"] = (similarity, tuple(_SHAPES))
+        summary.add("SSIM of cake and cone", known["ssim_cake_cone"], float(similarity[0, 2]))
+    if _RECOGNIZER in results:
+        recognizer = results[_RECOGNIZER].figures
+        order = [list(recognizer["classes"]).index(name) for name in _SHAPES]
+        counts = np.array(recognizer["confusion"], dtype=float)[np.ix_(order, order)]
+        fractions = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
+        title = f"predicted (columns) by true (rows), {recognizer['samples']} samples"
+        matrices[title] = (fractions, tuple(_SHAPES))
+        summary.add("accuracy of the recognizer", known["accuracy"], recognizer["accuracy"])
+        summary.add("its standard deviation over splits", None, recognizer["accuracy_deviation"])
+        summary.add("accuracy of people", known["human_accuracy"], None)
     summary.write_csv(out / "fig11.csv")
     plot_matrices(matrices, out / "fig11.png")
     return f"{summary.markdown()}\n\n![Similarity and confusion](fig11.png)"

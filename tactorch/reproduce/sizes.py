@@ -1,15 +1,15 @@
-"""Wrong sizes of the object (Section IV-C2, Fig. 9): 80 to 120 %, along all axes or some.
+"""Wrong sizes of the object (Section IV-C2, Fig. 9): 80 to 120 % along all axes or one.
 
-Presses on a cube of 10 mm with a ball, from three sides, on a mesh twice as fine as that of the
-inversion; its size is then believed to be another. Three ways:
+Presses from three sides on a cube of 10 mm with a ball are simulated on a mesh twice as fine as
+that of the inversion, which then assumes another size. There are three methods:
 
-- `positions`: displacements are what the wrong rest shape lacks to the measured positions, as the
-  paper's text has it. They then hold the difference of the shapes, which at 20 % is far larger than
-  what the presses do.
-- `contact`: displacements are counted from first contact, as a sensor that moves with the robot
-  does; only the mesh is wrong.
-- `estimated`: as `positions`, with the size along each axis estimated beside the map, which the
-  paper does not do.
+- `positions`: displacements are differences between measured positions and the wrong rest shape,
+  as the text of the paper suggests. They contain the difference of the shapes, which at 20 % is
+  far larger than the effect of the presses.
+- `contact`: displacements are relative to first contact, as those of a sensor on a robot; only the
+  mesh is wrong.
+- `estimated`: as `positions`, with the size along each axis estimated together with the map, which
+  the paper does not do.
 """
 
 from collections.abc import Mapping
@@ -23,8 +23,8 @@ from tactorch.findings import find_lumps
 from tactorch.inverse import NuisancePrior, Settings, invert
 from tactorch.metrics import pearson
 from tactorch.phantoms import make_phantom
-from tactorch.reproduce.cases import Case, Outcome
-from tactorch.reproduce.objects import MATERIAL, SIDES, START_MPA, stored_mesh
+from tactorch.reproduce.cases import Case, CaseResult
+from tactorch.reproduce.objects import MATERIAL, SIDES, START_MPA, mesh_arrays, stored_mesh
 from tactorch.reproduce.table import Table
 from tactorch.simulation import PressPlan, perturb_recording, simulate
 from tactorch.viz.paper import Panel, plot_panels
@@ -39,29 +39,29 @@ SIZES = {
     "120 %": (1.2, 1.2, 1.2),
 }
 _LIMITS = (0.0, 1.0)
-_OFF = 0.2  # how far the size is said to be uncertain where it is estimated
+_SIZE_DEVIATION = 0.2  # prior standard deviation of an estimated size
 _METHODS = ("positions", "contact", "estimated")
 
 
 def cases(options: Mapping[str, Any]) -> list[Case]:
-    """One a size and method."""
+    """Return one case per size and method."""
     return [
-        Case("sizes", _name(size, how), {"size": list(factors), "how": how, **options})
+        Case("sizes", _name(size, method), {"size": list(factors), "method": method, **options})
         for size, factors in SIZES.items()
-        for how in _METHODS
+        for method in _METHODS
     ]
 
 
-def _name(size: str, how: str) -> str:
-    return f"{size.replace(' ', '').replace('%', '')}-{how}"
+def _name(size: str, method: str) -> str:
+    return f"{size.replace(' ', '').replace('%', '')}-{method}"
 
 
-def work(case: Case, scratch: Path) -> Outcome:
-    """Simulate, believe another size, invert."""
+def run_case(case: Case, scratch: Path) -> CaseResult:
+    """Simulate presses and invert them with a wrong size."""
     settings = case.settings
     phantom = make_phantom("cube_sphere", depth=0.4)
     edge = settings["relative_edge_length"]
-    right = simulate(
+    exact = simulate(
         phantom,
         PressPlan(p_max_mpa=0.02, steps=settings["steps"], faces=SIDES),
         material=MATERIAL,
@@ -70,66 +70,75 @@ def work(case: Case, scratch: Path) -> Outcome:
         snr_db=settings["snr_db"],
         seed=0,
     )
-    truth = right.truth
+    truth = exact.truth
     assert truth is not None
-    wrong = perturb_recording(replace(right, truth=None), size=settings["size"])
-    if settings["how"] == "contact":
-        pairs = zip(wrong.presses, right.presses, strict=True)
+    wrong = perturb_recording(replace(exact, truth=None), size=settings["size"])
+    if settings["method"] == "contact":
+        pairs = zip(wrong.presses, exact.presses, strict=True)
         wrong = replace(
             wrong, presses=tuple(replace(w, displacement=r.displacement) for w, r in pairs)
         )
-    unknowns = NuisancePrior(rest_scale=_OFF) if settings["how"] == "estimated" else NuisancePrior()
-    found = invert(wrong, Settings(nuisance=unknowns), start_mpa=START_MPA, show_progress=False)
-    lumps = find_lumps(wrong.mesh, found.youngs, most=1)
+    nuisance = (
+        NuisancePrior(rest_scale=_SIZE_DEVIATION)
+        if settings["method"] == "estimated"
+        else NuisancePrior()
+    )
+    reconstruction = invert(
+        wrong, Settings(nuisance=nuisance), start_mpa=START_MPA, show_progress=False
+    )
+    lumps = find_lumps(wrong.mesh, reconstruction.youngs, most=1)
     center = lumps[0].center_mm / settings["size"] if lumps else np.full(3, np.nan)
-    true = find_lumps(right.mesh, truth, most=1)[0].center_mm
-    estimate = found.nuisance.get("rest_scale")
-    return Outcome(
+    true = find_lumps(exact.mesh, truth, most=1)[0].center_mm
+    estimate = reconstruction.nuisance.get("rest_scale")
+    return CaseResult(
         {
-            "median_mpa": float(np.median(found.youngs)),
-            "pearson": pearson(found.youngs, truth),
+            "median_mpa": float(np.median(reconstruction.youngs)),
+            "pearson": pearson(reconstruction.youngs, truth),
             "off_mm": float(np.linalg.norm(center - true)) if lumps else None,
             "size": None if estimate is None else [float(v) for v in estimate.value],
         },
-        {"points": wrong.mesh.points, "tets": wrong.mesh.tets, "youngs": found.youngs},
+        mesh_arrays(wrong.mesh, youngs=reconstruction.youngs),
     )
 
 
-def fig9(outcomes: Mapping[str, Outcome], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 9: maps by believed size, and whether larger ones seem softer."""
+def fig9(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
+    """Draw Fig. 9, maps by assumed size, and return whether larger sizes give softer maps."""
     table = Table(
-        ["believed", "method", "median, MPa", "r with the truth", "centre off, mm", "told"],
+        ["assumed", "method", "median, MPa", "r with the truth", "position error, mm", "estimate"],
         [None, None, 3, 3, 2, None],
     )
     rows: list[list[Panel]] = [[] for _ in _METHODS]
     for size in SIZES:
-        for line, how in zip(rows, _METHODS, strict=True):
-            outcome = outcomes.get(_name(size, how))
-            if outcome is None:
+        for line, method in zip(rows, _METHODS, strict=True):
+            result = results.get(_name(size, method))
+            if result is None:
                 continue
-            found = outcome.figures
-            told = found["size"] and ", ".join(f"{v:.2f}" for v in found["size"])
-            table.add(size, how, found["median_mpa"], found["pearson"], found["off_mm"], told)
-            caption = f"r {found['pearson']:.2f}, median {found['median_mpa']:.2f} MPa"
-            mesh = stored_mesh(outcome.arrays)
-            line.append(Panel(mesh, outcome.arrays["youngs"], _LIMITS, title=size, caption=caption))
+            figures = result.figures
+            estimate = figures["size"] and ", ".join(f"{v:.2f}" for v in figures["size"])
+            table.add(
+                size, method, figures["median_mpa"], figures["pearson"], figures["off_mm"], estimate
+            )
+            caption = f"r {figures['pearson']:.2f}, median {figures['median_mpa']:.2f} MPa"
+            mesh = stored_mesh(result.arrays)
+            line.append(Panel(mesh, result.arrays["youngs"], _LIMITS, title=size, caption=caption))
     table.write_csv(out / "fig9.csv")
     plot_panels(rows, list(_METHODS), out / "fig9.png")
-    told = [
-        f"{how} {_median(outcomes, '80 %', how)} MPa at 80 %,"
-        f" {_median(outcomes, '120 %', how)} MPa at 120 %"
-        for how in _METHODS
+    medians = [
+        f"{method} {_median(results, '80 %', method)} MPa at 80 %,"
+        f" {_median(results, '120 %', method)} MPa at 120 %"
+        for method in _METHODS
     ]
     return (
-        f"{table.markdown()}\n\nThe paper: an object believed larger seems softer, and stiffer"
-        f" where believed smaller. Median moduli here (true: 0.2 MPa): {'; '.join(told)}.\n\n"
-        "![Maps by believed size](fig9.png)"
+        f"{table.markdown()}\n\nIn the paper an object that is assumed too large seems softer, and"
+        " stiffer if assumed too small. Median moduli here (true: 0.2 MPa):"
+        f" {'; '.join(medians)}.\n\n"
+        "![Maps by assumed size](fig9.png)"
     )
 
 
-def _median(outcomes: Mapping[str, Outcome], size: str, how: str) -> str:
-    outcome = outcomes.get(_name(size, how))
-    return "?" if outcome is None else f"{outcome.figures['median_mpa']:.3f}"
+def _median(results: Mapping[str, CaseResult], size: str, method: str) -> str:
+    result = results.get(_name(size, method))
+    return "?" if result is None else f"{result.figures['median_mpa']:.3f}"
 
 
 EXHIBITS = {"fig9": fig9}

@@ -1,4 +1,4 @@
-"""Tables as CSV and as Markdown."""
+"""Tables in CSV and Markdown."""
 
 import csv
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from tactorch.files import atomic_path
 
 @dataclass
 class Table:
-    """Rows of values under names; None is an empty cell.
+    """Table; None is an empty cell.
 
     Attributes:
-        columns: Their names, with units.
-        digits: Decimals of the numbers of each column; 4 where there are none given.
-        rows: One list of values a row.
+        columns: Names of the columns with units.
+        digits: Number of decimals of each column in Markdown; 4 if None.
+        rows: Values of each row.
     """
 
     columns: Sequence[str]
@@ -24,13 +24,13 @@ class Table:
     rows: list[list[Any]] = field(default_factory=list)
 
     def add(self, *values: Any) -> None:
-        """Add a row, as long as there are columns."""
+        """Append a row with one value per column."""
         if len(values) != len(self.columns):
             raise ValueError(f"{len(values)} values for {len(self.columns)} columns")
         self.rows.append(list(values))
 
     def write_csv(self, path: Path) -> Path:
-        """Write with all digits."""
+        """Write the table with all digits and return the path."""
         with atomic_path(path) as temporary, open(temporary, "w", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(self.columns)
@@ -40,10 +40,10 @@ class Table:
     def markdown(self) -> str:
         """Return the table as Markdown."""
         lines = [self.columns, ["---"] * len(self.columns)]
-        lines += [[self._shown(v, i) for i, v in enumerate(row)] for row in self.rows]
+        lines += [[self._format(v, i) for i, v in enumerate(row)] for row in self.rows]
         return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
-    def _shown(self, value: Any, column: int) -> str:
+    def _format(self, value: Any, column: int) -> str:
         if value is None:
             return ""
         if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""An inversion whose similarity to the truth is noted on the way, and that can be resumed."""
+"""Inversion that records the similarity to the truth at each iteration and can be resumed."""
 
 import json
 import time
@@ -13,17 +13,17 @@ from tactorch.metrics import ssim
 from tactorch.recording import Recording
 from tactorch.reproduce.objects import START_MPA
 
-_NEARLY = 0.98
+_MIN_EVALUATIONS = 0.98  # fraction of a number of evaluations that counts as reached
 
 
 @dataclass(frozen=True)
 class TracePoint:
-    """Where an inversion stood.
+    """State of an inversion after an iteration.
 
     Attributes:
-        evaluations: Solves of all presses so far, the paper's iterations of TNC.
-        seconds: Since its start, without the time that scoring took.
-        ssim: Of its map with the truth.
+        evaluations: Number of solves of all presses, called iterations of TNC in the paper.
+        seconds: Time since the start without scoring, s.
+        ssim: Structural similarity of the map to the truth.
     """
 
     evaluations: int
@@ -33,37 +33,45 @@ class TracePoint:
 
 @dataclass(frozen=True, eq=False)
 class TracedRun:
-    """An inversion and its way."""
+    """Inversion with the trace of its iterations.
 
-    found: Reconstruction
-    way: list[TracePoint]
+    Attributes:
+        result: Result of the inversion.
+        trace: States of all iterations.
+    """
+
+    result: Reconstruction
+    trace: list[TracePoint]
 
     @property
     def seconds(self) -> float:
-        """Of all of it."""
-        return self.way[-1].seconds
+        """Total time, s."""
+        return self.trace[-1].seconds
 
     @property
     def limited(self) -> bool:
-        """Whether it was a limit of time or number that ended it."""
-        return self.found.stop_reason.endswith("limit reached")
+        """Whether a limit of time or of evaluations stopped the inversion."""
+        return self.result.stop_reason.endswith("limit reached")
 
     def ssim_after(self, evaluations: int) -> float | None:
-        """Similarity after so many solves; None where it has not made that many, nor ended.
+        """Return the similarity after a number of evaluations.
 
-        An iterate takes several solves, so a limit is reached when the next would go beyond.
+        An iteration takes several evaluations, so that a limit is reached before its exact number.
+
+        Returns:
+            The similarity; None if a limit stopped the inversion before.
         """
-        past = [m for m in self.way if m.evaluations <= evaluations]
-        short = self.way[-1].evaluations < _NEARLY * evaluations
-        return None if not past or (short and self.limited) else past[-1].ssim
+        points = [point for point in self.trace if point.evaluations <= evaluations]
+        short = self.trace[-1].evaluations < _MIN_EVALUATIONS * evaluations
+        return None if not points or (short and self.limited) else points[-1].ssim
 
     def first_at(self, level: float) -> TracePoint | None:
-        """When its map was first as similar; None where it never was."""
-        return next((m for m in self.way if m.ssim >= level), None)
+        """Return the first state with at least this similarity, or None."""
+        return next((point for point in self.trace if point.ssim >= level), None)
 
 
 def warm_up(recording: Recording) -> None:
-    """Compile and load what the first solve needs, before any clock starts."""
+    """Compile and load the code of the first solve, before time is measured."""
     problem = InverseProblem(replace(recording, truth=None))
     evaluation = problem.evaluate(np.full(recording.mesh.n_tets, START_MPA))
     evaluation.gradient()
@@ -71,55 +79,62 @@ def warm_up(recording: Recording) -> None:
 
 
 def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> TracedRun:
-    """Invert from the paper's start, scoring each iteration's map against the truth.
+    """Invert from the start of the paper and score the map of each iteration.
 
-    The inversion sees a copy of the recording without the truth. A call that was killed goes on
-    from what it left in `scratch`.
+    The recording is inverted without its truth. A killed call continues from its checkpoint.
+
+    Args:
+        recording: Recording with a truth.
+        settings: Settings of the inversion.
+        scratch: Folder of the checkpoint and the trace.
+
+    Returns:
+        The result with its trace.
     """
     truth = recording.truth
     assert truth is not None
     scratch.mkdir(parents=True, exist_ok=True)
-    checkpoint, notes = scratch / "checkpoint.h5", scratch / "way.jsonl"
-    resumed = checkpoint.is_file() and notes.is_file()
-    lines = _read(notes) if resumed else []
-    notes.unlink(missing_ok=True)
-    spent = lines[-1]["spent"] if lines else 0.0
+    checkpoint, file = scratch / "checkpoint.h5", scratch / "trace.jsonl"
+    resumed = checkpoint.is_file() and file.is_file()
+    lines = _read_lines(file) if resumed else []
+    file.unlink(missing_ok=True)
+    scoring = lines[-1]["scoring"] if lines else 0.0
 
-    def note(record: dict[str, Any], youngs: np.ndarray) -> None:
-        nonlocal spent
-        began = time.perf_counter()
+    def add_point(record: dict[str, Any], youngs: np.ndarray) -> None:
+        nonlocal scoring
+        start = time.perf_counter()
         lines.append(
             {
                 "evaluations": record["evaluations"],
-                "seconds": record["seconds"] - spent,
+                "seconds": record["seconds"] - scoring,
                 "ssim": ssim(recording.mesh, youngs, truth),
             }
         )
-        spent += time.perf_counter() - began
-        lines[-1]["spent"] = spent
-        with open(notes, "a") as file:
-            file.write(json.dumps(lines[-1]) + "\n")
+        scoring += time.perf_counter() - start
+        lines[-1]["scoring"] = scoring
+        with open(file, "a") as stream:
+            stream.write(json.dumps(lines[-1]) + "\n")
 
-    notes.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    found = invert(
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    result = invert(
         replace(recording, truth=None),
         settings,
         start_mpa=START_MPA,
         checkpoint=checkpoint,
         resume=checkpoint if resumed else None,
         show_progress=False,
-        on_iteration=note,
+        on_iteration=add_point,
     )
-    way = [TracePoint(line["evaluations"], line["seconds"], line["ssim"]) for line in lines]
-    return TracedRun(found, way)
+    trace = [TracePoint(line["evaluations"], line["seconds"], line["ssim"]) for line in lines]
+    return TracedRun(result, trace)
 
 
-def _read(notes: Path) -> list[dict[str, Any]]:
-    """Lines of an earlier call; one that a kill cut short is dropped."""
-    found = []
-    for line in notes.read_text().splitlines():
+def _read_lines(file: Path) -> list[dict[str, Any]]:
+    """Return the lines of an earlier call up to the first truncated one."""
+    lines = []
+    for line in file.read_text().splitlines():
         try:
-            found.append(json.loads(line))
+            lines.append(json.loads(line))
         except ValueError:
             break
-    return found
+    return lines

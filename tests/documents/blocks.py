@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
 DOCS = ROOT / "docs"
-LANGUAGES = ("python", "sh", "yaml", "text")
+LANGUAGES = ("python", "sh", "toml", "yaml", "text")
 
 _BLOCK = re.compile(
     r"^(?P<marks>(?:[ \t]*<!-- [a-z]+ -->\n\n?)*)"

@@ -184,7 +184,7 @@ def test_a_newcomers_path(folder: Path) -> None:
     """Twenty samples, two epochs, an inversion with the warm start; then what they leave."""
     (path,) = (
         commands(block)
-        for block in blocks(README, "sh")
+        for block in blocks(DOCS / "howto" / "datasets.md", "sh")
         if block.text.startswith("tactorch generate dataset=warmstart")
     )
     assert [words[1] for words in path] == ["generate", "train", "simulate", "invert"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.reproduce.cases import Case, Outcome, make_cases
+from tactorch.reproduce.cases import Case, CaseResult, run_cases
 
 
 class Study(ModuleType):
@@ -18,7 +18,7 @@ class Study(ModuleType):
         self.made: list[str] = []
         self.mended = False
 
-    def work(self, case, scratch):
+    def run_case(self, case, scratch):
         self.made.append(case.name)
         scratch.mkdir(parents=True, exist_ok=True)
         (scratch / "half").write_text("what a kill would leave")
@@ -26,7 +26,7 @@ class Study(ModuleType):
             raise ConfigError("this one\ncannot be made")
         if case.name == "worse":
             raise RuntimeError("nobody foresaw this")
-        return Outcome({"double": 2 * case.settings["x"]}, {"row": np.arange(3.0)})
+        return CaseResult({"double": 2 * case.settings["x"]}, {"row": np.arange(3.0)})
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def cases(**values):
 
 def run(wanted, folder):
     told = []
-    found = make_cases(wanted, folder, 1, lambda *how: told.append(how))
+    found = run_cases(wanted, folder, 1, lambda *how: told.append(how))
     return *found, told
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tactorch.reproduce.design import CELLS, cases, plan_of
+from tactorch.reproduce.design import CELLS, cases, make_plan
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ from tactorch.reproduce.design import CELLS, cases, plan_of
     ],
 )
 def test_cells_press_as_table_2_says(cell: str, pressures_kpa: list[float], sides: int):
-    plan = plan_of(CELLS[cell])
+    plan = make_plan(CELLS[cell])
     assert len(plan.faces) == sides
     assert np.allclose([1e3 * p for p in plan.pressures_mpa] * sides, pressures_kpa)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.reproduce import EXHIBITS, depths, make, recognition, sizes
-from tactorch.reproduce.cases import Outcome
-from tactorch.reproduce.depths import nearest
-from tactorch.reproduce.studies import TITLES, cases_of, study_of, writer_of
+from tactorch.reproduce import EXHIBITS, depths, recognition, reproduce, sizes
+from tactorch.reproduce.cases import CaseResult
+from tactorch.reproduce.depths import classify_depth
+from tactorch.reproduce.studies import STUDIES, TITLES
 
 _COARSE = 0.25
 TINY = {
@@ -50,7 +50,7 @@ def _silent(study: str) -> Iterator:
 
 
 def made(name: str, out: Path) -> str:
-    (path,) = make(name, TINY, out, workers=1, progress=_silent)
+    (path,) = reproduce(name, TINY, out, workers=1, progress=_silent)
     assert path == out / f"{name}.md"
     text = path.read_text()
     assert text.startswith(f"# {TITLES[name]}\n")
@@ -106,7 +106,7 @@ def test_sizes_shift_the_modulus_as_the_paper_says(out, monkeypatch):
     monkeypatch.setattr(sizes, "SIZES", {k: sizes.SIZES[k] for k in ("80 %", "120 %")})
     monkeypatch.setattr(sizes, "_METHODS", ("contact",))
     made("fig9", out)
-    table = {(r["believed"], r["method"]): r for r in rows(out, "fig9")}
+    table = {(r["assumed"], r["method"]): r for r in rows(out, "fig9")}
     assert len(table) == 2
     small, large = (float(table[size, "contact"]["median, MPa"]) for size in ("80 %", "120 %"))
     assert small > 0.2 > large
@@ -117,7 +117,7 @@ def test_depths_are_told(out, monkeypatch):
     text = made("fig10", out)
     table = rows(out, "fig10")
     assert [float(r["true depth, mm"]) for r in table] == [3, 6]
-    assert "depth told right, of seven | 0.9500" in text
+    assert "accuracy of the depth class, of seven | 0.9500" in text
     off = [abs(float(r["estimate, mm"]) - float(r["true depth, mm"])) for r in table]
     assert max(off) < 1.0
     for depth, error in zip((3, 6), off, strict=True):
@@ -126,34 +126,34 @@ def test_depths_are_told(out, monkeypatch):
 
 
 def test_depths_without_any_lump_are_told_of(tmp_path):
-    case = Outcome({"depth_mm": None, "off_mm": None, "radius_mm": None, "seconds": 1.0})
+    case = CaseResult({"depth_mm": None, "off_mm": None, "radius_mm": None, "seconds": 1.0})
     text = depths.fig10({"2mm-00": case}, {"places": 1}, tmp_path)
-    assert "| no lump found |  | 1 |" in text
-    assert "depth told right, of seven | 0.9500 | 0.0000" in text
+    assert "| no inclusion detected |  | 1 |" in text
+    assert "accuracy of the depth class, of seven | 0.9500 | 0.0000" in text
 
 
 @pytest.mark.parametrize(("depth", "told"), [(2.49, 2.0), (2.51, 3.0), (9.9, 8.0), (-1.0, 2.0)])
 def test_the_nearest_depth(depth, told):
-    assert nearest(depth) == told
+    assert classify_depth(depth) == told
 
 
 def test_every_exhibit_has_a_study_and_cases_of_distinct_names():
     assert set(TITLES) == set(EXHIBITS)
-    for study in {study_of(name) for name in EXHIBITS} & set(TINY):
-        names = [case.name for case in cases_of(study, TINY[study])]
+    for study in set(EXHIBITS.values()) & set(TINY):
+        names = [case.name for case in STUDIES[study].cases(TINY[study])]
         assert len(set(names)) == len(names) > 0
 
 
 def test_depths_of_a_larger_study_begin_with_those_of_a_smaller():
-    small = {case.name: case.settings for case in cases_of("depths", TINY["depths"])}
-    large = cases_of("depths", {**TINY["depths"], "places": 3})
+    small = {case.name: case.settings for case in STUDIES["depths"].cases(TINY["depths"])}
+    large = STUDIES["depths"].cases({**TINY["depths"], "places": 3})
     again = {case.name: case.settings for case in large if case.name in small}
     assert again == small
 
 
 def test_unknown_exhibits_are_refused(tmp_path):
     with pytest.raises(ConfigError, match="exhibit=fig6"):
-        make("fig6", TINY, tmp_path, workers=1, progress=_silent)
+        reproduce("fig6", TINY, tmp_path, workers=1, progress=_silent)
     assert not list(tmp_path.iterdir())
 
 
@@ -161,23 +161,23 @@ def test_failures_are_told_and_the_rest_is_written(tmp_path):
     # A load that collapses the object.
     hard = {**TINY, "models": {**TINY["models"], "p_max_mpa": 5.0, "names": ["5b"]}}
     with pytest.raises(TactorchError, match="models 5b"):
-        make("table1", hard, tmp_path, workers=1, progress=_silent)
+        reproduce("table1", hard, tmp_path, workers=1, progress=_silent)
     assert not (tmp_path / "table1.md").exists()
 
 
 def test_an_exhibit_that_is_nothing_without_what_failed_ends_no_other(tmp_path, monkeypatch):
     from tactorch.reproduce import credibility
 
-    first = next(iter(cases_of("credibility", TINY["credibility"]))).name
+    first = next(iter(STUDIES["credibility"].cases(TINY["credibility"]))).name
 
     def failing(case, scratch):
         if case.name == first:
             raise ConfigError("no such cube")
-        return Outcome({"layers": [3.0, 2.0, 1.0]})
+        return CaseResult({"layers": [3.0, 2.0, 1.0]})
 
-    monkeypatch.setattr(credibility, "work", failing)
+    monkeypatch.setattr(credibility, "run_case", failing)
     with pytest.raises(TactorchError, match=r"1 cases failed: .*no such cube"):
-        make("fig3", TINY, tmp_path, workers=1, progress=_silent)
+        reproduce("fig3", TINY, tmp_path, workers=1, progress=_silent)
     assert not (tmp_path / "fig3.md").exists()
     assert len(list((tmp_path / "cases" / "credibility").glob("*.npz"))) == 8
 
@@ -193,8 +193,8 @@ def test_confusion_is_by_the_shapes_of_the_paper(tmp_path, monkeypatch):
     }
     drawn = {}
     monkeypatch.setattr(recognition, "plot_matrices", lambda matrices, path: drawn.update(matrices))
-    text = writer_of("fig11")({"recognizer": Outcome(scores)}, {}, tmp_path)
-    assert "| shapes named right | 0.900 | 0.792 |" in text
+    text = recognition.fig11({"recognizer": CaseResult(scores)}, {}, tmp_path)
+    assert "| accuracy of the recognizer | 0.900 | 0.792 |" in text
     ((shares, names),) = drawn.values()
     assert names == ("cake", "torus", "cone")
     np.testing.assert_allclose(shares, [[0.75, 0, 0.25], [0, 1, 0], [0.5, 0, 0.5]])

@@ -7,7 +7,7 @@ import pytest
 
 from tactorch.inverse import TNC, Settings
 from tactorch.reproduce import models
-from tactorch.reproduce.objects import pressed
+from tactorch.reproduce.objects import press_object
 from tactorch.reproduce.trace import TracedRun, TracePoint, run_with_trace
 
 OBJECT = {"phantom": "cube_sphere", "relative_edge_length": 0.3, "p_max_mpa": 0.02, "steps": 1}
@@ -24,45 +24,45 @@ def settings(count):
 
 @pytest.fixture(scope="module")
 def recording():
-    return pressed(OBJECT)
+    return press_object(OBJECT)
 
 
 def test_each_iteration_is_scored_without_showing_the_truth(recording, tmp_path):
     run = run_with_trace(recording, settings(12), tmp_path)
-    assert [m.evaluations for m in run.way] == sorted(m.evaluations for m in run.way)
-    assert all(m.ssim <= 1.0 for m in run.way)
+    assert [m.evaluations for m in run.trace] == sorted(m.evaluations for m in run.trace)
+    assert all(m.ssim <= 1.0 for m in run.trace)
     assert run.seconds > 0
     other = dataclasses.replace(recording, truth=np.full_like(recording.truth, 0.7))
     blind = run_with_trace(other, settings(12), tmp_path / "other")
-    assert np.allclose(blind.found.youngs, run.found.youngs)
+    assert np.allclose(blind.result.youngs, run.result.youngs)
 
 
 def test_a_run_that_was_stopped_goes_on(recording, tmp_path):
     first = run_with_trace(recording, settings(6), tmp_path)
-    notes = tmp_path / "way.jsonl"
+    notes = tmp_path / "trace.jsonl"
     notes.write_text(notes.read_text() + '{"evaluations": 9, "sec')  # a kill in the midst of it
     again = run_with_trace(recording, settings(20), tmp_path)
-    assert again.way[: len(first.way)] == first.way
-    assert again.way[-1].evaluations > first.way[-1].evaluations
+    assert again.trace[: len(first.trace)] == first.trace
+    assert again.trace[-1].evaluations > first.trace[-1].evaluations
     assert again.seconds > first.seconds
 
 
 def test_levels_and_counts_are_found_on_the_way(recording, tmp_path):
     run = run_with_trace(recording, settings(4), tmp_path)
     way = [TracePoint(1, 0.1, 0.2), TracePoint(50, 1.0, 0.6), TracePoint(120, 2.0, 0.5)]
-    limited = TracedRun(run.found, way)
+    limited = TracedRun(run.result, way)
     assert limited.ssim_after(100) == 0.6
     assert limited.ssim_after(500) is None  # it was stopped before
     assert limited.first_at(0.55) == way[1]
     assert limited.first_at(0.9) is None
-    ended = TracedRun(dataclasses.replace(run.found, stop_reason="a local minimum"), way)
+    ended = TracedRun(dataclasses.replace(run.result, stop_reason="a local minimum"), way)
     assert ended.ssim_after(500) == 0.5
 
 
 @pytest.mark.slow
 def test_truncated_newton_goes_on_until_it_has_had_time_enough(recording, tmp_path):
     ours = run_with_trace(recording, Settings(model_error="none"), tmp_path / "ours")
-    best = max(moment.ssim for moment in ours.way)
+    best = max(point.ssim for point in ours.trace)
     given = {"tnc_evaluations": 4, "tnc_patience": 0}
 
     def after(target, patience, name):
@@ -70,10 +70,10 @@ def test_truncated_newton_goes_on_until_it_has_had_time_enough(recording, tmp_pa
         return models._truncated_newton(recording, allowed, target, ours, tmp_path / name)
 
     short = after(best, 0, "tnc")
-    assert short.way[-1].evaluations <= 4
+    assert short.trace[-1].evaluations <= 4
     longer = after(
         best, 8 * short.seconds / ours.first_at(best).seconds, "tnc"
     )  # goes on from there
-    assert longer.way[: len(short.way)] == short.way
-    assert longer.way[-1].evaluations > 4
-    assert after(2.0, 1e6, "never").way[-1].evaluations <= 4  # where ours is never either
+    assert longer.trace[: len(short.trace)] == short.trace
+    assert longer.trace[-1].evaluations > 4
+    assert after(2.0, 1e6, "never").trace[-1].evaluations <= 4  # where ours is never either

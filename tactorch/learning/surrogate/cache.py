@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, Float16, Int, Shaped
 from tactorch.errors import ConvergenceError, FileError
 from tactorch.files import atomic_path
 from tactorch.generation import SampleSet
-from tactorch.generation.work import alone
 from tactorch.learning.surrogate.touch import (
     PRESS_CHANNELS,
     SHARED_CHANNELS,
@@ -22,6 +21,7 @@ from tactorch.learning.surrogate.touch import (
     targets,
     touch,
 )
+from tactorch.processes import single_thread
 
 _log = logging.getLogger(__name__)
 FOLDER = "touch"
@@ -129,7 +129,7 @@ def _work_out(
 
 def _one(found: SampleSet, index: int, count: int, frames: int) -> dict[str, Any] | None:
     sample = found[index]
-    with alone():
+    with single_thread():
         try:
             seen = touch(sample.recording, count, frames)
         except ConvergenceError:

@@ -1,0 +1,72 @@
+"""Independent tasks in worker processes of one thread each."""
+
+import logging
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
+from typing import TypeVar
+
+from tactorch.errors import TactorchError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def run_in_processes(
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None = None
+) -> Iterator[Result]:
+    """Call a function for each task and yield its results in order of completion.
+
+    Args:
+        function: Function that can be pickled; it should use `single_thread` for its computation.
+        tasks: Its arguments.
+        workers: Number of processes; the number of cores if None.
+
+    Yields:
+        The results.
+
+    Raises:
+        TactorchError: A worker process was killed.
+    """
+    from joblib import Parallel, delayed, parallel_config
+
+    count = min(workers or os.cpu_count() or 1, len(tasks))
+    with parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
+        # An interrupted pool warns about the tasks that it cancels.
+        warnings.filterwarnings("ignore", message=".*have been cancelled")
+        pool = Parallel(n_jobs=count, return_as="generator_unordered")
+        try:
+            yield from pool(delayed(function)(task) for task in tasks)
+        except BrokenProcessPool as error:
+            raise TactorchError(
+                "A worker process was killed, probably because memory is exhausted; give fewer"
+                " workers. Finished results are kept: repeat the command to continue."
+            ) from error
+
+
+@contextmanager
+def single_thread() -> Iterator[None]:
+    """Limit every library to one thread and silence informational log messages.
+
+    Results then do not depend on the number of threads.
+    """
+    import numba
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    from tactorch.linalg import limit_workers, single_threaded
+
+    threads, compiled = torch.get_num_threads(), numba.get_num_threads()
+    with ExitStack() as stack:
+        stack.callback(logging.disable, logging.root.manager.disable)
+        logging.disable(logging.INFO)
+        stack.callback(torch.set_num_threads, threads)
+        stack.callback(numba.set_num_threads, compiled)
+        torch.set_num_threads(1)
+        numba.set_num_threads(1)
+        stack.enter_context(threadpool_limits(1))
+        stack.enter_context(single_threaded())
+        stack.enter_context(limit_workers(1))
+        yield
