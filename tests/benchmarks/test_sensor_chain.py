@@ -33,7 +33,9 @@ def test_sides_are_turned_up(benchmark: ModuleType) -> None:
         [],
         pytest.param(
             ["--cell", "1.0", "--element", "tet10"],
-            marks=pytest.mark.xfail(reason="11 % too much force, the ball 2.1 mm off: see the docs"),
+            marks=pytest.mark.xfail(
+                reason="11 % too much force, the ball 2.1 mm off: see the docs"
+            ),
         ),
     ],
 )
