@@ -39,6 +39,9 @@ def check_overrides(
     """
     words = [_renamed(word, schema) for word in words]
     overrides = [_parse(word, schema) for word in words]
+    for override in overrides:
+        if override.key_or_group in schema.defaults:
+            _check_options(override, override.key_or_group, schema)
     entries, chosen = _reachable(schema, overrides)
     return [
         _checked(override, word, schema, entries, chosen, multirun, trusted)
@@ -145,7 +148,7 @@ def _checked(
             f"list, or \"{key}='{value}'\" for one value with a comma in it."
         )
     if key in schema.defaults:
-        _check_options(override, key, schema)
+        pass
     elif table := _table_of(key, entries):
         plain = word.lstrip("+")
         return word if override.is_delete() else f"++{plain}" if key != table else plain

@@ -1,6 +1,7 @@
 """Named components of a kind, built in or from installed packages, and settings that choose one."""
 
 import difflib
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -88,17 +89,21 @@ class Registry:
 
     def name_of(self, component: type) -> str:
         """Return the name of a component class, or its import path where it has no name."""
-        path = f"{component.__module__}:{component.__qualname__}"
         paths = self._paths | {name: entry.value for name, entry in self._plugins().items()}
+        for name, path in paths.items():
+            module, _, attribute = path.partition(":")
+            if getattr(sys.modules.get(module), attribute, None) is component:
+                return name
         added = (name for name, value in self._added.items() if value is component)
-        return next((name for name, known in paths.items() if known == path), next(added, path))
+        return next(added, f"{component.__module__}:{component.__qualname__}")
 
-    def build(self, given: Any) -> Any:
+    def build(self, given: Any, section: str = "") -> Any:
         """Make the settings of a component.
 
         Args:
             given: A name, a table with the key "name" and other settings, or an object made
                 already, which is returned as it is.
+            section: Where the settings stand, for messages; that of the registry by default.
 
         Raises:
             ConfigError: the name or a setting is unknown, or a value cannot be used.
@@ -107,12 +112,14 @@ class Registry:
             given = {"name": given}
         if not isinstance(given, Mapping):
             return given
-        values = dict(given)
+        values, section = dict(given), section or self.section
         name = values.pop("name", None)
         if not isinstance(name, str):
             names = ", ".join(self.names())
-            raise ConfigError(f"{self.section}.name={name!r}: choose one of {names}.")
-        return build(self[name], values, self.section, f"{self.section}={name}")
+            raise ConfigError(f"{section}.name={name!r}: choose one of {names}.")
+        if name not in self:
+            raise ConfigError(unknown_choice(section, name, self.names()))
+        return build(self[name], values, section, f"{section}={name}")
 
     def _plugins(self) -> dict[str, Any]:
         return {entry.name: entry for entry in entry_points(group=self.group)}
