@@ -4,7 +4,7 @@
                                          [--worlds "same mesh" "other mesh"] [--out FOLDER]
 
 A hemisphere of 10 mm radius, 0.1 MPa, held at its flat side, with two balls of 0.5 MPa at unequal
-depths and sides, drawn anew by each seed. It is pressed by a round sensor of 3 mm radius, normal
+depths and sides, drawn for each seed. It is pressed by a round sensor of 3 mm radius, normal
 to the surface, at 12 kPa; noise is 1 % of the typical displacement under the sensor. The inversion
 has its default settings, but stops at a fall of one part in a hundred or after 25 iterations. No
 rule sees the truth.

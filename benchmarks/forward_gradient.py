@@ -13,9 +13,9 @@ and the same nodal forces; torch-fem runs with each of its linear solvers (direc
 PARDISO, and conjugate gradients with algebraic multigrid) and the faster one counts, for each
 figure apart; the two packages take turns, so that other work on the machine hits both.
 
-tactorch factors the tangent at the equilibrium within its forward solve when a gradient is asked
-for, so its gradient is one solve: the sum of both times is shown as well. Medians are compared;
-the best times, which other work on the machine disturbs least, stand beside them, and so does the
+tactorch factors the tangent at the equilibrium within its forward solve when a gradient is
+requested, so its gradient is one solve: the sum of both times is shown as well. Medians are
+compared; best times, which are least affected by other processes, are given as well, with the
 share of the cores that other processes took.
 
 The table goes to the terminal and, with the machine's description, to a Markdown and a JSON

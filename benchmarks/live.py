@@ -13,7 +13,7 @@ the map is there, saved and told (`processor`: the time of this process alone, o
 other work on the machine lengthens less; `host`: what a virtual machine's host meanwhile gave to
 others, of all cores; a dash where that cannot be told); `picture` until live.png and live.html show
 it; `next` until the next place is known and shown too. An update has a limit of time; a row
-`at rest` is of the map settled after it, while no other press waits. Below, the map after the last
+`at rest` is of the converged map, while no other press waits. Below, the map after the last
 press beside a whole inversion of the same recording from 0.2 MPa (`invert`), and what `invert`
 takes from the last map: without what is kept from press to press. Nothing reads the truth but the
 scores. The last line printed is one JSON object.

@@ -1,4 +1,4 @@
-"""What is wrongly believed, and estimated (Section V-C2, Fig. 9, and beyond).
+"""Wrong assumptions and their joint estimation (Section V-C2, Fig. 9, and beyond).
 
     python benchmarks/nuisance.py [--only CASE ...] [--snr-db 40] [--out FOLDER]
 
@@ -7,13 +7,13 @@ three sides in four steps up to 20 kPa, with white noise; once simulated on the 
 inverted on, as in the paper (an inverse crime), and once on a mesh twice as fine. Each case is
 inverted three times:
 
-- `right`: with the right beliefs, the map alone unknown;
-- `wrong`: with a wrong belief, the map alone unknown, as in Fig. 9 of the paper;
-- `joint`: with the same wrong belief, the nuisance parameter estimated beside the map; its prior
+- `right`: with the right assumptions, the map alone unknown;
+- `wrong`: with a wrong assumption, the map alone unknown, as in Fig. 9 of the paper;
+- `joint`: with the same wrong assumption, the nuisance parameter estimated with the map; its prior
   deviation is the size of the errors studied here: 0.02 in Poisson's ratio, 20 % in force, 10 % in
   size.
 
-A case holds when the error of `joint` is within twice that of `right`. Sizes are believed wrong
+A case holds when the error of `joint` is within twice that of `right`. Sizes are assumed wrong
 about what holds the object, so that displacements have the difference of the shapes in them. The
 last line printed is one JSON object with all figures.
 """
@@ -41,9 +41,9 @@ MESHES = ("same", "other")
 
 @dataclass(frozen=True)
 class Case:
-    """A wrong belief, and the nuisance parameters that may explain it."""
+    """A wrong assumption, and the nuisance parameters that may explain it."""
 
-    beliefs: dict[str, Any]
+    assumptions: dict[str, Any]
     free: tuple[str, ...] = field(default=())
 
 
@@ -90,11 +90,11 @@ def study(recording: Recording, names: list[str], title: str, lines: list[str]) 
 
     right = judge(recording, recording, ())
     say(f"\n{title}\n{_header()}")
-    say(_row("right beliefs", right))
+    say(_row("right assumptions", right))
     cases: dict[str, Any] = {}
     for name in names:
         case = CASES[name]
-        seen = perturb_recording(recording, **case.beliefs)
+        seen = perturb_recording(recording, **case.assumptions)
         cases[name] = {}
         for kind, free in (("wrong", ()), ("joint", case.free)):
             found = judge(recording, seen, free)

@@ -4,8 +4,8 @@
 
 Cubes of 10 mm and 0.2 MPa with a ball of 1 MPa (radius 2 mm, 3 mm below the top), twelve presses:
 three sides at 5, 10, 15 and 20 kPa, noise of 40 dB, meshed with five tetrahedra a cell to about
-the sizes asked for. Each is inverted with matrix-free Newton-CG from 0.2 MPa everywhere, in a
-process of its own, whose largest resident memory and processor time (start-up included; the figure
+the requested sizes. Each is inverted with matrix-free Newton-CG from 0.2 MPa everywhere, in a
+separate process, whose largest resident memory and processor time (start-up included; the figure
 that other work on the machine disturbs least) are read when it ends. The presses are computed,
 in another process, on the mesh that is inverted: an inverse crime, which changes neither time nor
 memory of the inversion but flatters its correlation with the truth.
@@ -113,7 +113,7 @@ def run_size(size: int, max_seconds: float | None) -> dict[str, Any]:
 
 
 def child(*arguments: str) -> str:
-    """Run this script in a process of its own; returns what it prints."""
+    """Run this script in a separate process and return its output."""
     command = [sys.executable, str(Path(__file__).resolve()), *arguments]
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 

@@ -32,7 +32,7 @@ from typing import Any
 
 import yaml
 
-#: An existing component of each kind: its setting, its class and a setting of its own.
+#: An existing component of each kind: its setting, its class and a setting of this component.
 EXTENSIONS = {
     "material": ("mooney_rivlin", "MooneyRivlin"),
     "prior": ("matern", "Matern", "length_mm"),

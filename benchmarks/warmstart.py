@@ -85,7 +85,7 @@ def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str,
     """Invert from both starts; figures of both, and of the surrogate's map itself."""
     truth = recording.truth
     assert truth is not None
-    foretold = scores(recording.mesh, start.predict(recording).youngs, truth)
+    predicted = scores(recording.mesh, start.predict(recording).youngs, truth)
     about = start.with_prior_mean(Settings(), recording)
     runs = {
         "uniform": (homogeneous, Settings()),
@@ -100,7 +100,7 @@ def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str,
     return {
         "name": name,
         "presses": len(recording.presses),
-        "foretold": {"pearson": foretold["pearson"], "ssim": foretold["ssim"]},
+        "predicted": {"pearson": predicted["pearson"], "ssim": predicted["ssim"]},
         "target_chi2": target,
         **{kind: figures(one, recording, target) for kind, one in found.items()},
     }
@@ -131,8 +131,8 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     keys = ("iterations_to_misfit", "seconds_to_misfit", "iterations", "seconds", "ssim", "pearson")
     return {
         "objects": len(rows),
-        "foretold_pearson": mean("foretold", "pearson"),
-        "foretold_ssim": mean("foretold", "ssim"),
+        "predicted_pearson": mean("predicted", "pearson"),
+        "predicted_ssim": mean("predicted", "ssim"),
         **{kind: {key: mean(kind, key) for key in keys} | _losses(rows, kind) for kind in KINDS},
     }
 
@@ -149,7 +149,8 @@ def _losses(rows: list[dict[str, Any]], kind: str) -> dict[str, float]:
 def told(found: dict[str, Any]) -> list[str]:
     """The summary in words."""
     lines = [
-        f"The surrogate alone: r {found['foretold_pearson']:.3f}, SSIM {found['foretold_ssim']:.3f}"
+        f"The surrogate alone: r {found['predicted_pearson']:.3f}, "
+        f"SSIM {found['predicted_ssim']:.3f}"
         f" over {found['objects']} objects.",
         "",
         "| means over the objects | iterations to misfit | s | iterations to the end | s | SSIM |"
@@ -169,7 +170,7 @@ def told(found: dict[str, Any]) -> list[str]:
 
 HEADER = (
     "Three figures in a cell: from uniform, from the surrogate, from it and about it.\n\n"
-    "| object | presses | foretold r | SSIM | chi2 at first | iterations to misfit | s |"
+    "| object | presses | predicted r | SSIM | chi2 at first | iterations to misfit | s |"
     " iterations | SSIM | r |\n|" + "---|" * 10
 )
 
@@ -181,8 +182,8 @@ def row(one: dict[str, Any]) -> str:
         return " / ".join(format(one[kind][key], form) for kind in KINDS)
 
     cells = [
-        one["name"], one["presses"], f"{one['foretold']['pearson']:.3f}",
-        f"{one['foretold']['ssim']:.3f}", three("first_chi2", ".3g"),
+        one["name"], one["presses"], f"{one['predicted']['pearson']:.3f}",
+        f"{one['predicted']['ssim']:.3f}", three("first_chi2", ".3g"),
         three("iterations_to_misfit", "d"), three("seconds_to_misfit", ".2f"),
         three("iterations", "d"), three("ssim", ".3f"), three("pearson", ".3f"),
     ]  # fmt: skip

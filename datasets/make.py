@@ -5,7 +5,7 @@
     python datasets/make.py recognition workers=8 out=/big/disk/recognition
 
 Stopped or killed, the same command goes on where it was. What is in each, and how long it takes,
-is told in README.md beside this file; each dataset gets a card of its own, with pictures.
+is described in README.md in this folder; each dataset has a data card with pictures.
 """
 
 import sys

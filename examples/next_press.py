@@ -1,7 +1,7 @@
 """Let tactorch choose where to press next.
 
 A simulated robot holds a sensor of 2.5 mm radius over a cube with a stiff ball in a corner, and may
-press three times. After each press all presses so far are inverted, and the rule foretells at which
+press three times. After each press all presses so far are inverted, and the rule predicts at which
 place the next one would lower the map's expected error most.
 """
 

@@ -1,4 +1,4 @@
-"""The recognition study from nothing (Section V-B): data, ten trainings, judgement, harder data.
+"""The recognition study from scratch (Section V-B): data, ten trainings, judgement, harder data.
 
     python train/recognizer.py [FOLDER]         data and runs go there; outputs/recognizer otherwise
 

@@ -1,4 +1,4 @@
-"""Make the surrogate that ships with tactorch, from nothing: data, training, judgement, weights.
+"""Make the surrogate that ships with tactorch, from scratch: data, training, judgement, weights.
 
     python train/surrogate.py [FOLDER]          data and run go there; outputs/surrogate otherwise
 

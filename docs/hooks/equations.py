@@ -11,7 +11,7 @@ _FORMULA = re.compile(
 _TAG = re.compile(r"\\tag\{([^}]*)\}")
 _LETTER = re.compile(r'<mi mathvariant="(bold|bold-italic|double-struck)">([^<]*)</mi>')
 _UPRIGHT = re.compile(r'<mrow>((?:<mi mathvariant="normal">\w</mi>)+)</mrow>')
-# MathML Core knows no bold: letters of other looks are letters of their own.
+# MathML Core has no bold: styled letters are separate characters.
 _BOLD, _REALS = (0x1D400, 0x1D41A), "ℝ"
 
 

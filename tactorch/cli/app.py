@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 from tactorch.cli.logs import to_log_file
 from tactorch.cli.status import INTERRUPTED, WRONG
 from tactorch.cli.tables import is_rich
+from tactorch.text import printable
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -214,7 +215,7 @@ def fail(message: str, command: str = "") -> NoReturn:
 def _print_error(message: str, command: str) -> None:
     """Print an error as one line, also where a library's message has several."""
     start = f"tactorch {command}".rstrip()
-    print(f"{start}: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"{start}: error: {printable(' '.join(message.split()))}", file=sys.stderr)
 
 
 @contextmanager

@@ -11,7 +11,8 @@ from tactorch.errors import ConfigError
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-_PLAIN_LINES = {"formatters": {"simple": {"format": "%(message)s"}}}
+_LINES = {"format": "%(message)s", "class": "tactorch.text.PrintableFormatter"}
+_PLAIN_LINES = {"formatters": {"simple": _LINES}}
 #: What all commands share of Hydra's own settings: run folders and plain logs.
 _HYDRA: Mapping[str, Any] = {
     "run": {"dir": "${run_dir}"},

@@ -7,7 +7,6 @@ The run folder gets scores.json, calibration.png and examples.png, and for a rec
 confusion.png. A run of several splits is evaluated on the test part of each.
 """
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -17,10 +16,10 @@ from tactorch.cli.networks import make_data, make_model, model_name
 from tactorch.cli.options import CommandOptions
 from tactorch.cli.outputs import write_json
 from tactorch.cli.settings import run_folder
-from tactorch.cli.train import DATA_FILE, TrainOptions, check_data
+from tactorch.cli.train import TrainOptions, check_data, read_data
 from tactorch.config import option
-from tactorch.errors import ConfigError, FileError
-from tactorch.files import require_file, require_folder
+from tactorch.errors import ConfigError
+from tactorch.files import require_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,22 +60,12 @@ def _load_split(
         trained, part = replace(trained, data=data), "test"
     module = make_data(trained, number)
     own = place if trained.splits == 1 else place / f"split-{number:02d}"
-    facts = _read_facts(own / DATA_FILE)
+    facts = read_data(own)
     if options.folder is None:
         check_data(own, module)
     if not module.parts[part]:
         raise ConfigError(f"part={part} of the run's dataset is empty; choose another.")
     return _network(trained, module, facts, own), module, part, facts
-
-
-def _read_facts(path: Path) -> dict[str, Any]:
-    text = require_file(path, "facts of the training data").read_bytes()
-    try:
-        facts = json.loads(text)
-        facts["fingerprint"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise FileError(f"'{path}' is damaged ({error!r}); train again.") from error
-    return dict(facts)
 
 
 def _network(trained: TrainOptions, data: Any, facts: dict[str, Any], own: Path) -> Any:

@@ -22,7 +22,7 @@ from tactorch.cli.outputs import DERIVED_RESULTS, RESULTS, read_histories, write
 from tactorch.cli.resume import CHECKPOINT, checkpoint_of
 from tactorch.cli.settings import inversion_settings, make_start, run_folder
 from tactorch.config import option
-from tactorch.inverse import INTERRUPTED, OPTIMIZERS, Reconstruction, Settings, invert
+from tactorch.inverse import OPTIMIZERS, Reconstruction, Settings, StopReason, invert
 from tactorch.recording import Recording
 
 
@@ -72,7 +72,7 @@ def invert_recording(
     )
     path = str(source.resolve())
     write_outputs(out, recording, reconstruction, source=path, others=others, plots=options.plots)
-    if reconstruction.stop_reason == INTERRUPTED:
+    if reconstruction.stop_reason == StopReason.INTERRUPTED:
         raise KeyboardInterrupt
     return reconstruction
 

@@ -9,7 +9,6 @@
 The run folder gets the weights (best.ckpt), curve.json, scores.json and TensorBoard's files.
 """
 
-import json
 import logging
 import warnings
 from dataclasses import dataclass, replace
@@ -26,10 +25,12 @@ from tactorch.cli.progress import progress
 from tactorch.cli.settings import run_folder
 from tactorch.cli.tables import Table
 from tactorch.config import option, to_mapping
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, FileError
+from tactorch.files import read_json
 from tactorch.learning.training import EpochsTold, TrainerOptions, fit
 
 SCORES, DATA_FILE = "scores.json", "data.json"
+_REMEDY = "restore it, or train again."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +77,7 @@ def _train_split(options: TrainOptions, number: int, place: Path) -> dict[str, f
     """Train on one split, unless its training is complete; return its scores."""
     done = place / "split.json"
     if options.resume is not None and done.is_file():
-        stored: dict[str, Any] = json.loads(done.read_text(encoding="utf-8"))
+        stored = read_json(done, "scores of a split", _REMEDY, "settings", "scores")
         if stored["settings"] == _decisive(options):
             scores: dict[str, float] = stored["scores"]
             return scores
@@ -106,16 +107,28 @@ def _clear(out: Path) -> None:
             stale.unlink()
 
 
+def read_data(place: Path) -> dict[str, Any]:
+    """Return the facts that a run stored of its data.
+
+    Raises:
+        FileError: the file is missing or damaged.
+    """
+    facts = read_json(place / DATA_FILE, "record of the training data", _REMEDY, "fingerprint")
+    classes = facts.get("classes", [])
+    if not isinstance(classes, list) or not all(isinstance(name, str) for name in classes):
+        raise FileError(
+            f"'{place / DATA_FILE}': classes={classes!r} is no list of names; {_REMEDY}"
+        )
+    return facts
+
+
 def check_data(place: Path, data: Any) -> None:
     """Refuse data or a split other than those of the training, whose parts may overlap.
 
     Raises:
         ConfigError: they differ.
     """
-    path = place / DATA_FILE
-    if not path.is_file():
-        return
-    if json.loads(path.read_text(encoding="utf-8"))["fingerprint"] != data.fingerprint:
+    if (place / DATA_FILE).is_file() and read_data(place)["fingerprint"] != data.fingerprint:
         raise ConfigError(
             f"'{place}' was trained on other data, or on another split of them; give the same"
             " data.folder, data.split and data.shares, or train again."

@@ -104,7 +104,7 @@ def _range(range_mpa: Range, truth: Float[np.ndarray, " m"]) -> float:
     if not (np.isfinite(peak) and peak > 0):
         raise ConfigError(
             f"range_mpa is {range_mpa!r}, which comes to {peak:g} MPa; give a range above 0 "
-            "(a homogeneous truth has none of its own)"
+            "(a homogeneous truth has no range)"
         )
     return peak
 

@@ -58,7 +58,7 @@ def find_inclusion(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> Inclusion 
     Elements past half way from the background to the extreme are taken, stiff or soft
     (`tactorch.metrics.segment` has the rule); of these the face-connected region of largest
     volume. Maps that stay within 2 % of their background have none.
-    `tactorch.findings.find_lump`, which the commands use, bears wild elements better.
+    `tactorch.findings.find_lump`, which the commands use, is more robust to outliers.
 
     Args:
         mesh: The body, m elements.

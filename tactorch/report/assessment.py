@@ -147,14 +147,14 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     summary = UncertaintySummary(
         metric, low, high, resolution, at_bound, type(posterior).__name__, confidence
     )
-    corrected = None if point.objective.problem.model_deviation is None else True
+    corrected = None if point.objective.problem.data.model_deviation is None else True
     return Assessment(summary, _corrected_fits(recording, point), "", corrected)
 
 
 def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:
     evaluation, fits = point.evaluation, []
     for observation, reported, deviations in zip(
-        point.objective.problem.observations,
+        point.objective.problem.data.observations,
         evaluation.reported,
         evaluation.deviations,
         strict=True,

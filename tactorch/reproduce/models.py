@@ -144,8 +144,8 @@ def table1(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: P
     bounds = [name for name, o in results.items() if _ratio(o.figures)[1]]
     if bounds:
         lines.append(
-            f"In {', '.join(bounds)} TNC did not reach the SSIM of the paper within its time limit;"
-            " the limit is used instead, so that the ratio is a lower bound."
+            f"In {', '.join(bounds)} TNC did not reach the SSIM of the paper within its time;"
+            " its total time is used instead, so that the ratio is a lower bound."
         )
     never = [name for name, o in results.items() if o.figures["ours"]["to_target"] is None]
     if never:

@@ -1,6 +1,6 @@
 """Recognition (Section V-B, Fig. 11): similarity of the truths, and accuracy of the recognizer.
 
-The network is trained and evaluated by the commands of users, on reconstructions of its own
+The network is trained and evaluated by the commands of users, on reconstructions of a separate
 dataset: `tactorch generate`, `tactorch train experiment=recognizer` with several splits, and
 `tactorch evaluate-model`. The accuracy of people by touch is that of the paper; software cannot
 reproduce it.

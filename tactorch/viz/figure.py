@@ -15,7 +15,7 @@ from tactorch.files import atomic_path
 from tactorch.text import printable
 
 FORMATS = (".png", ".pdf", ".svg")
-#: Okabe and Ito's colours, which colour-blind readers can tell apart.
+#: Okabe and Ito's colours, which colour-blind readers can distinguish.
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, "#E69F00", "#56B4E9", "#000000")
 #: Colour of contact: differs from every colour of viridis and cividis.

@@ -5,18 +5,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tactorch.cli.options import CommandOptions
-from tactorch.config import Options, Registry, option
-
-#: Objects that a session can be recorded on.
-OBJECTS = Registry(
-    "object",
-    {
-        "box": "tactorch.cli.sensor.options:BoxObject",
-        "mesh": "tactorch.cli.sensor.options:MeshObject",
-        "virtual_cube": "tactorch.cli.sensor.options:VirtualCubeObject",
-    },
-    "objects that are pressed",
-)
+from tactorch.config import Options, option
+from tactorch.fem import MATERIALS  # noqa: F401  (registries of the sections)
+from tactorch.sensor.recorder import OBJECTS  # noqa: F401
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +96,9 @@ class CalibrateSettings(BallSettings):
     marker_diameter_px: float | None = option(
         None, "Diameter of the markers; null: the sensor's, where it has markers", unit="px", gt=0
     )
-    map: Literal["auto", "mlp", "mlp_colour", "lookup"] = option(
-        "auto", "Map from colour to slope; auto: least error on held-out presses"
+    map: str = option(
+        "auto",
+        "Map from colour to slope (mlp, mlp_colour, lookup); auto: least error on held-out presses",
     )
     rounds: int = option(
         6, "Alternations of fitting the map and the contacts; 0: contacts are exact", ge=0
@@ -154,39 +146,6 @@ class ReconstructSettings(ContactSettings, PictureSettings, SequenceSettings):
 @dataclass(frozen=True, kw_only=True)
 class ForceSettings(GelSettings, ContactSettings, PictureSettings, SequenceSettings):
     """Settings of `tactorch sensor force`."""
-
-
-@dataclass(frozen=True)
-class BoxObject(Options):
-    """A cuboid of known place."""
-
-    section = "object"
-    size_mm: tuple[float, float, float] = option((10.0, 10.0, 10.0), "Size", unit="mm", gt=0)
-    origin_mm: tuple[float, float, float] = option(
-        (0.0, 0.0, 0.0), "Lowest corner in the object's frame", unit="mm"
-    )
-    edge_mm: float = option(1.25, "Edge length of its elements", unit="mm", gt=0)
-
-
-@dataclass(frozen=True)
-class MeshObject(Options):
-    """A mesh of the object at rest, in the object's frame."""
-
-    section = "object"
-    path: Path = option(help="Tetrahedra as .msh (gmsh), .vtu or .inp (Abaqus, CalculiX)")
-    unit: Literal["mm", "cm", "m"] = option("mm", "Unit of the file")
-
-
-@dataclass(frozen=True)
-class VirtualCubeObject(Options):
-    """A region under the first contact, for an object whose shape is not known."""
-
-    section = "object"
-    side_mm: float = option(
-        10.0, "Side of the pressed face, across the sensor's axis", unit="mm", gt=0
-    )
-    depth_mm: float | None = option(None, "Depth along it; null: as the side", unit="mm", gt=0)
-    edge_mm: float = option(1.0, "Edge length of its elements", unit="mm", gt=0)
 
 
 @dataclass(frozen=True, kw_only=True)

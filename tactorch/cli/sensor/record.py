@@ -26,24 +26,25 @@ from tactorch.cli.progress import ProgressCallback, progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.growing import grow
 from tactorch.cli.sensor.inputs import calibrated, reference_of
-from tactorch.cli.sensor.options import MeshObject, RecordSettings, VirtualCubeObject
+from tactorch.cli.sensor.options import RecordSettings
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.sensor.tables import write_table
 from tactorch.cli.settings import log, material_spec, run_folder
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.files import require_file
-from tactorch.mesh import TetMesh, box_mesh, read_mesh
+from tactorch.mesh import TetMesh
 from tactorch.sensor.chain import ChainOptions, SensorChain
-from tactorch.sensor.contact import ContactOptions, Poses, read_poses
+from tactorch.sensor.contact import ContactOptions
 from tactorch.sensor.gel import GelModel
+from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.recorder import (
     Fixture,
-    Recorded,
     RecordOptions,
+    SessionRecording,
     VirtualCube,
-    contacts_as_they_end,
     record,
+    record_streaming,
 )
 from tactorch.viz.session import plot_presses, plot_session
 
@@ -57,7 +58,7 @@ def run(cfg: RecordSettings) -> Path:
     """Record a session; returns the recording's path."""
     place = run_folder()
     film.clear(place, _STEM, (_TABLE, _PRESSES))
-    out = place / _RECORDING if cfg.out is None else Path(str(cfg.out))
+    out = place / _RECORDING if cfg.out is None else cfg.out
     target, options, material = object_of(cfg), options_of(cfg), material_spec(cfg.material)
     sensor, calibration = calibrated(cfg)
     reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
@@ -69,7 +70,7 @@ def run(cfg: RecordSettings) -> Path:
     poses = poses_of(cfg, frames)
     if cfg.as_they_end:
         return grow(
-            contacts_as_they_end(
+            record_streaming(
                 frames, chain, poses, target, material, options, provenance=facts
             ), out,
         )  # fmt: skip
@@ -104,7 +105,9 @@ def poses_of(cfg: RecordSettings, frames: FrameSequence) -> Callable[[], Poses]:
 
     def read() -> Poses:
         found = read_poses(str(cfg.poses), growing=cfg.as_they_end)
-        return found if cfg.poses_clock == "frames" else found.since(frames.zero_unix_s or 0.0)
+        return (
+            found if cfg.poses_clock == "frames" else found.relative_to(frames.zero_unix_s or 0.0)
+        )
 
     return read
 
@@ -131,21 +134,14 @@ class _Stages:
 
 
 def object_of(cfg: RecordSettings) -> TetMesh | VirtualCube:
-    """Return the mesh of the object at rest, or the region that replaces it.
+    """Return the mesh of the object at rest, or a virtual cube.
 
     Raises:
         ConfigError: A value cannot be used.
         FileError: The mesh cannot be read.
     """
     target = cfg.object
-    if isinstance(target, MeshObject):
-        return read_mesh(str(target.path), target.unit)
-    if isinstance(target, VirtualCubeObject):
-        return VirtualCube(target.side_mm, target.depth_mm, target.edge_mm)
-    if min(target.size_mm) < target.edge_mm:
-        raise ConfigError(f"object.edge_mm={target.edge_mm:g}: give no more than a side.")
-    counts = [max(1, round(size / target.edge_mm)) for size in target.size_mm]
-    return box_mesh(target.size_mm, counts, origin_mm=target.origin_mm, tets_per_cell=5)
+    return target if isinstance(target, VirtualCube) else target.mesh()
 
 
 def options_of(cfg: RecordSettings) -> RecordOptions:
@@ -154,35 +150,35 @@ def options_of(cfg: RecordSettings) -> RecordOptions:
     Raises:
         ConfigError: A value cannot be used.
     """
-    virtual = isinstance(cfg.object, VirtualCubeObject)
+    virtual = isinstance(cfg.object, VirtualCube)
     untouched = ("sensor" if virtual else "unseen") if cfg.untouched == "auto" else cfg.untouched
-    hold = Fixture(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
-    touching = ContactOptions(cfg.reach_mm, untouched)
-    return RecordOptions(cfg.steps, cfg.min_frames, cfg.first_touch, None, hold, touching)
+    fixture = Fixture(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
+    contact = ContactOptions(cfg.reach_mm, cast(Any, untouched))
+    return RecordOptions(cfg.steps, cfg.min_frames, cfg.first_touch, None, fixture, contact)
 
 
-def _write(place: Path, found: Recorded) -> None:
+def _write(place: Path, found: SessionRecording) -> None:
     kept = {row["frame"] for row in found.presses}
     rows = [
-        (one.name, one.time_s, one.depth_mm, None if one.contact is None else one.contact + 1,
-         int(one.name in kept), one.fault or found.passed_over.get(one.name, ""))
-        for one in found.session.glances
+        (one.name, one.time_s, one.depth_mm, None if number is None else number + 1,
+         int(one.name in kept), one.fault or found.skipped.get(one.name, ""))
+        for one, number in zip(found.frames, found.contact_numbers(), strict=True)
     ]  # fmt: skip
     write_table(place / _TABLE, _HEADER, rows)
     forces = [float(np.linalg.norm(row["force_n"])) for row in found.presses]
     values: dict[str, Any] = {
-        "frames": len(found.session.glances),
-        "contacts": len(found.session.contacts),
+        "frames": len(found.frames),
+        "contacts": len(found.contacts),
         "presses": found.presses,
-        "faulty": found.session.faults,
-        "passed_over": found.passed_over,
+        "faulty": found.faults,
+        "skipped": found.skipped,
         "noise_mm": found.recording.presses[0].noise_mm,
     }
     lines = [
-        f"{len(found.presses)} presses of {len(found.session.contacts)} contacts in"
-        f" {len(found.session.glances)} frames; forces up to {max(forces):.3g} N.",
-        *(f"  {name}: {fault}" for name, fault in found.session.faults.items()),
-        *(f"  {name} became no press: {why}" for name, why in found.passed_over.items()),
+        f"{len(found.presses)} presses of {len(found.contacts)} contacts in"
+        f" {len(found.frames)} frames; forces up to {max(forces):.3g} N.",
+        *(f"  {name}: {fault}" for name, fault in found.faults.items()),
+        *(f"  {name} became no press: {why}" for name, why in found.skipped.items()),
         "",
         found.recording.summary(),
     ]
