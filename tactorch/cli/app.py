@@ -109,12 +109,13 @@ class App:
         """Let Hydra compose the settings and call `job`."""
         import hydra
 
-        from tactorch.cli.compose import store_config
+        from tactorch.cli.compose import SEARCH_PACKAGE, store_config
 
         debugging = os.environ.get(_DEBUG) == "1"
         with _hydra_process(f"tactorch {self.command}", self._arguments()):
             name = store_config(self._schema)
-            app = hydra.main(version_base="1.3", config_path=None, config_name=name)
+            path = f"pkg://{SEARCH_PACKAGE}"
+            app = hydra.main(version_base="1.3", config_path=path, config_name=name)
             try:
                 app(self.job)()
             except Exception as error:

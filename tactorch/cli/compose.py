@@ -11,6 +11,8 @@ from tactorch.errors import ConfigError
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+#: Hydra looks for settings here first: a package without any, so that it takes those of its store.
+SEARCH_PACKAGE = "tactorch.config"
 _LINES = {"format": "%(message)s", "class": "tactorch.text.PrintableFormatter"}
 _PLAIN_LINES = {"formatters": {"simple": _LINES}}
 #: What all commands share of Hydra's own settings: run folders and plain logs.
@@ -74,11 +76,11 @@ def build_options(command: str, cfg: "DictConfig") -> Any:
 
 def compose_options(command: str, words: Sequence[str] = ()) -> Any:
     """Return the typed options of a command for settings as typed, without running it."""
-    from hydra import compose, initialize
+    from hydra import compose, initialize_config_module
 
     schema = load_schema(command)
     checked = check_overrides(schema, words)
-    with initialize(version_base="1.3", config_path=None):
+    with initialize_config_module(SEARCH_PACKAGE, version_base="1.3"):
         return build_options(command, compose(store_config(schema), checked))
 
 
