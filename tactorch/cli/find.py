@@ -18,11 +18,11 @@ from tactorch.cli.settings import log
 from tactorch.config import option
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
-from tactorch.findings import Finding, finding_of
+from tactorch.findings import Finding, build_finding
 from tactorch.inverse import settings_from
 from tactorch.recording import Recording
 from tactorch.report import Run, load_run
-from tactorch.uncertainty import GaussianPosterior, posterior_of
+from tactorch.uncertainty import GaussianPosterior, compute_posterior
 from tactorch.uncertainty.select import UNCOMPUTABLE
 
 
@@ -38,7 +38,7 @@ class FindOptions(UnitCheck, CommandOptions):
         None, "Run of tactorch train experiment=recognizer, to name the shape"
     )
     uncertainty: bool = option(True, "Compute the confidence in lumps: solves the presses again")
-    most: int = option(5, "Largest number of lumps", ge=1)
+    max_lumps: int = option(5, "Largest number of lumps", ge=1)
     out: Path | None = option(None, "Folder of finding.txt and finding.json; null: the run's")
 
 
@@ -54,7 +54,7 @@ def run(options: FindOptions) -> Finding:
         )
     youngs = found.result.youngs
     posterior = _posterior(found, found.recording) if options.uncertainty else None
-    finding = finding_of(found.recording, youngs, posterior, most=options.most)
+    finding = build_finding(found.recording, youngs, posterior, max_lumps=options.max_lumps)
     values, text = finding.plain(), finding.text()
     if options.recognizer is not None:
         from tactorch.findings.recognition import load_recognizer, recognise
@@ -77,7 +77,7 @@ def _posterior(found: Run, recording: Recording) -> GaussianPosterior | None:
     complete = with_settings(found)
     try:
         settings = complete.settings or settings_from(complete.result.config)
-        return posterior_of(recording, complete.result, settings)
+        return compute_posterior(recording, complete.result, settings)
     except UNCOMPUTABLE as error:
         reason = str(error) or "not enough memory"
         log.warning("the confidence cannot be computed: %s", reason)

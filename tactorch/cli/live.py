@@ -20,10 +20,10 @@ from typing import Literal
 from tactorch.cli.live_view import PAGE, Screen
 from tactorch.cli.logs import log_text
 from tactorch.cli.options import CommandOptions, UnitCheck
-from tactorch.cli.outputs import finding
 from tactorch.cli.settings import inversion_settings, log, run_folder
 from tactorch.config import option, settings_of
 from tactorch.errors import ConfigError, TactorchError
+from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import Settings, Start, homogeneous
 from tactorch.inverse.starts import START_MPA
 from tactorch.recording import Recording
@@ -131,7 +131,7 @@ def _log_result(result: LoopResult, out: Path) -> None:
     logging.getLogger("tactorch").info("The run ended: %s.", result.reason)
     update = result.update
     if update is not None:
-        log.info("%s", finding(update.lump, update.entry["youngs_median_mpa"]))
+        log.info("%s", summarize_inclusion(update.lump, update.entry["youngs_median_mpa"]))
         if update.recording.truth is not None:
             from tactorch.cli.outputs import score_table
 

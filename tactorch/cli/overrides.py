@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 _HYDRA = ("hydra.", "hydra/")
 #: Names of settings up to version 0.1, and their names now.
 _RENAMED = {
+    "most": "max_lumps",
     "start_mpa": "initialization.start_mpa",
     "press.hold": "press.support",
     "dataset.presses.hold": "dataset.presses.support",
@@ -74,7 +75,7 @@ def _renamed(word: str, schema: Schema) -> str:
     key = word.partition("=")[0]
     for old, new in _RENAMED.items():
         name = key.lstrip("+")
-        is_known = new.split(".")[0] in schema.groups
+        is_known = new.split(".")[0] in schema.groups or new == "max_lumps"
         if is_known and (name == old or name.startswith(f"{old}.")):
             return word.replace(old, new, 1)
     return word
