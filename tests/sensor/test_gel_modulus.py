@@ -138,7 +138,7 @@ def test_wrong_input_is_refused(model: GelModel, presses: list) -> None:
     moved, force, touched = presses[0]
 
     def of(**changes: object) -> list[KnownLoad]:
-        fields = {"displacement": moved, "force_n": force, "deviation_n": 0.01, "touched": touched}
+        fields = {"displacement": moved, "force_n": force, "deviation_n": 0.01, "contact": touched}
         return [KnownLoad(**{**fields, **changes})]
 
     with pytest.raises(ConfigError, match="at least one press"):
