@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeAlias
-from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import FileError
-from tactorch.files import atomic_path, require_file
+from tactorch.files import read_arrays, write_arrays
 from tactorch.inverse.objective import Point
 
 _log = logging.getLogger(__name__)
@@ -169,21 +168,19 @@ class Monitor:
             return
         names = sorted({key for entry in self.history for key in entry})
         table = [[entry.get(name, np.nan) for name in names] for entry in self.history]
-        # An open file, because to a name NumPy adds ".npz" where it is missing.
-        with atomic_path(self.checkpoint) as path, path.open("wb") as file:
-            np.savez(
-                file,
-                x=self.best,
-                seconds=self.seconds,
-                history=np.array(table, dtype=np.float64),
-                history_names=np.array(names),
-                state=np.array(list(self.state.values()), dtype=np.float64),
-                state_names=np.array(list(self.state), dtype=str),
-                identity=np.array(list(self.identity.values()), dtype=str),
-                identity_names=np.array(list(self.identity), dtype=str),
-                task=self.task,
-                ended=self.ended or "",
-            )
+        content = {
+            "x": self.best,
+            "seconds": self.seconds,
+            "history": np.array(table, dtype=np.float64),
+            "history_names": np.array(names),
+            "state": np.array(list(self.state.values()), dtype=np.float64),
+            "state_names": np.array(list(self.state), dtype=str),
+            "identity": np.array(list(self.identity.values()), dtype=str),
+            "identity_names": np.array(list(self.identity), dtype=str),
+            "task": self.task,
+            "ended": self.ended or "",
+        }
+        write_arrays(self.checkpoint, content)
 
     def restore(self, path: Path, size: int) -> None:
         """Continue from a checkpoint.
@@ -191,16 +188,9 @@ class Monitor:
         Raises:
             FileError: it is missing, unreadable, or of another problem.
         """
-        source = require_file(path, "checkpoint")
-        if not is_zipfile(source):
-            raise FileError(
-                f"checkpoint '{source}' cannot be read (truncated, or not a checkpoint); start "
-                "again without resume."
-            )
+        remedy = "start again without resume."
+        source, saved = Path(path), read_arrays(path, "checkpoint", remedy)
         try:
-            with source.open("rb") as file:
-                archive = np.load(file, allow_pickle=False)
-                saved = {name: archive[name] for name in archive.files}
             table, names = saved["history"], saved["history_names"]
             self.history = [_entry(names, row) for row in table]
             self.state = _dict(saved, "state")
@@ -208,10 +198,8 @@ class Monitor:
             self.best, self._earlier_seconds = saved["x"], float(saved["seconds"])
             if str(saved.get("task")) == self.task:
                 self.ended = str(saved["ended"]) or None
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile, AttributeError) as error:
-            raise FileError(
-                f"checkpoint '{source}' cannot be read ({error}); start again without resume."
-            ) from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise FileError(f"checkpoint '{source}' cannot be read ({error}); {remedy}") from error
         if self.best.shape != (size,):
             raise FileError(
                 f"checkpoint '{source}' is for {self.best.size} moduli but the recording has "
