@@ -98,7 +98,7 @@ class Newton:
         supports: Supports.
         options: Settings of the search.
         after: A search with a similar tangent whose factorisation is reused: the first steps need
-            none of their own, and on large meshes memory is needed for one only. The search
+            no separate ones, and on large meshes memory is needed for one only. The search
             `after` then has to factor again.
     """
 

@@ -2,7 +2,7 @@
 
 - `find_lumps`: the parts of a map that stand out, the most conspicuous first; `find_lump`: that
   one alone.
-- `lay_under`: how deep a lump lies under what was pressed.
+- `lay_under`: depth of a lump below the pressed surface.
 - `finding_of`: lumps, depths and, with a posterior, how sure; as numbers and as text.
 - `tactorch.findings.recognition`: which of the shapes that a recognizer knows a map shows;
   imported by itself, because it loads Lightning.

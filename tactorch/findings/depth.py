@@ -1,4 +1,4 @@
-"""How deep a place lies under what was pressed."""
+"""Depth of a region below the pressed surface."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, eq=False)
 class Depth:
-    """Where a region lies under a pressed place.
+    """Position of a region below a pressed location.
 
     Attributes:
         center_mm: Of its centre under the surface, along the push, mm.

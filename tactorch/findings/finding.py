@@ -16,7 +16,7 @@ from tactorch.metrics.segment import Side
 from tactorch.recording import Recording
 from tactorch.uncertainty import GaussianPosterior
 
-#: Chances up to which a lump is called likely, and below which it is not believed.
+#: Chances up to which a lump is called likely, and below which it is rejected.
 _SURE, _DOUBTFUL = 0.99, 0.9
 
 
@@ -146,7 +146,7 @@ def _extent(mesh: TetMesh, found: Inclusion) -> Float[np.ndarray, "3"]:
     """
     weights = mesh.volumes * found.elements
     offsets = mesh.centroids - found.center_mm
-    within = np.ptp(mesh.points[mesh.tets], axis=1) ** 2 / 20.0  # about an element's own moment
+    within = np.ptp(mesh.points[mesh.tets], axis=1) ** 2 / 20.0  # about the element's second moment
     moments = (weights @ (offsets**2 + within)) / weights.sum()
     return 2.0 * np.sqrt(5.0 * moments)
 
@@ -160,7 +160,7 @@ def _certainty(sure: Confidence, side: Side) -> str:
     )
     if sure.probability < _DOUBTFUL:
         return f"{said} Do not believe it without more presses."
-    return said if sure.probability >= _SURE else f"{said} More presses would settle it."
+    return said if sure.probability >= _SURE else f"{said} More presses would clarify it."
 
 
 def _percent(chance: float) -> str:

@@ -1,4 +1,4 @@
-"""The parts of a map that stand out, by a threshold that single wild elements do not move.
+"""Conspicuous regions of a map, by a threshold that is robust to single outliers.
 
 In the logarithm of the moduli, two levels are sought that leave the least absolute deviation: what
 surrounds and what stands out, each the median over its volume. The threshold lies half way between
@@ -65,7 +65,7 @@ def find_lumps(
     sides: tuple[Side, ...] = ("stiff", "soft") if side is None else (side,)
     outstanding = {kind: threshold(mesh, youngs, kind) for kind in sides}
     plain = ~np.any(list(outstanding.values()), axis=0)
-    # A map without a level of its own, such as noise, may be stiff here and soft there alone.
+    # A map without a distinct level, such as noise, may be stiff and soft in single places only.
     background = (
         float(volume_mean(mesh, youngs, plain))
         if plain.any()

@@ -53,7 +53,7 @@ class MeshSizes:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Decides every sample of a dataset, whoever makes it and in whatever order.
+    """Determines every sample of a dataset, independent of process and order.
 
     Attributes:
         name: Of the dataset.
@@ -61,7 +61,7 @@ class Recipe:
         family: Of objects, see `tactorch.phantoms.FAMILIES`.
         options: Of the family.
         seed: Of everything drawn.
-        views: Recordings of each object, with presses and noise of their own.
+        views: Recordings of each object, each with separate presses and noise.
         presses: What plans of presses are drawn from.
         mesh: How fine objects are meshed.
         material: The constitutive law but for Young's modulus.

@@ -234,7 +234,7 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
         raise FileError(f"checkpoint not found: '{path}'.") from error
     except Exception as error:  # whatever a damaged archive leads to
         raise FileError(
-            f"checkpoint '{path}' is damaged or no checkpoint ({type(error).__name__}); train anew,"
+            f"checkpoint '{path}' is damaged or no checkpoint ({type(error).__name__}); train again,"
             " or give another."
         ) from error
     assert isinstance(content, Mapping)
@@ -242,7 +242,7 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
 
 
 def rebuild(make: Callable[..., _Network], path: Path, kind: str, advice: str) -> _Network:
-    """Make a network anew from a checkpoint alone: its settings stand in it. Ready to answer.
+    """Load a network in evaluation mode from a checkpoint, which contains its settings.
 
     Args:
         make: The network's class.

@@ -1,4 +1,4 @@
-"""What is believed of the moduli between presses, and how a press changes it (Section V-C)."""
+"""Gaussian state of the moduli and its update by a press (Section V-C)."""
 
 from dataclasses import dataclass
 
@@ -31,7 +31,7 @@ class GaussianState:
         """Join the map of one press by itself, as the paper does (eq. 16 and 17).
 
         R is diagonal with 1 / credibility. Solved in the data's space, so that elements of
-        credibility 0, which the press did not feel, keep what was believed of them.
+        credibility 0 keep their state.
 
         Args:
             observed: The map of the press, in the unit of the mean.

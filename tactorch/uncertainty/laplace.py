@@ -3,7 +3,7 @@
 The precision is H = J^T J + P, with J the sensitivity of the residuals (in standard deviations)
 and P the prior's weighted curvature, both in parameters x. Memory is two m x m matrices: fit for
 a few thousand elements; `LowRankPosterior` is for more. Total variation is stood for by its
-quadratic majorant at the map; `variational_posterior` gives it a width of its own.
+quadratic majorant at the map; `variational_posterior` estimates its width.
 """
 
 from dataclasses import dataclass

@@ -11,7 +11,7 @@ variances come from its factorisation, exactly.
 
 **Priors that leave the mean free.** Total variation and smoothness are blind to a change of all
 log-moduli alike, so their precision is singular. The mean log-modulus is therefore given a normal
-prior of its own, of deviation `MEAN_DEVIATION`: the term 1 / (m MEAN_DEVIATION^2) on the diagonal.
+separate prior of deviation `MEAN_DEVIATION`: the term 1 / (m MEAN_DEVIATION^2) on the diagonal.
 That is a factor of e^10 either way, more than the moduli of all solids, and its share in any other
 direction is as small as it is there.
 """

@@ -1,4 +1,4 @@
-"""The posterior under total variation, with widths of its own: variational Bayes.
+"""Posterior under total variation with estimated widths, by variational Bayes.
 
 The Laplace approximation takes the curvature of total variation at the map, which depends on the
 edge at which the penalty is rounded off, and the weight at which the inversion stopped. Here both

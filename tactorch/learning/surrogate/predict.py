@@ -1,4 +1,4 @@
-"""A trained surrogate at work: it foretells the map of a recording, to start an inversion from."""
+"""Prediction of a map from a recording by a trained surrogate, for initializations."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -47,7 +47,7 @@ class Prediction:
 
 
 class SurrogateStart:
-    """A start foretold by a surrogate; give it to `invert` as `start_mpa`.
+    """Initialization predicted by a surrogate; give it to `invert` as `start_mpa`.
 
     It is refused, with a message, where it fits the presses no better than the best uniform map,
     which then is the start.
@@ -63,7 +63,7 @@ class SurrogateStart:
         self._last: tuple[Recording, NoiseModel | None, Bounds | None, Prediction] | None = None
 
     def fresh(self) -> "SurrogateStart":
-        """Return one of the same network that has foretold nothing yet, to be timed, say."""
+        """Return a copy with the same network and without cached predictions."""
         other = SurrogateStart(self.weights)
         other.network = self.network
         return other
@@ -84,7 +84,7 @@ class SurrogateStart:
         noise: NoiseModel | None = None,
         bounds: Bounds | None = None,
     ) -> Prediction:
-        """Foretell the map; the truth is not read, and the map's own misfit not looked at.
+        """Predict the map; the truth and the misfit of the map are not used.
 
         Args:
             recording: Presses on an object.
@@ -111,7 +111,7 @@ class SurrogateStart:
         return found
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
-        """Return the foretold map, or the best uniform one if that fits better.
+        """Return the predicted map, or the best uniform one if that fits better.
 
         Raises:
             ConvergenceError: No uniform modulus carries the presses.
@@ -129,14 +129,14 @@ class SurrogateStart:
         most_chi2: float = TRUSTED,
         share: float = HALF,
     ) -> Settings:
-        """Return settings of an inversion whose prior is about the foretold map.
+        """Return settings of an inversion whose prior is about the predicted map.
 
-        What the presses leave open then stays as foretold, with what the network has learnt to
+        What the presses leave open then remains as predicted, with what the network has learned to
         expect. On objects unlike those that it was trained on that would mislead; such maps do not
         fit the presses, and then, as where the map is refused as a start, the settings stay as
         they are. Where they do fit, the presses decide still: half of the prior is about the map
         and half about nothing, so that total variation takes any map between a plain one and the
-        foretold for as likely.
+        predicted one equally likely.
 
         Args:
             settings: Of the inversion.
