@@ -263,7 +263,7 @@ def _predictions(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Displacements seen in each press, mm, by plain elements and by finer ones."""
     plain, fine = (p.evaluate(youngs, chained=True).reported for p in (problem, finer))
-    seen = [one.index for one in problem.observations]
+    seen = [one.index for one in problem.data.observations]
     return [(a.ravel()[i], b.ravel()[i]) for a, b, i in zip(plain, fine, seen, strict=True)]
 
 

@@ -205,7 +205,7 @@ def touching(model: GelModel, pressed: Pressed) -> np.ndarray:
 
 
 def _spacing(model: GelModel) -> float:
-    return float(np.sqrt(model.face.areas.max()))
+    return float(np.sqrt(model.gel_mesh.face_areas.max()))
 
 
 def calibrated(

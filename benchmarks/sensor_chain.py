@@ -43,15 +43,15 @@ from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import ChainOptions, SensorChain
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
 from tactorch.sensor.frames import Image, read_frames
-from tactorch.sensor.gel import GelModel, gel_mesh
-from tactorch.sensor.markers import displacement_mm
-from tactorch.sensor.render import Face, face_of, render
+from tactorch.sensor.gel import GelModel, build_gel_mesh
+from tactorch.sensor.markers import marker_displacements
+from tactorch.sensor.render import GelSurface, build_surface, render
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "opencv-python-headless", "pypardiso", "mkl")
 SIDE, POISSON = 10.0, 0.45
 DEPTHS = (0.5, 1.0)  # mm, to which the window is moved from first touch
 # A wide, flat contact has small slopes; without contact they are below a third of this.
-STEEP = 0.03
+MIN_SLOPE = 0.03
 APART = 0.4  # mm, of gel and cube before and after
 BALL_MM, BALL_MPA, SOFT_MPA = (6.0, 4.4, 6.6), 1.0, 0.2
 GEL = GelLayer(4.0, 0.12, POISSON, size_mm=(16.0, 16.0))
@@ -125,9 +125,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def simulated(
     turn: np.ndarray, cell: float, depths: Sequence[float] = DEPTHS, element: str = "tet4"
 ) -> list[Scene]:
-    """Press the gel on the cube, turned."""
+    """Press the gel on the cube, rotate_vectors."""
     cube = box_mesh(SIDE, round(SIDE / cell))
-    gel = gel_mesh(GEL, cell, max(3, round(2.5 / cell)))
+    gel = build_gel_mesh(GEL, cell, max(3, round(2.5 / cell)))
     first = looking_down(SIDE)
     above = gel.mesh.points @ first[:3, :3].T + first[:3, 3]
     both, number = glued(cube, gel.mesh, above, gel.face)
@@ -237,12 +237,12 @@ def save_image(image: Image, path: Path) -> None:
 
 def drawn(scene: Scene, seed: int) -> Image:
     """Draw what the camera sees of a press."""
-    return render(SENSOR, face_of(SENSOR, scene.points, scene.moved), seed=seed)
+    return render(SENSOR, build_surface(SENSOR, scene.points, scene.moved), seed=seed)
 
 
 def still(seed: int) -> Image:
     """Draw the gel without contact."""
-    flat = Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
+    flat = GelSurface(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
     return render(SENSOR, flat, seed=seed)
 
 
@@ -273,7 +273,7 @@ def recorded(place: Path) -> dict[tuple[str, float], Press]:
         "sensor", "record", f"sensor={place}/sensor.yaml", f"calibration={place}/calib.npz",
         f"frames={place}/frames", f"poses={place}/poses.csv", f"reference={place}/still.png",
         f"object.size_mm=[{SIDE},{SIDE},{SIDE}]", "object.edge_mm=1.25",
-        f"steps={len(DEPTHS)}", f"steep={STEEP}", f"out={place}/recording.h5",
+        f"steps={len(DEPTHS)}", f"min_slope={MIN_SLOPE}", f"out={place}/recording.h5",
         f"run_dir={place}/record",
     )  # fmt: skip
     presses = Recording.load(place / "recording.h5").presses
@@ -291,7 +291,7 @@ def ball_image(center: np.ndarray, contact_px: float, seed: int) -> Image:
     rim = 0.35 * edge / np.sqrt(9.0 - edge**2)
     inner = np.sqrt(9.0 - edge**2) - np.sqrt(np.maximum(9.0 - away**2, 0.0)) - rim
     height = np.where(away < edge, inner, -rim * np.exp(-(away - edge) / 0.35))
-    return render(SENSOR, Face(height, SENSOR.to_px(SENSOR.markers.positions_mm)), seed=seed)
+    return render(SENSOR, GelSurface(height, SENSOR.to_px(SENSOR.markers.positions_mm)), seed=seed)
 
 
 class Stages:
@@ -302,7 +302,7 @@ class Stages:
         self.model = GelModel(GEL, 1.0, 4)
         reference = self.calibration.reference
         self.chain = SensorChain(
-            SENSOR, self.calibration, reference, self.model, ChainOptions(steep=STEEP)
+            SENSOR, self.calibration, reference, self.model, ChainOptions(min_slope=MIN_SLOPE)
         )
         self.frames = {
             (name, depth): frame
@@ -318,17 +318,17 @@ class Stages:
     def errors(self, scene: Scene) -> dict[str, float]:
         """Take the next press and compare it with its simulation."""
         frame = self._left.pop(0)
-        found = self.chain.see(frame)
+        found = self.chain.measure(frame)
         assert frame.image is not None
         assert found.contact is not None
         assert found.height is not None
-        face = face_of(SENSOR, scene.points, scene.moved)
-        at = self.chain.tracker.begin
-        _, told_mm = displacement_mm(SENSOR, at, found.markers_px)
+        face = build_surface(SENSOR, scene.points, scene.moved)
+        at = self.chain.tracker.reference_px
+        _, told_mm = marker_displacements(SENSOR, at, found.markers_px)
         true_mm = _between(scene.points, scene.moved, SENSOR.to_mm(at))
         gel_true = _between(scene.points, scene.moved, self.model.points[:, :2])
         slope_true = np.stack(np.gradient(face.height_mm, 0.05)[::-1], axis=-1)
-        free = found.height.free_mm - face.height_mm
+        free = found.height.zero_mean_mm - face.height_mm
         return {
             "slope_rms": _rms(self.calibration.slopes(frame.image) - slope_true),
             "depth_rms_mm": _rms(free - free.mean()),
@@ -363,8 +363,8 @@ def _between(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.n
 def cube_moved(scene: Scene, turn: np.ndarray, points: np.ndarray) -> np.ndarray:
     """The simulation's displacement at points of the cube, as it lies."""
     axis = np.linspace(0.0, SIDE, len(scene.cube))
-    turned = np.clip((points - MIDDLE) @ turn.T + MIDDLE, 0.0, SIDE)
-    return RegularGridInterpolator((axis, axis, axis), scene.cube)(turned) @ turn
+    rotate_vectors = np.clip((points - MIDDLE) @ turn.T + MIDDLE, 0.0, SIDE)
+    return RegularGridInterpolator((axis, axis, axis), scene.cube)(rotate_vectors) @ turn
 
 
 def inversion_mesh() -> TetMesh:

@@ -1,48 +1,41 @@
-"""Bring a prior of your own: the object has a mirror.
+"""Define a prior: a symmetric object.
 
-Many objects are symmetric about a plane. A prior that likes maps which are their own mirror image
-carries what one side's presses have found to the other side.
+Many objects are symmetric about a plane. A prior that favours symmetric maps transfers what the
+presses on one side show to the other side.
 
-A prior has a value, a gradient and a curvature, all of the field of log-moduli. This one is half
-the squared difference of each element and its mirror image.
+A prior is a dataclass of settings with a method `on(mesh)`, which returns the penalty on the field
+of log-moduli: its value, gradient and curvature. This one is half the squared difference of each
+element and its mirror image, added to total variation.
 """
 
-import numpy as np
+from dataclasses import dataclass
+
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 from tactorch import PressPlan, Settings, invert, make_phantom, simulate
-from tactorch.inverse.regularization import TotalVariation
+from tactorch.config import option
+from tactorch.inverse import Prior, Quadratic, Regularizer, TotalVariation
+from tactorch.inverse.regularization import CompositePenalty
 from tactorch.mesh import TetMesh
 from tactorch.metrics import pearson
 
 
-class Mirrored:
+@dataclass(frozen=True, kw_only=True)
+class Mirrored(Prior):
     """Total variation, and the squared difference from the image in the plane x = 5 mm."""
 
-    name = "mirrored"
+    share: float = option(1.0, "Weight of the symmetry relative to total variation", gt=0)
 
-    def __init__(self, mesh: TetMesh, share: float = 1.0) -> None:
+    def on(self, mesh: TetMesh) -> Regularizer:
         """Find each element's mirror image: the element nearest to the image of its centroid."""
-        there = mesh.centroids.copy()
-        there[:, 0] = 10.0 - there[:, 0]
-        images = cKDTree(mesh.centroids).query(there)[1]
-        one = sp.identity(mesh.n_tets, format="csr")
-        difference = one - one[images]
-        self._mirror = (share * difference.T @ difference).tocsr()
-        self._variation = TotalVariation(mesh)
-
-    def value(self, field: np.ndarray) -> float:
-        """Return the penalty."""
-        return self._variation.value(field) + 0.5 * float(field @ (self._mirror @ field))
-
-    def gradient(self, field: np.ndarray) -> np.ndarray:
-        """Return its gradient."""
-        return self._variation.gradient(field) + self._mirror @ field
-
-    def curvature(self, field: np.ndarray) -> sp.csr_matrix:
-        """Return a positive semi-definite matrix that stands for its Hessian."""
-        return (self._variation.curvature(field) + self._mirror).tocsr()
+        images = mesh.centroids.copy()
+        images[:, 0] = 10.0 - images[:, 0]
+        nearest = cKDTree(mesh.centroids).query(images)[1]
+        identity = sp.identity(mesh.n_tets, format="csr")
+        difference = identity - identity[nearest]
+        symmetry = Quadratic(difference.T @ difference)
+        return CompositePenalty([(1.0, TotalVariation().on(mesh)), (self.share, symmetry)])
 
 
 def main() -> dict[str, float]:
@@ -57,7 +50,7 @@ def main() -> dict[str, float]:
         snr_db=40,
     )
     found = {}
-    for name, prior in (("total variation", "total_variation"), ("mirrored", Mirrored)):
+    for name, prior in (("total variation", TotalVariation()), ("mirrored", Mirrored())):
         result = invert(recording, Settings(regularization=prior))
         found[name] = pearson(result.youngs, recording.truth)
         print(f"{name:<16} correlation with the truth {found[name]:.3f}")

@@ -1,14 +1,21 @@
-"""Files that are either whole or absent."""
+"""Files: written whole or not at all, and read as data of unknown origin."""
 
+import io
+import json
 import os
 import sys
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
 
 from tactorch.errors import FileError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 def cache_folder() -> Path:
@@ -59,19 +66,18 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 def require_file(path: str | Path, what: str) -> Path:
     """Return `path` as a `Path`, or raise `FileError` naming it and `what` it should be."""
-    found = Path(path)
-    if not found.is_file():
-        hint = _nearest(found)
-        raise FileError(f"{what} not found: '{found}' is not a file.{hint}")
-    return found
+    source = Path(path)
+    if not source.is_file():
+        raise FileError(f"{what} not found: '{source}' is not a file.{_neighbours(source)}")
+    return source
 
 
 def require_folder(path: str | Path, what: str) -> Path:
     """Return `path` as a `Path`, or raise `FileError` naming it and `what` it should be."""
-    found = Path(path)
-    if not found.is_dir():
-        raise FileError(f"{what} not found: '{found}' is not a folder.{_nearest(found)}")
-    return found
+    source = Path(path)
+    if not source.is_dir():
+        raise FileError(f"{what} not found: '{source}' is not a folder.{_neighbours(source)}")
+    return source
 
 
 def checksum(path: str | Path) -> str:
@@ -83,8 +89,85 @@ def checksum(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def _nearest(path: Path) -> str:
-    """Say what does exist beside a missing path."""
+def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compressed: bool = False) -> None:
+    """Write arrays to an .npz file, whole or not at all.
+
+    Args:
+        path: File to create or replace.
+        arrays: Arrays of numbers or text, by name.
+        compressed: Whether to compress them.
+
+    Raises:
+        FileError: The file cannot be written.
+    """
+    import numpy as np
+
+    memory = io.BytesIO()  # an archive on a full disk fails again from its destructor
+    (np.savez_compressed if compressed else np.savez)(memory, allow_pickle=False, **arrays)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(memory.getvalue())
+
+
+def read_arrays(path: str | Path, what: str, remedy: str) -> "dict[str, np.ndarray]":
+    """Read all arrays of an .npz file; their checksums are verified.
+
+    Args:
+        path: The file.
+        what: What the file should be, for messages.
+        remedy: What to do if it cannot be read, for messages.
+
+    Returns:
+        Array by name.
+
+    Raises:
+        FileError: The file is missing, damaged or no such file.
+    """
+    import numpy as np
+
+    source = require_file(path, what)
+    arrays = {}
+    try:
+        with ZipFile(source) as archive:
+            for name in archive.namelist():
+                # NumPy stops reading where the array ends, before the checksum is compared.
+                content = io.BytesIO(archive.read(name))
+                array = np.lib.format.read_array(content, allow_pickle=False)
+                arrays[name.removesuffix(".npy")] = array
+    except Exception as error:  # what a damaged archive raises has no common base
+        raise FileError(f"{what} '{source}' cannot be read ({error}); {remedy}") from error
+    return arrays
+
+
+def read_json(path: str | Path, what: str, remedy: str, *keys: str) -> dict[str, Any]:
+    """Read a file that holds a JSON object.
+
+    Args:
+        path: The file.
+        what: What the file should be, for messages.
+        remedy: What to do if it cannot be read, for messages.
+        *keys: Names that the object must have.
+
+    Returns:
+        The object.
+
+    Raises:
+        FileError: The file is missing, damaged or lacks a name.
+    """
+    source = require_file(path, what)
+    try:
+        content = json.loads(source.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise FileError(f"{what} '{source}' cannot be read ({error}); {remedy}") from error
+    if not isinstance(content, dict):
+        raise FileError(f"{what} '{source}' is not a JSON object; {remedy}")
+    missing = [key for key in keys if key not in content]
+    if missing:
+        raise FileError(f"{what} '{source}' lacks '{missing[0]}'; {remedy}")
+    return content
+
+
+def _neighbours(path: Path) -> str:
+    """Return a hint: what the folder of a missing path holds."""
     parent = path.parent
     if not parent.is_dir():
         return f" Nor does its folder '{parent}' exist; check the spelling."

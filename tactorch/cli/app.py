@@ -16,6 +16,7 @@ from tactorch.cli.catalog import PACKAGE, Catalog, app_name, conf_folder
 from tactorch.cli.logs import to_log_file
 from tactorch.cli.status import INTERRUPTED, WRONG
 from tactorch.cli.tables import is_rich
+from tactorch.text import printable
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -146,7 +147,8 @@ def fail(message: str, verb: str = "") -> NoReturn:
 
 def _say(message: str, verb: str) -> None:
     """Print an error as one line, whatever the library that it comes from put between."""
-    print(f"tactorch {verb}".rstrip() + f": error: {' '.join(message.split())}", file=sys.stderr)
+    line = printable(" ".join(message.split()))
+    print(f"tactorch {verb}".rstrip() + f": error: {line}", file=sys.stderr)
 
 
 def _module(verb: str) -> ModuleType:

@@ -1,6 +1,5 @@
 """`tactorch evaluate-model`."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ from omegaconf import DictConfig, OmegaConf
 from tactorch.cli.networks import data_of, model_of
 from tactorch.cli.outputs import write_json
 from tactorch.cli.settings import folder
-from tactorch.cli.train import DATA, check_data
+from tactorch.cli.train import check_data, read_data
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
 from tactorch.learning.splits import PARTS
@@ -33,10 +32,20 @@ def run(cfg: DictConfig) -> dict[str, Any]:
 
 def _settings(place: Path) -> DictConfig:
     path = require_file(place / ".hydra" / "config.yaml", "settings of the run to judge")
-    found = OmegaConf.load(path)
-    if not isinstance(found, DictConfig) or "model" not in found or "data" not in found:
-        raise FileError(f"'{place}' is no run of tactorch train.")
-    return found
+    try:
+        settings = OmegaConf.load(path)
+        if not isinstance(settings, DictConfig):
+            raise ValueError("no settings")
+        names = (settings.model.name, settings.data.name, settings.data.folder, settings.seed)
+        if settings.splits < 1 or any(name is None for name in names):
+            raise ValueError("a setting is missing")
+    # What a damaged YAML file raises has no common base.
+    except Exception as error:
+        raise FileError(
+            f"'{path}' is no settings of a run of `tactorch train`"
+            f" ({' '.join(str(error).split())[:120]}); give the folder of such a run."
+        ) from error
+    return settings
 
 
 def _trained(
@@ -52,7 +61,7 @@ def _trained(
         part = "test"
     data = data_of(settings, number)
     own = place if trained.splits == 1 else place / f"split-{number:02d}"
-    known = json.loads(require_file(own / DATA, "what the run was trained on").read_text())
+    known = read_data(own)
     if other is None:
         check_data(own, data)
     if not data.parts[part]:

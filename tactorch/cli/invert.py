@@ -7,7 +7,7 @@ from omegaconf import DictConfig
 from tactorch.cli.outputs import MADE_OF_RESULTS, RESULTS, histories_of, write_outputs
 from tactorch.cli.resume import CHECKPOINT, checkpoint_of
 from tactorch.cli.settings import folder, inversion_of, plain, start_of
-from tactorch.inverse import INTERRUPTED, Reconstruction, invert
+from tactorch.inverse import Reconstruction, StopReason, invert
 from tactorch.recording import Recording
 
 
@@ -37,7 +37,7 @@ def invert_recording(cfg: DictConfig, recording: Recording, source: Path) -> Rec
     )
     named = str(source.resolve())
     write_outputs(out, recording, reconstruction, source=named, others=others, plots=cfg.plots)
-    if reconstruction.stop_reason == INTERRUPTED:
+    if reconstruction.stop_reason == StopReason.INTERRUPTED:
         raise KeyboardInterrupt
     return reconstruction
 

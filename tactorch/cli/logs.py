@@ -4,6 +4,7 @@ import logging
 import sys
 
 from tactorch.cli.tables import Table, drawn, is_rich
+from tactorch.text import printable
 
 log = logging.getLogger("tactorch")
 
@@ -21,6 +22,7 @@ def to_log_file(message: str, error: bool = False) -> None:
 
 def tell(text: str, *tables: Table) -> None:
     """Log a text that has tables in it, as their `text`; at a terminal they are drawn."""
+    text = printable(text)
     if not is_rich():
         log.info("%s", text)
         return

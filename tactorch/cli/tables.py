@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from tactorch.text import printable
+
 _GAP = "  "
 _NO_CONTROL = ("", "dumb", "unknown")  # TERM of terminals that know no control codes
 
@@ -28,7 +30,8 @@ class Table:
 
     def text(self) -> str:
         """Return aligned lines, whatever their length: nothing is wrapped or cut."""
-        lines = [self.header, *self.rows] if any(self.header) else [*self.rows]
+        rows = [[printable(cell) for cell in row] for row in self.rows]
+        lines = [self.header, *rows] if any(self.header) else rows
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         return "\n".join(
             _GAP.join(self._set(k, cell, widths[k]) for k, cell in enumerate(line)).rstrip()
@@ -75,5 +78,5 @@ def drawn(table: Table) -> None:
         side: Literal["left", "right"] = "left" if column < table.words else "right"
         found.add_column(Text(name), justify=side)
     for row in table.rows:
-        found.add_row(*(Text(cell, table.styles.get(cell, "")) for cell in row))
+        found.add_row(*(Text(printable(cell), table.styles.get(cell, "")) for cell in row))
     Console(highlight=False).print(found)

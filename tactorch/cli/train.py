@@ -1,6 +1,5 @@
 """`tactorch train`."""
 
-import json
 import logging
 import warnings
 from pathlib import Path
@@ -15,9 +14,11 @@ from tactorch.cli.outputs import write_json
 from tactorch.cli.progress import progress
 from tactorch.cli.settings import build, folder, plain
 from tactorch.cli.tables import Table
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, FileError
+from tactorch.files import read_json
 
 SCORES, DATA = "scores.json", "data.json"
+_REMEDY = "restore it, or train again."
 
 
 def run(cfg: DictConfig) -> dict[str, Any]:
@@ -57,9 +58,9 @@ def _scores_of(cfg: DictConfig, number: int, place: Path) -> dict[str, float]:
     options = build("trainer", TrainerOptions, {**plain(cfg.trainer), "seed": cfg.seed})
     done = place / "split.json"
     if cfg.resume is not None and done.is_file():
-        found: dict[str, Any] = json.loads(done.read_text(encoding="utf-8"))
-        if found["settings"] == _decisive(cfg):
-            scores: dict[str, float] = found["scores"]
+        ended = read_json(done, "scores of a split", _REMEDY, "settings", "scores")
+        if ended["settings"] == _decisive(cfg):
+            scores: dict[str, float] = ended["scores"]
             return scores
     data = data_of(cfg, number)
     if cfg.resume is not None:
@@ -85,16 +86,26 @@ def _clear(out: Path) -> None:
             stale.unlink()
 
 
+def read_data(place: Path) -> dict[str, Any]:
+    """Return what a run noted of its data.
+
+    Raises:
+        FileError: The file is missing or damaged.
+    """
+    facts = read_json(place / DATA, "record of the training data", _REMEDY, "fingerprint")
+    classes = facts.get("classes", [])
+    if not isinstance(classes, list) or not all(isinstance(name, str) for name in classes):
+        raise FileError(f"'{place / DATA}': classes={classes!r} is no list of names; {_REMEDY}")
+    return facts
+
+
 def check_data(place: Path, data: Any) -> None:
     """Refuse data or a split that a network was not trained on: its test part may be known to it.
 
     Raises:
         ConfigError: They differ.
     """
-    path = place / DATA
-    if not path.is_file():
-        return
-    if json.loads(path.read_text(encoding="utf-8"))["fingerprint"] != data.fingerprint:
+    if (place / DATA).is_file() and read_data(place)["fingerprint"] != data.fingerprint:
         raise ConfigError(
             f"'{place}' was trained on other data, or on another split of them; give the same"
             " data.folder, data.split and data.shares, or train anew."

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import atomic_path, checksum
+from tactorch.files import atomic_path, checksum, read_json
 from tactorch.generation.layout import (
     MANIFEST,
     MANIFEST_FORMAT,
@@ -22,7 +22,7 @@ from tactorch.generation.layout import (
     write_shard,
 )
 from tactorch.generation.recipe import Recipe
-from tactorch.generation.sampleset import SampleSet, failures_in
+from tactorch.generation.sampleset import SampleSet, failures_in, manifest_checksum
 from tactorch.generation.work import check_executor, outcomes
 from tactorch.versions import versions
 
@@ -95,10 +95,7 @@ def _prepare(place: Path, recipe: Recipe) -> None:
     (place / PARTIAL).mkdir(exist_ok=True)
     for stray in [*place.glob(".*.part.*"), *(place / PARTIAL).glob(".*.part.*")]:
         stray.unlink()  # of a killed run
-    try:
-        found = json.loads(stored.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise FileError(f"'{stored}' is damaged ({error}); choose another folder.") from error
+    found = read_json(stored, "recipe", "choose another folder.")
     differs = _first_difference(found, wanted)
     if differs:
         raise ConfigError(
@@ -182,7 +179,8 @@ def _close_shard(place: Path, recipe: Recipe, shard: int) -> None:
 
 
 def _reason(path: Path) -> str:
-    return str(json.loads(path.read_text(encoding="utf-8"))["reason"])
+    remedy = "delete it and run the same `tactorch generate` again."
+    return str(read_json(path, "record of a failed sample", remedy, "reason")["reason"])
 
 
 def _all_failures(place: Path, recipe: Recipe) -> dict[int, str]:
@@ -224,19 +222,17 @@ def _write_manifest(place: Path, recipe: Recipe, known: Mapping[str, str]) -> No
     if len(known) == len(shards):
         return
     failed = _all_failures(place, recipe)
-    _write_json(
-        place / MANIFEST,
-        {
-            "format": MANIFEST_FORMAT,
-            "version": VERSION,
-            "name": recipe.name,
-            "samples": recipe.count - len(failed),
-            "failed": {str(index): failed[index] for index in sorted(failed)},
-            "shards": shards,
-            "recipe": recipe.to_config(),
-            "versions": versions(),
-        },
-    )
+    manifest = {
+        "format": MANIFEST_FORMAT,
+        "version": VERSION,
+        "name": recipe.name,
+        "samples": recipe.count - len(failed),
+        "failed": {str(index): failed[index] for index in sorted(failed)},
+        "shards": shards,
+        "recipe": json.loads(json.dumps(recipe.to_config())),
+        "versions": versions(),
+    }
+    _write_json(place / MANIFEST, {**manifest, "sha256": manifest_checksum(manifest)})
     if not any((place / PARTIAL).iterdir()):
         (place / PARTIAL).rmdir()
 

@@ -3,11 +3,12 @@
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactorch.errors import FileError
-from tactorch.files import checksum, require_file, require_folder
+from tactorch.files import checksum, read_json, require_file, require_folder
 from tactorch.generation.layout import (
     FORMAT,
     MANIFEST,
@@ -19,13 +20,15 @@ from tactorch.generation.layout import (
     damaged,
 )
 from tactorch.generation.sample import Sample
+from tactorch.hdf5 import Hdf5Reader
 from tactorch.mesh import TetMesh
 
 if TYPE_CHECKING:
     import h5py
 
 
-_MOST_OPEN = 64  # shards
+_MAX_OPEN = 64  # shards
+MAX_SAMPLES = 10**8
 
 
 @dataclass(eq=False)
@@ -43,6 +46,8 @@ class SampleSet:
     indices: tuple[int, ...]
     _files: dict[str, "h5py.File"] = field(default_factory=dict, repr=False)
     _meshes: dict[str, TetMesh] = field(default_factory=dict, repr=False)
+    # Size and time of change of the shards whose checksum was compared.
+    _verified: dict[str, tuple[int, int]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def open(cls, folder: str | Path) -> "SampleSet":
@@ -92,23 +97,32 @@ class SampleSet:
                 reason = self.manifest["failed"].get(str(index))
                 if reason is not None:
                     raise FileError(f"sample {index} of '{self.folder}' failed: {reason}")
-                return ShardReader(self._file(path), path, self._meshes)
+                return ShardReader(self._file(shard), path, self._meshes)
         raise FileError(f"dataset '{self.folder}' has no sample {index}; it has {len(self)}.")
 
     def verify(self) -> None:
-        """Compare each shard with its checksum.
+        """Compare each shard with its checksum; those that were compared before are not read.
 
         Raises:
             FileError: A shard is missing, or is not what was written.
         """
         for shard in self.manifest["shards"]:
-            path = require_file(self.folder / shard["file"], "shard of the dataset")
+            self._verified_path(shard)
+
+    def _verified_path(self, shard: dict[str, Any]) -> Path:
+        path = require_file(self.folder / shard["file"], "shard of the dataset")
+        status = path.stat()
+        state = (status.st_size, status.st_mtime_ns)
+        if self._verified.get(path.name) != state:
             if checksum(path) != shard["sha256"]:
                 raise damaged(path, "its checksum is not that of the manifest")
+            self._verified[path.name] = state
+        return path
 
-    def _file(self, path: Path) -> "h5py.File":
+    def _file(self, shard: dict[str, Any]) -> "h5py.File":
+        path = self._verified_path(shard)
         if path.name not in self._files:
-            if len(self._files) >= _MOST_OPEN:
+            if len(self._files) >= _MAX_OPEN:
                 self._files.pop(next(iter(self._files))).close()
             self._files[path.name] = open_shard(path)
         return self._files[path.name]
@@ -129,11 +143,12 @@ def open_shard(path: Path) -> "h5py.File":
     require_file(path, "shard of the dataset")
     try:
         file = h5py.File(path, "r")
-        kind, version = file.attrs["format"], int(file.attrs["version"])
+        reader = Hdf5Reader(file, path, "shard", "tactorch generate")
+        kind = reader.attribute("/", "format", str)
+        version = reader.attribute("/", "version", int)
     # What h5py raises on a damaged file has no common base.
     except Exception as error:
         raise damaged(path, error) from error
-    kind = kind.decode() if isinstance(kind, bytes) else kind
     if kind != FORMAT:
         raise FileError(f"'{path}' is no shard of a dataset but {kind!r}; generate it again.")
     if version > VERSION:
@@ -145,25 +160,26 @@ def open_shard(path: Path) -> "h5py.File":
 
 
 def failures_in(path: Path) -> dict[int, str]:
-    """Return the samples that a shard lacks, and why."""
+    """Return the reason for each sample that a shard lacks, by number."""
     with open_shard(path) as file:
         try:
-            text = file.attrs["failed"]
-            found = json.loads(text.decode() if isinstance(text, bytes) else text)
+            reader = Hdf5Reader(file, path, "shard", "tactorch generate")
+            reasons = reader.parse_json("failed", reader.attribute("/", "failed", str))
+            return {int(index): str(reason) for index, reason in reasons.items()}
         except Exception as error:
             raise damaged(path, error) from error
-    return {int(index): str(reason) for index, reason in found.items()}
+
+
+def manifest_checksum(manifest: dict[str, Any]) -> str:
+    """Return the checksum of a manifest's content but the checksum."""
+    content = {key: value for key, value in manifest.items() if key != "sha256"}
+    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise FileError(
-            f"manifest '{path}' cannot be read ({error}); delete it and run the same `tactorch"
-            " generate` again."
-        ) from error
-    if not isinstance(manifest, dict) or manifest.get("format") != MANIFEST_FORMAT:
+    remedy = "delete it and run the same `tactorch generate` again."
+    manifest = read_json(path, "manifest", remedy)
+    if manifest.get("format") != MANIFEST_FORMAT:
         raise FileError(f"'{path}' is not the manifest of a dataset of tactorch.")
     version = manifest.get("version")
     if not isinstance(version, int) or version < 1 or version > VERSION:
@@ -171,7 +187,25 @@ def _read_manifest(path: Path) -> dict[str, Any]:
             f"manifest '{path}' has version {version!r}, and this tactorch reads 1 to {VERSION};"
             " generate the dataset again, or use the tactorch that made it."
         )
-    for key in ("shards", "failed", "recipe"):
-        if key not in manifest:
-            raise FileError(f"manifest '{path}' lacks '{key}'; generate the dataset again.")
+    if manifest.get("sha256", manifest_checksum(manifest)) != manifest_checksum(manifest):
+        raise FileError(f"manifest '{path}' is damaged (its checksum differs); {remedy}")
+    try:
+        _check_manifest(manifest)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise FileError(f"manifest '{path}' is not complete ({error!r}); {remedy}") from error
     return manifest
+
+
+def _check_manifest(manifest: dict[str, Any]) -> None:
+    """Raise KeyError, TypeError or ValueError where a part is missing or of another type."""
+    manifest["recipe"].items()
+    for index in manifest["failed"]:
+        int(index)
+    for shard in manifest["shards"]:
+        sizes = (shard["first"], shard["count"], shard["bytes"])
+        if not all(isinstance(size, int) and size >= 0 for size in sizes):
+            raise ValueError(f"shard {shard['file']!r}")
+        if Path(shard["file"]).name != shard["file"] or not isinstance(shard["sha256"], str):
+            raise ValueError(f"shard {shard['file']!r}")
+    if sum(shard["count"] for shard in manifest["shards"]) > MAX_SAMPLES:
+        raise ValueError(f"more than {MAX_SAMPLES} samples")

@@ -1,11 +1,16 @@
 """From presses to a map of Young's modulus: data, prior and optimizer, combined freely."""
 
 from tactorch.inverse.coarse import CoarseStart
-from tactorch.inverse.correlated_noise import CorrelatedNoise
+from tactorch.inverse.data import (
+    CorrelatedNoise,
+    DataModel,
+    NoiseModel,
+    Observation,
+    smooth_pattern,
+)
 from tactorch.inverse.evaluation import Evaluation
 from tactorch.inverse.incremental import IncrementalInversion, IncrementalResult
 from tactorch.inverse.invert import (
-    INTERRUPTED,
     invert,
     make_objective,
     solution,
@@ -13,12 +18,9 @@ from tactorch.inverse.invert import (
 from tactorch.inverse.misfit import MISFITS
 from tactorch.inverse.model_error import (
     ModelError,
-    apply_model_error,
     discretisation_error,
-    smooth_pattern,
 )
-from tactorch.inverse.monitor import Monitor, StopOptimization
-from tactorch.inverse.noise import NoiseModel
+from tactorch.inverse.monitor import Monitor, StopOptimization, StopReason
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior
 from tactorch.inverse.nuisance_estimate import NuisanceEstimate
 from tactorch.inverse.objective import Objective, Point
@@ -71,7 +73,6 @@ from tactorch.inverse.uniform import UniformFit, uniform_fit
 
 __all__ = [
     "INITIALIZATIONS",
-    "INTERRUPTED",
     "LBFGS",
     "MISFITS",
     "OPTIMIZERS",
@@ -84,6 +85,7 @@ __all__ = [
     "CoarseStart",
     "Composite",
     "CorrelatedNoise",
+    "DataModel",
     "Evaluation",
     "GaussNewton",
     "Identity",
@@ -102,6 +104,7 @@ __all__ = [
     "NuisanceEstimate",
     "NuisancePrior",
     "Objective",
+    "Observation",
     "Optimizer",
     "Parameterization",
     "Point",
@@ -116,11 +119,11 @@ __all__ = [
     "Sparsity",
     "Start",
     "StopOptimization",
+    "StopReason",
     "Tikhonov",
     "TotalVariation",
     "Uniform",
     "UniformFit",
-    "apply_model_error",
     "best_uniform",
     "discretisation_error",
     "has_all_settings",

@@ -1,4 +1,4 @@
-"""Weights of presses by how well any map can fit them: for presses worse than they state."""
+"""Weights of presses by how well any map can fit them, for presses noisier than stated."""
 
 import logging
 from dataclasses import replace
@@ -13,24 +13,20 @@ from tactorch.inverse.optimizers import GaussNewton
 from tactorch.inverse.uniform import uniform_fit
 
 _log = logging.getLogger(__name__)
-_ITERATIONS = 30
-_WORTH_SAYING = 2.0
+_MAX_ITERATIONS = 30
+_MIN_REPORTED = 2.0  # factor of the noise that is logged
 
 
-def adapt(objective: Objective) -> Float[np.ndarray, " presses"]:
-    """Widen the deviations of presses that stand out, and go over to least squares.
+def adapt(objective: Objective) -> Objective:
+    """Return the objective with widened deviations of outlying presses, and least squares.
 
-    A first inversion, by the convex cost of `Adaptive`, bounds what a bad press can do to the map.
-    A press whose residuals there are larger than the median press's (and than stated) gets their
-    size as its deviation. Most presses must be as good as they state. (A `Press` is one frame, so
-    a bad frame of a good series is told apart.) It is Gauss-Newton whatever the optimizer of the
-    inversion that follows, of a few dozen steps.
+    A first inversion with the convex cost of `Adaptive` bounds the effect of a bad press on the
+    map; it is damped Gauss-Newton with any optimizer. A press whose residuals there are larger than
+    those of the median press (and than stated) gets their size as its deviation. Most presses must
+    be as good as they state. A `Press` is one frame, so a bad frame of a good series is separate.
 
     Args:
-        objective: Its problem has the misfit "adaptive"; it is changed.
-
-    Returns:
-        The factor of each press's deviation, 1 or more.
+        objective: Objective whose misfit is `Adaptive`.
 
     Raises:
         ConvergenceError: no uniform map carries the presses.
@@ -39,23 +35,20 @@ def adapt(objective: Objective) -> Float[np.ndarray, " presses"]:
     fit = uniform_fit(problem, objective.parameterization.bounds, objective.nuisance)
     monitor = Monitor()
     start = objective.start(np.full(problem.n_elements, fit.youngs_mpa))
-    GaussNewton(max_iterations=_ITERATIONS).minimize(
+    GaussNewton(max_iterations=_MAX_ITERATIONS).minimize(
         replace(objective, weight=None), start, monitor
     )
     assert monitor.point is not None
-    found = monitor.point.evaluation.chi2_of_presses
-    factors = np.sqrt(np.maximum(1.0, found / max(1.0, float(np.median(found)))))
-    problem.observations = [
-        replace(seen, scale=seen.scale / factor)
-        for seen, factor in zip(problem.observations, factors, strict=True)
-    ]
-    if problem.common is not None:  # the model's error is as large as before
-        counts = [len(seen.index) for seen in problem.observations]
-        problem.common = problem.common.widened(np.repeat(factors, counts))
-    problem.misfit = Squares()
+    factors = noise_factors(monitor.point.evaluation.chi2_of_presses)
     for press, factor in zip(problem.recording.presses, factors, strict=True):
-        if factor > _WORTH_SAYING:
+        if factor > _MIN_REPORTED:
             _log.warning(
-                "%s is %.2g times as noisy as stated; it weighs less.", press.label, factor
+                "%s is %.2g times as noisy as stated; its weight is reduced.", press.label, factor
             )
-    return factors
+    data = replace(problem.data.widened(factors), misfit=Squares())
+    return replace(objective, problem=problem.with_data(data))
+
+
+def noise_factors(chi2: Float[np.ndarray, " presses"]) -> Float[np.ndarray, " presses"]:
+    """Return the factor of each press's deviation, 1 or more, from its mean squared residual."""
+    return np.sqrt(np.maximum(1.0, chi2 / max(1.0, float(np.median(chi2)))))

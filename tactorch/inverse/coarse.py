@@ -1,12 +1,13 @@
-"""Coarse to fine: a map of few moduli first, each shared by a cluster of elements.
+"""Coarse start: a map of few moduli, each shared by a cluster of elements.
 
-With x = G z, z one log-modulus a cluster, the Jacobian by z has one column a cluster, each a solve
-a press; Gauss-Newton on it is cheap, and sees large parts only. Its map is a start for the
-inversion proper, in the manner of multilevel inversion (Liu, 1993).
+The sensitivity matrix has one column per cluster, at one solve per press, so Gauss-Newton is cheap
+and recovers large features only. The map is a start for the inversion, as in multilevel inversion
+(Liu, 1993).
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,23 +15,33 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.config import Options, option
-from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.inverse.evaluation import Evaluation
-from tactorch.inverse.parameterization import Bounds
+from tactorch.errors import ConfigError
+from tactorch.inverse.monitor import Monitor, StopOptimization, StopReason
+from tactorch.inverse.objective import Objective
+from tactorch.inverse.optimizers import GaussNewton
+from tactorch.inverse.parameterization import Bounds, Log
 from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.uniform import uniform_fit
+from tactorch.inverse.regularization import Quadratic
+from tactorch.inverse.uniform import NO_TOLERANCE, small_step, uniform_fit
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
 
-_ROUNDS = 10  # of moving cluster centres
-_JUMP = 0.5  # deviation of a log-modulus between touching clusters that is expected
-_LARGEST_STEP, _HALVINGS, _SETTLED = 1.0, 4, 0.02
+_LLOYD_ROUNDS = 10
+_JUMP = 0.5  # expected difference of log-modulus between adjacent clusters
+_STEP_TOLERANCE = 0.02  # change of a log-modulus
 
 
 def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
-    """Gather elements into compact clusters, numbered from 0: Lloyd's method on centroids.
+    """Group elements into compact clusters by Lloyd's method on their centroids.
 
-    Deterministic: the first centres are far from each other, and the last ones are never empty.
+    The method is deterministic: the first centres are far from each other, and no cluster is empty.
+
+    Args:
+        mesh: The object.
+        count: Number of clusters.
+
+    Returns:
+        Cluster of each element, numbered from 0, (m,).
 
     Raises:
         ConfigError: `count` is not between one and the number of elements.
@@ -41,11 +52,11 @@ def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
     middle = np.linalg.norm(centroids - centroids.mean(axis=0), axis=1).argmin()
     centres = centroids[farthest_point_order(centroids, count, int(middle))]
     labels = cKDTree(centres).query(centroids)[1]
-    for _ in range(_ROUNDS):
+    for _ in range(_LLOYD_ROUNDS):
         mass = np.bincount(labels, volumes, minlength=count)
         moments = [np.bincount(labels, volumes * x, minlength=count) for x in centroids.T]
-        kept = mass > 0
-        centres[kept] = (np.array(moments)[:, kept] / mass[kept]).T
+        filled = mass > 0
+        centres[filled] = (np.array(moments)[:, filled] / mass[filled]).T
         labels = cKDTree(centres).query(centroids)[1]
     return np.unique(labels, return_inverse=True)[1].astype(np.int64)
 
@@ -72,56 +83,23 @@ class CoarseStart(Options):
         """
         mesh = problem.recording.mesh
         labels = clusters(mesh, self.groups)
-        prior = _touching(mesh, labels) / _JUMP**2
-        first = uniform_fit(problem, bounds).youngs_mpa
-        z = np.full(labels.max() + 1, np.log(first))
-        point = problem.evaluate(np.exp(z)[labels])
-        for _ in range(self.steps):
-            if point.chi2 <= 1.0:
-                break
-            moved = _step(problem, bounds, labels, prior, z, point)
-            if moved is None:
-                break
-            settled = np.abs(moved[0] - z).max() < _SETTLED
-            z, point = moved
-            if settled:
-                break
-        return point.youngs
+        prior = Quadratic(_laplacian(mesh, labels) / _JUMP**2)
+        objective = Objective(problem, Log(bounds), prior, weight=1.0, groups=labels)
+        small = small_step(_STEP_TOLERANCE)
+
+        def stop_condition(history: list[dict[str, Any]]) -> StopReason | None:
+            return StopReason.FITTED if history[-1]["chi2"] <= 1.0 else small(history)
+
+        monitor = Monitor(stop_condition=stop_condition, log=False)
+        first = np.log(uniform_fit(problem, bounds).youngs_mpa)
+        optimizer = GaussNewton(max_iterations=self.steps, tolerance=NO_TOLERANCE)
+        with suppress(StopOptimization):
+            optimizer.minimize(objective, np.full(objective.size, first), monitor)
+        assert monitor.point is not None
+        return monitor.point.youngs
 
 
-def _step(
-    problem: InverseProblem,
-    bounds: Bounds,
-    labels: Int[np.ndarray, " m"],
-    prior: sp.csr_matrix,
-    z: Float[np.ndarray, " g"],
-    point: Evaluation,
-) -> tuple[Float[np.ndarray, " g"], Evaluation] | None:
-    """One Gauss-Newton step, halved until the objective falls; None if it does not."""
-    jacobian = grouped_jacobian(point, labels)
-    gradient = jacobian.T @ point.residuals + prior @ z
-    curvature = jacobian.T @ jacobian + prior.toarray()
-    curvature[np.diag_indices_from(curvature)] *= 1.0 + 1e-9
-    step = np.clip(-np.linalg.solve(curvature, gradient), -_LARGEST_STEP, _LARGEST_STEP)
-    before = _value(point, prior, z)
-    for _ in range(_HALVINGS):
-        there = np.clip(z + step, np.log(bounds.lower), np.log(bounds.upper))
-        try:
-            moduli = np.clip(np.exp(there), bounds.lower, bounds.upper)
-            trial = problem.evaluate(moduli[labels], point)
-            if _value(trial, prior, there) < before:
-                return there, trial
-        except ConvergenceError:
-            pass
-        step = 0.5 * step
-    return None
-
-
-def _value(point: Evaluation, prior: sp.csr_matrix, z: Float[np.ndarray, " g"]) -> float:
-    return 0.5 * float(point.residuals @ point.residuals + z @ (prior @ z))
-
-
-def _touching(mesh: TetMesh, labels: Int[np.ndarray, " m"]) -> sp.csr_matrix:
+def _laplacian(mesh: TetMesh, labels: Int[np.ndarray, " m"]) -> sp.csr_matrix:
     """Laplacian of the graph of clusters that share a face."""
     ends = np.sort(labels[mesh.adjacency.pairs], axis=1)
     pairs = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
@@ -130,12 +108,3 @@ def _touching(mesh: TetMesh, labels: Int[np.ndarray, " m"]) -> sp.csr_matrix:
     graph = sp.csr_matrix((weights, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     graph = graph + graph.T
     return (sp.diags(np.asarray(graph.sum(axis=1)).ravel()) - graph).tocsr()
-
-
-def grouped_jacobian(
-    point: Evaluation, labels: Int[np.ndarray, " m"]
-) -> Float[np.ndarray, "data g"]:
-    """Return d residuals / d log-modulus of each cluster, one solve a cluster and press."""
-    count = int(labels.max()) + 1
-    columns = [point.jacobian_times(np.where(labels == g, point.youngs, 0.0)) for g in range(count)]
-    return np.column_stack(columns)

@@ -9,21 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody
 from tactorch.inverse.adaptive import adapt
+from tactorch.inverse.data import NoiseModel
 from tactorch.inverse.misfit import MISFITS, Adaptive
-from tactorch.inverse.model_error import (
-    apply_model_error,
-    discretisation_error,
-    resolve_model_error,
-)
-from tactorch.inverse.monitor import Monitor, StopOptimization
-from tactorch.inverse.noise import NoiseModel
+from tactorch.inverse.model_error import ModelError, discretisation_error, resolve_model_error
+from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.nuisance_estimate import estimates
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers import OPTIMIZERS, Optimizer
-from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.problem import InverseProblem, body_of
 from tactorch.inverse.progress import progress
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings, stored_settings
@@ -34,7 +30,6 @@ from tactorch.recording import Recording
 from tactorch.versions import versions
 
 _log = logging.getLogger(__name__)
-INTERRUPTED = "interrupted"
 
 
 def invert(
@@ -60,7 +55,7 @@ def invert(
         checkpoint: File to save the state to every few seconds.
         resume: Checkpoint to continue from.
         show_progress: Whether to show a progress line; by default at a terminal.
-        on_iteration: Called with the record of each iteration and a copy of its map, MPa.
+        on_iteration: Callback with the record of each iteration and a copy of its map, MPa.
 
     Raises:
         ConfigError: a setting cannot be used.
@@ -78,11 +73,11 @@ def invert(
         identity={
             "mesh": recording.mesh.content_hash()[:12],
             "parameterization": str(objective.parameterization),
-            "model error": _of_model(recording, settings),
-            "set of unknowns": str(settings.nuisance),
+            "model error": _describe_model_error(recording, settings),
+            "nuisance": str(settings.nuisance),
             "misfit": MISFITS.name_of(type(settings.misfit)),
         },
-        task=_task(recording, settings, optimizer),
+        task=_task_digest(recording, settings),
     )
     if resume is not None:
         monitor.restore(Path(resume), objective.size)
@@ -91,19 +86,19 @@ def invert(
     if x is None:
         first = start_map(start_mpa, objective.problem, settings.bounds)
         x = objective.start(first)
-    tell_assumed_noise(settings.noise, recording)
+    warn_of_assumed_noise(settings.noise, recording)
     reason = monitor.ended
-    if not reason:
+    if reason is None:
         with progress(OPTIMIZERS.name_of(type(optimizer)), show_progress) as update:
             monitor.on_record = update
-            reason = run_to_end(optimizer, objective, x, monitor)
+            reason = optimizer.run(objective, x, monitor)
         monitor.save()
-    found = result_of(recording, settings, optimizer, objective, monitor, reason)
-    return replace(found, config={"start_mpa": _described(start_mpa), **found.config})
+    result = result_of(objective, settings, optimizer, monitor, reason)
+    return replace(result, config={"start_mpa": _describe_start(start_mpa), **result.config})
 
 
-def tell_assumed_noise(noise: NoiseModel, recording: Recording) -> None:
-    """Warn where the noise is assumed, for want of a statement."""
+def warn_of_assumed_noise(noise: NoiseModel, recording: Recording) -> None:
+    """Log a warning where the noise of some press is not stated."""
     if noise.assumed(recording):
         _log.warning(
             "The recording does not state its noise; %.2g of the signal is assumed "
@@ -112,148 +107,143 @@ def tell_assumed_noise(noise: NoiseModel, recording: Recording) -> None:
         )
 
 
-def make_objective(recording: Recording, settings: Settings) -> Objective:
-    """Combine data, parameterisation and prior as the settings say.
-
-    Raises:
-        ConfigError: a setting cannot be used.
-        ConvergenceError: the model's error is asked for, and no uniform map carries the presses.
-    """
-    problem = make_problem(recording, settings)
-    if resolve_model_error(settings.model_error, recording, settings.element) == "discretisation":
-        fit = uniform_fit(problem, settings.bounds, settings.nuisance)
-        left = settings.residual_model_error_fraction
-        apply_model_error(
-            problem, discretisation_error(problem, fit.youngs_mpa, fit.nuisance, left)
-        )
-    return combine(problem, settings)
-
-
-def make_problem(
-    recording: Recording, settings: Settings, body: SoftBody | None = None
-) -> InverseProblem:
-    """Return the data as the settings have them, their model's error not counted yet.
+class ObjectiveBuilder:
+    """Builds objectives for presses on one object; its bodies are made once.
 
     Args:
-        recording: Presses on an object.
-        settings: Of the inversion.
-        body: The object as the settings have it, where it is there already.
+        recording: The object: mesh, material and provenance.
+        settings: Settings of the inversion.
+    """
+
+    def __init__(self, recording: Recording, settings: Settings) -> None:
+        """Make the body."""
+        self.settings = settings
+        self._body = self._make_body(recording, settings.element)
+        name = resolve_model_error(settings.model_error, recording, settings.element)
+        self.corrects = name == "discretisation"
+        self._finer: SoftBody | None = None
+
+    def _make_body(self, recording: Recording, element: str) -> SoftBody:
+        return body_of(recording, element, self.settings.solver, self.settings.newton)
+
+    def problem(self, recording: Recording) -> InverseProblem:
+        """Return the inverse problem without a correction for the model's error."""
+        settings = self.settings
+        return InverseProblem(
+            recording,
+            noise=settings.noise,
+            misfit=settings.misfit,
+            nuisance=settings.nuisance,
+            body=self._body,
+        )
+
+    def model_error(self, problem: InverseProblem) -> ModelError | None:
+        """Estimate the model's error at the uniform map that fits best; None where not corrected.
+
+        Raises:
+            ConvergenceError: no uniform map carries the presses.
+        """
+        if not self.corrects:
+            return None
+        if self._finer is None:
+            self._finer = self._make_body(problem.recording, "tet10")
+        settings = self.settings
+        fit = uniform_fit(problem, settings.bounds, settings.nuisance)
+        fraction = settings.residual_model_error_fraction
+        return discretisation_error(problem, fit.youngs_mpa, fit.nuisance, fraction, self._finer)
+
+    def objective(self, problem: InverseProblem, error: ModelError | None) -> Objective:
+        """Combine data, corrected for the model's error, with parameterisation and prior.
+
+        Raises:
+            ConfigError: the prior does not fit the mesh.
+            ConvergenceError: the misfit is adaptive, and no uniform map carries the presses.
+        """
+        settings, mesh = self.settings, problem.recording.mesh
+        if error is not None:
+            data = problem.data.corrected(error.offset, error.deviation, mesh.points)
+            problem = problem.with_data(data)
+        objective = Objective(
+            problem,
+            replace(settings.parameterization, bounds=settings.bounds),
+            settings.regularization.on(mesh),
+            settings.nuisance,
+            settings.regularization.weight,
+        )
+        return adapt(objective) if isinstance(settings.misfit, Adaptive) else objective
+
+
+def make_objective(recording: Recording, settings: Settings) -> Objective:
+    """Combine data, parameterisation and prior.
 
     Raises:
         ConfigError: a setting cannot be used.
+        ConvergenceError: the model's error is to be corrected, and no uniform map carries the
+            presses.
     """
-    problem = InverseProblem(
-        recording,
-        element=settings.element,
-        solver=settings.solver,
-        noise=settings.noise,
-        newton=settings.newton,
-        misfit=settings.misfit,
-        body=body,
-    )
-    problem.nuisance = settings.nuisance
-    return problem
+    builder = ObjectiveBuilder(recording, settings)
+    problem = builder.problem(recording)
+    return builder.objective(problem, builder.model_error(problem))
 
 
-def combine(problem: InverseProblem, settings: Settings) -> Objective:
-    """Combine data, whose model's error is counted, with parameterisation and prior.
-
-    Raises:
-        ConfigError: a setting cannot be used.
-    """
-    mesh = problem.recording.mesh
-    objective = Objective(
-        problem,
-        replace(settings.parameterization, bounds=settings.bounds),
-        settings.regularization.on(mesh),
-        settings.nuisance,
-        settings.regularization.weight,
-    )
-    if isinstance(settings.misfit, Adaptive):
-        adapt(objective)
-    return objective
-
-
-def solution(recording: Recording, found: Reconstruction, settings: Settings) -> Point:
-    """Return the point of the objective at which an inversion has ended.
+def solution(recording: Recording, result: Reconstruction, settings: Settings) -> Point:
+    """Return the point of the objective at the result of an inversion.
 
     Args:
         recording: Presses that were inverted.
-        found: Result.
+        result: Result of the inversion.
         settings: Settings of the inversion.
 
     Raises:
-        ConfigError: the settings free other nuisance parameters than the result has, or the
-            recording has another mesh.
-        ConvergenceError: a press has no equilibrium there.
+        ConfigError: the result has other nuisance parameters than the settings, or another mesh
+            than the recording.
+        ConvergenceError: a press has no equilibrium at the result.
     """
     free = settings.nuisance
-    if set(free.names) != set(found.nuisance) or recording.mesh.n_tets != len(found.youngs):
+    if set(free.names) != set(result.nuisance) or recording.mesh.n_tets != len(result.youngs):
         raise ConfigError(
-            f"the result has {len(found.youngs)} moduli and the free parameters "
-            f"{sorted(found.nuisance)}, recording and settings {recording.mesh.n_tets} and "
+            f"the result has {len(result.youngs)} moduli and the nuisance parameters "
+            f"{sorted(result.nuisance)}, recording and settings {recording.mesh.n_tets} and "
             f"{sorted(free.names)}; give those of the inversion."
         )
     objective = make_objective(recording, settings)
-    values = {name: estimate.value for name, estimate in found.nuisance.items()}
-    x = objective.start(found.youngs)
-    x[len(found.youngs) :] = free.z(values, objective.problem.assumed)
+    values = {name: estimate.value for name, estimate in result.nuisance.items()}
+    x = objective.start(result.youngs)
+    x[len(result.youngs) :] = free.z(values, objective.problem.assumed)
     return objective.at(x)
 
 
-def _of_model(recording: Recording, settings: Settings) -> str:
-    """What is done about the model's error, in words by which runs are told apart."""
+def _describe_model_error(recording: Recording, settings: Settings) -> str:
+    """Correction for the model's error, as text that distinguishes runs."""
     name = resolve_model_error(settings.model_error, recording, settings.element)
-    usual = name == "none" or settings.residual_model_error_fraction == RESIDUAL_MODEL_ERROR
-    return name if usual else f"{name}, {settings.residual_model_error_fraction:g} left"
+    default = name == "none" or settings.residual_model_error_fraction == RESIDUAL_MODEL_ERROR
+    return name if default else f"{name}, {settings.residual_model_error_fraction:g} left"
 
 
-def _task(recording: Recording, settings: Settings, optimizer: Optimizer) -> str:
-    """Everything but the start that decides the result, in few characters."""
+def _task_digest(recording: Recording, settings: Settings) -> str:
+    """Digest of everything but the start and the time limit that decides the result."""
     digest = sha256(repr(stored_settings(replace(settings, max_seconds=None))).encode())
-    digest.update(repr(recording.material).encode())
-    digest.update(repr(settings.noise.deviations(recording)).encode())
+    body = (recording.material, recording.density, tuple(recording.gravity))
+    digest.update(repr((body, settings.noise.deviations(recording))).encode())
     for press in recording.presses:
-        held = (press.springs, press.fixed, press.prescribed)
-        for array in (press.forces, press.displacement, press.weights, *held):
+        support = (press.springs, press.fixed, press.prescribed)
+        for array in (press.forces, press.displacement, press.weights, *support):
             digest.update(np.asarray(0 if array is None else array).tobytes())
     return digest.hexdigest()[:16]
 
 
-def _described(start: Start) -> float | str:
-    """A start in words that fit a config."""
+def _describe_start(start: Start) -> float | str:
+    """Start as a plain value."""
     if callable(start):
         return getattr(start, "__name__", type(start).__name__)
-    return "a map, one modulus an element" if np.ndim(start) else float(start)
-
-
-def run_to_end(optimizer: Optimizer, objective: Objective, x: np.ndarray, monitor: Monitor) -> str:
-    """Run an optimizer, and return why it ended; interruptions keep the monitor's best so far."""
-    try:
-        reason = optimizer.minimize(objective, x, monitor)
-        monitor.ended = "" if reason.endswith("limit reached") else reason
-        return reason
-    except StopOptimization:
-        return "time limit reached"
-    except KeyboardInterrupt:
-        if monitor.best is None:
-            raise
-        return INTERRUPTED
-    except ConvergenceError as error:  # an unstable equilibrium has no derivatives
-        if monitor.point is None:
-            raise
-        return f"no derivatives at the best map: {error}"
+    return "a map, one modulus per element" if np.ndim(start) else float(start)
 
 
 def result_of(
-    recording: Recording,
-    settings: Settings,
-    optimizer: Optimizer,
-    objective: Objective,
-    monitor: Monitor,
-    reason: str,
+    objective: Objective, settings: Settings, optimizer: Optimizer, monitor: Monitor, reason: str
 ) -> Reconstruction:
-    """Return what an optimizer that has ended has found."""
+    """Return the result of an optimizer that has ended."""
+    recording = objective.problem.recording
     point = monitor.point
     if point is None:  # resumed and stopped before a step
         assert monitor.best is not None

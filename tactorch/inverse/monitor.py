@@ -1,67 +1,117 @@
-"""What watches an optimizer: history, progress, checkpoints, and reasons to stop."""
+"""Monitor of an optimizer: history, progress, checkpoints, and reasons to stop."""
 
 import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile, is_zipfile
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import FileError
-from tactorch.files import atomic_path, require_file
+from tactorch.files import read_arrays, write_arrays
 from tactorch.inverse.objective import Point
 
 _log = logging.getLogger(__name__)
-_PERIOD = 1.0  # seconds between checkpoints at most: what a kill may cost
+_CHECKPOINT_PERIOD = 1.0  # s: loss if the process is killed
+
+
+class StopReason(StrEnum):
+    """Reason for the end of an optimization; the value is the text for messages and files."""
+
+    FITTED = "the data are fitted to their noise"
+    NOT_FITTED = (
+        "the prior is exhausted and the data are not fitted to their noise: the noise is larger "
+        "than stated, or the model is wrong"
+    )
+    WEIGHT_CHOSEN = "the weight of the prior has settled"
+    CONVERGED = "the objective no longer falls"
+    NO_DESCENT = "no step lowers the objective any more"
+    LOCAL_MINIMUM = "a local minimum"
+    STALLED = "the parameters no longer move"
+    LINE_SEARCH_FAILED = "the line search failed"
+    NO_DERIVATIVES = "no derivatives at the best map"
+    ITERATION_LIMIT = "iteration limit reached"
+    EVALUATION_LIMIT = "evaluation limit reached"
+    TIME_LIMIT = "time limit reached"
+    STOPPED = "stopped on request"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether a limit or a request ended the optimization, so that it can continue."""
+        return self in _LIMITS
+
+
+_LIMITS = {
+    StopReason.ITERATION_LIMIT,
+    StopReason.EVALUATION_LIMIT,
+    StopReason.TIME_LIMIT,
+    StopReason.STOPPED,
+    StopReason.INTERRUPTED,
+}
+StopCondition: TypeAlias = Callable[[list[dict[str, Any]]], StopReason | None]
 
 
 class StopOptimization(Exception):  # noqa: N818  (a signal, not an error)
-    """The time limit was reached; the monitor holds the best map so far."""
+    """An optimization is to stop; the monitor holds the best map so far.
+
+    Args:
+        reason: Reason for stopping.
+    """
+
+    def __init__(self, reason: StopReason = StopReason.TIME_LIMIT) -> None:
+        """Store the reason."""
+        super().__init__(reason.value)
+        self.reason = reason
 
 
 @dataclass
 class Monitor:
-    """Keeps the best map and its history; optimizers report every accepted iterate.
+    """Holds the best map and its history; optimizers report every accepted iterate.
 
     Attributes:
         max_seconds: Time limit.
         checkpoint: File to save the state to, or None.
         on_record: Called with each record of the history (a progress bar, say).
         on_iteration: Called with each record and its map, MPa.
-        enough: Asked after each record, with all of them, whether to end there.
+        stop_condition: Called after each record with all records; returns a reason to stop there,
+            or None.
+        log: Whether iterations are logged.
         history: Per iteration: iteration, evaluations, seconds, misfit (mm^2, eq. 7), chi2 (mean
             squared residual in standard deviations), objective, weight of the prior, step
             (largest change of a parameter), damping.
-        state: The optimizer's own numbers, for resuming.
-        identity: What a checkpoint must agree in to be resumed: name and value.
-        task: All that decides the result; a run of the same task that had ended has nothing to do.
-        ended: Why such a run ended; empty where there is something to do.
+        state: Numbers of the optimizer to resume from.
+        identity: Names and values that a checkpoint must share to be resumed.
+        task: Digest of everything that decides the result; a finished run of the same task is not
+            continued.
+        ended: Reason for the end of a finished run; None where it can continue.
     """
 
     max_seconds: float | None = None
     checkpoint: Path | None = None
     on_record: Callable[[dict[str, Any]], None] | None = None
     on_iteration: Callable[[dict[str, Any], np.ndarray], None] | None = None
-    stop_condition: Callable[[list[dict[str, Any]]], bool] | None = None
+    stop_condition: StopCondition | None = None
+    log: bool = True
     history: list[dict[str, Any]] = field(default_factory=list)
     state: dict[str, float] = field(default_factory=dict)
     identity: dict[str, str] = field(default_factory=dict)
     task: str = ""
-    ended: str = ""
+    ended: str | None = None
     best: Float[np.ndarray, " m"] | None = None
     point: Point | None = None
     _began: float = field(default_factory=time.perf_counter)
-    _spent: float = 0.0
+    _earlier_seconds: float = 0.0
     _saved: float = 0.0
 
     @property
     def seconds(self) -> float:
-        """Time spent, earlier runs of a resumed inversion included."""
-        return self._spent + time.perf_counter() - self._began
+        """Elapsed time, s, including earlier runs of a resumed inversion."""
+        return self._earlier_seconds + time.perf_counter() - self._began
 
     @property
     def iteration(self) -> int:
@@ -77,15 +127,16 @@ class Monitor:
         """Take `point` as the best so far.
 
         Raises:
-            StopOptimization: the time limit is reached, or this was enough.
+            StopOptimization: the time limit is reached, or the stop condition is met.
         """
         self.keep(point, **record)
         self.check_time()
-        if self.stop_condition is not None and self.stop_condition(self.history):
-            raise StopOptimization
+        reason = None if self.stop_condition is None else self.stop_condition(self.history)
+        if reason is not None:
+            raise StopOptimization(reason)
 
     def keep(self, point: Point, **record: float) -> None:
-        """Take `point` as the best so far, in time or not."""
+        """Take `point` as the best so far, regardless of the time limit."""
         self.best, self.point = point.x, point
         entry = {
             "iteration": len(self.history),
@@ -96,41 +147,40 @@ class Monitor:
             **record,
         }
         self.history.append(entry)
-        _log.info("%s", describe(entry))
+        if self.log:
+            _log.info("%s", describe(entry))
         if self.on_record is not None:
             self.on_record(entry)
         if self.on_iteration is not None:
             self.on_iteration(dict(entry), point.youngs.copy())
-        if time.perf_counter() - self._saved > _PERIOD:
+        if time.perf_counter() - self._saved > _CHECKPOINT_PERIOD:
             self.save()
 
     def check_time(self) -> None:
         """Raise `StopOptimization` if the time limit is reached."""
         if self.max_seconds is not None and self.seconds > self.max_seconds:
-            raise StopOptimization
+            raise StopOptimization(StopReason.TIME_LIMIT)
 
     def save(self) -> None:
-        """Write the checkpoint; a killed process leaves the previous one whole."""
+        """Write the checkpoint atomically."""
         self._saved = time.perf_counter()
         if self.checkpoint is None or self.best is None:
             return
         names = sorted({key for entry in self.history for key in entry})
         table = [[entry.get(name, np.nan) for name in names] for entry in self.history]
-        # An open file, because to a name NumPy adds ".npz" where it is missing.
-        with atomic_path(self.checkpoint) as path, path.open("wb") as file:
-            np.savez(
-                file,
-                x=self.best,
-                seconds=self.seconds,
-                history=np.array(table, dtype=np.float64),
-                history_names=np.array(names),
-                state=np.array(list(self.state.values()), dtype=np.float64),
-                state_names=np.array(list(self.state), dtype=str),
-                identity=np.array(list(self.identity.values()), dtype=str),
-                identity_names=np.array(list(self.identity), dtype=str),
-                task=self.task,
-                ended=self.ended,
-            )
+        content = {
+            "x": self.best,
+            "seconds": self.seconds,
+            "history": np.array(table, dtype=np.float64),
+            "history_names": np.array(names),
+            "state": np.array(list(self.state.values()), dtype=np.float64),
+            "state_names": np.array(list(self.state), dtype=str),
+            "identity": np.array(list(self.identity.values()), dtype=str),
+            "identity_names": np.array(list(self.identity), dtype=str),
+            "task": self.task,
+            "ended": self.ended or "",
+        }
+        write_arrays(self.checkpoint, content)
 
     def restore(self, path: Path, size: int) -> None:
         """Continue from a checkpoint.
@@ -138,37 +188,28 @@ class Monitor:
         Raises:
             FileError: it is missing, unreadable, or of another problem.
         """
-        source = require_file(path, "checkpoint")
-        if not is_zipfile(source):
-            raise FileError(
-                f"checkpoint '{source}' cannot be read (cut short, or not a checkpoint); start "
-                "anew without resume."
-            )
+        remedy = "start again without resume."
+        source, saved = Path(path), read_arrays(path, "checkpoint", remedy)
         try:
-            with source.open("rb") as file:
-                archive = np.load(file, allow_pickle=False)
-                saved = {name: archive[name] for name in archive.files}
             table, names = saved["history"], saved["history_names"]
             self.history = [_entry(names, row) for row in table]
             self.state = _dict(saved, "state")
             identity = _dict(saved, "identity")
-            self.best, self._spent = saved["x"], float(saved["seconds"])
+            self.best, self._earlier_seconds = saved["x"], float(saved["seconds"])
             if str(saved.get("task")) == self.task:
-                self.ended = str(saved["ended"])
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile, AttributeError) as error:
-            raise FileError(
-                f"checkpoint '{source}' cannot be read ({error}); start anew without resume."
-            ) from error
+                self.ended = str(saved["ended"]) or None
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise FileError(f"checkpoint '{source}' cannot be read ({error}); {remedy}") from error
         if self.best.shape != (size,):
             raise FileError(
                 f"checkpoint '{source}' is for {self.best.size} moduli but the recording has "
-                f"{size}: it belongs to another mesh. Start anew without resume."
+                f"{size}: it belongs to another mesh. Start again without resume."
             )
         for name, value in self.identity.items():
             if identity.get(name) != value:
                 raise FileError(
                     f"checkpoint '{source}' belongs to another {name}: {identity.get(name)}, not "
-                    f"{value}. Resume with the {name} that it was made with, or start anew without "
+                    f"{value}. Resume with the same {name}, or start again without "
                     "resume."
                 )
 
@@ -184,7 +225,7 @@ def _entry(names: np.ndarray, row: np.ndarray) -> dict[str, Any]:
 
 
 def describe(entry: dict[str, Any]) -> str:
-    """One line of text about an iteration."""
+    """Return a line of text about an iteration."""
     parts = [
         f"iteration {entry['iteration']:>4}",
         f"{entry['seconds']:7.1f} s",

@@ -1,4 +1,4 @@
-"""Estimates of the nuisance parameters, and how far they can be trusted."""
+"""Estimates of the nuisance parameters with their standard deviations."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,19 +10,19 @@ from tactorch.errors import ConvergenceError, TactorchError
 from tactorch.inverse.objective import Point
 from tactorch.linalg import DenseCholesky
 
-_TOLD = 0.9
-_DENSE = 12_000  # parameters up to which the normal matrix (1.2 GB) is formed
+_MAX_RATIO = 0.9  # of posterior to prior deviation, for informative data
+_MAX_DENSE = 12_000  # parameters up to which the normal matrix (1.2 GB) is formed
 
 
 @dataclass(frozen=True, eq=False)
 class NuisanceEstimate:
-    """One nuisance parameter as the data have it.
+    """Estimate of one nuisance parameter.
 
     Attributes:
         value: Its components.
-        deviation: Their posterior standard deviations, of scales relative; NaN where the problem
-            is too large for the dense matrix that they take, or an equilibrium is unstable.
-        prior_deviation: What they were before the data.
+        deviation: Their posterior standard deviations, relative for scales; NaN where the problem
+            is too large for a dense matrix, or an equilibrium is unstable.
+        prior_deviation: Their prior standard deviation.
     """
 
     value: Float[np.ndarray, " c"]
@@ -31,8 +31,8 @@ class NuisanceEstimate:
 
     @property
     def is_informative(self) -> bool:
-        """Whether the data tell some component, to less than nine tenths of what was known."""
-        return bool((self.deviation < _TOLD * self.prior_deviation).any())
+        """Whether the data reduce the deviation of some component by a tenth or more."""
+        return bool((self.deviation < _MAX_RATIO * self.prior_deviation).any())
 
     def plain(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values."""
@@ -44,19 +44,19 @@ class NuisanceEstimate:
 
     @staticmethod
     def of(plain: dict[str, Any]) -> "NuisanceEstimate":
-        """Return the estimate of plain JSON values."""
+        """Return the estimate from plain JSON values."""
         value, deviation = np.array(plain["value"]), np.array(plain["deviation"])
         return NuisanceEstimate(value, deviation, plain["prior_deviation"])
 
 
 def estimates(point: Point, weight: float) -> dict[str, NuisanceEstimate]:
-    """Read the nuisance parameters off a solution, by name; empty where none is free.
+    """Return the nuisance parameters of a solution, by name; empty where none is estimated.
 
-    Deviations are those of the normal (Laplace) approximation, the map being unknown too.
+    Deviations are those of the Laplace approximation with the map unknown too.
 
     Args:
         point: The solution.
-        weight: Weight of the prior there.
+        weight: Weight of the prior.
     """
     priors = point.objective.nuisance
     if not priors.size:
@@ -74,7 +74,7 @@ def estimates(point: Point, weight: float) -> dict[str, NuisanceEstimate]:
 
 def _deviation_of_z(point: Point, weight: float) -> Float[np.ndarray, " k"]:
     k = len(point.z)
-    if len(point.x) > _DENSE:
+    if len(point.x) > _MAX_DENSE:
         return np.full(k, np.nan)
     try:
         precision = point.jacobian.T @ point.jacobian
@@ -82,8 +82,8 @@ def _deviation_of_z(point: Point, weight: float) -> Float[np.ndarray, " k"]:
         return np.full(k, np.nan)
     coo = point.prior_curvature(weight).tocoo()
     np.add.at(precision, (coo.row, coo.col), coo.data)
-    # Where neither data nor prior say anything of an element, its modulus must not be free to
-    # break the factorisation: a shift that no variance of z notices.
+    # Elements that neither data nor prior determine would break the factorisation; the shift has
+    # no visible effect on the variances of z.
     precision[np.diag_indices_from(precision)] += 1e-12 * precision.diagonal().max()
     factor = DenseCholesky.of(precision)
     if factor is None:

@@ -1,11 +1,11 @@
-"""What is minimised: half the sum of squared residuals plus a weighted prior."""
+"""The objective: half the sum of squared residuals plus a weighted prior."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tactorch.inverse.evaluation import Evaluation
 from tactorch.inverse.nuisance import NuisancePrior
@@ -13,17 +13,17 @@ from tactorch.inverse.parameterization import Parameterization
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.regularization import Regularizer
 
-_FARTHEST = 3.0  # prior deviations that a nuisance parameter may move in one step
+_MAX_NUISANCE_STEP = 3.0  # prior standard deviations per step
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """The objective's parts at one vector of parameters x.
+    """The terms of the objective at one vector of parameters x.
 
     Attributes:
-        x: Parameters: one an element, then the nuisance parameters' z.
-        evaluation: Predictions there.
-        objective: The objective that made it.
+        x: Parameters: one per element (or group of elements), then z of the nuisance parameters.
+        evaluation: Predictions.
+        objective: The objective.
     """
 
     x: Float[np.ndarray, " size"]
@@ -38,16 +38,21 @@ class Point:
     @property
     def elements(self) -> Float[np.ndarray, " m"]:
         """The elements' part of x."""
-        return self.x[: len(self.youngs)]
+        return self.x[: self.objective.n_moduli]
 
     @property
     def z(self) -> Float[np.ndarray, " k"]:
         """The nuisance parameters' part of x, in prior standard deviations."""
-        return self.x[len(self.youngs) :]
+        return self.x[self.objective.n_moduli :]
+
+    @cached_property
+    def _moduli(self) -> Float[np.ndarray, " m"]:
+        """Young's modulus by each parameter of the map, MPa."""
+        return self.objective.moduli(self.elements)
 
     @cached_property
     def _field(self) -> Float[np.ndarray, " m"]:
-        return np.log(self.youngs)
+        return np.log(self._moduli)
 
     @cached_property
     def penalty(self) -> float:
@@ -61,7 +66,7 @@ class Point:
     @cached_property
     def penalty_curvature(self) -> sp.csr_matrix:
         """Curvature of the prior on the map with respect to x, without its weight."""
-        chain = sp.diags(self._slope / self.youngs)
+        chain = sp.diags(self._slope / self._moduli)
         inner = chain @ self.objective.prior.curvature(self._field) @ chain
         k = len(self.z)
         return sp.block_diag((inner, sp.csr_matrix((k, k))), format="csr") if k else inner.tocsr()
@@ -69,24 +74,24 @@ class Point:
     @cached_property
     def penalty_gradient(self) -> Float[np.ndarray, " size"]:
         """Gradient of the prior on the map with respect to x, without its weight."""
-        inner = self._slope / self.youngs * self.objective.prior.gradient(self._field)
+        inner = self._slope / self._moduli * self.objective.prior.gradient(self._field)
         return np.concatenate([inner, np.zeros(len(self.z))])
 
     def prior_value(self, weight: float) -> float:
-        """All that is minimised but the misfit: the weighted penalty, and the prior of z."""
+        """Return the objective without the misfit: the weighted penalty and the prior of z."""
         return weight * self.penalty + 0.5 * float(self.z @ self.z)
 
     def prior_gradient(self, weight: float) -> Float[np.ndarray, " size"]:
         """Return the gradient of `prior_value`."""
-        # A prior without weight may be infinitely steep: zero times that is no number.
+        # A prior without weight may have an infinite gradient.
         gradient = weight * self.penalty_gradient if weight else np.zeros_like(self.x)
-        gradient[len(self.youngs) :] += self.z
+        gradient[self.objective.n_moduli :] += self.z
         return gradient
 
     def prior_curvature(self, weight: float) -> sp.csr_matrix:
         """Return the curvature of `prior_value`."""
         normal = np.zeros_like(self.x)
-        normal[len(self.youngs) :] = 1.0
+        normal[self.objective.n_moduli :] = 1.0
         curvature = weight * self.penalty_curvature
         return (curvature + sp.diags(normal)).tocsr() if len(self.z) else curvature
 
@@ -97,8 +102,13 @@ class Point:
 
     @cached_property
     def jacobian(self) -> Float[np.ndarray, "data size"]:
-        """D residuals / d x."""
-        elements = self.evaluation.jacobian() * self._slope
+        """D residuals / d x, by one solve per datum, or per group of elements and press."""
+        groups = self.objective.groups
+        if groups is None:
+            elements = self.evaluation.jacobian() * self._slope
+        else:
+            changes = (np.where(groups == g, slope, 0.0) for g, slope in enumerate(self._slope))
+            elements = np.column_stack([self.evaluation.jacobian_times(c) for c in changes])
         return np.hstack([elements, self._nuisance_jacobian]) if len(self.z) else elements
 
     @cached_property
@@ -107,34 +117,37 @@ class Point:
         return self.transpose_times(self.evaluation.residuals)
 
     def jacobian_times(self, change: Float[np.ndarray, " size"]) -> Float[np.ndarray, " data"]:
-        """Return the change of the residuals by a change of x, by one solve a press."""
-        m = len(self.youngs)
-        moved = self.evaluation.jacobian_times(self._slope * change[:m])
-        return moved + self._nuisance_jacobian @ change[m:] if len(self.z) else moved
+        """Return the change of the residuals by a change of x, by one solve per press."""
+        m = self.objective.n_moduli
+        elements = self.evaluation.jacobian_times(self.objective.expand(self._slope * change[:m]))
+        return elements + self._nuisance_jacobian @ change[m:] if len(self.z) else elements
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " size"]:
-        """Return the Jacobian's transpose times `weights`, by one solve a press."""
-        elements = self._slope * self.evaluation.transpose_times(weights)
+        """Return the Jacobian's transpose times `weights`, by one solve per press."""
+        elements = self._slope * self.objective.collect(self.evaluation.transpose_times(weights))
         if not len(self.z):
             return elements
         return np.concatenate([elements, self._nuisance_jacobian.T @ weights])
 
     def value(self, weight: float) -> float:
-        """The objective with this weight of the prior."""
+        """Return the objective with this weight of the prior."""
         residuals = self.evaluation.residuals
         return 0.5 * float(residuals @ residuals) + self.prior_value(weight)
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Data, parameterisation and prior, combined.
+    """Data, parameterisation and prior.
 
     Attributes:
         problem: The data.
-        parameterization: What the elements' part of x means.
+        parameterization: Relation between the elements' part of x and Young's modulus.
         prior: The penalty on log-moduli.
         weight: Weight of the prior; None where the optimizer chooses it.
         nuisance: Nuisance parameters that are estimated too.
+        groups: Group of each element, where all elements of a group share one modulus; the prior
+            then acts on the groups. None where each element has its own.
+        stable_only: Whether points without derivatives count as points without equilibrium.
     """
 
     problem: InverseProblem
@@ -142,11 +155,33 @@ class Objective:
     prior: Regularizer
     nuisance: NuisancePrior = field(default_factory=NuisancePrior)
     weight: float | None = None
+    groups: Int[np.ndarray, " elements"] | None = None
+    stable_only: bool = False
+
+    @cached_property
+    def n_moduli(self) -> int:
+        """Number of parameters of the map."""
+        return self.problem.n_elements if self.groups is None else int(self.groups.max()) + 1
 
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return self.problem.n_elements + self.nuisance.size
+        return self.n_moduli + self.nuisance.size
+
+    def moduli(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the moduli of the map's parameters within the bounds, MPa."""
+        bounds = self.parameterization.bounds
+        return np.clip(self.parameterization.youngs(x), bounds.lower, bounds.upper)
+
+    def expand(self, values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " elements"]:
+        """Return values by element from values by parameter of the map."""
+        return values if self.groups is None else values[self.groups]
+
+    def collect(self, values: Float[np.ndarray, " elements"]) -> Float[np.ndarray, " m"]:
+        """Return the transpose of `expand`: sums over the elements of each parameter."""
+        if self.groups is None:
+            return values
+        return np.bincount(self.groups, values, minlength=self.n_moduli)
 
     def start(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " size"]:
         """Return the parameters of a map (MPa), nuisance parameters as assumed."""
@@ -157,33 +192,36 @@ class Objective:
     @property
     def limits(self) -> tuple[Float[np.ndarray, " size"], Float[np.ndarray, " size"]]:
         """Bounds of x."""
-        m, beside = self.problem.n_elements, self.nuisance.limits(self.problem.assumed)
-        ends = zip(self.parameterization.limits, beside, strict=True)
-        low, high = (np.concatenate([np.full(m, end), other]) for end, other in ends)
+        ends = zip(
+            self.parameterization.limits, self.nuisance.limits(self.problem.assumed), strict=True
+        )
+        low, high = (np.concatenate([np.full(self.n_moduli, end), other]) for end, other in ends)
         return low, high
 
     @property
     def max_step(self) -> Float[np.ndarray, " size"]:
-        """Largest change of each parameter in one Gauss-Newton step."""
-        m = self.problem.n_elements
+        """Largest change of each parameter in one damped Newton step."""
         cap = self.parameterization.max_step
-        return np.concatenate([np.full(m, cap), np.full(self.nuisance.size, _FARTHEST)])
+        return np.concatenate(
+            [np.full(self.n_moduli, cap), np.full(self.nuisance.size, _MAX_NUISANCE_STEP)]
+        )
 
     def at(
         self, x: Float[np.ndarray, " size"], near: Point | None = None, *, take_over: bool = False
     ) -> Point:
         """Evaluate at x, starting the equilibria from a nearby point.
 
-        `take_over` passes the factorisations of `near` on: see `InverseProblem.evaluate`.
+        `take_over` passes the factorisations of `near` on; see `InverseProblem.evaluate`.
 
         Raises:
             ConvergenceError: a press has no equilibrium at these moduli.
         """
-        m = self.problem.n_elements
-        youngs = self.parameterization.youngs(x[:m])
-        bounds = self.parameterization.bounds
-        youngs = np.clip(youngs, bounds.lower, bounds.upper)
+        m = self.n_moduli
+        youngs = self.expand(self.moduli(x[:m]))
         nuisance = self.nuisance.nuisance(x[m:], self.problem.assumed)
         before = None if near is None else near.evaluation
-        found = self.problem.evaluate(youngs, before, nuisance, take_over)
-        return Point(x, found, self)
+        evaluation = self.problem.evaluate(youngs, before, nuisance, take_over)
+        if self.stable_only:
+            for sensitivity in evaluation.sensitivities:
+                sensitivity.linearization.factor()
+        return Point(x, evaluation, self)

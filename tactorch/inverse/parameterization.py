@@ -57,18 +57,22 @@ class Parameterization(Options, ABC):
     def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return d youngs / d x, MPa."""
 
+    @abstractmethod
+    def second_derivative(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return d^2 youngs / d x^2, MPa."""
+
     def expected_variance_reduction(
         self,
         mean: Float[np.ndarray, " m"],
         before: Float[np.ndarray, " m"],
         after: Float[np.ndarray, " m"],
     ) -> Float[np.ndarray, " m"]:
-        """Return by how much the variance of the moduli is expected to fall, MPa^2; to first order.
+        """Return the expected reduction of the variance of the moduli, MPa^2, to first order.
 
         Args:
-            mean: Of the parameters, which are normally distributed.
+            mean: Means of the parameters, which are normally distributed.
             before: Their variances.
-            after: Their variances once more is known, which moves the means too.
+            after: Their variances given more data, which changes the means too.
         """
         return self.slope(mean) ** 2 * (before - after)
 
@@ -78,7 +82,7 @@ class Parameterization(Options, ABC):
 
     @property
     def max_step(self) -> float:
-        """Largest change of a parameter that one Gauss-Newton step may make."""
+        """Largest change of a parameter in one damped Newton step."""
         return np.inf
 
     @property
@@ -89,7 +93,7 @@ class Parameterization(Options, ABC):
 
 
 class Identity(Parameterization):
-    """X is the modulus, MPa."""
+    """Young's modulus itself, MPa."""
 
     def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return the moduli of parameters, MPa."""
@@ -99,13 +103,17 @@ class Identity(Parameterization):
         """Return d youngs / d x, MPa."""
         return np.ones_like(x)
 
+    def second_derivative(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return zeros."""
+        return np.zeros_like(x)
+
     def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return the parameters of moduli."""
         return np.asarray(youngs, dtype=np.float64)
 
 
 class Scaled(Parameterization):
-    """Youngs = lower + x (upper - lower), the linear scaling of the paper's program."""
+    """The paper's linear scaling: E = lower + x (upper - lower)."""
 
     @property
     def _range(self) -> float:
@@ -119,17 +127,21 @@ class Scaled(Parameterization):
         """Return d youngs / d x, MPa."""
         return np.full_like(x, self._range)
 
+    def second_derivative(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return zeros."""
+        return np.zeros_like(x)
+
     def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return the parameters of moduli."""
         return (youngs - self.bounds.lower) / self._range
 
 
 class Log(Parameterization):
-    """Youngs = exp(x): relative changes count, positivity is built in."""
+    """Logarithm: E = exp(x), so that relative changes count and E is positive."""
 
     @property
     def max_step(self) -> float:
-        """A factor of e^2 a step: beyond it the linearisation says nothing."""
+        """A factor of e^2 per step: beyond it the linearisation is meaningless."""
         return 2.0
 
     def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
@@ -138,6 +150,10 @@ class Log(Parameterization):
 
     def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return d youngs / d x, MPa."""
+        return np.exp(x)
+
+    def second_derivative(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return d^2 youngs / d x^2, MPa."""
         return np.exp(x)
 
     def expected_variance_reduction(
@@ -149,7 +165,7 @@ class Log(Parameterization):
         """See `Parameterization.expected_variance_reduction`; exact for a log-normal.
 
         The new mean is m + N(0, v - v'), so E[e^(2 m' + v') (e^v' - 1)] is
-        e^(2 m + 2 v) (1 - e^-v'). No variance is taken as larger than that of anything within the
+        e^(2 m + 2 v) (1 - e^-v'). Variances are limited to that of a uniform distribution over the
         bounds.
         """
         low, high = self.limits

@@ -1,5 +1,7 @@
 """The inverse problem: predicted against observed displacements of all presses (eq. 7)."""
 
+from copy import copy
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -7,17 +9,16 @@ from jaxtyping import Float
 from tactorch.errors import ConvergenceError
 from tactorch.fem import Newton, NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.body import check_youngs
-from tactorch.inverse.correlated_noise import CorrelatedNoise
-from tactorch.inverse.evaluation import Evaluation, Observation, PressSolution
+from tactorch.inverse.data import DataModel, NoiseModel
+from tactorch.inverse.evaluation import Evaluation, PressSolution
 from tactorch.inverse.misfit import Misfit, Squares
-from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModelFactory
 from tactorch.linalg import SolverOptions, map_cases
-from tactorch.recording import Press, Recording
+from tactorch.recording import Recording
 
 
 class InverseProblem:
-    """A recording seen as an inverse problem.
+    """A recording as an inverse problem.
 
     Args:
         recording: Presses, mesh and material. Its truth and reference are never read.
@@ -25,8 +26,14 @@ class InverseProblem:
         solver: Linear solver.
         noise: Standard deviations for presses that do not state theirs.
         newton: Settings of the equilibrium search.
-        misfit: What a residual costs; its square by default.
-        body: Of this mesh, material, element and solver, where one is there already.
+        misfit: Cost of the residuals; squares by default.
+        nuisance: Nuisance parameters that are estimated together with the map, for starts.
+        body: Body of this mesh, material, element and solver, where it exists already.
+
+    Attributes:
+        data: Observations and the statistics of their errors.
+        assumed: Nuisance values that the recording states.
+        evaluations: Number of evaluations so far.
     """
 
     def __init__(
@@ -38,36 +45,35 @@ class InverseProblem:
         noise: NoiseModel | None = None,
         newton: NewtonOptions | None = None,
         misfit: Misfit | None = None,
+        nuisance: NuisancePrior | None = None,
         body: SoftBody | None = None,
     ) -> None:
         """Set up the body and the observations."""
         self.recording = recording
         self.body = body or body_of(recording, element, solver, newton)
         self.noise = noise or NoiseModel()
-        deviations = self.noise.deviations(recording)
-        self.observations = [
-            _observe(press, deviation)
-            for press, deviation in zip(recording.presses, deviations, strict=True)
-        ]
+        self.data = DataModel.of(recording, self.noise, misfit or Squares())
+        self.nuisance = nuisance or NuisancePrior()
         self.assumed = Nuisance.assumed(recording)
-        self.placing = PressModelFactory(recording)
-        self.common: CorrelatedNoise | None = None
-        self.model_deviation: list[float] | None = None  # mm, of each press, if it is counted
-        self.sure_noise = 1.0  # share of the data's variance that is noise, and no model's error
-        self.nuisance = NuisancePrior()  # that are estimated beside the map, for starts to know
-        self.misfit = misfit or Squares()
+        self._press_models = PressModelFactory(recording)
         self._weight = self._body_force()
         self.evaluations = 0
 
     @property
     def n_data(self) -> int:
         """Number of observed degrees of freedom over all presses."""
-        return sum(len(seen.index) for seen in self.observations)
+        return self.data.size
 
     @property
     def n_elements(self) -> int:
         """Number of moduli."""
         return self.recording.mesh.n_tets
+
+    def with_data(self, data: DataModel) -> "InverseProblem":
+        """Return the problem with other data, on the same body."""
+        problem = copy(self)
+        problem.data = data
+        return problem
 
     def _body_force(self) -> Float[np.ndarray, "nodes 3"]:
         recording = self.recording
@@ -84,46 +90,46 @@ class InverseProblem:
         take_over: bool = False,
         chained: bool = False,
     ) -> Evaluation:
-        """Solve all presses at these moduli, side by side.
+        """Solve all presses at these moduli, in parallel.
 
         Args:
-            youngs: The map, MPa.
-            near: An evaluation at similar moduli to start from.
-            nuisance: What else the predictions depend on; by default what the recording states.
-            take_over: Whether to take the factorisations of `near` over, which must then factor
-                anew for its derivatives. It saves time and half the memory.
-            chained: Whether to solve one press after the other, each taking over the factorisation
-                of the one before: the memory of one press, where no derivatives are wanted.
+            youngs: Young's modulus of each element, MPa.
+            near: Evaluation at similar moduli to start from.
+            nuisance: Nuisance values; by default those that the recording states.
+            take_over: Whether to take over the factorisations of `near`, which must then factor
+                again for its derivatives. It saves time and half the memory.
+            chained: Whether to solve the presses one after the other, each with the factorisation
+                of the one before. It needs the memory of one press, but gives no derivatives.
 
         Raises:
             ConvergenceError: a press has no equilibrium; names the press.
         """
         check_youngs(youngs, self.n_elements)
         values = self.assumed if nuisance is None else nuisance
-        assembly = self.body.with_parameters(values.poisson, self.placing.rest_points(values))
+        assembly = self.body.with_parameters(values.poisson, self._press_models.rest_points(values))
         weight = self._weight * values.rest_scale.prod()
         starts = None if near is None else near.predict(youngs)
 
         def work(i: int, after: Newton | None = None) -> PressSolution:
-            press, placed = self.recording.presses[i], self.placing.at(values, i)
+            press, model = self.recording.presses[i], self._press_models.at(values, i)
             supports = Supports(press.fixed, press.prescribed, press.springs)
-            forces = self.body.discretisation.consistent_loads(placed.forces) + weight
+            forces = self.body.discretisation.consistent_loads(model.forces) + weight
             if near is not None and take_over:
                 after = near.search(i)
             newton = self.body.search(youngs, forces, supports, assembly=assembly, after=after)
-            found = newton.run(None if starts is None else starts[i])
-            if not found.converged:
-                raise ConvergenceError(f"{press.label} (index {i}): {found.reason}")
-            return PressSolution(self.observations[i], placed, weight, newton, found)
+            equilibrium = newton.run(None if starts is None else starts[i])
+            if not equilibrium.converged:
+                raise ConvergenceError(f"{press.label} (index {i}): {equilibrium.reason}")
+            return PressSolution(self.data.observations[i], model, weight, newton, equilibrium)
 
         self.evaluations += 1
         if chained:
-            solved = [work(0)]
-            for i in range(1, len(self.observations)):
-                solved.append(work(i, solved[-1].newton))
+            solutions = [work(0)]
+            for i in range(1, len(self.data.observations)):
+                solutions.append(work(i, solutions[-1].newton))
         else:
-            solved = map_cases(work, len(self.observations))
-        return Evaluation(youngs, values, solved, self.common, self.misfit)
+            solutions = map_cases(work, len(self.data.observations))
+        return Evaluation(youngs, values, solutions, self.data)
 
 
 def body_of(
@@ -132,15 +138,7 @@ def body_of(
     solver: str | SolverOptions,
     newton: NewtonOptions | None = None,
 ) -> SoftBody:
-    """Return the object of a recording as a body to be solved."""
+    """Return the body of a recording."""
     spec = recording.material
     material = make_material(spec.name, spec.poisson, **spec.parameters)
     return SoftBody(recording.mesh, material, element=element, solver=solver, newton=newton)
-
-
-def _observe(press: Press, deviation: float) -> Observation:
-    weights = np.ones_like(press.forces) if press.weights is None else press.weights
-    # Data of no weight are left out: they would make the mean squared residual look too good.
-    index = np.flatnonzero(press.data & (weights > 0))
-    relative = weights.ravel()[index]
-    return Observation(index, press.displacement.ravel()[index], relative / deviation)

@@ -1,4 +1,4 @@
-"""The result of an inversion: a map of Young's modulus, how it was reached, and its files."""
+"""The result of an inversion: a map of Young's modulus with its history, and its files."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,11 +38,11 @@ class Reconstruction:
         mesh: The object.
         youngs: Young's modulus of each element, MPa.
         displacements: Predicted displacement of each press at the map, mm.
-        history: One record an iteration; see `tactorch.inverse.Monitor`.
-        stop_reason: Why the optimizer stopped.
-        seconds: Time it took, resumed runs included.
+        history: One record per iteration; see `tactorch.inverse.Monitor`.
+        stop_reason: Reason for the end of the optimization: a `StopReason` or its text.
+        seconds: Elapsed time, including earlier runs of a resumed inversion, s.
         config: Settings, versions and provenance, as plain JSON values.
-        nuisance: Estimates of the nuisance parameters that were free, by name.
+        nuisance: Estimates of the nuisance parameters by name.
     """
 
     mesh: TetMesh
@@ -56,7 +56,7 @@ class Reconstruction:
 
     @property
     def iterations(self) -> int:
-        """Iterations that the optimizer made."""
+        """Number of iterations."""
         return int(self.history[-1]["iteration"]) if self.history else 0
 
     @property
@@ -65,7 +65,7 @@ class Reconstruction:
         return float(self.history[-1]["misfit"]) if self.history else float("nan")
 
     def save(self, path: str | Path) -> Path:
-        """Write to HDF5, whole or not at all."""
+        """Write to HDF5 atomically."""
         write_hdf5(path, self._write)
         return Path(path)
 

@@ -7,8 +7,8 @@ from typing import Any, Literal
 from tactorch.config import REGISTRIES, Options, build, option, settings_of
 from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions
+from tactorch.inverse.data import NoiseModel
 from tactorch.inverse.misfit import Misfit, Squares
-from tactorch.inverse.noise import NoiseModel
 from tactorch.inverse.nuisance import NuisancePrior
 from tactorch.inverse.optimizers import GaussNewton, Optimizer
 from tactorch.inverse.parameterization import Bounds, Log, Parameterization

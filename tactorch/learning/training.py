@@ -1,5 +1,6 @@
 """One training: from a data module and a module to weights, a curve and a summary."""
 
+import io
 import json
 import signal
 from collections.abc import Callable, Mapping, Sequence
@@ -7,12 +8,14 @@ from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, TypeVar
+from zipfile import ZipFile
 
 import lightning
 import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import atomic_path
@@ -55,6 +58,19 @@ class TrainerOptions:
             raise ConfigError(f"trainer.max_epochs={self.max_epochs} must be at least 1.")
         if self.accelerator == "gpu" and not torch.cuda.is_available():
             raise ConfigError("trainer=gpu needs a CUDA device, and torch sees none here.")
+
+
+class AtomicCheckpointIO(TorchCheckpointIO):
+    """Writes checkpoints whole or not at all."""
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None
+    ) -> None:
+        """Write a checkpoint; torch itself ends a process on a full disk."""
+        memory = io.BytesIO()
+        torch.save(checkpoint, memory)
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(memory.getvalue())
 
 
 class Curve(lightning.Callback):
@@ -149,6 +165,11 @@ def fit(
             signal.signal(signal.SIGINT, on_interrupt)  # which Lightning took away
             raise KeyboardInterrupt from end
         raise
+    except OSError as error:
+        raise FileError(
+            f"cannot write into '{folder}': {error}; check its permissions and the free space."
+            " Training continues from its last checkpoint."
+        ) from error
     if not judged:  # there is nothing to choose by: the last is as good as any
         trainer.save_checkpoint(best)
     load_weights(module, best)
@@ -189,6 +210,7 @@ def _trainer(
         log_every_n_steps=1,
         num_sanity_val_steps=0,
         deterministic="warn",
+        plugins=[AtomicCheckpointIO()],
     )
     try:
         return lightning.Trainer(**settings)
@@ -228,21 +250,26 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
         FileError: It is missing or damaged.
     """
     try:
+        with ZipFile(path) as archive:  # torch does not compare the checksums
+            damaged = archive.testzip()
+        if damaged is not None:
+            raise ValueError(f"the checksum of {damaged} differs")
         content = torch.load(path, map_location="cpu", weights_only=True)
         content["state_dict"].items()
     except FileNotFoundError as error:
         raise FileError(f"checkpoint not found: '{path}'.") from error
-    except Exception as error:  # whatever a damaged archive leads to
+    except Exception as error:  # what a damaged archive raises has no common base
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
         raise FileError(
-            f"checkpoint '{path}' is damaged or no checkpoint ({type(error).__name__}); train again,"
-            " or give another."
+            f"checkpoint '{path}' is damaged or no checkpoint ({reason}); train again, or give"
+            " another."
         ) from error
     assert isinstance(content, Mapping)
     return content
 
 
 def rebuild(make: Callable[..., _Network], path: Path, kind: str, advice: str) -> _Network:
-    """Load a network in evaluation mode from a checkpoint, which contains its settings.
+    """Make a network anew from a checkpoint alone: its settings stand in it. Ready to answer.
 
     Args:
         make: The network's class.

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import TactorchError
-from tactorch.findings import Confidence, confidence_of, find_lump
+from tactorch.findings import Confidence, compute_confidence, find_lump
 from tactorch.inverse import NoiseModel, Point, Settings, settings_from, solution
 from tactorch.inverse.nuisance.press_model import PressModelFactory
 from tactorch.inverse.nuisance.values import Nuisance
@@ -143,18 +143,20 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     )
     at_bound |= low == high  # the whole interval is beyond a bound
     inclusion = find_lump(recording.mesh, run.result.youngs)
-    confidence = None if inclusion is None else confidence_of(recording.mesh, inclusion, posterior)
+    confidence = (
+        None if inclusion is None else compute_confidence(recording.mesh, inclusion, posterior)
+    )
     summary = UncertaintySummary(
         metric, low, high, resolution, at_bound, type(posterior).__name__, confidence
     )
-    corrected = None if point.objective.problem.model_deviation is None else True
+    corrected = None if point.objective.problem.data.model_deviation is None else True
     return Assessment(summary, _corrected_fits(recording, point), "", corrected)
 
 
 def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:
     evaluation, fits = point.evaluation, []
     for observation, reported, deviations in zip(
-        point.objective.problem.observations,
+        point.objective.problem.data.observations,
         evaluation.reported,
         evaluation.deviations,
         strict=True,

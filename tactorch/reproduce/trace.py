@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.inverse import InverseProblem, Reconstruction, Settings, invert
+from tactorch.inverse import InverseProblem, Reconstruction, Settings, StopReason, invert
 from tactorch.metrics import ssim
 from tactorch.recording import Recording
 from tactorch.reproduce.objects import START_MPA
@@ -51,7 +51,8 @@ class TracedRun:
     @property
     def limited(self) -> bool:
         """Whether a limit of time or of evaluations stopped the inversion."""
-        return self.result.stop_reason.endswith("limit reached")
+        limits = StopReason.EVALUATION_LIMIT, StopReason.ITERATION_LIMIT, StopReason.TIME_LIMIT
+        return self.result.stop_reason in limits
 
     def ssim_after(self, evaluations: int) -> float | None:
         """Return the similarity after a number of evaluations.

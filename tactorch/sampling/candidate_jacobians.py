@@ -40,7 +40,7 @@ def predict_jacobians(
         Derivatives of each press's data by the parameters, in standard deviations; None for a
         press under which the body collapses.
     """
-    scales = np.concatenate([data.scale for data in point.objective.problem.observations])
+    scales = np.concatenate([data.scale for data in point.objective.problem.data.observations])
     noise = float(1.0 / np.median(scales))
     # Presses without any displacement are refused as data.
     placeholder = np.full(presses[0].forces.shape, noise)
@@ -65,14 +65,14 @@ def _jacobians(presses: Sequence[Press], point: Point, settings: Settings) -> li
     problem = InverseProblem(recording, newton=settings.newton, body=current.body)
     slope = point.objective.parameterization.slope(point.elements)
     blocks = _split(problem.evaluate(point.youngs).jacobian() * slope, problem)
-    if current.model_deviation is None:
+    if current.data.model_deviation is None:
         return blocks
-    deviation, points = float(np.median(current.model_deviation)), recording.mesh.points
-    patterns = [smooth_pattern(points, data, deviation) for data in problem.observations]
+    deviation, points = float(np.median(current.data.model_deviation)), recording.mesh.points
+    patterns = [smooth_pattern(points, data, deviation) for data in problem.data.observations]
     return [CorrelatedNoise(s).whiten(block) for s, block in zip(patterns, blocks, strict=True)]
 
 
 def _split(rows: np.ndarray, problem: InverseProblem) -> list[np.ndarray]:
     """Rows of each press."""
-    counts = [len(data.index) for data in problem.observations]
+    counts = [len(data.index) for data in problem.data.observations]
     return np.split(rows, np.cumsum(counts)[:-1])

@@ -13,12 +13,12 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
 from tactorch.findings import find_lump
 from tactorch.inverse import (
-    INTERRUPTED,
     START_MPA,
     IncrementalInversion,
     IncrementalResult,
     Settings,
     Start,
+    StopReason,
 )
 from tactorch.metrics import Inclusion
 from tactorch.plain import plain
@@ -286,7 +286,7 @@ class SamplingLoop:
         update = self._update
         if update is None:
             return ""
-        if update.solution.result.stop_reason == INTERRUPTED:
+        if update.solution.result.stop_reason == StopReason.INTERRUPTED:
             return "interrupted"
         deviation = update.rms_deviation
         reached = deviation is not None and deviation <= self._target_deviation

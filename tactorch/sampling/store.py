@@ -4,12 +4,11 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 
 from tactorch.errors import FileError
-from tactorch.files import atomic_path
+from tactorch.files import atomic_path, read_arrays, write_arrays
 from tactorch.inverse import Reconstruction
 from tactorch.sampling.sources import Arrival
 
@@ -38,15 +37,14 @@ class Store:
     ) -> None:
         """Write the state and the history after an update."""
         lines = [json.dumps(entry, allow_nan=False) for entry in history]
-        with atomic_path(self.folder / STATE) as path, path.open("wb") as file:
-            texts = {
-                "keys": [arrival.key for arrival in arrivals],
-                "marks": [arrival.digest for arrival in arrivals],
-                "history": lines,
-                "task": [self._task],
-            }
-            arrays = {name: np.array(values, dtype=str) for name, values in texts.items()}
-            np.savez(file, allow_pickle=False, **arrays, **state)
+        texts = {
+            "keys": [arrival.key for arrival in arrivals],
+            "marks": [arrival.digest for arrival in arrivals],
+            "history": lines,
+            "task": [self._task],
+        }
+        arrays = {name: np.array(values, dtype=str) for name, values in texts.items()}
+        write_arrays(self.folder / STATE, {**arrays, **state})
         self.write_history(history)
 
     def save_result(self, result: Reconstruction) -> None:
@@ -68,17 +66,8 @@ class Store:
         path = self.folder / STATE
         if not path.exists():
             return None
-        try:
-            if not is_zipfile(path):
-                raise ValueError("cut short, or not a state")
-            with path.open("rb") as file:
-                archive = np.load(file, allow_pickle=False)
-                state = {name: archive[name] for name in archive.files}
-            task = str(state["task"][0])
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-            raise FileError(
-                f"'{path}' cannot be read ({error}); delete it, or choose another run_dir."
-            ) from error
+        state = read_arrays(path, "state", "delete it, or choose another run_dir.")
+        task = str(state["task"].ravel()[0]) if state.get("task", np.empty(0)).size else ""
         if task != self._task:
             raise FileError(
                 f"'{path}' is of a run with other settings; give those, to continue it, or choose "

@@ -1,101 +1,88 @@
-"""From a frame to the contact that it shows: markers, depth, the gel's deformation, forces."""
+"""Contacts from frames: markers and depth, deformation of the gel, forces."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, map_coordinates
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.mesh.values import Real, positive
 from tactorch.sensor.calibration import Calibration
-from tactorch.sensor.contact import carry_displacements
-from tactorch.sensor.depth import STEEP, Height, height_of
+from tactorch.sensor.contact import interpolate_displacements
+from tactorch.sensor.depth import MIN_SLOPE, HeightMap, reconstruct_height
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image
-from tactorch.sensor.gel import Contact, GelModel
-from tactorch.sensor.markers import MarkerLook, MarkerTracker, TrackOptions, displacement_mm
+from tactorch.sensor.gel import GelContact, GelModel
+from tactorch.sensor.markers import (
+    MarkerAppearance,
+    MarkerTracker,
+    TrackOptions,
+    marker_displacements,
+)
 
-_OUT = np.array([0.0, 0.0, 1.0])  # of the sensor
-_SCALE_OFF = 0.02  # by which a pixel may be of another size than when calibrated
+_AXIS = np.array([0.0, 0.0, 1.0])
+_MAX_SCALE_ERROR = 0.02  # between calibration and description
 
 
 @dataclass(frozen=True)
-class ChainOptions:
-    """How frames become contacts.
+class ChainOptions(Options):
+    """Processing of frames to contacts."""
 
-    Attributes:
-        noise_mm: Standard deviation of the displacements that markers and depth tell.
-        around_mm: By how much the touched region is widened beyond what depth shows.
-        min_depth_mm: Depth below which a frame is taken to be without contact.
-        steep: Slope from which the face counts as deformed, see `height_of`.
-        track: How strictly markers are followed.
-    """
-
-    noise_mm: Real = 0.01
-    around_mm: Real = 0.5
-    min_depth_mm: Real = 0.03
-    steep: Real = STEEP
-    track: TrackOptions = field(default_factory=TrackOptions)
-
-    def __post_init__(self) -> None:
-        for name in ("noise_mm", "around_mm", "min_depth_mm", "steep"):
-            positive(name, getattr(self, name))
+    noise_mm: float = option(
+        0.01, "Standard deviation of the displacements from markers and depth", unit="mm", gt=0
+    )
+    margin_mm: float = option(
+        0.5, "Margin by which the contact region from depth is widened", unit="mm", gt=0
+    )
+    min_depth_mm: float = option(
+        0.03, "Depth below which a frame is without contact", unit="mm", gt=0
+    )
+    min_slope: float = option(
+        MIN_SLOPE,
+        "Slope above which the face counts as deformed; smaller for wide, flat objects",
+        gt=0,
+    )
+    track: TrackOptions = option(factory=TrackOptions, help="Tolerances of marker tracking")
 
 
 @dataclass(frozen=True, eq=False)
-class Deformed:
-    """How a frame shows the gel's face to have moved.
+class Measurement:
+    """Measured state of the gel in a frame.
 
     Attributes:
-        frame: The frame.
-        markers_px: Its markers in the reference's order; NaN where one is not seen.
-        height: How far the face moved along z; None where there is no image.
-        moved: Displacement of the nodes of the gel's face, NaN where unknown, mm; None without
-            contact.
-        touched: Nodes of the gel's face that are touched.
+        frame: Frame.
+        markers_px: Markers in the reference's order (column, row); NaN for markers not seen.
+        height: Height map of the face; None without an image.
+        displacement: Displacements of the nodes of the gel's face, NaN where unknown, mm; None
+            without contact.
+        in_contact: Nodes of the gel's face in contact.
+        contact: Forces and displacements of the gel's face; None without contact, or before
+            `SensorChain.solve_contact`.
     """
 
     frame: Frame
     markers_px: Float[np.ndarray, "n 2"]
-    height: Height | None
-    moved: Float[np.ndarray, "k 3"] | None
-    touched: Bool[np.ndarray, " k"]
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What a frame shows.
-
-    Attributes:
-        frame: The frame.
-        markers_px: Its markers in the reference's order; NaN where one is not seen.
-        height: How far the face moved along z; None where there is no image.
-        contact: Forces and displacements of the gel's face; None without contact.
-        touched: Nodes of the gel's face that are touched.
-    """
-
-    frame: Frame
-    markers_px: Float[np.ndarray, "n 2"]
-    height: Height | None
-    contact: Contact | None
-    touched: Bool[np.ndarray, " k"]
+    height: HeightMap | None
+    displacement: Float[np.ndarray, "k 3"] | None
+    in_contact: Bool[np.ndarray, " k"]
+    contact: GelContact | None = None
 
 
 class SensorChain:
-    """A calibrated sensor that tells the forces on its gel, frame by frame.
+    """Processing chain of a calibrated sensor, frame by frame.
 
     Args:
-        sensor: The sensor.
-        calibration: From colours to slopes.
-        reference: The gel without contact.
-        model: The gel; None makes one with cells of 1 mm.
-        options: How frames become contacts.
+        sensor: Sensor description.
+        calibration: Map from colors to slopes.
+        reference: Image of the gel without contact.
+        model: Model of the gel; None for one with cells of 1 mm.
+        options: Processing options.
 
     Raises:
-        ConfigError: The sensor has no markers, the reference shows too few, or sensor, calibration
-            and reference are not of one image size and scale.
+        ConfigError: The sensor has no markers, the reference shows too few, or the image size or
+            scale differs between sensor, calibration and reference.
     """
 
     def __init__(
@@ -108,93 +95,106 @@ class SensorChain:
     ) -> None:
         if sensor.markers is None:
             raise ConfigError(
-                f"sensor '{sensor.name}' has no markers, which tell how it is sheared; give markers"
+                f"sensor '{sensor.name}' has no markers, from which shear is measured; give markers"
                 " in its description."
             )
-        _check_sizes(sensor, calibration, reference)
+        _check_consistency(sensor, calibration, reference)
         self.sensor, self.calibration, self.reference = sensor, calibration, reference
         self.model = model or GelModel(sensor.gel)
         self.options = options or ChainOptions()
         x, y = sensor.mm_per_px
         self.mm_per_px = (float(x), float(y))
-        pixel = float(np.sqrt(x * y))
-        diameter = float(sensor.markers.diameter_mm) / pixel
-        self.look = calibration.look or MarkerLook(diameter)
-        self.tracker = MarkerTracker(reference, self.look, self.options.track)
+        diameter_px = float(sensor.markers.diameter_mm) / float(np.sqrt(x * y))
+        appearance = calibration.markers or MarkerAppearance(diameter_px)
+        self.tracker = MarkerTracker(reference, appearance, self.options.track)
 
-    def follow(self, frames: Iterable[Frame]) -> Iterator[Seen]:
-        """Yield what each frame shows; frames without an image show nothing."""
+    def measure_all(self, frames: Iterable[Frame]) -> Iterator[Measurement]:
+        """Yield the measurement of each frame; frames without an image have no contact."""
         for frame in frames:
-            yield self.see(frame)
+            yield self.measure(frame)
 
-    def see(self, frame: Frame) -> Seen:
-        """Return what the next frame shows.
-
-        Raises:
-            ConfigError: The frame has another size than the reference.
-            ConvergenceError: The gel collapses under what it shows.
-        """
-        look = self.deformed(frame)
-        return Seen(frame, look.markers_px, look.height, self.contact(look), look.touched)
-
-    def deformed(self, frame: Frame) -> Deformed:
-        """Follow the markers into the next frame and return how the face moved, without forces.
+    def measure(self, frame: Frame) -> Measurement:
+        """Return the measurement of the next frame, including forces.
 
         Raises:
             ConfigError: The frame has another size than the reference.
+            ConvergenceError: The gel model does not converge.
         """
-        none = np.zeros(len(self.model.points), dtype=bool)
+        measurement = self.measure_deformation(frame)
+        return replace(measurement, contact=self.solve_contact(measurement))
+
+    def measure_deformation(self, frame: Frame) -> Measurement:
+        """Track the markers into the next frame and measure the deformation, without forces.
+
+        Raises:
+            ConfigError: The frame has another size than the reference.
+        """
+        untouched = np.zeros(len(self.model.points), dtype=bool)
         if frame.image is None:
-            return Deformed(frame, np.full(self.tracker.begin.shape, np.nan), None, None, none)
-        found = self.tracker.follow(frame.image).places
+            missing = np.full(self.tracker.reference_px.shape, np.nan)
+            return Measurement(frame, missing, None, None, untouched)
+        markers_px = self.tracker.track(frame.image)
         slopes = self.calibration.slopes(frame.image, self.reference)
-        height = height_of(slopes, self.mm_per_px, self.options.steep)
-        if -height.height_mm.min() < float(self.options.min_depth_mm):
-            return Deformed(frame, found, height, None, none)
-        moved = self._moved(found, height)
-        touched = self._touched(height, moved)
-        return Deformed(frame, found, height, moved if touched.any() else None, touched)
+        height = reconstruct_height(slopes, self.mm_per_px, self.options.min_slope)
+        if height.depth_mm < self.options.min_depth_mm:
+            return Measurement(frame, markers_px, height, None, untouched)
+        displacement = self._face_displacement(markers_px, height)
+        in_contact = self._contact_nodes(height, displacement)
+        known = displacement if in_contact.any() else None
+        return Measurement(frame, markers_px, height, known, in_contact)
 
-    def contact(self, look: Deformed) -> Contact | None:
-        """Return the forces behind a deformation; None without contact.
+    def solve_contact(self, measurement: Measurement) -> GelContact | None:
+        """Return the contact forces behind a measured deformation; None without contact.
 
         Raises:
-            ConvergenceError: The gel collapses under it.
+            ConvergenceError: The gel model does not converge.
         """
-        if look.moved is None:
+        if measurement.displacement is None:
             return None
-        # Slopes leave depth's constant open, and where nothing is touched the gel moves too.
-        noise = float(self.options.noise_mm)
-        return self.model.smooth_forces(look.moved, noise, look.touched, tilted=True)
+        # Slopes determine depth up to a constant, and the gel also moves outside the contact.
+        return self.model.smooth_forces(
+            measurement.displacement,
+            self.options.noise_mm,
+            measurement.in_contact,
+            free_plane=True,
+        )
 
-    def _moved(self, places_px: np.ndarray, height: Height) -> Float[np.ndarray, "k 3"]:
-        """How the gel's nodes moved: along the face as markers tell, across it as depth does."""
-        points, told = displacement_mm(self.sensor, self.tracker.begin, places_px, height.height_mm)
+    def _face_displacement(
+        self, markers_px: np.ndarray, height: HeightMap
+    ) -> Float[np.ndarray, "k 3"]:
+        """Displacements of the gel's nodes: in the plane from markers, along z from depth."""
+        points, in_plane = marker_displacements(
+            self.sensor, self.tracker.reference_px, markers_px, height.height_mm
+        )
         nodes = self.model.points
-        found, _ = carry_displacements(points, told, nodes, _OUT)
-        now = nodes[:, :2] + np.nan_to_num(found[:, :2])
-        risen = self._at(height.free_mm, now)
-        found[:, 2] = risen + self.sensor.gel.height_mm(now) - nodes[:, 2]
-        found[np.isnan(found[:, 0])] = np.nan  # beyond the markers nothing is known along the face
-        return found
+        displacement, _ = interpolate_displacements(points, in_plane, nodes, _AXIS)
+        current = nodes[:, :2] + np.nan_to_num(displacement[:, :2])
+        rise = self._sample(height.zero_mean_mm, current)
+        displacement[:, 2] = rise + self.sensor.gel.height_mm(current) - nodes[:, 2]
+        displacement[np.isnan(displacement[:, 0])] = np.nan  # outside the hull of the markers
+        return displacement
 
-    def _touched(self, height: Height, moved: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
-        sizes = [max(1, round(float(self.options.around_mm) / size)) for size in self.mm_per_px]
-        rows, columns = np.mgrid[-sizes[1] : sizes[1] + 1, -sizes[0] : sizes[0] + 1]
-        disc = (rows / sizes[1]) ** 2 + (columns / sizes[0]) ** 2 <= 1
-        wide = binary_dilation(height.contact, disc).astype(float)
-        now = self.model.points[:, :2] + np.nan_to_num(moved[:, :2])
-        return np.asarray(np.nan_to_num(self._at(wide, now)) > 0.5)
+    def _contact_nodes(
+        self, height: HeightMap, displacement: Float[np.ndarray, "k 3"]
+    ) -> Bool[np.ndarray, " k"]:
+        radii = [max(1, round(self.options.margin_mm / size)) for size in self.mm_per_px]
+        rows, columns = np.mgrid[-radii[1] : radii[1] + 1, -radii[0] : radii[0] + 1]
+        disc = (rows / radii[1]) ** 2 + (columns / radii[0]) ** 2 <= 1
+        widened = binary_dilation(height.contact, disc).astype(float)
+        current = self.model.points[:, :2] + np.nan_to_num(displacement[:, :2])
+        return np.asarray(np.nan_to_num(self._sample(widened, current)) > 0.5)
 
-    def _at(
-        self, field: Float[np.ndarray, "h w"], places_mm: Float[np.ndarray, "k 2"]
+    def _sample(
+        self, field: Float[np.ndarray, "h w"], positions_mm: Float[np.ndarray, "k 2"]
     ) -> Float[np.ndarray, " k"]:
-        """Values of the image's pixels at places; NaN outside the image."""
-        columns, rows = self.sensor.to_px(places_mm).T
+        """Interpolate an image at positions; NaN outside the image."""
+        columns, rows = self.sensor.to_px(positions_mm).T
         return map_coordinates(field, [rows, columns], order=1, cval=np.nan)
 
 
-def _check_sizes(sensor: SensorDescription, calibration: Calibration, reference: Image) -> None:
+def _check_consistency(
+    sensor: SensorDescription, calibration: Calibration, reference: Image
+) -> None:
     for name, image in (("reference", reference), ("calibration", calibration.reference)):
         if image.shape[:2] != sensor.shape:
             raise ConfigError(
@@ -202,9 +202,10 @@ def _check_sizes(sensor: SensorDescription, calibration: Calibration, reference:
                 f" the sensor '{sensor.name}' are {sensor.shape[1]} x {sensor.shape[0]}; give that"
                 " of this sensor."
             )
-    told = np.array(sensor.mm_per_px, dtype=float)
-    if np.abs(np.array(calibration.mm_per_px) / told - 1).max() > _SCALE_OFF:
+    described = np.array(sensor.mm_per_px, dtype=float)
+    if np.abs(np.array(calibration.mm_per_px) / described - 1).max() > _MAX_SCALE_ERROR:
         raise ConfigError(
             f"the sensor '{sensor.name}' was calibrated with mm_per_px={calibration.mm_per_px}, its"
-            f" description has {tuple(told.tolist())}; calibrate again, or correct one of them."
+            f" description has {tuple(described.tolist())}; calibrate again, or correct one of"
+            " them."
         )

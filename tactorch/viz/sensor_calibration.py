@@ -135,7 +135,7 @@ def _draw_depth(
     max_error: float,
 ) -> tuple[AxesImage, AxesImage]:
     measured, true, inside = depth
-    x, y = ball.away(press.known.shape, press.circle)
+    x, y = ball.offsets(press.known.shape, press.circle)
     extent = (float(x[0, 0]), float(x[0, -1]), float(y[-1, 0]), float(y[0, 0]))
     reach = _WINDOW * press.circle.radius_px * ball.mm_per_px[0]
     shown = pair[0].imshow(measured, extent=extent, cmap="viridis", vmin=0.0, vmax=deepest)
@@ -154,7 +154,7 @@ def _draw_profile(
     measured, true, _ = depth
     row = int(np.clip(round(press.circle.center_px[1]), 0, measured.shape[0] - 1))
     column = int(np.clip(round(press.circle.center_px[0]), 0, measured.shape[1] - 1))
-    x, y = ball.away(measured.shape, press.circle)
+    x, y = ball.offsets(measured.shape, press.circle)
     reach = press.circle.radius_px * ball.mm_per_px[0]
     distances = x[row]
     axes.plot(

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from tactorch.errors import ConfigError
 from tactorch.recording import Press, Recording
-from tactorch.sensor.recorder import Recorded
+from tactorch.sensor.recorder import SessionRecording
 from tactorch.text import one_line
 from tactorch.viz.figure import BLUE, COLOURS, GREEN, VERMILION, new_figure, save_figure
 from tactorch.viz.slicing import AXES
@@ -60,7 +60,7 @@ def _mark_faulty(axes: Axes, positions: Float[np.ndarray, " k"]) -> None:
         axes.axvline(x, color="0.6", lw=0.8, ls=":", label=label, zorder=0)
 
 
-def plot_session(recorded: Recorded, path: str | Path) -> Path:
+def plot_session(recorded: SessionRecording, path: str | Path) -> Path:
     """Draw the depth over time with contacts and recorded frames, and the forces of the presses.
 
     Args:
@@ -70,7 +70,7 @@ def plot_session(recorded: Recorded, path: str | Path) -> Path:
     Returns:
         The path.
     """
-    frames = recorded.session.glances
+    frames, numbers = recorded.frames, recorded.contact_numbers()
     times = [frame.time_s for frame in frames]
     timed = all(time is not None for time in times)
     across = np.array(times if timed else range(len(frames)), dtype=float)
@@ -101,8 +101,8 @@ def plot_session(recorded: Recorded, path: str | Path) -> Path:
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
         axes.margins(y=0.15)
-        for number in range(len(recorded.session.contacts)):
-            contact = across[[i for i, frame in enumerate(frames) if frame.contact == number]]
+        for number in range(len(recorded.contacts)):
+            contact = across[[i for i, contact in enumerate(numbers) if contact == number]]
             axes.axvspan(contact[0], contact[-1], color="0.88", zorder=-1)
     lower.set_xlabel("time, s" if timed else "frame")
     return save_figure(figure, path)

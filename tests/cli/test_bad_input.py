@@ -592,10 +592,12 @@ def checkpoint(change: Callable[[Path], object]) -> Spoil:
 
 
 @cases(
-    Case("checkpoint cut short", ("checkpoint.npz' cannot be read", "start anew"), checkpoint(cut)),
+    Case(
+        "checkpoint cut short", ("checkpoint.npz' cannot be read", "start again"), checkpoint(cut)
+    ),
     Case(
         "checkpoint that is text",
-        ("checkpoint.npz' cannot be read (cut short, or not a",),
+        ("checkpoint.npz' cannot be read (truncated, or not a",),
         checkpoint(text_file),
     ),
     Case(

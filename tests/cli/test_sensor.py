@@ -13,19 +13,19 @@ import pytest
 
 from tactorch.sensor.calibration import (
     Ball,
+    BallPress,
     Calibration,
     Circle,
     FitOptions,
-    Touch,
-    change,
     fit_map,
-    hidden,
+    image_change,
     load_calibration,
+    marker_pixels,
     save_calibration,
 )
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
-from tactorch.sensor.markers import MarkerLook
-from tactorch.sensor.render import Face, render
+from tactorch.sensor.markers import MarkerAppearance
+from tactorch.sensor.render import GelSurface, render
 
 SENSOR = SensorDescription(
     "drawn", (150, 120), (0.08, 0.08), GelLayer(3.0, 0.15, 0.45, size_mm=(12.0, 9.6)),
@@ -45,11 +45,11 @@ CALIBRATE = (f"ball_radius_mm={RADIUS_MM}", "map=lookup", "rounds=1")
 SHIFT_MM = (0.15, -0.1)
 
 
-def still() -> Face:
-    return Face(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
+def still() -> GelSurface:
+    return GelSurface(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
 
 
-def pressed(center: tuple[float, float], contact_px: float) -> Face:
+def pressed(center: tuple[float, float], contact_px: float) -> GelSurface:
     """A press of the ball; beyond its contact the gel rises back."""
     rows, columns = np.indices(SENSOR.shape)
     away = np.hypot(columns - center[0], rows - center[1]) * 0.08
@@ -57,7 +57,7 @@ def pressed(center: tuple[float, float], contact_px: float) -> Face:
     rim = 0.35 * edge / np.sqrt(RADIUS_MM**2 - edge**2)
     ball = np.sqrt(RADIUS_MM**2 - edge**2) - np.sqrt(np.maximum(RADIUS_MM**2 - away**2, 0.0)) - rim
     height = np.where(away < edge, ball, -rim * np.exp(-(away - edge) / 0.35))
-    return Face(height, still().markers_px)
+    return GelSurface(height, still().markers_px)
 
 
 def write(path: Path, image: np.ndarray) -> None:
@@ -77,7 +77,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         face = still() if depth == 0.0 else pressed((75.0, 60.0), depth)
         away = np.linalg.norm(face.markers_px - (75.0, 60.0), axis=1)
         near = np.exp(-((away / 60.0) ** 2))[:, None] * (depth / 13.0)
-        moved = Face(face.height_mm, face.markers_px + near * np.array(SHIFT_MM) / 0.08)
+        moved = GelSurface(face.height_mm, face.markers_px + near * np.array(SHIFT_MM) / 0.08)
         write(place / "frames" / f"{k}.png", render(SENSOR, moved, seed=200 + k))
     (place / "frames" / "4.png").write_bytes(b"no image")
     return place
@@ -86,12 +86,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def calibration(files: Path) -> Path:
     """A calibration from the presses, made without the command."""
-    look, reference = MarkerLook(0.45 / 0.08), read(files / "still.png")
+    look, reference = MarkerAppearance(0.45 / 0.08), read(files / "still.png")
     touches = [
-        Touch(
+        BallPress(
             name,
-            change(read(files / "presses" / name), reference, look),
-            ~hidden(read(files / "presses" / name), reference, look),
+            image_change(read(files / "presses" / name), reference, look),
+            ~marker_pixels(read(files / "presses" / name), reference, look),
             Circle(center, edge),
         )
         for name, (center, edge) in PRESSES.items()

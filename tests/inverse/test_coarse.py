@@ -4,10 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Bounds, InverseProblem, Settings, invert
-from tactorch.inverse.coarse import CoarseStart, clusters, grouped_jacobian
+from tactorch.inverse import Bounds, InverseProblem, Log, Objective, Quadratic, Settings, invert
+from tactorch.inverse.coarse import CoarseStart, clusters
 from tactorch.inverse.optimizers import NewtonCG
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import Recording
@@ -39,10 +40,17 @@ def test_the_grouped_jacobian_is_the_sum_of_columns(
     recording: Recording, moduli: np.ndarray
 ) -> None:
     labels = clusters(recording.mesh, 5)
-    point = InverseProblem(recording).evaluate(moduli)
-    columns = point.jacobian() * moduli
+    shared = np.array([moduli[labels == k].mean() for k in range(5)])
+    zero = Quadratic(sp.csr_matrix((5, 5)))
+    objective = Objective(InverseProblem(recording), Log(), zero, groups=labels)
+    point = objective.at(np.log(shared))
+    np.testing.assert_allclose(point.youngs, shared[labels])
+    columns = point.evaluation.jacobian() * point.youngs
     expected = np.column_stack([columns[:, labels == k].sum(axis=1) for k in range(5)])
-    np.testing.assert_allclose(grouped_jacobian(point, labels), expected, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(point.jacobian, expected, rtol=1e-8, atol=1e-10)
+    change, weights = np.arange(5.0), np.linspace(-1.0, 1.0, len(point.jacobian))
+    np.testing.assert_allclose(point.jacobian_times(change), expected @ change, rtol=1e-8)
+    np.testing.assert_allclose(point.transpose_times(weights), expected.T @ weights, rtol=1e-7)
 
 
 def test_a_coarse_start_is_nearer_than_a_uniform_one(

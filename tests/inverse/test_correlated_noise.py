@@ -1,12 +1,14 @@
 """Whitening of errors that data have in common, against dense linear algebra."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.inverse import InverseProblem
-from tactorch.inverse.correlated_noise import CorrelatedNoise
+from tactorch.inverse.data import CorrelatedNoise
 from tactorch.recording import Recording
 
 
@@ -43,10 +45,11 @@ def test_products_of_the_jacobian_are_whitened_alike(
     problem = InverseProblem(recording)
     plain = problem.evaluate(moduli)
     rng = np.random.default_rng(0)
-    problem.common = CorrelatedNoise(rng.standard_normal((problem.n_data, 3)))
+    common = CorrelatedNoise(rng.standard_normal((problem.n_data, 3)))
+    problem = problem.with_data(replace(problem.data, correlated=common))
     at = problem.evaluate(moduli)
-    np.testing.assert_allclose(at.residuals, problem.common.whiten(plain.residuals), rtol=1e-10)
-    jacobian = problem.common.whiten(plain.jacobian())
+    np.testing.assert_allclose(at.residuals, common.whiten(plain.residuals), rtol=1e-10)
+    jacobian = common.whiten(plain.jacobian())
     np.testing.assert_allclose(at.jacobian(), jacobian, rtol=0, atol=1e-9 * np.abs(jacobian).max())
     change, weights = rng.standard_normal(len(moduli)), rng.standard_normal(problem.n_data)
     assert at.jacobian_times(change) == pytest.approx(jacobian @ change, rel=1e-7, abs=1e-9)

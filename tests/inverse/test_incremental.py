@@ -14,9 +14,10 @@ from tactorch.inverse import (
     NuisancePrior,
     Reconstruction,
     Settings,
+    StopReason,
     invert,
 )
-from tactorch.inverse.optimizers.weight import warm_start_state
+from tactorch.inverse.optimizers.schedule import warm_start_state
 from tactorch.mesh import box_mesh
 from tactorch.metrics import scores
 from tactorch.phantoms import make_phantom
@@ -170,7 +171,7 @@ def test_settings_that_it_cannot_use_are_refused(
 def test_a_state_of_other_presses_is_refused(noisy: Recording) -> None:
     growing = IncrementalInversion(noisy, max_iterations=1)
     growing.add(noisy.presses[:2])
-    with pytest.raises(ConfigError, match="start anew"):
+    with pytest.raises(ConfigError, match="start again"):
         IncrementalInversion(noisy).restore(noisy.presses[:1], growing.state())
 
 
@@ -179,6 +180,7 @@ def test_settling_can_be_broken_off_and_goes_on(noisy: Recording) -> None:
     growing.add(noisy.presses[:2])
     broken = growing.refine(stop=lambda: True)
     assert (broken.result.iterations, broken.settled) == (1, False)
+    assert broken.result.stop_reason is StopReason.STOPPED
     assert growing.refine().settled
 
 

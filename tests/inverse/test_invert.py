@@ -13,14 +13,20 @@ from tactorch.inverse import (
     OPTIMIZERS,
     START_MPA,
     Bounds,
+    Composite,
     GaussNewton,
     Monitor,
     NoiseModel,
     Objective,
     Optimizer,
     Settings,
+    ShiftedPrior,
+    Smoothness,
+    StopReason,
     invert,
 )
+from tactorch.inverse.invert import _task_digest
+from tactorch.inverse.misfit import Huber
 from tactorch.inverse.progress import progress
 from tactorch.recording import Recording
 
@@ -128,13 +134,13 @@ def test_config_says_what_was_done(recording: Recording) -> None:
 def test_an_optimizer_of_ones_own(recording: Recording) -> None:
     @dataclass(frozen=True)
     class Guess(Optimizer):
-        def minimize(self, objective: Objective, start: np.ndarray, monitor: Monitor) -> str:
+        def minimize(self, objective: Objective, start: np.ndarray, monitor: Monitor) -> StopReason:
             monitor.accept(objective.at(start + 0.5))
-            return "one is enough"
+            return StopReason.CONVERGED
 
     found = invert(recording, Settings(optimizer=Guess()))
     assert (found.stop_reason, found.config["optimizer"]) == (
-        "one is enough",
+        StopReason.CONVERGED,
         {"name": OPTIMIZERS.name_of(Guess)},
     )
     np.testing.assert_allclose(found.youngs, 0.2 * np.exp(0.5))
@@ -171,3 +177,31 @@ def test_no_progress_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> No
     with progress("gauss_newton", show=False) as update:
         update({"iteration": 12, "misfit": 3.25e-4})
     assert capfd.readouterr() == ("", "")
+
+
+def test_everything_that_decides_the_result_is_in_the_digest_of_a_task(
+    recording: Recording,
+) -> None:
+    """A finished run of another task is not taken for this one when it is resumed."""
+    tasks = [
+        _task_digest(other, settings)
+        for other, settings in (
+            (recording, Settings()),
+            (replace(recording, density=1e-9), Settings()),
+            (replace(recording, density=1e-9, gravity=np.array([0.0, 0.0, 9810.0])), Settings()),
+            (recording, Settings(regularization=Smoothness())),
+            (recording, Settings(regularization=Composite(parts={"smoothness": 1.0}))),
+            (recording, Settings(regularization=Composite(parts={"smoothness": 2.0}))),
+            (recording, Settings(regularization=ShiftedPrior(mean_mpa=recording.truth))),
+            (recording, Settings(regularization=ShiftedPrior(mean_mpa=2.0 * recording.truth))),
+            (recording, Settings(misfit=Huber(edge=2.0))),
+        )
+    ]
+    assert len(set(tasks)) == len(tasks)
+    assert _task_digest(recording, Settings(max_seconds=5.0)) == tasks[0]
+
+
+def test_functions_are_no_priors() -> None:
+    """Two functions could not be told apart when a run is resumed."""
+    with pytest.raises(ConfigError, match="regularization="):
+        Settings(regularization=lambda mesh: Smoothness().on(mesh))

@@ -19,7 +19,7 @@ def test_the_image_is_that_of_linear_theory(cube: Recording) -> None:
     deviations = problem.noise.deviations(cube)
     image, explained = linear_image(found, cube.mesh, deviations, COUNT)
     C = np.linalg.inv(_prior_precision(COUNT))
-    scale = np.concatenate([seen.scale for seen in problem.observations])
+    scale = np.concatenate([seen.scale for seen in problem.data.observations])
     J = 0.3 * (found.jacobian() / scale[:, None]) @ _cells(cube.mesh, COUNT).toarray()
     noise = [
         np.full(len(d), s**2 + np.mean((0.02 * d) ** 2))

@@ -101,7 +101,7 @@ def test_adaptive_weights_bear_a_bad_press(make_cube: Callable[..., Recording]) 
     factors = [
         plain.scale[0] / seen.scale[0]
         for plain, seen in zip(
-            InverseProblem(dirty).observations, problem.observations, strict=True
+            InverseProblem(dirty).data.observations, problem.data.observations, strict=True
         )
     ]
     assert factors[0] < 1.5

@@ -8,8 +8,8 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
     InverseProblem,
+    ModelError,
     Settings,
-    apply_model_error,
     best_uniform,
     discretisation_error,
     invert,
@@ -36,11 +36,16 @@ def _distance(problem: InverseProblem, youngs: np.ndarray) -> float:
     return float(np.sqrt(2.0 * problem.evaluate(youngs).misfit_mm2))
 
 
+def corrected(problem: InverseProblem, error: ModelError) -> InverseProblem:
+    points = problem.recording.mesh.points
+    return problem.with_data(problem.data.corrected(error.offset, error.deviation, points))
+
+
 def test_the_correction_takes_away_most_of_the_meshs_error(finer: Recording):
     assert finer.truth is not None
     problem = InverseProblem(finer)
     before = _distance(problem, finer.truth)
-    apply_model_error(problem, discretisation_error(problem, best_uniform(problem)))
+    problem = corrected(problem, discretisation_error(problem, best_uniform(problem)))
     assert _distance(problem, finer.truth) < 0.5 * before
 
 
@@ -48,20 +53,21 @@ def test_what_is_left_is_of_the_size_that_it_says(finer: Recording):
     assert finer.truth is not None
     problem = InverseProblem(finer)
     error = discretisation_error(problem, best_uniform(problem))
-    apply_model_error(problem, error)
+    problem = corrected(problem, error)
     left = _distance(problem, finer.truth) / np.sqrt(problem.n_data)
     assert 0.3 < left / np.mean(error.deviation) < 2.0
 
 
 def test_deviations_add_up_in_squares(finer: Recording):
     problem = InverseProblem(finer)
-    before = 1.0 / problem.observations[0].scale
+    before = 1.0 / problem.data.observations[0].scale
     error = discretisation_error(problem, 0.3)
-    apply_model_error(problem, error)
-    after = 1.0 / problem.observations[0].scale
+    stated, problem = problem.data, corrected(problem, error)
+    np.testing.assert_array_equal(1.0 / stated.observations[0].scale, before)  # untouched
+    after = 1.0 / problem.data.observations[0].scale
     assert np.allclose(after**2, before**2 + error.deviation[0] ** 2)
     shares = [(b / a) ** 2 for b, a in zip(before, after, strict=True)]
-    assert problem.sure_noise == pytest.approx(np.mean(shares))
+    assert problem.data.noise_fraction == pytest.approx(np.mean(shares))
 
 
 def test_what_the_presses_of_one_place_share_is_counted_once(cube: Recording):
@@ -69,16 +75,16 @@ def test_what_the_presses_of_one_place_share_is_counted_once(cube: Recording):
     problem = InverseProblem(cube)
     before = problem.evaluate(np.full(problem.n_elements, 0.3)).residuals
     error = discretisation_error(problem, 0.3)
-    apply_model_error(problem, error)
-    assert problem.common is not None
+    problem = corrected(problem, error)
+    assert problem.data.correlated is not None
     shift = np.concatenate(
         [
             0.1 * (seen.index % 3 == 2) * deviation * seen.scale
-            for seen, deviation in zip(problem.observations, error.deviation, strict=True)
+            for seen, deviation in zip(problem.data.observations, error.deviation, strict=True)
         ]
     )
     assert len(before) == len(shift)
-    left = problem.common.whiten(shift)
+    left = problem.data.whiten(shift)
     assert left @ left < 0.1 * (shift @ shift)
 
 
@@ -98,7 +104,7 @@ def test_an_inversion_without_inverse_crime_gains(finer: Recording):
 def test_presses_of_the_same_mesh_are_left_alone(recording: Recording):
     plain = InverseProblem(recording)
     same = make_objective(recording, Settings()).problem
-    for a, b in zip(plain.observations, same.observations, strict=True):
+    for a, b in zip(plain.data.observations, same.data.observations, strict=True):
         assert np.array_equal(a.displacement, b.displacement)
         assert np.array_equal(a.scale, b.scale)
 
@@ -130,7 +136,7 @@ def test_unusable_settings_are_refused(recording: Recording):
 
 def test_the_share_that_is_left_scales_the_uncertainty(cube: Recording):
     problem = InverseProblem(cube)
-    third, none = (discretisation_error(problem, 0.3, left=left) for left in (1.0 / 3.0, 0.0))
+    third, none = (discretisation_error(problem, 0.3, remaining=left) for left in (1.0 / 3.0, 0.0))
     assert none.deviation == [0.0] * len(cube.presses)
     for press, deviation in zip(third.offset, third.deviation, strict=True):
         assert deviation == pytest.approx(np.sqrt(np.mean(press**2)) / 3.0)

@@ -16,6 +16,7 @@ from tactorch.inverse import (
     Reconstruction,
     Settings,
     StopOptimization,
+    StopReason,
     invert,
     make_objective,
 )
@@ -151,7 +152,7 @@ def test_an_unstable_equilibrium_ends_the_run_with_its_reason(
 
     monkeypatch.setattr(Evaluation, "jacobian", fail)
     found = invert(noisy)
-    assert found.stop_reason == "no derivatives at the best map: The equilibrium is unstable"
+    assert found.stop_reason == StopReason.NO_DERIVATIVES
     assert found.iterations == 3
     assert misfits(found)[-1] < 0.5 * misfits(found)[0]
 
@@ -174,8 +175,8 @@ def test_time_is_watched_within_an_iteration(
     evaluate = InverseProblem.evaluate
 
     def age(self: InverseProblem, *args: Any, **others: Any) -> Any:
-        monitor._spent += 3e5
-        if monitor._spent > 4e5:
+        monitor._earlier_seconds += 3e5
+        if monitor._earlier_seconds > 4e5:
             raise ConvergenceError("collapsed")
         return evaluate(self, *args, **others)
 
@@ -183,7 +184,7 @@ def test_time_is_watched_within_an_iteration(
     start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
     with pytest.raises(StopOptimization):
         OPTIMIZERS.build(name).minimize(objective, start, monitor)
-    assert monitor._spent == 6e5
+    assert monitor._earlier_seconds == 6e5
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -192,7 +193,7 @@ def test_time_is_watched_at_every_iteration(noisy: Recording, name: str) -> None
     monitor = Monitor(max_seconds=1e6)
 
     def age(entry: dict[str, Any]) -> None:
-        monitor._spent += 3e5
+        monitor._earlier_seconds += 3e5
 
     monitor.on_record = age
     start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
@@ -225,7 +226,7 @@ def test_checkpoints_are_written_on_the_way(
 ) -> None:
     import tactorch.inverse.monitor as module
 
-    monkeypatch.setattr(module, "_PERIOD", 0.0)
+    monkeypatch.setattr(module, "_CHECKPOINT_PERIOD", 0.0)
     saved: list[int] = []
     save = Monitor.save
 
@@ -249,7 +250,7 @@ def test_checkpoints_are_written_on_the_way(
 def test_a_truncated_checkpoint_is_refused(noisy: Recording, half_way: Path, keep: float) -> None:
     data = half_way.read_bytes()
     half_way.write_bytes(data[: int(keep * len(data)) if 0 < keep < 1 else int(keep)])
-    with pytest.raises(FileError, match=r"half\.npz' cannot be read.*start anew"):
+    with pytest.raises(FileError, match=r"half\.npz' cannot be read.*start again"):
         invert(noisy, resume=half_way)
 
 

@@ -20,10 +20,8 @@ from tactorch.inverse import (
     make_objective,
 )
 from tactorch.inverse.optimizers import NewtonCG
-from tactorch.inverse.optimizers.hessian import SecondOrder
-from tactorch.inverse.optimizers.preconditioner import PriorSolver
-from tactorch.inverse.optimizers.probing import data_trace
-from tactorch.inverse.optimizers.weight import ruling_weight
+from tactorch.inverse.optimizers.newton_cg import PriorSolver, SecondOrder, data_trace
+from tactorch.inverse.optimizers.schedule import dominating_weight
 from tactorch.recording import Recording
 
 Make = Callable[..., Recording]
@@ -175,8 +173,8 @@ def test_the_trace_is_estimated(objective: Objective, moduli: np.ndarray) -> Non
     exact = float((point.jacobian**2).sum())
     assert data_trace(point, probes=200) == pytest.approx(exact, rel=0.1)
     assert data_trace(point) == data_trace(point)
-    rough = ruling_weight(point) * data_trace(point) / exact
-    assert rough == pytest.approx(ruling_weight(point), rel=0.6)
+    rough = dominating_weight(point) * data_trace(point) / exact
+    assert rough == pytest.approx(dominating_weight(point), rel=0.6)
 
 
 def test_the_preconditioner_holds_what_is_fixed(objective: Objective, moduli: np.ndarray) -> None:

@@ -5,8 +5,8 @@ import pytest
 import scipy.sparse as sp
 
 from tactorch.inverse import PRIORS, Settings, make_objective
-from tactorch.inverse.optimizers import normal
-from tactorch.inverse.optimizers.normal import data_space_step, parameter_space_step
+from tactorch.inverse.optimizers import gauss_newton
+from tactorch.inverse.optimizers.gauss_newton import data_space_step, parameter_space_step
 from tactorch.recording import Recording
 
 
@@ -59,5 +59,5 @@ def test_a_step_that_refinement_cannot_mend_is_refused(monkeypatch: pytest.Monke
     rng = np.random.default_rng(0)
     jacobian, gradient = 1e8 * rng.standard_normal((4, 9)), rng.standard_normal(9)
     prior, shift = sp.csr_matrix((9, 9)), np.full(9, 1e-8)
-    monkeypatch.setattr(normal, "_SWEEPS", 1)
+    monkeypatch.setattr(gauss_newton, "_MAX_SWEEPS", 1)
     assert data_space_step(jacobian, gradient, prior, shift) is None

@@ -103,3 +103,29 @@ def test_useless_bounds_are_refused(limits: tuple[float, float]) -> None:
 def test_unknown_name_is_refused_with_the_choices() -> None:
     with pytest.raises(ConfigError, match=r"parameterization=logit is unknown.*log"):
         PARAMETERIZATIONS.build("logit")
+
+
+@pytest.mark.parametrize("name", PARAMETERIZATIONS.names())
+def test_the_second_derivative_is_that_of_the_first(name: str) -> None:
+    parameterization = PARAMETERIZATIONS.build(name)
+    x = parameterization.parameters(np.array([0.05, 0.2, 3.0]))
+    h = 1e-6
+    rise = parameterization.slope(x + h) - parameterization.slope(x - h)
+    np.testing.assert_allclose(parameterization.second_derivative(x), rise / (2 * h), rtol=1e-6)
+
+
+def test_a_parameterization_must_have_a_second_derivative() -> None:
+    """Zero would be silently wrong for a curved one."""
+
+    class Squared(Parameterization):
+        def youngs(self, x: np.ndarray) -> np.ndarray:
+            return x**2
+
+        def slope(self, x: np.ndarray) -> np.ndarray:
+            return 2.0 * x
+
+        def parameters(self, youngs: np.ndarray) -> np.ndarray:
+            return np.sqrt(youngs)
+
+    with pytest.raises(TypeError, match="second_derivative"):
+        Squared()

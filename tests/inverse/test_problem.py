@@ -10,7 +10,7 @@ import torch
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, SoftBody, Supports, make_material
 from tactorch.inverse import InverseProblem, NoiseModel
-from tactorch.inverse.noise import signal_rms
+from tactorch.inverse.data import signal_rms
 from tactorch.recording import Press, Recording
 
 Make = Callable[..., Recording]

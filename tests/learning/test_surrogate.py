@@ -231,8 +231,8 @@ def test_only_a_map_that_explains_the_presses_is_trusted(
 
 def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -> None:
     """Both maps are judged at the nuisance values from which inversions start."""
-    problem, bounds = InverseProblem(perturb_recording(recording, size=1.05)), Bounds()
-    problem.nuisance = NuisancePrior(rest_scale=0.1)
+    free, bounds = NuisancePrior(rest_scale=0.1), Bounds()
+    problem = InverseProblem(perturb_recording(recording, size=1.05), nuisance=free)
     plain = uniform_fit(problem, bounds).youngs_mpa
     known = problem.evaluate(np.full(problem.n_elements, plain)).chi2
     worse = np.full(problem.n_elements, 1.05 * plain)

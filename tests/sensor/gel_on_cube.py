@@ -42,9 +42,9 @@ def pressed(depth_mm: float) -> Pair:
     """Push the gel's window down."""
     model = GelModel(GEL, 1.0, 3, "tet4")
     cube = box_mesh(10.0, 10)
-    above = model.meshed.mesh.points @ FIRST[:3, :3].T + FIRST[:3, 3]
+    above = model.gel_mesh.mesh.points @ FIRST[:3, :3].T + FIRST[:3, 3]
     top = np.flatnonzero(cube.points[:, 2] > 9.999)
-    face = model.meshed.face
+    face = model.gel_mesh.face
     twin = {tuple(np.round(cube.points[i], 6)): i for i in top}
     number = np.arange(len(above)) + cube.n_points
     number[face] = [twin[tuple(np.round(above[i], 6))] for i in face]
@@ -52,7 +52,7 @@ def pressed(depth_mm: float) -> Pair:
     number[kept] = cube.n_points + np.arange(len(kept))
     both = TetMesh.create(
         np.concatenate([cube.points, above[kept]]),
-        np.concatenate([cube.tets, number[model.meshed.mesh.tets]]),
+        np.concatenate([cube.tets, number[model.gel_mesh.mesh.tets]]),
     )
     youngs = np.full(both.n_tets, 0.2)
     youngs[cube.n_tets :] = 0.12
@@ -60,7 +60,7 @@ def pressed(depth_mm: float) -> Pair:
     youngs[: cube.n_tets][hard] = 1.0
     fixed, prescribed = np.zeros(both.points.shape, dtype=bool), np.zeros(both.points.shape)
     fixed[both.points[:, 2] < 1e-9] = True
-    window = number[model.meshed.window]
+    window = number[model.gel_mesh.window]
     fixed[window] = True
     prescribed[window] = (0.0, 0.0, -depth_mm)
     body = SoftBody(both, make_material("neo_hookean", 0.45))

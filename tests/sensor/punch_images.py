@@ -5,7 +5,7 @@ from scipy import fft
 from scipy.sparse.linalg import LinearOperator, cg
 
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription
-from tactorch.sensor.render import Face, Look, render
+from tactorch.sensor.render import GelSurface, RenderOptions, render
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(24.0, 18.0))
 
@@ -16,7 +16,7 @@ def sensor(x: float = 0.06, y: float = 0.06, markers: bool = False) -> SensorDes
     return SensorDescription("punched", (320, 240), (x, y), GEL, grid)
 
 
-def turned(corners_mm: np.ndarray, turn_deg: float, middle_mm: tuple[float, float]) -> np.ndarray:
+def rotated(corners_mm: np.ndarray, turn_deg: float, middle_mm: tuple[float, float]) -> np.ndarray:
     """Corners in the sensor's frame."""
     c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
     return corners_mm @ np.array([(c, s), (-s, c)]) + middle_mm
@@ -75,7 +75,9 @@ def half_space(one: SensorDescription, corners_mm: np.ndarray, depth_mm: float =
 def image(one: SensorDescription, height_mm: np.ndarray, seed: int) -> np.ndarray:
     """The image of such heights."""
     places = np.zeros((0, 2)) if one.markers is None else one.markers.positions_mm
-    return render(one, Face(height_mm, one.to_px(places)), Look(noise=1.5), seed=seed)
+    return render(
+        one, GelSurface(height_mm, one.to_px(places)), RenderOptions(noise=1.5), seed=seed
+    )
 
 
 def still(one: SensorDescription) -> np.ndarray:

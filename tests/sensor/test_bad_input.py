@@ -12,37 +12,27 @@ import pytest
 from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.mesh import box_mesh
 from tactorch.sensor.calibration import (
+    SENSOR_MAPS,
     Ball,
+    BallPress,
     Calibration,
     Circle,
-    Touch,
     find_circle,
     fit_map,
     load_calibration,
     read_labels,
     save_calibration,
 )
-from tactorch.sensor.calibration.maps import make_map
 from tactorch.sensor.chain import SensorChain
-from tactorch.sensor.contact import Poses, build_press, check_pose, facing, read_poses
-from tactorch.sensor.depth import height_of
-from tactorch.sensor.description import (
-    GelLayer,
-    MarkerGrid,
-    SensorDescription,
-    load_sensor,
-)
+from tactorch.sensor.contact import build_press, check_pose, facing_triangles
+from tactorch.sensor.depth import reconstruct_height
+from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, load_sensor
 from tactorch.sensor.frames import read_frames, read_image, read_reference
-from tactorch.sensor.gel import Contact, GelModel
-from tactorch.sensor.markers import MarkerLook, MarkerTracker
-from tactorch.sensor.render import Face, render
-from tactorch.sensor.scale import (
-    Outline,
-    cuboid,
-    hexagon,
-    pixel_scale,
-    read_corners,
-)
+from tactorch.sensor.gel import GelContact, GelModel
+from tactorch.sensor.markers import MarkerAppearance, MarkerTracker
+from tactorch.sensor.poses import Poses, read_poses
+from tactorch.sensor.render import GelSurface, render
+from tactorch.sensor.scale import Outline, cuboid, hexagon, measure_pixel_scale, read_corners
 
 from .dots import draw, grid
 
@@ -88,7 +78,7 @@ def sensor(folder: Path, old: str, new: str) -> SensorDescription:
 def calibration(folder: Path, about: dict | None = None, **arrays: np.ndarray) -> Calibration:
     """A calibration with something wrong."""
     path = folder / "calib.npz"
-    save_calibration(Calibration(make_map("lookup"), IMAGE, (0.3, 0.3)), path)
+    save_calibration(Calibration(SENSOR_MAPS.build("lookup").create(0), IMAGE, (0.3, 0.3)), path)
     with np.load(path) as found:
         content = {name: found[name] for name in found.files}
     text = json.loads(str(content.pop("about"))) | (about or {})
@@ -134,18 +124,20 @@ def pose(*scale: float, place: tuple[float, float, float] = (10.0, 20.0, 30.0)) 
     return found
 
 
-def touch(circle: Circle, changed: np.ndarray = STILL) -> Touch:
-    return Touch("b3.png", changed, KNOWN, circle)
+def touch(circle: Circle, changed: np.ndarray = STILL) -> BallPress:
+    return BallPress("b3.png", changed, KNOWN, circle)
 
 
 def chain(one: SensorDescription, reference: np.ndarray, size: int = 48) -> SensorChain:
     scale = (0.3, 0.3)
-    return SensorChain(one, Calibration(make_map("lookup"), gel_image(size), scale), reference)
+    return SensorChain(
+        one, Calibration(SENSOR_MAPS.build("lookup").create(0), gel_image(size), scale), reference
+    )
 
 
-def touching() -> Contact:
+def touching() -> GelContact:
     points = np.stack([*np.meshgrid([-4.0, 0.0, 4.0], [-4.0, 0.0, 4.0]), np.zeros((3, 3))], axis=-1)
-    return Contact(points.reshape(-1, 3), np.zeros((9, 3)), np.zeros((9, 3)))
+    return GelContact(points.reshape(-1, 3), np.zeros((9, 3)), np.zeros((9, 3)))
 
 
 def above(place: tuple[float, float, float]) -> np.ndarray:
@@ -279,7 +271,7 @@ REFUSED = [
         lambda d: images_of(d, LABELS + "a.png,30,20,9\nb.png,30,20,9\n"),
         ("image not found", "b.png' is not a file", "folder holds: a.png"), FileError),
     Bad("label beside the image", "Touch", lambda d: touch(Circle((300.0, 20.0), 9.0)),
-        ("b3.png", "(300, 20) px lies beside the image of 64 x 48", "x before y?")),
+        ("b3.png", "(300, 20) px is outside the image of 64 x 48", "x before y?")),
     Bad("contact wider than the image", "Touch", lambda d: touch(Circle((30.0, 20.0), 90.0)),
         ("b3.png", "radius_px=90", "64 x 48", "give pixels")),
     Bad("image that is not finite", "Touch",
@@ -331,23 +323,23 @@ REFUSED = [
         ),
         ("c.csv", "p1.png", "on a line", "convex polygon")),
     Bad("too few corners", "pixel_scale",
-        lambda d: pixel_scale([outline()], hexagon(8.0), SENSOR),
+        lambda d: measure_pixel_scale([outline()], hexagon(8.0), SENSOR),
         ("p1.png: 4 corners, but a hexagon has 6", "give each once")),
     Bad("corners beside the image", "pixel_scale",
-        lambda d: pixel_scale([outline(30.0)], cuboid(12.0, 9.0), SENSOR),
-        ("p1.png", "(80.0, 40.0) px lies beside the image of 64 x 48", "rectified")),
+        lambda d: measure_pixel_scale([outline(30.0)], cuboid(12.0, 9.0), SENSOR),
+        ("p1.png", "(80.0, 40.0) px is outside the image of 64 x 48", "rectified")),
     Bad("corners of another shape", "pixel_scale",
-        lambda d: pixel_scale([outline(-5.0, 0.2)], cuboid(12.0, 9.0), SENSOR),
+        lambda d: measure_pixel_scale([outline(-5.0, 0.2)], cuboid(12.0, 9.0), SENSOR),
         ("p1.png: its corners are no cuboid", "check the shape")),
     # Markers, depth and gel
     Bad("reference with too few markers", "MarkerTracker",
-        lambda d: MarkerTracker(draw(grid()[:4]), MarkerLook(10.0)),
+        lambda d: MarkerTracker(draw(grid()[:4]), MarkerAppearance(10.0)),
         ("4 markers were found", "9 are needed", "diameter_px=10 right?")),
     Bad("frame of another size", "MarkerTracker.follow",
-        lambda d: MarkerTracker(draw(grid()), MarkerLook(10.0)).follow(draw(grid())[:-4]),
+        lambda d: MarkerTracker(draw(grid()), MarkerAppearance(10.0)).track(draw(grid())[:-4]),
         ("(236, 320, 3)", "(240, 320, 3)", "rectified frames of one sensor")),
     Bad("slopes that are not finite", "height_of",
-        lambda d: height_of(np.full((48, 64, 2), np.nan), (0.3, 0.3)),
+        lambda d: reconstruct_height(np.full((48, 64, 2), np.nan), (0.3, 0.3)),
         ("not finite", "fill them in first")),
     Bad("displacement of the gel all NaN", "GelModel.forces",
         lambda d: GelModel(GEL, 2.0, 2, "tet4").forces(np.full((99, 3), np.nan)),
@@ -360,7 +352,7 @@ REFUSED = [
         lambda d: chain(replace(MARKED, mm_per_px=(0.28, 0.3)), IMAGE),
         ("'small' was calibrated with mm_per_px=(0.3, 0.3)", "(0.28, 0.3)", "calibrate again")),
     Bad("rendered face that is not finite", "render",
-        lambda d: render(SENSOR, Face(np.full((48, 64), np.nan), np.zeros((0, 2)))),
+        lambda d: render(SENSOR, GelSurface(np.full((48, 64), np.nan), np.zeros((0, 2)))),
         ("heights are not finite", "give 0")),
     # Poses
     Bad("poses for fewer than all frames", "Poses.at",
@@ -393,10 +385,10 @@ REFUSED = [
         lambda d: check_pose(pose(place=(1e5, 0.0, 0.0)), "pose 7"),
         ("pose 7 is 1e+05 mm away", "give mm")),
     Bad("pose in metres", "facing",
-        lambda d: facing(box_mesh(10.0, 2), above((0.005, 0.005, 0.01)), touching(), 3.0),
+        lambda d: facing_triangles(box_mesh(10.0, 2), above((0.005, 0.005, 0.01)), touching(), 3.0),
         ("over no part of the object", "[0.005, 0.005, 0.01] looks like metres; give mm")),
     Bad("contact on no part of the object", "facing",
-        lambda d: facing(box_mesh(10.0, 2), above((5.0, 5.0, 40.0)), touching(), 3.0),
+        lambda d: facing_triangles(box_mesh(10.0, 2), above((5.0, 5.0, 40.0)), touching(), 3.0),
         ("over no part of the object", "nearest is 30 mm away", "check T_object_sensor")),
     Bad("frame without contact", "build_press",
         lambda d: build_press(
@@ -462,9 +454,9 @@ def test_good_input_is_taken(tmp_path: Path) -> None:
     assert read_reference(png(tmp_path, "ref.png", IMAGE), SENSOR).shape == IMAGE.shape
     assert len(images_of(tmp_path, LABELS + "a.png,30,20,9\n")) == 1
     assert len(read_poses(written(tmp_path, "p.csv", POSES + "0,1,2,3,1,0,0,0\n"))) == 1
-    assert len(facing(box_mesh(10.0, 2), above((5.0, 5.0, 10.0)), touching(), 3.0)) > 0
+    assert len(facing_triangles(box_mesh(10.0, 2), above((5.0, 5.0, 10.0)), touching(), 3.0)) > 0
     check_pose(pose())
-    found = pixel_scale([outline()], cuboid(12.0, 9.0), SENSOR)
+    found = measure_pixel_scale([outline()], cuboid(12.0, 9.0), SENSOR)
     assert found.mm_per_px == pytest.approx((0.3, 0.3))
 
 

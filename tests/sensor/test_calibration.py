@@ -8,27 +8,26 @@ import pytest
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.sensor.calibration import (
-    MAPS,
+    SENSOR_MAPS,
     Ball,
+    BallPress,
     Calibration,
     Circle,
     FitOptions,
-    Touch,
-    change,
-    choose_map,
+    evaluate_map,
     find_circle,
     fit_circle,
     fit_map,
-    hidden,
-    judge,
+    image_change,
     load_calibration,
+    map_slopes,
+    marker_pixels,
     read_labels,
     save_calibration,
-    seen_slopes,
+    select_map,
 )
-from tactorch.sensor.calibration.maps import make_map
-from tactorch.sensor.depth import height_of
-from tactorch.sensor.markers import MarkerLook
+from tactorch.sensor.depth import reconstruct_height
+from tactorch.sensor.markers import MarkerAppearance
 
 from . import ball_images as drawn
 from .dots import draw, grid
@@ -39,7 +38,7 @@ CENTERS = [
 ]  # fmt: skip
 
 
-def touches(centers: list, off_px: float = 0.0, seed: int = 0) -> list[Touch]:
+def touches(centers: list, off_px: float = 0.0, seed: int = 0) -> list[BallPress]:
     """Presses whose circles are told wrongly by some pixels."""
     rng, reference = np.random.default_rng(seed), drawn.still()
     known = np.ones(drawn.SHAPE, dtype=bool)
@@ -48,8 +47,8 @@ def touches(centers: list, off_px: float = 0.0, seed: int = 0) -> list[Touch]:
         contact = 16.0 + i % 4
         wrong = rng.uniform(-off_px, off_px, 2)
         circle = Circle((x + wrong[0], y + wrong[1]), contact + off_px / 2)
-        changed = change(drawn.ball((x, y), contact, seed=i), reference)
-        found.append(Touch(f"press {i}", changed, known, circle))
+        changed = image_change(drawn.ball((x, y), contact, seed=i), reference)
+        found.append(BallPress(f"press {i}", changed, known, circle))
     return found
 
 
@@ -67,7 +66,7 @@ def test_the_balls_slopes_are_those_of_its_heights() -> None:
 
 @pytest.mark.parametrize("center", [(55.0, 48.0), (30.0, 66.0)])
 def test_a_ball_is_found(center: tuple[float, float]) -> None:
-    found = find_circle(change(drawn.ball(center), drawn.still()), BALL)
+    found = find_circle(image_change(drawn.ball(center), drawn.still()), BALL)
     assert np.hypot(*np.subtract(found.center_px, center)) < 4.0
     assert 10.0 < found.radius_px < 25.0
 
@@ -80,7 +79,7 @@ def test_rough_circles_are_mended_and_held_out_slopes_are_seen() -> None:
     truth = [touch.circle for touch in new]
     believed, _ = fit_map(pressed, BALL, FitOptions(rounds=0))
     mended, circles = fit_map(pressed, BALL, FitOptions(rounds=3))
-    before, after = (judge(one, new, truth, BALL) for one in (believed, mended))
+    before, after = (evaluate_map(one, new, truth, BALL) for one in (believed, mended))
     assert min(after.r2) > 0.97
     assert max(after.mae) < 0.6 * min(before.mae)
     assert after.depth_rms_mm < 0.02
@@ -91,21 +90,27 @@ def test_rough_circles_are_mended_and_held_out_slopes_are_seen() -> None:
     assert abs(one.radius_px - truth[0].radius_px) < 3.0
 
 
-@pytest.mark.parametrize("name", MAPS)
+@pytest.mark.parametrize("name", SENSOR_MAPS.names())
 def test_every_map_learns_and_is_kept(name: str, tmp_path: Path) -> None:
     pressed = touches(CENTERS)
     found, _ = fit_map(pressed, BALL, FitOptions(name, rounds=0))
     (new,) = touches([(60.0, 52.0)], seed=8)
-    assert min(judge(found, [new], [new.circle], BALL).r2) > 0.85
-    kept = Calibration(found, drawn.still(), BALL.mm_per_px, MarkerLook(9.0), {"r2": [0.9, 0.8]})
+    assert min(evaluate_map(found, [new], [new.circle], BALL).r2) > 0.85
+    kept = Calibration(
+        found, drawn.still(), BALL.mm_per_px, MarkerAppearance(9.0), {"r2": [0.9, 0.8]}
+    )
     save_calibration(kept, tmp_path / "calib.npz")
     again = load_calibration(tmp_path / "calib.npz")
     np.testing.assert_allclose(
-        seen_slopes(again.map, new.changed), seen_slopes(found, new.changed), atol=1e-6
+        map_slopes(again.map, new.change), map_slopes(found, new.change), atol=1e-6
     )
     np.testing.assert_array_equal(again.reference, kept.reference)
-    assert (again.mm_per_px, again.look, again.facts) == (kept.mm_per_px, kept.look, kept.facts)
-    still = seen_slopes(found, change(drawn.still(3), drawn.still()))
+    assert (again.mm_per_px, again.markers, again.facts) == (
+        kept.mm_per_px,
+        kept.markers,
+        kept.facts,
+    )
+    still = map_slopes(found, image_change(drawn.still(3), drawn.still()))
     assert np.abs(still).mean() < 0.05
 
 
@@ -117,17 +122,17 @@ def test_the_same_seed_gives_the_same_map() -> None:
 
 
 def test_markers_do_not_count() -> None:
-    """What they hide is filled in: the change is that of the gel beneath."""
-    places, look = grid()[:20], MarkerLook(10.0)
+    """What they hide is fill_masked in: the change is that of the gel beneath."""
+    places, look = grid()[:20], MarkerAppearance(10.0)
     reference, plain = draw(places, noise=0.5), draw(np.zeros((0, 2)), noise=0.5)
     lit = np.clip(reference.astype(int) + 30, 0, 255).astype(np.uint8)
-    covered = hidden(lit, reference, look)
+    covered = marker_pixels(lit, reference, look)
     assert 0.01 < covered.mean() < 0.1
     x, y = places.round().astype(int).T
     assert covered[y, x].all()
-    changed = change(lit, reference, look)
+    changed = image_change(lit, reference, look)
     np.testing.assert_allclose(changed[covered], 0.6, atol=0.1)
-    assert not hidden(plain, plain, None).any()
+    assert not marker_pixels(plain, plain, None).any()
 
 
 @pytest.mark.parametrize(
@@ -156,14 +161,14 @@ def test_what_cannot_be_calibrated_with_is_refused() -> None:
     with pytest.raises(ConfigError, match="no press of the ball"):
         fit_map([], BALL)
     (one,) = touches([(50.0, 50.0)])
-    wide = Touch("wide.png", one.changed, one.known, Circle((50.0, 50.0), 40.0))
+    wide = BallPress("wide.png", one.change, one.known, Circle((50.0, 50.0), 40.0))
     with pytest.raises(ConfigError, match=r"wide.png: a contact of radius 2 mm is wider"):
         fit_map([wide], BALL, FitOptions(rounds=0))
     with pytest.raises(ConfigError, match=r"x.png: no ball found; nothing changed"):
-        find_circle(change(drawn.still(1), drawn.still()), BALL, "x.png")
+        find_circle(image_change(drawn.still(1), drawn.still()), BALL, "x.png")
     with pytest.raises(ConfigError, match="has shape"):
-        change(drawn.still()[:-4], drawn.still())
-    with pytest.raises(ConfigError, match="map='forest': choose one of mlp"):
+        image_change(drawn.still()[:-4], drawn.still())
+    with pytest.raises(ConfigError, match="sensor_map=forest is unknown; choose one of mlp"):
         FitOptions("forest")
     with pytest.raises(ConfigError, match="radius_mm=6000"):
         Ball(6000.0, (0.05, 0.05))
@@ -174,12 +179,14 @@ def test_an_edge_is_no_ball() -> None:
     slope = np.zeros((*drawn.SHAPE, 2))
     slope[44:52, :, 1] = np.linspace(-0.8, 0.8, 8)[:, None]
     with pytest.raises(ConfigError, match=r"edge.png: no ball found; what changed is .* not round"):
-        find_circle(change(drawn.shaded(slope), drawn.still()), BALL, "edge.png")
+        find_circle(image_change(drawn.shaded(slope), drawn.still()), BALL, "edge.png")
 
 
 def test_calibrations_that_cannot_be_read(tmp_path: Path) -> None:
     path = tmp_path / "calib.npz"
-    save_calibration(Calibration(make_map("lookup"), drawn.still(), BALL.mm_per_px), path)
+    save_calibration(
+        Calibration(SENSOR_MAPS.build("lookup").create(0), drawn.still(), BALL.mm_per_px), path
+    )
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(FileError, match=r"calib.npz' cannot be read .*Calibrate again"):
@@ -198,15 +205,17 @@ def test_a_calibrated_sensor_sees_depth() -> None:
     found, _ = fit_map(touches(CENTERS), BALL, FitOptions(rounds=0))
     sensor = Calibration(found, drawn.still(), BALL.mm_per_px)
     circle = Circle((58.2, 44.7), 17.0)
-    seen = height_of(sensor.slopes(drawn.ball(circle.center_px, 17.0, seed=77)), BALL.mm_per_px)
+    seen = reconstruct_height(
+        sensor.slopes(drawn.ball(circle.center_px, 17.0, seed=77)), BALL.mm_per_px
+    )
     truth = BALL.heights(drawn.SHAPE, circle)
     inside = BALL.distance(drawn.SHAPE, circle) < 0.9
     off = (seen.height_mm - truth)[inside]
     assert off.std() < 0.02
-    assert np.abs(seen.height_mm[seen.flat]).mean() < 0.01
+    assert np.abs(seen.height_mm[seen.undeformed]).mean() < 0.01
     assert seen.contact[inside].mean() > 0.85
     assert not seen.contact[BALL.distance(drawn.SHAPE, circle) > 1.6].any()
-    still = height_of(sensor.slopes(drawn.still(5)), BALL.mm_per_px)
+    still = reconstruct_height(sensor.slopes(drawn.still(5)), BALL.mm_per_px)
     assert not still.contact.any()
 
 
@@ -214,9 +223,9 @@ def test_a_calibrated_sensor_sees_depth() -> None:
 def test_the_map_that_errs_least_on_presses_left_out_is_chosen() -> None:
     """A few presses in one corner each: a network that knows the place learns it by heart."""
     few = touches([CENTERS[0], CENTERS[4], CENTERS[8]])
-    name, found = choose_map(few, BALL, FitOptions(rounds=0))
-    assert set(found) == set(MAPS)
+    name, found = select_map(few, BALL, FitOptions(rounds=0))
+    assert set(found) == set(SENSOR_MAPS.names())
     assert name == min(found, key=lambda one: sum(found[one].mae))
     assert found["mlp_colour"].r2 > (0.8, 0.8)
     with pytest.raises(ConfigError, match="folds=3: give 2 to 2"):
-        choose_map(few[:2], BALL)
+        select_map(few[:2], BALL)

@@ -11,14 +11,13 @@ from scipy.spatial.transform import Rotation
 from tactorch.errors import ConfigError, FileError
 from tactorch.mesh import box_mesh
 from tactorch.sensor.contact import (
-    Poses,
-    carry_displacements,
-    carry_forces,
     check_pose,
-    moved,
-    read_poses,
-    turned,
+    interpolate_displacements,
+    rotate_vectors,
+    transfer_forces,
+    transform_points,
 )
+from tactorch.sensor.poses import Poses, read_poses
 
 MESH = box_mesh(10.0, 5)
 TOP = MESH.surface.triangles[(MESH.points[MESH.surface.triangles][..., 2] > 9.99).all(axis=1)]
@@ -37,7 +36,7 @@ def test_forces_keep_sum_and_moment(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-0.5, 10.5, (count, 2)), rng.normal(10.0, 0.3, count)])
     forces = rng.normal(size=(count, 3))
-    found = carry_forces(points, forces, MESH.points, TOP)
+    found = transfer_forces(points, forces, MESH.points, TOP)
     np.testing.assert_allclose(found.sum(axis=0), forces.sum(axis=0), atol=1e-9)
     moment = np.cross(points, forces).sum(axis=0)
     np.testing.assert_allclose(np.cross(MESH.points, found).sum(axis=0), moment, atol=1e-7)
@@ -46,7 +45,7 @@ def test_forces_keep_sum_and_moment(seed: int, count: int) -> None:
 
 def test_a_force_on_a_node_stays_there() -> None:
     node = int(np.argmin(np.linalg.norm(MESH.points - (4.0, 6.0, 10.0), axis=1)))
-    found = carry_forces(MESH.points[[node]], np.array([(0.1, 0.2, -1.0)]), MESH.points, TOP)
+    found = transfer_forces(MESH.points[[node]], np.array([(0.1, 0.2, -1.0)]), MESH.points, TOP)
     np.testing.assert_allclose(found[node], (0.1, 0.2, -1.0), atol=1e-12)
     assert np.count_nonzero(np.abs(found).max(axis=1) > 1e-12) == 1
 
@@ -62,7 +61,9 @@ def test_displacements_are_carried_where_they_were_seen() -> None:
     seen = field(points)
     seen[3] = np.nan
     top = np.unique(TOP)
-    found, inside = carry_displacements(points, seen, MESH.points[top], np.array([0.0, 0.0, 1.0]))
+    found, inside = interpolate_displacements(
+        points, seen, MESH.points[top], np.array([0.0, 0.0, 1.0])
+    )
     assert np.isnan(found[~inside]).all()
     assert 4 <= inside.sum() < len(top)
     np.testing.assert_allclose(found[inside], field(MESH.points[top])[inside], atol=0.02)
@@ -75,9 +76,11 @@ def test_points_turn_and_move_and_vectors_turn(angles: tuple, place: tuple) -> N
     T = pose(angles, place)
     points = np.random.default_rng(0).normal(size=(5, 3))
     both = np.column_stack([points, np.ones(5)]) @ T.T
-    np.testing.assert_allclose(moved(T, points), both[:, :3], atol=1e-9)
+    np.testing.assert_allclose(transform_points(T, points), both[:, :3], atol=1e-9)
     np.testing.assert_allclose(
-        turned(T, points), moved(T, points) - moved(T, np.zeros((1, 3))), atol=1e-9
+        rotate_vectors(T, points),
+        transform_points(T, points) - transform_points(T, np.zeros((1, 3))),
+        atol=1e-9,
     )
 
 
@@ -96,7 +99,7 @@ def test_tables_of_poses(tmp_path: Path) -> None:
     path.write_text(head + "0,1,2,3,1,0,0,0\n0.5,1,2,2.5,0.70710678,0,0,0.70710678\n")
     found = read_poses(path)
     np.testing.assert_allclose(found.T_object_sensor[1], pose((0, 0, 90), (1, 2, 2.5)), atol=1e-7)
-    np.testing.assert_allclose(found.since(0.2).time_s, [-0.2, 0.3])
+    np.testing.assert_allclose(found.relative_to(0.2).time_s, [-0.2, 0.3])
     path.write_text(path.read_text() + "1,1,2,2.5,0.70710678,0,0,0.70")  # being written
     assert len(read_poses(path, growing=True)) == 2
     assert len(read_poses(path)) == 3
@@ -133,9 +136,9 @@ def test_too_little_is_known() -> None:
     points = np.random.default_rng(0).uniform(size=(6, 3))
     up = np.array([0.0, 0.0, 1.0])
     with pytest.raises(ConfigError, match="0 displacements are known"):
-        carry_displacements(points, np.full((6, 3), np.nan), points, up)
+        interpolate_displacements(points, np.full((6, 3), np.nan), points, up)
     line = np.column_stack([np.arange(6.0), np.zeros(6), np.zeros(6)])
     with pytest.raises(ConfigError, match="on a line"):
-        carry_displacements(line, np.zeros((6, 3)), points, up)
+        interpolate_displacements(line, np.zeros((6, 3)), points, up)
     with pytest.raises(ConfigError, match="no surface"):
-        carry_forces(points, points, MESH.points, TOP[:0])
+        transfer_forces(points, points, MESH.points, TOP[:0])

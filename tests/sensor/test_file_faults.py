@@ -15,11 +15,16 @@ import numpy as np
 import pytest
 
 from tactorch.errors import FileError, TactorchError
-from tactorch.sensor.calibration import Calibration, load_calibration, read_labels, save_calibration
-from tactorch.sensor.calibration.maps import make_map
-from tactorch.sensor.contact import read_poses
+from tactorch.sensor.calibration import (
+    SENSOR_MAPS,
+    Calibration,
+    load_calibration,
+    read_labels,
+    save_calibration,
+)
 from tactorch.sensor.description import GelLayer, SensorDescription, load_sensor
 from tactorch.sensor.frames import read_frames, read_image
+from tactorch.sensor.poses import read_poses
 from tactorch.sensor.scale import read_corners
 
 SENSOR = SensorDescription("small", (64, 48), (0.3, 0.3), GelLayer(3.0, 0.2, size_mm=(20.0, 16.0)))
@@ -51,7 +56,7 @@ def encoded(suffix: str) -> bytes:
 
 def calibration(folder: Path, name: str) -> bytes:
     path = folder / "whole.npz"
-    save_calibration(Calibration(make_map(name), IMAGE, (0.3, 0.3)), path)
+    save_calibration(Calibration(SENSOR_MAPS.build(name).create(0), IMAGE, (0.3, 0.3)), path)
     return path.read_bytes()
 
 

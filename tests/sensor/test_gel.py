@@ -5,7 +5,7 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import GelLayer, load_sensor
-from tactorch.sensor.gel import GelModel, gel_mesh
+from tactorch.sensor.gel import GelModel, build_gel_mesh
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 
@@ -20,12 +20,12 @@ def pushed(model: GelModel) -> tuple[np.ndarray, np.ndarray]:
     """Forces over a patch, pushing in and a little sideways; and how the face moves under them."""
     distance = np.linalg.norm(model.points[:, :2], axis=1)
     forces = np.where((distance < 2.6)[:, None], (0.004, 0.0, -0.02), 0.0)
-    loads = np.zeros(model.meshed.mesh.points.shape)
-    loads[model.meshed.face] = forces
+    loads = np.zeros(model.gel_mesh.mesh.points.shape)
+    loads[model.gel_mesh.face] = forces
     nothing = np.full(model.points.shape, np.nan)
-    held = model._held(np.nan_to_num(nothing), np.isfinite(nothing))
+    held = model._supports(np.nan_to_num(nothing), np.isfinite(nothing))
     moved = model.body.equilibrate(model.youngs, loads, held).require().displacement
-    return forces, moved[model.meshed.face]
+    return forces, moved[model.gel_mesh.face]
 
 
 def test_forces_are_those_that_moved_it(
@@ -70,7 +70,7 @@ def test_what_is_not_seen_is_free(model: GelModel, pushed: tuple[np.ndarray, np.
 @pytest.mark.parametrize("name", ["finger", "gelsight_mini", "gelsight_markers"])
 def test_shipped_gels_are_meshed(name: str) -> None:
     gel = load_sensor(name).gel
-    meshed = gel_mesh(gel, 2.0, 2)
+    meshed = build_gel_mesh(gel, 2.0, 2)
     width, height = gel.half_size_mm
     area = np.pi * width * height if gel.radius_mm is not None else 4 * width * height
     volume = meshed.mesh.volumes.sum()
@@ -80,7 +80,7 @@ def test_shipped_gels_are_meshed(name: str) -> None:
 
 def test_a_curved_gel() -> None:
     gel = GelLayer(5.0, 0.12, radius_mm=10.0, curvature_radius_mm=26.0)
-    meshed = gel_mesh(gel, 1.0, 3)
+    meshed = build_gel_mesh(gel, 1.0, 3)
     points = meshed.face_points
     np.testing.assert_allclose(points[:, 2], gel.height_mm(points[:, :2]), atol=1e-9)
     assert points[:, 2].min() == pytest.approx(-2.0)
@@ -93,6 +93,6 @@ def test_wrong_input_is_refused(model: GelModel) -> None:
     with pytest.raises(ConfigError, match="no displacement of the gel is known"):
         model.forces(np.full((121, 3), np.nan))
     with pytest.raises(ConfigError, match="at least 4 cells across"):
-        gel_mesh(GEL, 5.0)
+        build_gel_mesh(GEL, 5.0)
     with pytest.raises(ConfigError, match="give a larger"):
-        gel_mesh(GEL, 0.01)
+        build_gel_mesh(GEL, 0.01)

@@ -29,8 +29,8 @@ def presses() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     for radius, pressure in ((2.6, 0.03), (1.9, 0.05)):
         touched = np.linalg.norm(stiffer.points[:, :2], axis=1) < radius
         forces = np.where(touched[:, None], (0.1, 0.0, -1.0), 0.0) * pressure
-        forces = forces * stiffer.face.areas[:, None]
-        moved = stiffer._under(forces).moved[stiffer.meshed.face]
+        forces = forces * stiffer.gel_mesh.face_areas[:, None]
+        moved = stiffer._equilibrium(forces).displacement[stiffer.gel_mesh.face]
         found.append((moved, forces.sum(axis=0), touched))
     return found
 
@@ -160,6 +160,6 @@ def test_wrong_input_is_refused(model: GelModel, presses: list) -> None:
     with pytest.raises(ConfigError, match="deviation_n"):
         of(deviation_n=0.0)
     with pytest.raises(ConfigError, match="need smooth=True"):
-        calibrate_modulus(model, of(), NOISE, smooth=False, tilted=True)
+        calibrate_modulus(model, of(), NOISE, smooth=False, free_plane=True)
     with pytest.raises(ConfigError, match="mesh_error"):
         calibrate_modulus(model, of(), NOISE, mesh_error=-0.1)

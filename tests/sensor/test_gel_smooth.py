@@ -7,7 +7,7 @@ from tactorch.errors import ConfigError
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import GelModel
 from tactorch.sensor.gel.model import _State
-from tactorch.sensor.gel.smooth import Roughness, smoothed
+from tactorch.sensor.gel.smoothing import Roughness, fit_smooth_forces
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 NONE = np.zeros((60, 0))
@@ -18,7 +18,7 @@ def row() -> Roughness:
     """Ten nodes in a row, those at the ends with half the area."""
     areas = np.ones(10)
     areas[[0, -1]] = 0.5
-    return Roughness.between(np.stack([np.arange(9), np.arange(1, 10)], axis=1), areas)
+    return Roughness.from_edges(np.stack([np.arange(9), np.arange(1, 10)], axis=1), areas)
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_roughness_is_of_tractions(row: Roughness) -> None:
 
 
 def test_parts_that_do_not_meet_are_free_each() -> None:
-    apart = Roughness.between(np.array([[0, 1], [2, 3]]), np.ones(5))
+    apart = Roughness.from_edges(np.array([[0, 1], [2, 3]]), np.ones(5))
     assert apart.uniform.shape == (15, 9)  # two pairs and a lone node
 
 
@@ -48,7 +48,7 @@ def test_uniform_tractions_are_not_taken_from(row: Roughness, compliance: np.nda
     """However much noise is stated."""
     forces = np.repeat(np.r_[0.5, np.ones(8), 0.5], 3) * np.tile([0.01, 0.0, -0.1], 10)
     for noise in (1e-6, 10.0):
-        found = smoothed(compliance, NONE, compliance @ forces, row, noise)
+        found = fit_smooth_forces(compliance, NONE, compliance @ forces, row, noise)
         np.testing.assert_allclose(found.forces, forces, atol=1e-6)
 
 
@@ -60,7 +60,7 @@ def test_total_is_as_uncertain_as_stated(
     for _ in range(150):
         walk = row.rough @ rng.normal(0, 0.3, row.rough.shape[1])
         told = compliance @ walk + rng.normal(0, 0.2, 60)
-        found = smoothed(compliance, NONE, told, row, 0.2)
+        found = fit_smooth_forces(compliance, NONE, told, row, 0.2)
         off = (found.forces - walk).reshape(-1, 3).sum(axis=0)
         scores.append(off @ np.linalg.solve(found.total_covariance, off))
         noises.append(found.noise_mm)
@@ -72,8 +72,10 @@ def test_noise_that_shows_counts_where_less_is_stated(
     row: Roughness, compliance: np.ndarray, rng: np.random.Generator
 ) -> None:
     told = compliance @ row.uniform[:, 2] + rng.normal(0, 0.2, 60)
-    assert smoothed(compliance, NONE, told, row, 1e-4).noise_mm == pytest.approx(0.2, rel=0.3)
-    assert smoothed(compliance, NONE, told, row, 0.7).noise_mm == pytest.approx(0.7)
+    assert fit_smooth_forces(compliance, NONE, told, row, 1e-4).noise_mm == pytest.approx(
+        0.2, rel=0.3
+    )
+    assert fit_smooth_forces(compliance, NONE, told, row, 0.7).noise_mm == pytest.approx(0.7)
 
 
 def test_what_a_plane_may_explain_tells_nothing(
@@ -82,10 +84,12 @@ def test_what_a_plane_may_explain_tells_nothing(
     forces = row.uniform[:, 2] * -0.1
     plane = np.tile(np.eye(3)[2], 20)[:, None]
     told = compliance @ forces + 5.0 * plane[:, 0]
-    assert np.linalg.norm(smoothed(compliance, NONE, told, row, 0.01).forces - forces) > 1.0
-    found = smoothed(compliance, plane, told, row, 0.01)
+    assert (
+        np.linalg.norm(fit_smooth_forces(compliance, NONE, told, row, 0.01).forces - forces) > 1.0
+    )
+    found = fit_smooth_forces(compliance, plane, told, row, 0.01)
     np.testing.assert_allclose(found.forces, forces, atol=1e-6)
-    known = smoothed(compliance, NONE, compliance @ forces, row, 0.01)
+    known = fit_smooth_forces(compliance, NONE, compliance @ forces, row, 0.01)
     assert found.total_covariance[2, 2] > known.total_covariance[2, 2]
 
 
@@ -98,23 +102,23 @@ def pushed(model: GelModel, pressure_mpa: float) -> tuple[np.ndarray, np.ndarray
     """Forces of a pressure over a patch, how the face moves, and where it was touched."""
     touched = np.linalg.norm(model.points[:, :2], axis=1) < 2.6
     forces = np.where(touched[:, None], (0.2, 0.0, -1.0), 0.0) * pressure_mpa
-    forces = forces * model.face.areas[:, None]
-    state = model._under(forces)
-    return forces, state.moved[model.meshed.face], touched
+    forces = forces * model.gel_mesh.face_areas[:, None]
+    state = model._equilibrium(forces)
+    return forces, state.displacement[model.gel_mesh.face], touched
 
 
 def test_forces_on_nodes_are_tractions_about_them(model: GelModel) -> None:
     """The same all over, they are what the element itself makes of a uniform traction."""
     traction = np.array([0.02, 0.0, -0.1])
-    loads = model._loads(model.face.areas[:, None] * traction)
-    corners = np.isin(model.meshed.mesh.surface.triangles, model.meshed.face).all(axis=1)
+    loads = model._face_load(model.gel_mesh.face_areas[:, None] * traction)
+    corners = np.isin(model.gel_mesh.mesh.surface.triangles, model.gel_mesh.face).all(axis=1)
     exact = model.body.traction(np.flatnonzero(corners), traction.tolist()).numpy()
     np.testing.assert_allclose(loads, exact, atol=1e-12)
     alone = np.zeros(model.points.shape)
     alone[30] = traction
-    np.testing.assert_allclose(model._loads(alone).sum(axis=0), traction)
-    assert (model._loads(alone) != 0).any(axis=1).sum() == (
-        1 if model.body.n_nodes == model.meshed.mesh.n_points else 6
+    np.testing.assert_allclose(model._face_load(alone).sum(axis=0), traction)
+    assert (model._face_load(alone) != 0).any(axis=1).sum() == (
+        1 if model.body.n_nodes == model.gel_mesh.mesh.n_points else 6
     )
 
 
@@ -134,7 +138,7 @@ def test_a_tilt_of_the_depth_is_found(model: GelModel) -> None:
     forces, moved, touched = pushed(model, 0.005)
     tilt = 0.02 + 0.003 * model.points[:, 0]
     tilted = moved + tilt[:, None] * (0.0, 0.0, 1.0)
-    found = model.smooth_forces(tilted, 1e-5, touched, tilted=True)
+    found = model.smooth_forces(tilted, 1e-5, touched, free_plane=True)
     np.testing.assert_allclose(found.total, forces.sum(axis=0), atol=2e-3 * abs(forces.sum()))
     wrong = model.smooth_forces(tilted, 1e-5, touched)
     assert np.linalg.norm(wrong.total - forces.sum(axis=0)) > 0.1 * abs(forces.sum())
@@ -150,8 +154,8 @@ def test_direct_total_answers_to_noise_as_stated(model: GelModel, rng: np.random
     apart = model.forces(given + step).total - model.forces(given - step).total
     known = np.isfinite(given)
     search = model.body.search(
-        model.youngs, np.zeros(model.meshed.mesh.points.shape),
-        model._held(np.nan_to_num(given), known),
+        model.youngs, np.zeros(model.gel_mesh.mesh.points.shape),
+        model._supports(np.nan_to_num(given), known),
     )  # fmt: skip
     ran = search.run().require()
     rates = model._total_rates(_State(ran.displacement, search, ran), known)
@@ -176,5 +180,5 @@ def test_forces_go_with_the_modulus(model: GelModel, rng: np.random.Generator) -
 
 def test_no_contact_is_refused(model: GelModel) -> None:
     nowhere = np.zeros(len(model.points), dtype=bool)
-    with pytest.raises(ConfigError, match="touched is false at every node"):
+    with pytest.raises(ConfigError, match="contact is false at every node"):
         model.smooth_forces(np.zeros(model.points.shape), 0.01, nowhere)

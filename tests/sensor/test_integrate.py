@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.depth.fill import filled
-from tactorch.sensor.depth.integrate import integrate
+from tactorch.sensor.depth import fill_masked, integrate_slopes
 
 SIZE = (0.1, 0.08)
 
@@ -22,7 +21,7 @@ def grid(rows: int = 60, columns: int = 80) -> tuple[np.ndarray, np.ndarray]:
 def test_quadratics_are_exact(a: float, b: float, c: float, d: float) -> None:
     x, y = grid(12, 15)
     z = a * x + b * y + c * x * y + d * (x**2 - 0.5 * y**2)
-    found = integrate(a + c * y + 2 * d * x, b + c * x - d * y, SIZE)
+    found = integrate_slopes(a + c * y + 2 * d * x, b + c * x - d * y, SIZE)
     np.testing.assert_allclose(found, z - z.mean(), atol=1e-9)
 
 
@@ -38,7 +37,7 @@ def test_the_known_plane_takes_constant_and_bow_away() -> None:
     x, y = grid()
     flat = np.hypot(x, y) > 1.8
     bowed = slope_x + 0.03 * x, slope_y + 0.03 * y
-    free, held = integrate(*bowed, SIZE), integrate(*bowed, SIZE, flat=flat)
+    free, held = integrate_slopes(*bowed, SIZE), integrate_slopes(*bowed, SIZE, zero=flat)
     assert np.abs(free - z).max() > 0.2
     assert np.abs(held - z).max() < 0.05
 
@@ -47,8 +46,8 @@ def test_it_meets_the_known_plane_as_firmly_as_told() -> None:
     _, slope_x, slope_y = dent()
     x, y = grid()
     flat = np.hypot(x, y) > 1.8
-    firm = integrate(slope_x + 0.05, slope_y, SIZE, flat=flat, flat_mm=1e-4)
-    loose = integrate(slope_x + 0.05, slope_y, SIZE, flat=flat, flat_mm=1.0)
+    firm = integrate_slopes(slope_x + 0.05, slope_y, SIZE, zero=flat, zero_deviation_mm=1e-4)
+    loose = integrate_slopes(slope_x + 0.05, slope_y, SIZE, zero=flat, zero_deviation_mm=1.0)
     assert np.abs(firm[flat]).mean() < 0.05 * np.abs(loose[flat]).mean()
 
 
@@ -58,7 +57,7 @@ def test_what_markers_hide_is_filled_in_smoothly() -> None:
     known = np.ones(field.shape, dtype=bool)
     known[10:16, 20:27] = known[40:46, :5] = known[33, 50] = False
     damaged = np.where(known, field, 99.0)
-    found = filled(damaged, known)
+    found = fill_masked(damaged, known)
     np.testing.assert_array_equal(found[known], field[known])
     inner = np.zeros_like(known)
     inner[10:16, 20:27] = inner[33, 50] = True
@@ -71,15 +70,15 @@ def test_what_markers_hide_is_filled_in_smoothly() -> None:
     [
         ({"slope_x": np.full((6, 7), np.nan)}, "not finite"),
         ({"mm_per_px": (0.0, 0.1)}, "mm_per_px"),
-        ({"flat_mm": 0.0, "flat": np.ones((6, 7), dtype=bool)}, "flat_mm"),
+        ({"zero_deviation_mm": 0.0, "zero": np.ones((6, 7), dtype=bool)}, "zero_deviation_mm"),
     ],
 )
 def test_wrong_slopes_are_refused(changes: dict, message: str) -> None:
     settings = {"slope_x": np.zeros((6, 7)), "slope_y": np.zeros((6, 7)), "mm_per_px": SIZE}
     with pytest.raises(ConfigError, match=message):
-        integrate(**{**settings, **changes})
+        integrate_slopes(**{**settings, **changes})
 
 
 def test_nothing_known_is_refused() -> None:
     with pytest.raises(ConfigError, match="no pixel is known"):
-        filled(np.zeros((4, 4)), np.zeros((4, 4), dtype=bool))
+        fill_masked(np.zeros((4, 4)), np.zeros((4, 4), dtype=bool))

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.depth import Photometric, integrate
+from tactorch.sensor.depth import integrate_slopes
+from tactorch.sensor.photometric import Photometric
 
 
 def scene(paint: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +73,7 @@ def test_a_groove_against_the_vendors_heights(shared_data: Path) -> None:
     held_out = np.zeros(truth.shape, dtype=bool)
     held_out[1::2] = True
     seen = Photometric.fit(images, slopes, ~held_out).slopes(images)
-    off = integrate(seen[..., 0], seen[..., 1], (size, size)) - truth
+    off = integrate_slopes(seen[..., 0], seen[..., 1], (size, size)) - truth
     assert off[held_out].std() < 0.007
     off_x = (seen - slopes)[held_out][:, 0]
     assert 1 - off_x.var() / slopes[held_out][:, 0].var() > 0.98

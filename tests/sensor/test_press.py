@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.sensor.contact import ContactOptions, build_press, facing
-from tactorch.sensor.gel import Contact
+from tactorch.sensor.contact import ContactOptions, build_press, facing_triangles
+from tactorch.sensor.gel import GelContact
 
 from .gel_on_cube import FIRST, Pair, pressed, sensor_pose
 
@@ -21,15 +21,15 @@ def pair() -> Pair:
 
 
 @pytest.fixture(scope="module")
-def contact(pair: Pair) -> Contact:
+def contact(pair: Pair) -> GelContact:
     return pair.model.forces(pair.u_gel)
 
 
-def everywhere(contact: Contact) -> np.ndarray:
+def everywhere(contact: GelContact) -> np.ndarray:
     return np.ones(len(contact.points), dtype=bool)
 
 
-def test_the_press_is_that_which_was_made(pair: Pair, contact: Contact) -> None:
+def test_the_press_is_that_which_was_made(pair: Pair, contact: GelContact) -> None:
     press = build_press(contact, NOW, FIRST, pair.cube, everywhere(contact), fixed=pair.bottom)
     assert contact.total[2] < -0.5  # N, into the sensor
     np.testing.assert_allclose(press.total_force, pair.on_cube.sum(axis=0), atol=1e-6)
@@ -40,8 +40,8 @@ def test_the_press_is_that_which_was_made(pair: Pair, contact: Contact) -> None:
     np.testing.assert_allclose(press.direction, (0, 0, -1))
 
 
-def test_frames_do_not_matter(pair: Pair, contact: Contact) -> None:
-    """The whole scene turned and moved: so are forces and displacements."""
+def test_frames_do_not_matter(pair: Pair, contact: GelContact) -> None:
+    """The whole scene rotate_vectors and moved: so are forces and displacements."""
     turn = np.eye(4)
     turn[:3, :3] = Rotation.from_euler("xyz", (30, -50, 110), degrees=True).as_matrix()
     turn[:3, 3] = (20.0, -7.0, 3.0)
@@ -57,7 +57,7 @@ def test_frames_do_not_matter(pair: Pair, contact: Contact) -> None:
     np.testing.assert_allclose(there.displacement[seen], here.displacement[seen] @ Q.T, atol=1e-6)
 
 
-def test_partial_contact(pair: Pair, contact: Contact) -> None:
+def test_partial_contact(pair: Pair, contact: GelContact) -> None:
     """What is not touched bears no force and is not seen, or moves with the sensor."""
     left = contact.points[:, 1] < 0.1  # the sensor's y is the cube's x
     fields = {"fixed": pair.bottom}
@@ -69,7 +69,7 @@ def test_partial_contact(pair: Pair, contact: Contact) -> None:
         unseen.total_force[2], -contact.forces[left, 2].sum() * -1, atol=1e-9
     )
     cube = build_press(
-        contact, NOW, FIRST, pair.cube, left, touching=ContactOptions(untouched="sensor"), **fields
+        contact, NOW, FIRST, pair.cube, left, options=ContactOptions(untouched="sensor"), **fields
     )
     top = (pair.cube.points[:, 2] > 9.999) & (pair.cube.points[:, 0] > 5.6)
     moved = cube.displacement[top & cube.observed.all(axis=1)]
@@ -77,14 +77,16 @@ def test_partial_contact(pair: Pair, contact: Contact) -> None:
     np.testing.assert_allclose(moved, np.tile((0.0, 0.0, -DEPTH), (len(moved), 1)), atol=1e-9)
 
 
-def test_what_cannot_be_a_press(pair: Pair, contact: Contact) -> None:
+def test_what_cannot_be_a_press(pair: Pair, contact: GelContact) -> None:
     all_ = everywhere(contact)
     with pytest.raises(ConfigError, match="touches nothing in this frame"):
         build_press(contact, NOW, FIRST, pair.cube, ~all_)
     with pytest.raises(ConfigError, match=r"the nearest is 30 mm away; check T_object_sensor"):
-        facing(pair.cube, sensor_pose(40.0), contact, 3.0)
+        facing_triangles(pair.cube, sensor_pose(40.0), contact, 3.0)
     with pytest.raises(ConfigError, match="over no part of the object"):
-        facing(pair.cube, FIRST @ np.diag([1.0, -1.0, -1.0, 1.0]), contact, 3.0)  # looks up
+        facing_triangles(
+            pair.cube, FIRST @ np.diag([1.0, -1.0, -1.0, 1.0]), contact, 3.0
+        )  # looks up
     with pytest.raises(ConfigError, match="first pose mirrors"):
         build_press(contact, NOW, np.diag([1.0, 1.0, -1.0, 1.0]), pair.cube, all_)
     with pytest.raises(ConfigError, match="untouched='gone'"):

@@ -7,26 +7,26 @@ import pytest
 
 from tactorch.sensor.calibration import (
     Ball,
+    BallPress,
     Circle,
     FitOptions,
-    Touch,
-    change,
+    cross_validate,
+    evaluate_map,
     find_circle,
     fit_circle,
     fit_map,
-    held_out_quality,
-    hidden,
-    judge,
+    image_change,
+    marker_pixels,
     read_labels,
 )
 from tactorch.sensor.frames import read_image
-from tactorch.sensor.markers import MarkerLook
+from tactorch.sensor.markers import MarkerAppearance
 
 pytestmark = pytest.mark.external
 
 
 @pytest.fixture(scope="module")
-def presses(shared_data: Path) -> tuple[list[Touch], Ball]:
+def presses(shared_data: Path) -> tuple[list[BallPress], Ball]:
     """24 presses of a ball on a GelSight Mini; circles found, not those of the labels."""
     folder = shared_data / "fots-mini"
     ball = Ball(2.35, (1 / 19.58, 1 / 19.58))
@@ -34,13 +34,13 @@ def presses(shared_data: Path) -> tuple[list[Touch], Ball]:
     known = np.ones(reference.shape[:2], dtype=bool)
     found = []
     for name in read_labels(folder / "labels.csv"):
-        changed = change(read_image(folder / "gelsight" / name), reference)
-        found.append(Touch(name, changed, known, find_circle(changed, ball, name)))
+        changed = image_change(read_image(folder / "gelsight" / name), reference)
+        found.append(BallPress(name, changed, known, find_circle(changed, ball, name)))
     return found, ball
 
 
 def test_balls_are_found_near_their_labels(
-    presses: tuple[list[Touch], Ball], shared_data: Path
+    presses: tuple[list[BallPress], Ball], shared_data: Path
 ) -> None:
     labels = read_labels(shared_data / "fots-mini/labels.csv")
     off = [
@@ -51,7 +51,7 @@ def test_balls_are_found_near_their_labels(
 
 
 @pytest.mark.slow
-def test_held_out_presses(presses: tuple[list[Touch], Ball], shared_data: Path) -> None:
+def test_held_out_presses(presses: tuple[list[BallPress], Ball], shared_data: Path) -> None:
     """18 presses fit, 6 are held out, to which their circles alone are fitted."""
     touches, ball = presses
     order = np.random.default_rng(0).permutation(len(touches))
@@ -63,7 +63,7 @@ def test_held_out_presses(presses: tuple[list[Touch], Ball], shared_data: Path) 
             fit_circle(touch, found, ball, circle)
             for touch, circle in zip(held, circles, strict=True)
         ]
-    quality = judge(found, held, circles, ball)
+    quality = evaluate_map(found, held, circles, ball)
     assert min(quality.r2) > 0.94
     assert max(quality.mae) < 0.06
     assert quality.depth_rms_mm < 0.05
@@ -74,7 +74,7 @@ def test_held_out_presses(presses: tuple[list[Touch], Ball], shared_data: Path) 
         Circle(circle.center_px, 0.8 * labels[touch.name].radius_px)
         for touch, circle in zip(held, circles, strict=True)
     ]
-    quality = judge(found, held, wide, ball)
+    quality = evaluate_map(found, held, wide, ball)
     assert min(quality.r2) > 0.94
     assert quality.depth_rms_mm < 0.05
 
@@ -83,16 +83,16 @@ def test_held_out_presses(presses: tuple[list[Touch], Ball], shared_data: Path) 
 def test_six_presses_through_markers(shared_data: Path) -> None:
     """Each of the six left out once; the network that does not know the place."""
     folder = shared_data / "bnz-ball-markers"
-    ball, look = Ball(1.98, (0.03026, 0.03026)), MarkerLook(14.0)
+    ball, look = Ball(1.98, (0.03026, 0.03026)), MarkerAppearance(14.0)
     reference = read_image(folder / "cali_180110/frame0.jpg")
     touches = []
     for name, label in read_labels(folder / "derived_ball_labels.csv").items():
         image = read_image(folder / "cali_180110" / name)
-        known = ~hidden(image, reference, look)
+        known = ~marker_pixels(image, reference, look)
         circle = Circle(label.center_px, 42.0)  # its own radius is that of a table, and loose
-        touches.append(Touch(name, change(image, reference, look), known, circle))
+        touches.append(BallPress(name, image_change(image, reference, look), known, circle))
     options = FitOptions("mlp_colour", rounds=3)
-    quality = held_out_quality(touches, ball, options, folds=len(touches))
+    quality = cross_validate(touches, ball, options, folds=len(touches))
     assert min(quality.r2) > 0.94
     assert max(quality.mae) < 0.05
     assert quality.depth_rms_mm < 0.05

@@ -8,11 +8,11 @@ from scipy.spatial import cKDTree
 
 from tactorch.sensor.frames import read_image
 from tactorch.sensor.frames.sources import open_source
-from tactorch.sensor.markers import MarkerLook, MarkerTracker, detect_markers, track
+from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, detect_markers, track_markers
 
 pytestmark = pytest.mark.external
 
-LOOK = MarkerLook(18.0)
+LOOK = MarkerAppearance(18.0)
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,7 @@ LOOK = MarkerLook(18.0)
     ],
 )
 def test_all_markers_are_found(shared_data: Path, name: str, diameter: float, count: int) -> None:
-    found = detect_markers(read_image(shared_data / name), MarkerLook(diameter))
+    found = detect_markers(read_image(shared_data / name), MarkerAppearance(diameter))
     assert abs(len(found) - count) <= 2  # those that the image's edge cuts
 
 
@@ -43,7 +43,7 @@ def reference(images: list[np.ndarray]) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def tracked(images: list[np.ndarray], reference: np.ndarray) -> np.ndarray:
-    return np.stack([found.places for found in track(images, reference, LOOK)])
+    return np.stack(list(track_markers(images, reference, LOOK)))
 
 
 @pytest.mark.slow
@@ -62,11 +62,11 @@ def test_markers_keep_their_identity(tracked: np.ndarray, images: list[np.ndarra
     assert always.sum() >= 118
     back = MarkerTracker(images[-1], LOOK)
     for image in images[-2::-1]:
-        found = back.follow(image)
+        found = back.track(image)
     distance, place = cKDTree(back.begin).query(np.nan_to_num(tracked[-1], nan=-99.0))
     same = always & (distance < 2.0)
     assert same.sum() == always.sum()
-    off = np.linalg.norm(found.places[place[same]] - tracked[0][same], axis=1)
+    off = np.linalg.norm(found[place[same]] - tracked[0][same], axis=1)
     assert np.nanmedian(off) < 0.15
     assert (off < 0.5).mean() > 0.97
     assert np.nanmax(off) < 1.5

@@ -12,20 +12,11 @@ import pytest
 import yaml
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration import (
-    change,
-    hidden,
-)
+from tactorch.sensor.calibration import image_change, marker_pixels
 from tactorch.sensor.description import load_sensor
 from tactorch.sensor.frames import read_image
-from tactorch.sensor.markers import MarkerLook
-from tactorch.sensor.scale import (
-    Outline,
-    cuboid,
-    find_outline,
-    pixel_scale,
-    read_corners,
-)
+from tactorch.sensor.markers import MarkerAppearance
+from tactorch.sensor.scale import Outline, cuboid, find_outline, measure_pixel_scale, read_corners
 
 pytestmark = pytest.mark.external
 
@@ -48,7 +39,7 @@ def outline(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Outline:
 
 def test_the_scale_is_that_of_the_published_homography(folder: Path, outline: Outline) -> None:
     sensor = load_sensor("gelsight_mini")
-    found = pixel_scale([outline], SHAPE, sensor)
+    found = measure_pixel_scale([outline], SHAPE, sensor)
     px_per_mm = np.abs(np.load(folder / "homography.npy")[:2, :2]).max(axis=0)
     np.testing.assert_allclose(found.mm_per_px, 1 / px_per_mm, rtol=1e-6)
     assert found.residual_px < 1e-4
@@ -57,8 +48,8 @@ def test_the_scale_is_that_of_the_published_homography(folder: Path, outline: Ou
 
 def test_a_cuboid_without_a_reference_is_not_guessed(folder: Path) -> None:
     """Against the mean light no edge is sharp: rather no scale than one that is off by percents."""
-    image, look = read_image(folder / "cuboid_10-2-284.png"), MarkerLook(9.0)
+    image, look = read_image(folder / "cuboid_10-2-284.png"), MarkerAppearance(9.0)
     light = cv2.GaussianBlur(image, (0, 0), 60.0)
-    changed, known = change(image, light, look, 0.5), ~hidden(image, light, look)
+    changed, known = image_change(image, light, look, 0.5), ~marker_pixels(image, light, look)
     with pytest.raises(ConfigError, match=r"cuboid.png: no cuboid found; .* by hand"):
         find_outline(changed, SHAPE, (1 / 14, 1 / 14), known, "cuboid.png")

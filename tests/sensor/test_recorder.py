@@ -5,6 +5,7 @@ The gel's motion is that of one simulation of gel and cube, so its presses are k
 
 import logging
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -14,22 +15,21 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import MaterialSpec
-from tactorch.sensor.chain import ChainOptions, Deformed, SensorChain
-from tactorch.sensor.contact import Poses
-from tactorch.sensor.depth import Height
+from tactorch.sensor.chain import ChainOptions, Measurement, SensorChain
+from tactorch.sensor.depth import HeightMap
 from tactorch.sensor.description import GelLayer, SensorDescription
 from tactorch.sensor.frames import Frame
-from tactorch.sensor.gel import Contact, GelModel
-from tactorch.sensor.recorder import (
-    Fixture,
-    RecordOptions,
-    VirtualCube,
-    contacts_as_they_end,
-    record,
+from tactorch.sensor.gel import GelContact, GelModel
+from tactorch.sensor.poses import Poses
+from tactorch.sensor.recorder import Fixture, RecordOptions, VirtualCube, record, record_streaming
+from tactorch.sensor.recorder.detector import ContactDetector
+from tactorch.sensor.recorder.first_contact import (
+    axial_gap,
+    first_pose_by_depth,
+    first_pose_by_shape,
+    sample_surface,
 )
-from tactorch.sensor.recorder.first_touch import by_depth, by_shape, face_points, gap_mm
-from tactorch.sensor.recorder.hold import far_nodes
-from tactorch.sensor.recorder.session import watch
+from tactorch.sensor.recorder.press_builder import opposite_nodes
 
 from .gel_on_cube import FIRST, GEL, Pair, pressed, sensor_pose
 
@@ -48,30 +48,30 @@ class Chain(SensorChain):
         self.pairs, self.model = pairs, next(iter(pairs.values())).model
         self.sensor = SensorDescription("seeing", (8, 8), (1.0, 1.0), GEL)
         self.options = ChainOptions()
-        self.tracker = SimpleNamespace(begin=np.array([(1.0, 1.0), (2.0, 2.0)]))
+        self.tracker = SimpleNamespace(reference_px=np.array([(1.0, 1.0), (2.0, 2.0)]))
         self.noise_px, self.rng = noise_px, np.random.default_rng(0)
 
-    def deformed(self, frame: Frame) -> Deformed:
+    def measure_deformation(self, frame: Frame) -> Measurement:
         none = np.zeros(len(self.model.points), dtype=bool)
         depth = self._depth(frame)
-        here = self.tracker.begin + self.noise_px * self.rng.normal(size=(2, 2))
+        here = self.tracker.reference_px + self.noise_px * self.rng.normal(size=(2, 2))
         flat = np.full((8, 8), -depth)
-        height = Height(flat, flat - flat.mean(), flat == 0, flat < 0)
+        height = HeightMap(flat, flat - flat.mean(), flat == 0, flat < 0)
         if depth <= 0:
-            return Deformed(frame, here, height, None, none)
-        return Deformed(frame, here, height, self.pairs[depth].u_gel, ~none)
+            return Measurement(frame, here, height, None, none)
+        return Measurement(frame, here, height, self.pairs[depth].u_gel, ~none)
 
-    def contact(self, look: Deformed) -> Contact | None:
-        if look.moved is None:
+    def solve_contact(self, measurement: Measurement) -> GelContact | None:
+        if measurement.displacement is None:
             return None
-        return _forces(self.model, look.moved.tobytes())
+        return _forces(self.model, measurement.displacement.tobytes())
 
     def _depth(self, frame: Frame) -> float:
         return max(0.0, round(10.0 - HEIGHTS[frame.index], 6))
 
 
 @cache
-def _forces(model: GelModel, moved: bytes) -> Contact:
+def _forces(model: GelModel, moved: bytes) -> GelContact:
     return model.forces(np.frombuffer(moved).reshape(-1, 3))
 
 
@@ -144,7 +144,7 @@ def test_contacts_come_as_they_end_and_are_those_of_the_whole_session(
             yield frame
 
     late = iter([Poses(poses.time_s[:3], poses.T_object_sensor[:3]), poses, poses])
-    grown = contacts_as_they_end(coming(), Chain(pairs), lambda: next(late), cube, SPEC, options)
+    grown = record_streaming(coming(), Chain(pairs), lambda: next(late), cube, SPEC, options)
     first = next(grown)
     assert seen == list(range(7))  # frame 6 is the first one without contact again
     second = next(grown)
@@ -156,18 +156,18 @@ def test_contacts_come_as_they_end_and_are_those_of_the_whole_session(
         np.testing.assert_array_equal(one.forces, other.forces)
 
 
-def test_a_contact_whose_poses_stay_away_is_passed_over(
+def test_a_contact_whose_poses_stay_away_is_skipped(
     pairs: dict[float, Pair], poses: Poses, caplog: pytest.LogCaptureFixture
 ) -> None:
     short = Poses(poses.time_s[:8], poses.T_object_sensor[:8])
     cube, options = pairs[0.2].cube, RecordOptions(steps=1)
     found = list(
-        contacts_as_they_end(
-            frames(), Chain(pairs), lambda: short, cube, SPEC, options, patience_seconds=0.0
+        record_streaming(
+            frames(), Chain(pairs), lambda: short, cube, SPEC, options, poses_timeout_s=0.0
         )
     )
     assert [p.name for one in found for p in one.presses] == ["contact 1, 004.png"]
-    assert "Contact 2 is passed over: 2 of 2 frames have no pose" in caplog.text
+    assert "Contact 2 is skipped: 2 of 2 frames have no pose" in caplog.text
 
 
 def test_steps_are_even_in_depth(pairs: dict[float, Pair], poses: Poses) -> None:
@@ -189,12 +189,13 @@ def test_faulty_frames_do_not_count(pairs: dict[float, Pair], poses: Poses) -> N
     session[3] = dropped
     found = record(session, Chain(pairs), poses, pairs[0.2].cube, SPEC, RecordOptions(steps=1))
     assert [p.name for p in found.recording.presses] == ["contact 1, 003.png", "contact 2, 008.png"]
-    assert list(found.session.faults) == ["003.png", "004.png", "009.png"]
+    assert list(found.faults) == ["003.png", "004.png", "009.png"]
     assert found.recording.provenance["faulty frames"]["004.png"].startswith("dark")
 
 
 def test_noise_is_what_frames_without_contact_show(pairs: dict[float, Pair], poses: Poses) -> None:
-    found = watch(frames(), Chain(pairs, noise_px=0.05))
+    found = ContactDetector(Chain(pairs, noise_px=0.05))
+    assert len(list(found.detect(frames()))) == 2
     assert found.noise_mm == pytest.approx(0.05, rel=0.4)  # 24 numbers
     cube = pairs[0.2].cube
     press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC).recording.presses[0]
@@ -207,18 +208,20 @@ def test_noise_is_what_frames_without_contact_show(pairs: dict[float, Pair], pos
 def test_first_touch_is_where_the_shapes_meet() -> None:
     cube, gel = box_mesh(10.0, 3), GEL
     poses = Poses(TIMES, np.stack([sensor_pose(z) for z in HEIGHTS]))
-    np.testing.assert_allclose(by_shape(poses, 0.2, 0.3, cube, gel), FIRST, atol=1e-6)
+    np.testing.assert_allclose(first_pose_by_shape(poses, 0.2, 0.3, cube, gel), FIRST, atol=1e-6)
     # The last frame without contact may be one in which contact was not seen yet.
-    np.testing.assert_allclose(by_shape(poses, 0.25, 0.3, cube, gel)[2, 3], 10.0, atol=1e-6)
+    np.testing.assert_allclose(
+        first_pose_by_shape(poses, 0.25, 0.3, cube, gel)[2, 3], 10.0, atol=1e-6
+    )
     # Where nothing is known of the way, straight back.
-    np.testing.assert_allclose(by_shape(poses, None, 0.4, cube, gel), FIRST, atol=1e-9)
+    np.testing.assert_allclose(first_pose_by_shape(poses, None, 0.4, cube, gel), FIRST, atol=1e-9)
 
 
 def test_first_touch_on_the_way_along_the_face() -> None:
     """A sensor that slides down sideways meets the object beside where it presses in the end."""
     ways = np.stack([sensor_pose(z) for z in (10.5, 9.5)])
     ways[:, 0, 3] = (4.0, 6.0)
-    found = by_shape(Poses(np.array([0.0, 1.0]), ways), 0.0, 1.0, box_mesh(10.0, 3), GEL)
+    found = first_pose_by_shape(Poses(np.array([0.0, 1.0]), ways), 0.0, 1.0, box_mesh(10.0, 3), GEL)
     np.testing.assert_allclose(found[:3, 3], (5.0, 5.0, 10.0), atol=1e-6)
 
 
@@ -228,23 +231,23 @@ def test_gap_of_a_curved_gel_on_a_ball() -> None:
     gel = GelLayer(5.0, 0.12, 0.45, radius_mm=6.0, curvature_radius_mm=20.0)
     above = sensor_pose(7.5)
     above[:2, 3] = 0.0
-    points, normals = face_points(ball)
-    assert gap_mm(above, points, normals, gel) == pytest.approx(1.5, abs=0.1)
+    points, normals = sample_surface(ball)
+    assert axial_gap(above, points, normals, gel) == pytest.approx(1.5, abs=0.1)
     # Beside it by 2 mm: the least of both sagittas, 2 mm shared as 6 : 20 between them.
     beside = above.copy()
     beside[0, 3] = 2.0
     x = np.linspace(-3, 3, 601)
     apart = 7.5 + (20 - np.sqrt(400 - (x - 2) ** 2)) - np.sqrt(36 - x**2)
-    assert gap_mm(beside, points, normals, gel) == pytest.approx(apart.min(), abs=0.1)
+    assert axial_gap(beside, points, normals, gel) == pytest.approx(apart.min(), abs=0.1)
     away = above.copy()
     away[0, 3] = 40.0
-    assert gap_mm(away, points, normals, gel) == np.inf
+    assert axial_gap(away, points, normals, gel) == np.inf
 
 
 def test_poses_that_do_not_fit_the_images_are_told(caplog: pytest.LogCaptureFixture) -> None:
     high = Poses(np.array([0.0, 1.0]), np.stack([sensor_pose(12.0), sensor_pose(11.5)]))
     with caplog.at_level(logging.WARNING):
-        found = by_shape(high, 0.0, 1.0, box_mesh(10.0, 3), GEL)
+        found = first_pose_by_shape(high, 0.0, 1.0, box_mesh(10.0, 3), GEL)
     assert "1.50 mm apart: check T_object_sensor" in caplog.text
     np.testing.assert_allclose(found, sensor_pose(11.5))
 
@@ -252,10 +255,10 @@ def test_poses_that_do_not_fit_the_images_are_told(caplog: pytest.LogCaptureFixt
 def test_first_touch_by_depth() -> None:
     poses = Poses(np.array([0.0, 1.0]), np.stack([sensor_pose(10.5), sensor_pose(9.5)]))
     times, depths = np.array([0.7, 0.9]), np.array([0.1, 0.2])  # half of the way goes to the gel
-    np.testing.assert_allclose(by_depth(poses, 0.4, times, depths), FIRST, atol=1e-9)
+    np.testing.assert_allclose(first_pose_by_depth(poses, 0.4, times, depths), FIRST, atol=1e-9)
     # Not before the last frame without contact, nor by depths that do not grow.
-    assert by_depth(poses, 0.6, times, depths)[2, 3] == pytest.approx(9.9)
-    assert by_depth(poses, 0.4, times, depths[::-1])[2, 3] == pytest.approx(9.95)
+    assert first_pose_by_depth(poses, 0.6, times, depths)[2, 3] == pytest.approx(9.9)
+    assert first_pose_by_depth(poses, 0.4, times, depths[::-1])[2, 3] == pytest.approx(9.95)
 
 
 def test_a_virtual_cube_moves_with_the_sensor_where_untouched(
@@ -263,15 +266,13 @@ def test_a_virtual_cube_moves_with_the_sensor_where_untouched(
 ) -> None:
     chain = Chain(pairs)
     touched = chain.model.points[:, 1] < 0.1  # along the object's x
-    whole = chain.deformed
+    whole = chain.measure_deformation
 
-    def half(frame: Frame) -> Deformed:
-        look = whole(frame)
-        return Deformed(
-            look.frame, look.markers_px, look.height, look.moved, look.touched & touched
-        )
+    def half(frame: Frame) -> Measurement:
+        measurement = whole(frame)
+        return replace(measurement, in_contact=measurement.in_contact & touched)
 
-    chain.deformed = half  # type: ignore[method-assign]
+    chain.measure_deformation = half  # type: ignore[method-assign]
     cube = VirtualCube(8.0, 6.0, 1.0)
     found = record(frames(), chain, poses, cube, SPEC, RecordOptions(steps=1)).recording
     low, high = found.mesh.bounds
@@ -292,24 +293,24 @@ def test_a_virtual_cube_moves_with_the_sensor_where_untouched(
 def test_what_holds_the_object() -> None:
     cube = box_mesh(10.0, 2)
     down = np.array([0.0, 0.0, -1.0])
-    fixed = Fixture().on(cube, down)["fixed"]
+    fixed = Fixture().supports(cube, down)["fixed"]
     np.testing.assert_array_equal(fixed.all(axis=1), cube.points[:, 2] == 0)
-    springs = Fixture("x-", "springs", 2.5).on(cube, down)["springs"]
+    springs = Fixture("x-", "springs", 2.5).supports(cube, down)["springs"]
     assert set(np.unique(springs)) == {0.0, 2.5}
     np.testing.assert_array_equal(springs.any(axis=1), cube.points[:, 0] == 0)
     with pytest.raises(ConfigError, match="no flat side opposite to a press along"):
-        far_nodes(ball_mesh(5.0), np.array([0.6, 0.0, -0.8]))
+        opposite_nodes(ball_mesh(5.0), np.array([0.6, 0.0, -0.8]))
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Fixture("under"), "hold side='under': choose opposite or one of x-"),
-        (lambda: Fixture(kind="glued"), "hold kind='glued': choose one of fixed, springs"),
+        (lambda: Fixture("under"), "side='under': give opposite, x-"),
+        (lambda: Fixture(kind="glued"), "kind='glued': give fixed or springs"),
         (lambda: Fixture(spring_n_per_mm=0), "spring_n_per_mm"),
-        (lambda: RecordOptions(steps=0), "steps=0 must be at least 1"),
-        (lambda: RecordOptions(min_frames=0), "min_frames=0 must be at least 1"),
-        (lambda: RecordOptions(first_touch="feel"), "first_touch='feel': choose one of shape"),
+        (lambda: RecordOptions(steps=0), "steps=0: give a whole number, at least 1"),
+        (lambda: RecordOptions(min_frames=0), "min_frames=0: give a whole number, at least 1"),
+        (lambda: RecordOptions(first_contact="feel"), "first_contact='feel': give shape or depth"),
         (lambda: RecordOptions(noise_mm=-1.0), "noise_mm"),
         (lambda: VirtualCube(10.0, edge_mm=6.0), "edge_mm=6 is more than half the region of 10"),
         (lambda: VirtualCube(10.0, edge_mm=0.1), "edge_mm=0.1 makes 6000000 elements"),

@@ -6,8 +6,8 @@ from scipy.spatial import cKDTree
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription
-from tactorch.sensor.markers import MarkerLook, MarkerTracker
-from tactorch.sensor.render import Face, Lamps, Look, face_of, render
+from tactorch.sensor.markers import MarkerAppearance, MarkerTracker
+from tactorch.sensor.render import GelSurface, Lamps, RenderOptions, build_surface, render
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(18.0, 14.0))
 SENSOR = SensorDescription(
@@ -36,11 +36,11 @@ def mean_colour(image: np.ndarray, x_mm: float, y_mm: float) -> np.ndarray:
 def test_the_face_is_where_its_nodes_went() -> None:
     points = face_nodes()
     moved = press(points, 1.0)
-    face = face_of(BARE, points, moved)
+    face = build_surface(BARE, points, moved)
     deepest = np.unravel_index(face.height_mm.argmin(), face.height_mm.shape)
     np.testing.assert_allclose(BARE.to_mm(np.array(deepest[::-1], float)), (1.0, -0.4), atol=0.2)
     assert face.height_mm.min() == pytest.approx(-1.0, abs=0.03)
-    still = face_of(SENSOR, points, np.zeros_like(points))
+    still = build_surface(SENSOR, points, np.zeros_like(points))
     np.testing.assert_allclose(still.height_mm, 0.0, atol=1e-12)
     np.testing.assert_allclose(
         SENSOR.to_mm(still.markers_px), SENSOR.markers.positions_mm, atol=1e-9
@@ -49,8 +49,8 @@ def test_the_face_is_where_its_nodes_went() -> None:
 
 def test_a_side_that_faces_a_lamp_is_lit_by_it() -> None:
     """Red stands on the right. Seen from within, a dent is a bump: its right side faces red."""
-    face = face_of(BARE, face_nodes(), press(face_nodes(), 1.0))
-    lit = render(BARE, face, Look(Lamps(falloff=0.0), noise=0.0))
+    face = build_surface(BARE, face_nodes(), press(face_nodes(), 1.0))
+    lit = render(BARE, face, RenderOptions(Lamps(falloff=0.0), noise=0.0))
     level = mean_colour(lit, -7.0, 5.5)
     assert mean_colour(lit, 3.0, -0.5)[0] > level[0] + 15
     assert mean_colour(lit, -1.0, -0.5)[0] < level[0] - 15
@@ -61,7 +61,11 @@ def test_a_steep_bump_throws_a_shadow() -> None:
     height[60:80, 85:95] = -1.5
     lamp = {"azimuths_deg": (0.0,), "colours": ((200, 200, 200),), "falloff": 0.0}
     lit, unshaded = (
-        render(BARE, Face(height, np.zeros((0, 2))), Look(Lamps(**lamp, shadow=s), noise=0.0))
+        render(
+            BARE,
+            GelSurface(height, np.zeros((0, 2))),
+            RenderOptions(Lamps(**lamp, shadow=s), noise=0.0),
+        )
         for s in (0.8, 0.0)
     )
     darker = unshaded.astype(int) - lit
@@ -72,23 +76,28 @@ def test_a_steep_bump_throws_a_shadow() -> None:
 def test_markers_are_followed_as_they_were_moved() -> None:
     """Median within 0.1 px and 95 % within 0.5 px of how the gel was moved."""
     points = face_nodes()
-    faces = [face_of(SENSOR, points, press(points, depth)) for depth in (0.0, 0.3, 0.6, 0.9, 1.2)]
-    images = [render(SENSOR, face, Look(noise=2.0), seed=i) for i, face in enumerate(faces)]
-    tracker = MarkerTracker(images[0], MarkerLook(6.0))
-    order = cKDTree(faces[0].markers_px).query(tracker.begin)[1]
+    faces = [
+        build_surface(SENSOR, points, press(points, depth)) for depth in (0.0, 0.3, 0.6, 0.9, 1.2)
+    ]
+    images = [
+        render(SENSOR, face, RenderOptions(noise=2.0), seed=i) for i, face in enumerate(faces)
+    ]
+    tracker = MarkerTracker(images[0], MarkerAppearance(6.0))
+    order = cKDTree(faces[0].markers_px).query(tracker.reference_px)[1]
     assert len(set(order)) == 35
     off = []
     for face, image in zip(faces[1:], images[1:], strict=True):
-        found = tracker.follow(image)
+        found = tracker.track(image)
         true = (face.markers_px - faces[0].markers_px)[order]
-        off.append(np.linalg.norm(found.places - tracker.begin - true, axis=1)[found.valid])
-        assert found.valid.mean() > 0.9
+        valid = np.isfinite(found[:, 0])
+        off.append(np.linalg.norm(found - tracker.reference_px - true, axis=1)[valid])
+        assert valid.mean() > 0.9
     assert np.median(np.concatenate(off)) < 0.1
     assert np.percentile(np.concatenate(off), 95) < 0.5
 
 
 def test_noise_has_a_seed() -> None:
-    face = Face(np.zeros(BARE.shape), np.zeros((0, 2)))
+    face = GelSurface(np.zeros(BARE.shape), np.zeros((0, 2)))
     one, same, other, clean = (render(BARE, face, seed=seed) for seed in (1, 1, 2, None))
     np.testing.assert_array_equal(one, same)
     assert (one != other).any()
@@ -97,7 +106,7 @@ def test_noise_has_a_seed() -> None:
 
 def test_wrong_input_is_refused() -> None:
     with pytest.raises(ConfigError, match="heights are"):
-        render(BARE, Face(np.zeros((4, 4)), np.zeros((0, 2))))
+        render(BARE, GelSurface(np.zeros((4, 4)), np.zeros((0, 2))))
     with pytest.raises(ConfigError, match=r"one colour for each lamp"):
         Lamps(azimuths_deg=(0.0,))
     with pytest.raises(ConfigError, match="elevation_deg=95"):
@@ -105,4 +114,4 @@ def test_wrong_input_is_refused() -> None:
     with pytest.raises(ConfigError, match="shadow=2"):
         Lamps(shadow=2.0)
     with pytest.raises(ConfigError, match="noise=-1"):
-        Look(noise=-1.0)
+        RenderOptions(noise=-1.0)

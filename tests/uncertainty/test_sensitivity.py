@@ -18,7 +18,7 @@ def test_matrix_against_finite_differences(make_problem: Make, moduli: np.ndarra
 
     def observed(youngs: np.ndarray) -> np.ndarray:
         found = problem.evaluate(youngs).displacements
-        seen = zip(found, problem.observations, strict=True)
+        seen = zip(found, problem.data.observations, strict=True)
         return np.concatenate([u.ravel()[data.index] for u, data in seen])
 
     for element in (0, 17, 39):

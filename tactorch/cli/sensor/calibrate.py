@@ -14,22 +14,23 @@ from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
 from tactorch.cli.sensor.presses import Pressed, presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
 from tactorch.cli.settings import folder, log
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import (
-    MAPS,
+    SENSOR_MAPS,
     Ball,
     Calibration,
     Circle,
     FitOptions,
-    Quality,
+    MapQuality,
     SlopeMap,
-    choose_map,
+    evaluate_map,
     fit_map,
-    judge,
-    left_out,
-    new_circle,
+    fit_new_circle,
+    pool_quality,
     save_calibration,
-    together,
+    select_map,
+    validation_groups,
 )
 
 AUTO = "auto"
@@ -45,14 +46,14 @@ class Fitted:
         map: The map.
         circles: Of the presses that it was fitted to.
         judged: Presses with the circles and maps that they were judged with.
-        quality: Of those together.
+        quality: Of those pool_quality.
         title: What was judged on what.
     """
 
     map: SlopeMap
     circles: Mapping[str, Circle]
     judged: Sequence[Judged]
-    quality: Quality
+    quality: MapQuality
     title: str
 
 
@@ -75,7 +76,7 @@ def run(cfg: DictConfig) -> Path:
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,
-        "fit": asdict(options),
+        "fit": to_mapping(options),
         "maps": {name: asdict(quality) for name, quality in maps.items()},
         "judged": found.title,
         "quality": asdict(found.quality),
@@ -96,12 +97,17 @@ def digest(pressed: Pressed) -> str:
 
 
 def _options(cfg: DictConfig) -> FitOptions:
-    if cfg.map not in (AUTO, *MAPS):
-        raise ConfigError(f"map={cfg.map!r}: choose one of {', '.join((AUTO, *MAPS))}.")
+    names = (AUTO, *SENSOR_MAPS.names())
+    if cfg.map not in names:
+        raise ConfigError(f"map={cfg.map!r}: choose one of {', '.join(names)}.")
     if cfg.folds is not None and cfg.held_out is not None:
         raise ConfigError("give held_out or folds, not both.")
-    name = MAPS[0] if cfg.map == AUTO else cfg.map
-    return FitOptions(name, cfg.rounds, cfg.seed)
+    name = names[1] if cfg.map == AUTO else cfg.map
+    return FitOptions(SENSOR_MAPS.build(name), cfg.rounds, cfg.seed)
+
+
+def _map_name(options: FitOptions) -> str:
+    return SENSOR_MAPS.name_of(type(options.map))
 
 
 def _parted(
@@ -128,7 +134,7 @@ def _parted(
 
 def _with_map(
     name: str, used: list[Pressed], ball: Ball, options: FitOptions
-) -> tuple[FitOptions, Mapping[str, Quality]]:
+) -> tuple[FitOptions, Mapping[str, MapQuality]]:
     """Choose the map, on presses that may be fitted to."""
     if name != AUTO:
         return options, {}
@@ -136,10 +142,10 @@ def _with_map(
         raise ConfigError("map=auto takes two presses or more to fit to; give map=mlp_colour.")
     touches = [one.touch for one in used]
     with progress("choosing a map", "maps") as tell:
-        chosen, maps = choose_map(touches, ball, options, min(_CHOOSE, len(used)), tell)
+        chosen, maps = select_map(touches, ball, options, min(_CHOOSE, len(used)), tell)
     for each, quality in maps.items():
         log.info("%s: mean error of slopes %.4f / %.4f on presses left out", each, *quality.mae)
-    return replace(options, map=chosen), maps
+    return replace(options, map=SENSOR_MAPS.build(chosen)), maps
 
 
 def _held_out(
@@ -147,13 +153,15 @@ def _held_out(
 ) -> Fitted:
     found, circles = _fit(used, ball, options)
     if held:
-        judged = [Judged(one, new_circle(one.touch, found, ball), found) for one in held]
-        title = f"{options.map}, fitted to {len(used)} presses, on {len(held)} others"
+        judged = [Judged(one, fit_new_circle(one.touch, found, ball), found) for one in held]
+        title = f"{_map_name(options)}, fitted to {len(used)} presses, on {len(held)} others"
     else:
         judged = [Judged(one, circles[one.touch.name], found) for one in used]
-        title = f"{options.map}, on the {len(used)} presses it was fitted to: others do worse"
+        title = (
+            f"{_map_name(options)}, on the {len(used)} presses it was fitted to: others do worse"
+        )
     touches, own = [one.pressed.touch for one in judged], [one.circle for one in judged]
-    return Fitted(found, circles, judged, judge(found, touches, own, ball), title)
+    return Fitted(found, circles, judged, evaluate_map(found, touches, own, ball), title)
 
 
 def _in_folds(
@@ -162,14 +170,16 @@ def _in_folds(
     by_name = {one.touch.name: one for one in used}
     judged, parts = [], []
     with progress("judging", "groups left out") as tell:
-        for found, left, circles in left_out([p.touch for p in used], ball, options, folds):
-            parts.append(judge(found, left, circles, ball))
+        for found, left, circles in validation_groups(
+            [p.touch for p in used], ball, options, folds
+        ):
+            parts.append(evaluate_map(found, left, circles, ball))
             pairs = zip(left, circles, strict=True)
             judged += [Judged(by_name[t.name], circle, found) for t, circle in pairs]
             tell(len(parts), folds)
-    title = f"{options.map}, on {len(used)} presses, each left out once, in {folds} groups"
+    title = f"{_map_name(options)}, on {len(used)} presses, each left out once, in {folds} groups"
     final, own = _fit(used, ball, options)
-    return Fitted(final, own, judged, together(parts), title)
+    return Fitted(final, own, judged, pool_quality(parts), title)
 
 
 def _fit(

@@ -10,10 +10,10 @@ from tactorch.cli.sensor.inputs import calibrated, reference_of
 from tactorch.cli.sensor.presses import presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
 from tactorch.cli.settings import folder, log
-from tactorch.sensor.calibration import Ball, Quality, judge, new_circle
+from tactorch.sensor.calibration import Ball, MapQuality, evaluate_map, fit_new_circle
 
 
-def run(cfg: DictConfig) -> Quality:
+def run(cfg: DictConfig) -> MapQuality:
     """Judge a calibration."""
     place = folder()
     for name in RESULTS:
@@ -21,17 +21,17 @@ def run(cfg: DictConfig) -> Quality:
     sensor, calibration = calibrated(cfg)
     ball = Ball(float(cfg.ball_radius_mm), calibration.mm_per_px)
     reference = calibration.reference if cfg.reference is None else reference_of(cfg, sensor)
-    presses = presses_of(cfg, sensor, ball, reference, calibration.look)
+    presses = presses_of(cfg, sensor, ball, reference, calibration.markers)
     judged = [
-        Judged(one, new_circle(one.touch, calibration.map, ball), calibration.map)
+        Judged(one, fit_new_circle(one.touch, calibration.map, ball), calibration.map)
         for one in presses
     ]
     circles = {one.pressed.touch.name: one.circle for one in judged}
     touches = [one.touch for one in presses]
-    quality = judge(calibration.map, touches, list(circles.values()), ball)
+    quality = evaluate_map(calibration.map, touches, list(circles.values()), ball)
     known = set(calibration.facts.get("fitted_to", {}).values())
     seen = [one.touch.name for one in presses if digest(one) in known]
-    title = f"{Path(str(cfg.calibration)).name} ({calibration.map.name}), on {len(judged)} presses"
+    title = f"{Path(str(cfg.calibration)).name} ({calibration.map_name}), on {len(judged)} presses"
     more: dict[str, Any] = {"calibration": calibration.facts, "fitted_to": seen}
     write_report(place, title, quality, judged, ball, circles, more)
     if seen:

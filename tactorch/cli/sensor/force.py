@@ -23,7 +23,7 @@ from tactorch.cli.sensor.sequence import (
 from tactorch.cli.sensor.tables import write_arrays, write_table
 from tactorch.cli.settings import folder, log
 from tactorch.errors import ConvergenceError
-from tactorch.sensor.chain import ChainOptions, Seen, SensorChain
+from tactorch.sensor.chain import ChainOptions, Measurement, SensorChain
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.gel import GelModel
 from tactorch.viz.sensor_frames import ForceView, colour_limit, node_areas
@@ -80,9 +80,9 @@ def run(cfg: DictConfig) -> Path:
 
 def face_triangles(model: GelModel) -> Int[np.ndarray, "t 3"]:
     """Return the triangles of the gel's outer face, by the numbers of its nodes there."""
-    number = np.full(model.meshed.mesh.n_points, -1)
-    number[model.meshed.face] = np.arange(len(model.meshed.face))
-    all_triangles = number[model.meshed.mesh.surface.triangles]
+    number = np.full(model.gel_mesh.mesh.n_points, -1)
+    number[model.gel_mesh.face] = np.arange(len(model.gel_mesh.face))
+    all_triangles = number[model.gel_mesh.mesh.surface.triangles]
     return all_triangles[(all_triangles >= 0).all(axis=1)]
 
 
@@ -90,16 +90,18 @@ def _felt(chain: SensorChain, frame: Frame) -> Felt:
     """Tell the forces of a frame; a gel that would collapse is a fault of the frame."""
     shape = chain.model.points.shape
     try:
-        seen: Seen | None = chain.see(frame)
+        seen: Measurement | None = chain.measure(frame)
         fault = ""
     except ConvergenceError as error:
         seen, fault = None, f"no forces found: {error}"
     depth = float("nan")
     if seen is not None and seen.height is not None:
-        depth = -float(seen.height.height_mm.min())
+        depth = seen.height.depth_mm
     if seen is not None and seen.contact is not None:
         contact = seen.contact
-        return Felt(without_image(frame), contact.forces, contact.displacement, seen.touched, depth)
+        return Felt(
+            without_image(frame), contact.forces, contact.displacement, seen.in_contact, depth
+        )
     free = np.full(shape, 0.0 if seen is not None and seen.height is not None else np.nan)
     touched = np.zeros(shape[0], dtype=bool)
     return Felt(without_image(frame, fault), free, free, touched, depth)

@@ -10,7 +10,7 @@ from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.description import SensorDescription, load_sensor
 from tactorch.sensor.frames import Image, Source, read_reference
-from tactorch.sensor.markers import MarkerLook
+from tactorch.sensor.markers import MarkerAppearance
 
 
 def sensor_of(cfg: DictConfig) -> SensorDescription:
@@ -36,20 +36,20 @@ def reference_of(cfg: DictConfig, sensor: SensorDescription) -> Image:
     return read_reference(source_of(cfg.reference), sensor, cfg.reference_frames)
 
 
-def look_of(sensor: SensorDescription, diameter_px: float | None = None) -> MarkerLook | None:
+def look_of(sensor: SensorDescription, diameter_px: float | None = None) -> MarkerAppearance | None:
     """Return how markers look; None where the sensor has none."""
     if diameter_px is not None:
-        return MarkerLook(float(diameter_px))
+        return MarkerAppearance(float(diameter_px))
     if sensor.markers is None:
         return None
     x, y = map(float, sensor.mm_per_px)
-    return MarkerLook(float(sensor.markers.diameter_mm) / (x * y) ** 0.5)
+    return MarkerAppearance(float(sensor.markers.diameter_mm) / (x * y) ** 0.5)
 
 
 def calibrated(cfg: DictConfig) -> tuple[SensorDescription, Calibration]:
     """Read sensor and calibration; the scale is that of the calibration.
 
-    A calibration made without markers serves a gel with markers, which are then filled in.
+    A calibration made without markers serves a gel with markers, which are then fill_masked in.
 
     Raises:
         ConfigError: The calibration is of images of another size.
@@ -65,6 +65,6 @@ def calibrated(cfg: DictConfig) -> tuple[SensorDescription, Calibration]:
     if tuple(sensor.mm_per_px) != calibration.mm_per_px:
         log.info("scale: %.5g x %.5g mm per px, as calibrated", *calibration.mm_per_px)
         sensor = replace(sensor, mm_per_px=calibration.mm_per_px)
-    if calibration.look is None:
-        calibration = replace(calibration, look=look_of(sensor))
+    if calibration.markers is None:
+        calibration = replace(calibration, markers=look_of(sensor))
     return sensor, calibration

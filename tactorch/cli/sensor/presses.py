@@ -15,23 +15,23 @@ from tactorch.errors import FileError
 from tactorch.files import atomic_path
 from tactorch.sensor.calibration import (
     Ball,
+    BallPress,
     Circle,
-    Touch,
-    change,
     find_circle,
-    hidden,
+    image_change,
+    marker_pixels,
     read_labels,
 )
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image, read_frames
-from tactorch.sensor.markers import MarkerLook
+from tactorch.sensor.markers import MarkerAppearance
 
 
 class Pressed(NamedTuple):
     """A press with its image."""
 
     image: Image
-    touch: Touch
+    touch: BallPress
 
 
 def presses_of(
@@ -39,7 +39,7 @@ def presses_of(
     sensor: SensorDescription,
     ball: Ball,
     reference: Image,
-    look: MarkerLook | None,
+    look: MarkerAppearance | None,
 ) -> list[Pressed]:
     """Read the presses; contacts are those of the labels, or are found.
 
@@ -53,11 +53,11 @@ def presses_of(
     found = []
     for frame in frames:
         assert frame.image is not None
-        changed = change(frame.image, reference, look)
+        changed = image_change(frame.image, reference, look)
         circle = labels.get(frame.name) or find_circle(changed, ball, frame.name)
         ball.check(circle, frame.name)
-        known = ~hidden(frame.image, reference, look)
-        found.append(Pressed(frame.image, Touch(frame.name, changed, known, circle)))
+        known = ~marker_pixels(frame.image, reference, look)
+        found.append(Pressed(frame.image, BallPress(frame.name, changed, known, circle)))
     told = len(labels.keys() & {frame.name for frame in frames})
     log.info("%d presses: %d contacts by labels, %d found", len(found), told, len(found) - told)
     return found

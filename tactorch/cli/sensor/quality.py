@@ -11,8 +11,8 @@ from tactorch.cli.sensor.presses import Pressed, write_circles
 from tactorch.cli.settings import log
 from tactorch.cli.tables import Table
 from tactorch.files import atomic_path
-from tactorch.sensor.calibration import Ball, Circle, Quality, SlopeMap, judge, seen_slopes
-from tactorch.sensor.depth import integrate
+from tactorch.sensor.calibration import Ball, Circle, MapQuality, SlopeMap, evaluate_map, map_slopes
+from tactorch.sensor.depth import integrate_slopes
 from tactorch.viz.sensor_calibration import BallPress, plot_ball_presses
 
 REPORT, TEXT, CIRCLES, PICTURE = "quality.json", "quality.txt", "circles.csv", "held_out.png"
@@ -38,7 +38,7 @@ class Judged:
 def write_report(
     folder: Path,
     title: str,
-    quality: Quality,
+    quality: MapQuality,
     judged: Sequence[Judged],
     ball: Ball,
     circles: Mapping[str, Circle],
@@ -49,14 +49,14 @@ def write_report(
     Args:
         folder: Of the run.
         title: What was judged on what.
-        quality: Of all presses together.
+        quality: Of all presses pool_quality.
         judged: The presses.
         ball: What was pressed.
         circles: All contacts, those of presses that were fitted to included.
         more: Goes into the JSON as it is.
     """
     each = {
-        one.pressed.touch.name: judge(one.map, [one.pressed.touch], [one.circle], ball)
+        one.pressed.touch.name: evaluate_map(one.map, [one.pressed.touch], [one.circle], ball)
         for one in judged
     }
     radii = {one.pressed.touch.name: one.circle.radius_px * ball.mm_per_px[0] for one in judged}
@@ -73,7 +73,9 @@ def write_report(
     log.info("pictures of them: %s", folder / PICTURE)
 
 
-def _table(quality: Quality, each: Mapping[str, Quality], radii_mm: Mapping[str, float]) -> Table:
+def _table(
+    quality: MapQuality, each: Mapping[str, MapQuality], radii_mm: Mapping[str, float]
+) -> Table:
     head = ("", "R^2 x", "R^2 y", "MAE x", "MAE y", "depth rms, mm", "contact radius, mm")
     rows = []
     for name, q in [*each.items(), ("all together", quality)]:
@@ -83,7 +85,7 @@ def _table(quality: Quality, each: Mapping[str, Quality], radii_mm: Mapping[str,
     return Table(head, rows)
 
 
-def _text(title: str, quality: Quality, table: Table) -> str:
+def _text(title: str, quality: MapQuality, table: Table) -> str:
     lines = [
         title,
         table.text(),
@@ -95,8 +97,8 @@ def _text(title: str, quality: Quality, table: Table) -> str:
 
 def _seen(one: Judged, ball: Ball) -> BallPress:
     touch = one.pressed.touch
-    slopes = seen_slopes(one.map, touch.changed)
-    height = integrate(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
+    slopes = map_slopes(one.map, touch.change)
+    height = integrate_slopes(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
     return BallPress(
         touch.name, one.pressed.image, touch.circle, one.circle, touch.known, slopes, height
     )

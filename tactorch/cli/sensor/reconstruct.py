@@ -24,7 +24,7 @@ from tactorch.cli.sensor.tables import write_arrays, write_table
 from tactorch.cli.settings import folder, log
 from tactorch.mesh.values import positive
 from tactorch.sensor.calibration import Calibration
-from tactorch.sensor.depth import height_of
+from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image
 from tactorch.viz.sensor_frames import DepthView
@@ -82,7 +82,7 @@ def _measured(
     if frame.image is None:
         return Measured(without_image(frame), float("nan"), float("nan"))
     slopes = calibration.slopes(frame.image, reference)
-    height = height_of(slopes, calibration.mm_per_px, cfg.steep)
+    height = reconstruct_height(slopes, calibration.mm_per_px, cfg.steep)
     deepest = -float(height.height_mm.min())
     contact = height.contact & (deepest >= cfg.min_depth_mm)
     write_arrays(

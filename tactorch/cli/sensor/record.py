@@ -14,20 +14,22 @@ from tactorch.cli.sensor.growing import grow
 from tactorch.cli.sensor.inputs import calibrated, reference_of
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.sensor.tables import write_table
-from tactorch.cli.settings import build, folder, log, material_of, plain
+from tactorch.cli.settings import folder, log, material_of, plain
 from tactorch.errors import ConfigError
 from tactorch.files import require_file
-from tactorch.mesh import TetMesh, box_mesh, read_mesh
+from tactorch.mesh import TetMesh
 from tactorch.sensor.chain import ChainOptions, SensorChain
-from tactorch.sensor.contact import ContactOptions, Poses, read_poses
+from tactorch.sensor.contact import ContactOptions
 from tactorch.sensor.gel import GelModel
+from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.recorder import (
+    OBJECTS,
     Fixture,
-    Recorded,
     RecordOptions,
+    SessionRecording,
     VirtualCube,
-    contacts_as_they_end,
     record,
+    record_streaming,
 )
 from tactorch.viz.session import plot_presses, plot_session
 
@@ -54,7 +56,7 @@ def run(cfg: DictConfig) -> Path:
     poses = poses_of(cfg, frames)
     if cfg.as_they_end:
         return grow(
-            contacts_as_they_end(
+            record_streaming(
                 frames, chain, poses, target, material, options, provenance=facts
             ), out,
         )  # fmt: skip
@@ -91,7 +93,9 @@ def poses_of(cfg: DictConfig, frames: FrameSequence) -> Callable[[], Poses]:
 
     def read() -> Poses:
         found = read_poses(str(cfg.poses), growing=cfg.as_they_end)
-        return found if cfg.poses_clock == "frames" else found.since(frames.zero_unix_s or 0.0)
+        return (
+            found if cfg.poses_clock == "frames" else found.relative_to(frames.zero_unix_s or 0.0)
+        )
 
     return read
 
@@ -118,28 +122,14 @@ class _Stages:
 
 
 def object_of(cfg: DictConfig) -> TetMesh | VirtualCube:
-    """Return the object at rest, or the region that stands for it.
+    """Return the mesh of the object at rest, or a virtual cube.
 
     Raises:
         ConfigError: A value cannot be used.
         FileError: The mesh cannot be read.
     """
-    settings = plain(cfg.object)
-    name = settings.pop("name")
-    if name == "mesh":
-        return read_mesh(str(settings["path"]), settings["unit"])
-    if name == "virtual_cube":
-        return build("object", VirtualCube, settings)
-    if name == "box":
-        return build("object", _box, settings)
-    raise ConfigError(f"object '{name}' is unknown; choose box, mesh or virtual_cube.")
-
-
-def _box(size_mm: list[float], origin_mm: list[float], edge_mm: float) -> TetMesh:
-    if edge_mm <= 0 or min(size_mm) < edge_mm:
-        raise ConfigError(f"edge_mm={edge_mm:g} must be above 0 and no more than a side.")
-    counts = [max(1, round(size / edge_mm)) for size in size_mm]
-    return box_mesh(size_mm, counts, origin_mm=origin_mm, tets_per_cell=5)
+    target = OBJECTS.build(plain(cfg.object))
+    return target if isinstance(target, VirtualCube) else target.mesh()
 
 
 def options_of(cfg: DictConfig) -> RecordOptions:
@@ -150,33 +140,33 @@ def options_of(cfg: DictConfig) -> RecordOptions:
     """
     virtual = cfg.object.name == "virtual_cube"
     untouched = ("sensor" if virtual else "unseen") if cfg.untouched == "auto" else cfg.untouched
-    hold = Fixture(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
-    touching = ContactOptions(cfg.reach_mm, untouched)
-    return RecordOptions(cfg.steps, cfg.min_frames, cfg.first_touch, None, hold, touching)
+    fixture = Fixture(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
+    contact = ContactOptions(cfg.reach_mm, cast(Any, untouched))
+    return RecordOptions(cfg.steps, cfg.min_frames, cfg.first_touch, None, fixture, contact)
 
 
-def _write(place: Path, found: Recorded) -> None:
+def _write(place: Path, found: SessionRecording) -> None:
     kept = {row["frame"] for row in found.presses}
     rows = [
-        (one.name, one.time_s, one.depth_mm, None if one.contact is None else one.contact + 1,
-         int(one.name in kept), one.fault or found.passed_over.get(one.name, ""))
-        for one in found.session.glances
+        (one.name, one.time_s, one.depth_mm, None if number is None else number + 1,
+         int(one.name in kept), one.fault or found.skipped.get(one.name, ""))
+        for one, number in zip(found.frames, found.contact_numbers(), strict=True)
     ]  # fmt: skip
     write_table(place / _TABLE, _HEADER, rows)
     forces = [float(np.linalg.norm(row["force_n"])) for row in found.presses]
     values: dict[str, Any] = {
-        "frames": len(found.session.glances),
-        "contacts": len(found.session.contacts),
+        "frames": len(found.frames),
+        "contacts": len(found.contacts),
         "presses": found.presses,
-        "faulty": found.session.faults,
-        "passed_over": found.passed_over,
+        "faulty": found.faults,
+        "skipped": found.skipped,
         "noise_mm": found.recording.presses[0].noise_mm,
     }
     lines = [
-        f"{len(found.presses)} presses of {len(found.session.contacts)} contacts in"
-        f" {len(found.session.glances)} frames; forces up to {max(forces):.3g} N.",
-        *(f"  {name}: {fault}" for name, fault in found.session.faults.items()),
-        *(f"  {name} became no press: {why}" for name, why in found.passed_over.items()),
+        f"{len(found.presses)} presses of {len(found.contacts)} contacts in"
+        f" {len(found.frames)} frames; forces up to {max(forces):.3g} N.",
+        *(f"  {name}: {fault}" for name, fault in found.faults.items()),
+        *(f"  {name} became no press: {why}" for name, why in found.skipped.items()),
         "",
         found.recording.summary(),
     ]

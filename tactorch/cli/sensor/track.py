@@ -27,7 +27,7 @@ from tactorch.errors import ConfigError
 from tactorch.mesh.values import positive
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image
-from tactorch.sensor.markers import MarkerLook, MarkerTracker, displacement_mm
+from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, marker_displacements
 from tactorch.viz.sensor_frames import MarkerView, colour_limit
 from tactorch.viz.session import plot_over_time
 
@@ -56,8 +56,10 @@ def run(cfg: DictConfig) -> Path:
     reference = reference_of(cfg, sensor)
     tracker, frames = MarkerTracker(reference, look), FrameSequence(cfg, sensor, reference)
     known, places = _followed(tracker, frames)
-    moved = np.stack([displacement_mm(sensor, tracker.begin, one)[1][:, :2] for one in places])
-    _write(place, tracker.begin, known, places, moved)
+    moved = np.stack(
+        [marker_displacements(sensor, tracker.reference_px, one)[1][:, :2] for one in places]
+    )
+    _write(place, tracker.reference_px, known, places, moved)
     values, lines = _summary(known, places, moved)
     if cfg.backward:
         values["backward"] = _backward(frames, places, look)
@@ -72,8 +74,8 @@ def _followed(tracker: MarkerTracker, frames: FrameSequence) -> tuple[list[Frame
     known, places = [], []
     with progress("following markers", "frames") as tell:
         for frame in frames:
-            none = np.full(tracker.begin.shape, np.nan)
-            places.append(none if frame.image is None else tracker.follow(frame.image).places)
+            none = np.full(tracker.reference_px.shape, np.nan)
+            places.append(none if frame.image is None else tracker.track(frame.image))
             known.append(without_image(frame))
             tell(len(known), frames.total)
     return known, np.stack(places)
@@ -128,7 +130,7 @@ def _summary(
     return values, lines
 
 
-def _backward(frames: FrameSequence, places: Places, look: MarkerLook) -> dict[str, Any]:
+def _backward(frames: FrameSequence, places: Places, look: MarkerAppearance) -> dict[str, Any]:
     """Follow the markers of the last frame back to the first; tell where they come out."""
     pairs = [(k, frame.image) for k, frame in enumerate(frames) if frame.image is not None]
     if len(pairs) < 2:
@@ -138,7 +140,7 @@ def _backward(frames: FrameSequence, places: Places, look: MarkerLook) -> dict[s
     found = _to_the_first(tracker, images)
     first, last = places[numbers[0]], places[numbers[-1]]
     ends = np.isfinite(first[:, 0]) & np.isfinite(last[:, 0])
-    distance, twin = cKDTree(tracker.begin).query(np.nan_to_num(last, nan=-1e6))
+    distance, twin = cKDTree(tracker.reference_px).query(np.nan_to_num(last, nan=-1e6))
     same = ends & (distance < _SAME_PX)
     off = np.linalg.norm(found[twin[same]] - first[same], axis=1)
     told = off[np.isfinite(off)]
@@ -152,10 +154,10 @@ def _backward(frames: FrameSequence, places: Places, look: MarkerLook) -> dict[s
 
 
 def _to_the_first(tracker: MarkerTracker, images: Sequence[Image]) -> Float[np.ndarray, "n 2"]:
-    places = tracker.begin
+    places = tracker.reference_px
     with progress("following them back", "frames") as tell:
         for done, image in enumerate(images[-2::-1], 1):
-            places = tracker.follow(image).places
+            places = tracker.track(image)
             tell(done, len(images) - 1)
     return places
 
@@ -182,7 +184,9 @@ def _draw(
     moved: Places,
 ) -> None:
     size, seen = np.linalg.norm(moved, axis=2), np.isfinite(places[..., 0])
-    view = MarkerView(sensor, tracker.begin, colour_limit(size, _LEAST_MM), float(cfg.magnify))
+    view = MarkerView(
+        sensor, tracker.reference_px, colour_limit(size, _LEAST_MM), float(cfg.magnify)
+    )
 
     def show(frame: Frame) -> None:
         k = frame.index

@@ -1,220 +1,248 @@
-"""Newton's method with each step by conjugate gradients: no sensitivity matrix is ever formed.
+"""Newton's method with conjugate gradients, which does not form the sensitivity matrix.
 
-A product with J^T J costs two solves a press with factorisations that stand, so memory grows as the
-factors do, not as data times elements. The system is preconditioned by the prior, and the step need
-only be as good as the model is. Damping, bounds and the weight of the prior are those of
-`gauss_newton`, but that the weight never leaps. `hessian="true"` adds the second derivatives that
-Gauss-Newton leaves out.
+A product with J^T J takes two solves per press with existing factorisations, so memory grows as
+the factors do, not as data times elements. The prior preconditions the system, and each step is
+only as accurate as the quadratic model.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+import scipy.sparse as sp
+from jaxtyping import Bool, Float
 
 from tactorch.config import option
-from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.inverse.monitor import Monitor
-from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers.base import Optimizer, projected_gradient
-from tactorch.inverse.optimizers.hessian import SecondOrder
-from tactorch.inverse.optimizers.preconditioner import PriorSolver
-from tactorch.inverse.optimizers.probing import data_trace, start_cooling
-from tactorch.inverse.optimizers.weight import RegularizationSchedule
-from tactorch.linalg import conjugate_gradients
+from tactorch.errors import ConfigError
+from tactorch.inverse.objective import Point
+from tactorch.inverse.optimizers.damped import DampedNewton, LinearSystem, StepSolver
+from tactorch.inverse.optimizers.schedule import RegularizationSchedule
+from tactorch.linalg import Solver, Status, SymmetricPattern, analyse, conjugate_gradients
+from tactorch.linalg.conjugate_gradients import CGResult
 
-_POOR, _LEEWAY = 0.1, 2.0  # as in `gauss_newton`
-_LEAST, _LEAST_RAISED = 1e-12, 1e-4
-# What the prior does not see (a uniform change) is held by this share of the data's mean diagonal.
-_BASE = 1e-3
-# While the weight of the prior falls, the next step mends what this one leaves.
-_LOOSER = 3.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Move:
-    """A step cut to the bounds, and the fall of the objective that the model foretells."""
-
-    change: Float[np.ndarray, " size"]
-    foretold: float
-    iterations: int
+# Shift of the preconditioner where the prior is zero (a uniform change), relative to the mean
+# diagonal of J^T J.
+_BASE_SHIFT = 1e-3
+# Factor of the forcing while the weight of the prior falls: the next step corrects the remainder.
+_LOOSENING = 3.0
+_PROBES, _SEED = 8, 20240607
 
 
 @dataclass(frozen=True)
-class NewtonCG(Optimizer):
+class NewtonCG(DampedNewton):
     """Newton's method by conjugate gradients, without the sensitivity matrix: for large meshes.
 
     Attributes:
         max_iterations: Limit of accepted steps.
         tolerance: Relative fall of the objective, at a final weight, at which to stop.
-        damping: First damping, relative to the mean diagonal of J^T J.
+        damping: First damping, relative to the diagonal of the Hessian.
         max_trials: Limit of trial steps at one iterate.
         cg_iterations: Limit of conjugate-gradient iterations in one step.
         forcing: Relative residual of a step's system at a final weight far from the solution;
             near it, smaller, by choice 2 of Eisenstat and Walker (1996).
-        hessian: "gauss_newton", or "true" with the second derivatives.
+        hessian: "gauss_newton", or "true" with the second derivatives of the predictions.
     """
 
-    max_iterations: int = option(60, "Limit of accepted steps", gt=0)
-    tolerance: float = option(1e-3, "Relative fall of the objective at which to stop", gt=0)
-    damping: float = option(1e-6, "First damping, relative to the mean diagonal of J^T J", gt=0)
-    max_trials: int = option(12, "Limit of trial steps at one iterate", gt=0)
     cg_iterations: int = option(200, "Limit of conjugate-gradient iterations in one step", gt=0)
     forcing: float = option(0.03, "Relative residual of a step's linear system", gt=0, lt=1)
     hessian: Literal["gauss_newton", "true"] = option(
         "gauss_newton", "Hessian: without or with the second derivatives"
     )
 
-    def minimize(
-        self, objective: Objective, start: Float[np.ndarray, " m"], monitor: Monitor
-    ) -> str:
-        """See `Optimizer.minimize`."""
-        if self.hessian == "true" and objective.nuisance.size:
+    def step_solver(self, point: Point, state: dict[str, float]) -> StepSolver:
+        """Return the solver of a run.
+
+        Raises:
+            ConfigError: nuisance parameters are estimated, which the true Hessian excludes.
+        """
+        if self.hessian == "true" and point.objective.nuisance.size:
             raise ConfigError(
-                "optimizer.hessian=true does not know nuisance parameters; use gauss_newton."
+                "optimizer.hessian=true does not support nuisance parameters; use gauss_newton."
             )
-        point = objective.at(start)
-        state = dict(monitor.state)
-        if "data_trace" not in state:
-            state["data_trace"] = data_trace(point)
-        run = _Run(self, monitor, state["data_trace"])
-        cooling = start_cooling(point, monitor.state, run.trace)
-        run.damping = state.get("damping", self.damping)
-        run.gradient_size = state.get("gradient_size", np.inf)
-        if not monitor.history:
-            run.report(point, cooling, cooling.weight, 0.0)
-        while monitor.iteration < self.max_iterations:
-            weight = cooling.weight
-            settled = cooling.fixed or bool(cooling.ended)
-            after = run.step(point, weight, not settled)
-            if after is None:
-                return "no step lowers the objective any more"
-            step = float(np.abs(after.x - point.x).max())
-            fall = point.value(weight) - after.value(weight)
-            point = after
-            cooling.lower(point.evaluation.chi2)
-            still = settled and fall <= self.tolerance * point.value(weight)
-            done = not cooling.retry(point, converged=still) and still
-            run.report(point, cooling, weight, step)
-            if done:
-                return cooling.ended or "the objective no longer falls"
-        return "iteration limit reached"
+        trace = state["data_trace"] if "data_trace" in state else data_trace(point)
+        return _CGSteps(self, trace, state.get("gradient_size", np.inf))
 
 
 @dataclass(eq=False)
-class _Run:
-    """One run: the settings, and what changes on the way."""
+class _CGSteps(StepSolver):
+    leaps = False
+    takes_over = True
 
     settings: NewtonCG
-    monitor: Monitor
     trace: float
-    damping: float = 0.0
-    gradient_size: float = np.inf
+    gradient_size: float
     products: int = 0
-    prior: PriorSolver = field(default_factory=PriorSolver)
+    prior: "PriorSolver" = field(default_factory=lambda: PriorSolver())
 
-    def report(
-        self, point: Point, cooling: RegularizationSchedule, weight: float, step: float
-    ) -> None:
-        """Report a step made at `weight`; what the next one needs goes into the state."""
-        self.monitor.state = {
-            **cooling.state(),
-            "damping": self.damping,
-            "data_trace": self.trace,
-            "gradient_size": self.gradient_size,
-        }
-        self.monitor.accept(
-            point, objective=point.value(weight), weight=weight, step=step, damping=self.damping,
-            products=self.products,
-        )  # fmt: skip
-        self.products = 0
+    def schedule(self, point: Point, state: dict[str, float]) -> RegularizationSchedule:
+        return RegularizationSchedule.start(point, state, trace=self.trace)
 
-    def step(self, point: Point, weight: float, cooling: bool) -> Point | None:
-        """Try steps, damping more each time, until one is good enough."""
-        gradient = point.data_gradient + point.prior_gradient(weight)
-        free = projected_gradient(point.x, gradient, point.objective.limits) != 0.0
-        if not free.any():
-            return None
-        accuracy = self._accuracy(float(np.linalg.norm(gradient[free])), cooling)
-        value, chi2 = point.value(weight), point.evaluation.chi2
-        for _ in range(self.settings.max_trials):
-            move = self._move(point, np.where(free, gradient, 0.0), free, weight, accuracy)
-            trial = None if move is None else _try(point, move.change)
-            if move is not None and trial is not None:
-                self.products += move.iterations
-                ratio = _gain(value - trial.value(weight), move.foretold)
-                if ratio > 0 or (cooling and trial.evaluation.chi2 < _LEEWAY * chi2):
-                    if ratio > _POOR:
-                        self.damping = max(0.2 * self.damping, _LEAST)
-                    return trial
-            self.damping = 10.0 * max(self.damping, _LEAST_RAISED)
-            self.monitor.check_time()
-        return None
+    def data_gradient(self, point: Point) -> Float[np.ndarray, " size"]:
+        return point.data_gradient
 
-    def _accuracy(self, size: float, cooling: bool) -> float:
+    def linearize(
+        self,
+        point: Point,
+        weight: float,
+        gradient: Float[np.ndarray, " size"],
+        free: Bool[np.ndarray, " size"],
+        lowering: bool,
+    ) -> LinearSystem:
+        rtol = self._accuracy(float(np.linalg.norm(gradient[free])), lowering)
+        prior = point.prior_curvature(weight)
+        return _CGSystem(self, point, prior, np.where(free, gradient, 0.0), free, rtol)
+
+    def _accuracy(self, size: float, lowering: bool) -> float:
         """Eisenstat and Walker's second choice, from the sizes of this gradient and the last."""
         last, self.gradient_size = self.gradient_size, size
         forcing = self.settings.forcing
-        if cooling:
-            return min(_LOOSER * forcing, 0.5)
+        if lowering:
+            return min(_LOOSENING * forcing, 0.5)
         return float(np.clip(0.9 * (size / last) ** 2, 1e-3 * forcing, forcing))
 
-    def _move(
-        self, point: Point, gradient: np.ndarray, free: np.ndarray, weight: float, accuracy: float
-    ) -> _Move | None:
-        """Solve for a step and cut it to the bounds; None where the prior breaks down."""
-        prior = point.prior_curvature(weight)
-        mean = self.trace / len(gradient)
-        shift = self.damping * (mean + prior.diagonal())
-        base = shift + _BASE * mean + np.finfo(float).tiny
-        if not self.prior.factor(prior, base, ~free):
-            return None
-        second = SecondOrder(point) if self.settings.hessian == "true" else None
+    def state(self) -> dict[str, float]:
+        return {"data_trace": self.trace, "gradient_size": self.gradient_size}
 
-        def curved(change: np.ndarray) -> np.ndarray:
-            image = point.transpose_times(point.jacobian_times(change)) + prior @ change
-            return image if second is None else image + second.product(change)
+    def record(self) -> dict[str, float]:
+        products, self.products = self.products, 0
+        return {"products": products}
+
+
+@dataclass(eq=False)
+class _CGSystem:
+    steps: _CGSteps
+    point: Point
+    prior: sp.csr_matrix
+    gradient: Float[np.ndarray, " size"]
+    free: Bool[np.ndarray, " size"]
+    rtol: float
+    _shift: np.ndarray = field(init=False)
+    _solved: CGResult = field(init=False)
+
+    @cached_property
+    def _second_order(self) -> "SecondOrder | None":
+        return SecondOrder(self.point) if self.steps.settings.hessian == "true" else None
+
+    def _product(self, change: np.ndarray) -> np.ndarray:
+        image = self.point.transpose_times(self.point.jacobian_times(change)) + self.prior @ change
+        return image if self._second_order is None else image + self._second_order.product(change)
+
+    def solve(self, damping: float) -> Float[np.ndarray, " size"] | None:
+        mean = self.steps.trace / len(self.gradient)
+        shift = self._shift = damping * (mean + self.prior.diagonal())
+        base = shift + _BASE_SHIFT * mean + np.finfo(float).tiny
+        if not self.steps.prior.factor(self.prior, base, ~self.free):
+            return None
 
         def damped(change: np.ndarray) -> np.ndarray:
-            return np.where(free, curved(change) + shift * change, 0.0)
+            return np.where(self.free, self._product(change) + shift * change, 0.0)
 
-        solved = conjugate_gradients(
-            damped, self.prior.solve, -gradient, rtol=accuracy,
-            max_iterations=self.settings.cg_iterations, preconditioned_norm=True,
+        self._solved = conjugate_gradients(
+            damped,
+            self.steps.prior.solve,
+            -self.gradient,
+            rtol=self.rtol,
+            max_iterations=self.steps.settings.cg_iterations,
+            preconditioned_norm=True,
             orthogonalize=True,
-        )  # fmt: skip
-        change = _cut(point, solved.solution)
-        if not np.all(np.isfinite(change)):
-            return None
-        as_solved = np.array_equal(change, solved.solution)
-        image = solved.image - shift * change if as_solved else curved(change)
-        return _Move(change, -float(gradient @ change + 0.5 * change @ image), solved.iterations)
+        )
+        self.steps.products += self._solved.iterations
+        step: np.ndarray = self._solved.solution
+        return step if np.all(np.isfinite(step)) else None
+
+    def predicted_fall(self, change: Float[np.ndarray, " size"]) -> float:
+        uncut = np.array_equal(change, self._solved.solution)
+        image = self._solved.image - self._shift * change if uncut else self._product(change)
+        return -float(self.gradient @ change + 0.5 * change @ image)
 
 
-def _cut(point: Point, step: np.ndarray) -> np.ndarray:
-    """Cut a step to the bounds and to the largest that the linearisation bears."""
-    cap, (low, high) = point.objective.max_step, point.objective.limits
-    capped = np.clip(step, -cap, cap)
-    return np.where(
-        (point.x + capped < low) | (point.x + capped > high),
-        np.clip(point.x + capped, low, high) - point.x,
-        capped,
-    )
+@dataclass(frozen=True, eq=False)
+class SecondOrder:
+    """The part of the misfit's Hessian that Gauss-Newton omits, without nuisance parameters.
+
+    A product takes one solve per press more than the two of Gauss-Newton; see
+    `tactorch.fem.Linearization.second_order`.
+
+    Attributes:
+        point: Point of the objective.
+    """
+
+    point: Point
+
+    @cached_property
+    def _slope(self) -> Float[np.ndarray, " m"]:
+        return self.point.objective.parameterization.slope(self.point.x)
+
+    @cached_property
+    def _curvature(self) -> Float[np.ndarray, " m"]:
+        """Gradient by the moduli times d^2 youngs / d x^2."""
+        second = self.point.objective.parameterization.second_derivative(self.point.x)
+        return self.point.data_gradient / self._slope * second
+
+    @cached_property
+    def _adjoints(self) -> list[Float[np.ndarray, "nodes 3"]]:
+        return self.point.evaluation.adjoints(self.point.evaluation.residuals)
+
+    def product(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the second-order part times a change of x."""
+        sensitivities = self.point.evaluation.sensitivities
+        parts = [
+            sensitivity.linearization.second_order(adjoint, self._slope * change)
+            for sensitivity, adjoint in zip(sensitivities, self._adjoints, strict=True)
+        ]
+        return self._slope * np.sum(parts, axis=0) + self._curvature * change
 
 
-def _try(point: Point, change: np.ndarray) -> Point | None:
-    """Evaluate a step; None where some press finds no equilibrium."""
-    objective = point.objective
-    x = np.clip(point.x + change, *objective.limits)
-    try:
-        return objective.at(x, point, take_over=True)
-    except ConvergenceError:
-        return None
+class PriorSolver:
+    """Solves with the prior's curvature plus a diagonal; its pattern is analysed once."""
+
+    def __init__(self) -> None:
+        """Start without a pattern; the first `factor` analyses it."""
+        self._indices: tuple[np.ndarray, np.ndarray] | None = None
+        self._fixed = np.zeros(0, dtype=bool)
+
+    def factor(
+        self,
+        prior: sp.csr_matrix,
+        shift: Float[np.ndarray, " size"],
+        fixed: Bool[np.ndarray, " size"],
+    ) -> bool:
+        """Factor prior + diagonal with parameters held; return whether it is definite."""
+        prior = prior.tocsr()
+        known = self._indices
+        if known is None or not (
+            np.array_equal(known[0], prior.indptr) and np.array_equal(known[1], prior.indices)
+        ):
+            self._analyse(prior)
+        values = np.zeros(self._pattern.nnz)
+        np.add.at(values, self._slots, prior.data[self._upper])
+        values[self._pattern.diagonal] += shift
+        self._fixed = fixed
+        return self._solver.factor(self._pattern.apply_dirichlet(values, fixed)) is Status.OK
+
+    def _analyse(self, prior: sp.csr_matrix) -> None:
+        self._indices = prior.indptr.copy(), prior.indices.copy()
+        coo = prior.tocoo()
+        rows, cols = coo.row.astype(np.int64), coo.col.astype(np.int64)
+        self._upper = rows <= cols
+        self._pattern = SymmetricPattern.from_pairs(prior.shape[0], rows, cols)
+        self._slots = self._pattern.slots(rows[self._upper], cols[self._upper])
+        self._solver: Solver = analyse(self._pattern, "auto")
+
+    def solve(self, rhs: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """Solve; held parameters remain zero."""
+        out = self._solver.solve(np.where(self._fixed, 0.0, rhs))
+        return np.where(self._fixed, 0.0, out)
 
 
-def _gain(fallen: float, foretold: float) -> float:
-    """Fall of the objective over the fall that the quadratic model foretells."""
-    if foretold <= 0:  # the bounds turned the step uphill in the model
-        return 1e-3 if fallen > 0 else -1.0
-    return fallen / foretold
+def data_trace(point: Point, probes: int = _PROBES) -> float:
+    """Estimate the trace of J^T J by one solve per press and probe.
+
+    For random signs s of the data, the mean of |J^T s|^2 is the trace of J J^T (Hutchinson, 1990).
+    The signs are the same in every run, so that a resumed run repeats the uninterrupted one.
+    """
+    rng = np.random.default_rng(_SEED)
+    size = len(point.evaluation.residuals)
+    images = (point.transpose_times(rng.choice((-1.0, 1.0), size)) for _ in range(probes))
+    return float(np.mean([image @ image for image in images]))

@@ -2,7 +2,7 @@
 
 from tactorch.config import Registry
 from tactorch.inverse.regularization.base import NoPrior, Prior, Quadratic, Regularizer
-from tactorch.inverse.regularization.combined import Composite, ShiftedPrior
+from tactorch.inverse.regularization.combined import Composite, CompositePenalty, ShiftedPrior
 from tactorch.inverse.regularization.jumps import LogJumps, Smoothness, TotalVariation
 from tactorch.inverse.regularization.levels import BinaryWell, Sparsity, Tikhonov
 from tactorch.inverse.regularization.matern import Matern
@@ -29,6 +29,7 @@ __all__ = [
     "PRIORS",
     "BinaryWell",
     "Composite",
+    "CompositePenalty",
     "LogJumps",
     "Matern",
     "NoPrior",

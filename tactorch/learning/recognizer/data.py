@@ -96,6 +96,7 @@ class RecognitionData(lightning.LightningDataModule):
         self.voxels, self.batch, self.source = voxels, batch, source
         self.augment, self.brightness, self.seed = augment, brightness, seed
         found = SampleSet.open(folder)
+        found.verify()
         samples = [found.maps(index) for index in found.indices]
         if not samples:
             raise ConfigError(f"dataset '{folder}' is empty.")

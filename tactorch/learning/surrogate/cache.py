@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float16, Int, Shaped
 
 from tactorch.errors import ConvergenceError, FileError
-from tactorch.files import atomic_path
+from tactorch.files import read_arrays, write_arrays
 from tactorch.generation import SampleSet
 from tactorch.learning.surrogate.touch import (
     PRESS_CHANNELS,
@@ -90,6 +90,7 @@ def load_touches(
         FileError: The dataset is missing or damaged, or no sample of it can be used.
     """
     found = SampleSet.open(folder)
+    found.verify()
     parts = []
     shards = found.manifest["shards"]
     for number, shard in enumerate(shards):
@@ -169,8 +170,7 @@ def _gathered(rows: Sequence[dict[str, Any]], count: int) -> Touches:
 
 def _write(path: Path, part: Touches) -> None:
     try:
-        with atomic_path(path) as temporary, open(temporary, "wb") as file:
-            np.savez_compressed(file, **vars(part))
+        write_arrays(path, vars(part), compressed=True)
     except FileError as error:  # a dataset may lie where one may only read
         _log.warning("What the surrogate sees is not kept: %s", error)
 
@@ -178,8 +178,7 @@ def _write(path: Path, part: Touches) -> None:
 def _read(path: Path) -> Touches | None:
     """Read a part; None where there is none that is sound."""
     try:
-        with np.load(path, allow_pickle=False) as found:
-            part = Touches(**found)
-    except Exception:  # what a damaged archive leads to has no common base
+        part = Touches(**read_arrays(path, "cached features", "they are computed again."))
+    except (FileError, TypeError):
         return None
     return part if part.sound else None

@@ -135,7 +135,7 @@ class SurrogateStart:
         expect. On objects unlike those that it was trained on that would mislead; such maps do not
         fit the presses, and then, as where the map is refused as a start, the settings stay as
         they are. Where they do fit, the presses decide still: half of the prior is about the map
-        and half about nothing, so that total variation takes any map between a plain one and the
+        and half about nothing, so that total variation makes all maps between a uniform one and the
         predicted one equally likely.
 
         Args:

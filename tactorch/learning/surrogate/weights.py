@@ -1,5 +1,6 @@
 """Trained weights: those of tactorch, and those of user-defined runs."""
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -38,5 +39,7 @@ def export(checkpoint: Path, path: Path) -> None:
     """
     content: dict[str, Any] = {k: v for k, v in read_checkpoint(checkpoint).items() if k in _KEPT}
     content["state_dict"] = {k: v.half() for k, v in content["state_dict"].items()}
+    memory = io.BytesIO()
+    torch.save(content, memory)
     with atomic_path(path) as temporary:
-        torch.save(content, temporary)
+        temporary.write_bytes(memory.getvalue())

@@ -1,43 +1,43 @@
-"""Calibration of a sensor's colours with presses of a ball (Section VI-B)."""
+"""Calibration of a sensor's colors with presses of a ball (Section VI-B)."""
 
-from tactorch.sensor.calibration.ball import Ball, Circle, read_labels
-from tactorch.sensor.calibration.change import change, hidden
-from tactorch.sensor.calibration.choose import (
-    choose_map,
-    held_out_quality,
-    left_out,
-    new_circle,
-    together,
-)
-from tactorch.sensor.calibration.find import find_circle
-from tactorch.sensor.calibration.fit import FitOptions, Touch, fit_circle, fit_map, seen_slopes
-from tactorch.sensor.calibration.maps import MAPS, SlopeMap, make_map
-from tactorch.sensor.calibration.quality import Quality, judge
+from tactorch.sensor.calibration.ball import Ball, BallPress, Circle, find_circle, read_labels
+from tactorch.sensor.calibration.features import image_change, marker_pixels
+from tactorch.sensor.calibration.fit import FitOptions, fit_circle, fit_map
+from tactorch.sensor.calibration.maps import SENSOR_MAPS, SensorMap, SlopeMap, map_slopes
 from tactorch.sensor.calibration.storage import Calibration, load_calibration, save_calibration
+from tactorch.sensor.calibration.validation import (
+    MapQuality,
+    cross_validate,
+    evaluate_map,
+    fit_new_circle,
+    pool_quality,
+    select_map,
+    validation_groups,
+)
 
 __all__ = [
-    "MAPS",
+    "SENSOR_MAPS",
     "Ball",
+    "BallPress",
     "Calibration",
     "Circle",
     "FitOptions",
-    "Quality",
+    "MapQuality",
+    "SensorMap",
     "SlopeMap",
-    "Touch",
-    "change",
-    "choose_map",
+    "cross_validate",
+    "evaluate_map",
     "find_circle",
     "fit_circle",
     "fit_map",
-    "held_out_quality",
-    "hidden",
-    "judge",
-    "left_out",
+    "fit_new_circle",
+    "image_change",
     "load_calibration",
-    "make_map",
-    "new_circle",
+    "map_slopes",
+    "marker_pixels",
+    "pool_quality",
     "read_labels",
     "save_calibration",
-    "seen_slopes",
-    "together",
+    "select_map",
+    "validation_groups",
 ]

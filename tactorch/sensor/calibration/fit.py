@@ -1,11 +1,10 @@
-"""From presses of a ball to a calibration: circles and the map from colours are found together.
+"""Joint fit of the map from colors to slopes and of the contacts of a ball.
 
-A circle that is a pixel or two off makes slopes that no map of colours can meet, and hand labels
-and blob finders are off by as much. So map and circles are fitted in turn: the map to the slopes
-that the circles tell, each circle to the slopes that the map sees. The mean of all offsets stays
-where it is, for no change of colour means no slope. The ball's size in pixels is not found in this
-way: slopes of a larger ball are as good a function of the colours. It has to be measured
-(`mm_per_px`).
+Labels and detected contacts are off by some pixels, which makes slopes inconsistent with any map.
+Map and contacts are therefore fitted alternately: the map to the slopes of the contacts, each
+contact to the slopes of the map. The mean offset of the contacts is determined because no change of
+color means no slope. The size of a pixel is not: slopes of a larger ball are an equally good
+function of the colors, so `mm_per_px` has to be measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,196 +14,161 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration.ball import Ball, Circle
-from tactorch.sensor.calibration.change import features
-from tactorch.sensor.calibration.maps import SlopeMap, make_map
+from tactorch.sensor.calibration.ball import Ball, BallPress, Circle
+from tactorch.sensor.calibration.features import pixel_features
+from tactorch.sensor.calibration.maps import Mlp, SensorMap, SlopeMap, map_slopes
 
-_INSIDE = 0.92  # of a contact's radius: learnt from
-_MIDDLE = 0.8  # of it: what a circle is fitted to
-_FAR = 2.2  # of it: nothing is touched there
-_PIXELS, _FAR_PIXELS = 2500, 600  # of each press
-_OUTLIER = 0.25  # squared difference of slopes above which a pixel counts no more
-_AGREES = 0.85  # of the ball's slope: where the seen one falls below, contact ends
-# A map that has not learnt steep slopes sees none, and takes contact to end where it does: were
-# circles free to shrink they would do so round by round, and leave out what is hard to see.
-_LEAST = 0.9  # of a contact's radius as found or labelled
-
-
-@dataclass(frozen=True, eq=False)
-class Touch:
-    """A press of the ball as it is learnt from.
-
-    Attributes:
-        name: Of the image.
-        changed: Change of the colours, see `change`.
-        known: Pixels that no marker covers.
-        circle: Where the ball touches, as far as is known.
-    """
-
-    name: str
-    changed: Float[np.ndarray, "h w 3"]
-    known: Bool[np.ndarray, "h w"]
-    circle: Circle
-
-    def __post_init__(self) -> None:
-        rows, columns = self.changed.shape[:2]
-        (x, y), radius = self.circle.center_px, self.circle.radius_px
-        if not (-0.5 <= x <= columns - 0.5 and -0.5 <= y <= rows - 0.5):
-            raise ConfigError(
-                f"{self.name}: the contact at ({x:g}, {y:g}) px lies beside the image of {columns}"
-                f" x {rows} px; are labels and image of one size, and x before y?"
-            )
-        if radius > max(rows, columns):
-            raise ConfigError(
-                f"{self.name}: the contact's radius_px={radius:g} is more than the image of"
-                f" {columns} x {rows} px; give pixels."
-            )
-        if not np.isfinite(self.changed).all():
-            raise ConfigError(
-                f"{self.name}: the change of its colours is not finite; leave it out."
-            )
+_TRAINING_RADIUS = 0.92  # of the pixels that the map is fitted to, over the contact's radius
+_CENTER_RADIUS = 0.8  # of the pixels that a circle's center is fitted to
+_FREE_RADIUS = 2.2  # beyond which the gel is not in contact
+_PIXELS, _FREE_PIXELS = 2500, 600  # drawn per press
+_MAX_SQUARED_ERROR = 0.25  # of slopes, for pixels that count as outliers
+_SLOPE_FRACTION = 0.85  # of the ball's slope, below which the contact ends
+# A map not yet fitted to steep slopes underestimates them. Without this limit circles would shrink
+# from round to round and exclude steep pixels.
+_MIN_RADIUS = 0.9  # of a fitted contact, over its labeled or detected radius
 
 
 @dataclass(frozen=True)
-class FitOptions:
-    """How a calibration is found.
+class FitOptions(Options):
+    """Calibration fit."""
 
-    Attributes:
-        map: One of `MAPS`.
-        rounds: Of map and circles in turn; 0 takes circles as they are.
-        seed: Of the network and of the pixels drawn.
-    """
-
-    map: str = "mlp"
-    rounds: int = 6
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.rounds < 0 or self.seed < 0:
-            raise ConfigError(f"rounds={self.rounds}, seed={self.seed} must not be negative.")
-        make_map(self.map)
+    map: SensorMap = option(factory=Mlp, help="Map from colors to slopes", section="sensor_map")
+    rounds: int = option(6, "Alternations of fitting map and contacts; 0 keeps the contacts", ge=0)
+    seed: int = option(0, "Seed of the map and of the drawn pixels", ge=0)
 
 
 def fit_map(
-    touches: Sequence[Touch],
+    presses: Sequence[BallPress],
     ball: Ball,
     options: FitOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[SlopeMap, Mapping[str, Circle]]:
-    """Return the map from colours to slopes, and the circles found with it.
+    """Fit the map from colors to slopes together with the contacts.
 
     Args:
-        touches: Presses to learn from.
-        ball: What was pressed.
-        options: How to.
-        progress: Called with the rounds done and their number.
+        presses: Presses of the ball.
+        ball: Ball.
+        options: Fit options.
+        progress: Callback with the number of finished rounds and of all.
+
+    Returns:
+        The map, and the fitted contact of each press by name.
 
     Raises:
         ConfigError: There are no presses, or a contact is wider than the ball.
     """
     options = options or FitOptions()
-    if not touches:
+    if not presses:
         raise ConfigError(
             "no press of the ball to calibrate with; give images and where it touches."
         )
-    found = make_map(options.map, options.seed)
-    circles = [touch.circle for touch in touches]
-    for number in range(options.rounds):
-        _learn(found, touches, circles, ball, options.seed + number)
-        circles = [
-            fit_circle(touch, found, ball, circle)
-            for touch, circle in zip(touches, circles, strict=True)
-        ]
+    slope_map = options.map.create(options.seed)
+    circles = [press.circle for press in presses]
+    for number in range(options.rounds + 1):
+        _fit_map_to_circles(slope_map, presses, circles, ball, options.seed + number)
+        if number < options.rounds:
+            circles = [
+                fit_circle(press, slope_map, ball, circle)
+                for press, circle in zip(presses, circles, strict=True)
+            ]
         if progress is not None:
             progress(number + 1, options.rounds + 1)
-    _learn(found, touches, circles, ball, options.seed + options.rounds)
-    if progress is not None:
-        progress(options.rounds + 1, options.rounds + 1)
-    return found, {t.name: c for t, c in zip(touches, circles, strict=True)}
+    return slope_map, {p.name: c for p, c in zip(presses, circles, strict=True)}
 
 
-def seen_slopes(found: SlopeMap, changed: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 2"]:
-    """Return the slopes that a map sees in an image."""
-    rows = features(changed).reshape(-1, 5)
-    return found(rows).reshape(*changed.shape[:2], 2)
+def fit_circle(press: BallPress, slope_map: SlopeMap, ball: Ball, circle: Circle) -> Circle:
+    """Fit a contact to the slopes of a map.
 
+    The center is fitted to the slopes well inside. The radius is where the slope of the map falls
+    below that of the ball, and at least 0.9 of the press's labeled or detected radius.
 
-def fit_circle(touch: Touch, found: SlopeMap, ball: Ball, circle: Circle) -> Circle:
-    """Return the circle whose ball has the slopes that a map sees, best.
+    Args:
+        press: Press.
+        slope_map: Map from colors to slopes.
+        ball: Ball.
+        circle: Start.
 
-    The middle is fitted to the slopes well inside; the radius is where the seen slope, going out
-    from it, falls behind the ball's, and at least 0.9 of that of the touch.
+    Returns:
+        The contact.
+
+    Raises:
+        ConfigError: Markers cover the contact.
     """
-    slopes = seen_slopes(found, touch.changed)
-    shape = touch.changed.shape[:2]
-    inside = touch.known & (ball.distance(shape, circle) < _MIDDLE)
+    slopes = map_slopes(slope_map, press.change)
+    inside = press.known & (ball.distance(press.shape, circle) < _CENTER_RADIUS)
     rows, columns = np.nonzero(inside)
     if len(rows) < 20:
-        raise ConfigError(f"{touch.name}: fewer than 20 pixels of the contact are not markers.")
-    own = slopes[inside]
+        raise ConfigError(
+            f"{press.name}: fewer than 20 pixels of the contact are not markers; leave it out."
+        )
+    measured = slopes[inside]
 
-    def off(center: Float[np.ndarray, "2"]) -> float:
+    def misfit(center: Float[np.ndarray, "2"]) -> float:
         x = (columns - center[0]) * ball.mm_per_px[0]
         y = (rows - center[1]) * ball.mm_per_px[1]
         below = np.sqrt(np.maximum(ball.radius_mm**2 - x**2 - y**2, (0.2 * ball.radius_mm) ** 2))
-        difference = own - np.stack([x, y], axis=-1) / below[:, None]
-        return float(np.minimum((difference**2).sum(axis=1), _OUTLIER).mean())
+        error = measured - np.stack([x, y], axis=-1) / below[:, None]
+        return float(np.minimum((error**2).sum(axis=1), _MAX_SQUARED_ERROR).mean())
 
     start = np.array(circle.center_px)
-    corners = start + np.array([(0.0, 0.0), (2.0, 0.0), (0.0, 2.0)])
+    simplex = start + np.array([(0.0, 0.0), (2.0, 0.0), (0.0, 2.0)])
     best = minimize(
-        off, start, method="Nelder-Mead",
-        options={"xatol": 0.05, "fatol": 1e-6, "initial_simplex": corners},
+        misfit, start, method="Nelder-Mead",
+        options={"xatol": 0.05, "fatol": 1e-6, "initial_simplex": simplex},
     ).x  # fmt: skip
-    middle = Circle((float(best[0]), float(best[1])), circle.radius_px)
-    radius = _radius(slopes, touch.known, ball, middle)
-    return Circle(middle.center_px, max(radius, _LEAST * touch.circle.radius_px))
+    centered = Circle((float(best[0]), float(best[1])), circle.radius_px)
+    radius = _contact_radius(slopes, press.known, ball, centered)
+    return Circle(centered.center_px, max(radius, _MIN_RADIUS * press.circle.radius_px))
 
 
-def _radius(
+def _contact_radius(
     slopes: Float[np.ndarray, "h w 2"], known: Bool[np.ndarray, "h w"], ball: Ball, circle: Circle
 ) -> float:
-    """Where the slope away from the middle falls behind the ball's, in pixels."""
-    x, y = ball.away(known.shape, circle)
+    """Radius at which the outward slope falls below the ball's, pixels."""
+    x, y = ball.offsets(known.shape, circle)
     distance = np.hypot(x, y)
     outward = (slopes[..., 0] * x + slopes[..., 1] * y) / np.maximum(distance, 1e-9)
     width = ball.mm_per_px[0]
-    rings = (distance / width).astype(int)
-    most = int(ball.radius_mm / width)
-    least = max(3, round(0.3 * most))
-    for ring in range(least, most):
-        own = outward[known & (rings == ring)]
-        middle = (ring + 0.5) * width
-        true = middle / np.sqrt(max(ball.radius_mm**2 - middle**2, 1e-9))
-        if len(own) and np.median(own) < _AGREES * true:
+    ring_index = (distance / width).astype(int)
+    max_ring = int(ball.radius_mm / width)
+    for ring in range(max(3, round(0.3 * max_ring)), max_ring):
+        values = outward[known & (ring_index == ring)]
+        radius = (ring + 0.5) * width
+        expected = radius / np.sqrt(max(ball.radius_mm**2 - radius**2, 1e-9))
+        if len(values) and np.median(values) < _SLOPE_FRACTION * expected:
             return float(ring)
-    return float(most)
+    return float(max_ring)
 
 
-def _learn(
-    found: SlopeMap, touches: Sequence[Touch], circles: Sequence[Circle], ball: Ball, seed: int
+def _fit_map_to_circles(
+    slope_map: SlopeMap,
+    presses: Sequence[BallPress],
+    circles: Sequence[Circle],
+    ball: Ball,
+    seed: int,
 ) -> None:
     rng = np.random.default_rng(seed)
-    seen, slopes = [], []
-    for touch, circle in zip(touches, circles, strict=True):
-        ball.check(circle, touch.name)
-        shape = touch.changed.shape[:2]
-        rows = features(touch.changed).reshape(-1, 5)
-        distance = np.where(touch.known, ball.distance(shape, circle), np.nan).ravel()
-        inside = _some(rng, np.flatnonzero(distance < _INSIDE), _PIXELS)
+    features, slopes = [], []
+    for press, circle in zip(presses, circles, strict=True):
+        ball.check(circle, press.name)
+        rows = pixel_features(press.change)
+        distance = np.where(press.known, ball.distance(press.shape, circle), np.nan).ravel()
+        inside = _draw(rng, np.flatnonzero(distance < _TRAINING_RADIUS), _PIXELS)
         if not len(inside):
-            raise ConfigError(f"{touch.name}: no pixel of the contact is not a marker's.")
-        seen.append(rows[inside])
-        slopes.append(ball.slopes(shape, circle).reshape(-1, 2)[inside])
-        # Where nothing is touched nothing is sloped; its colours do not change but for noise.
-        far = _some(rng, np.flatnonzero(distance > _FAR), _FAR_PIXELS)
-        still = rows[far].copy()
-        still[:, :3] = rng.normal(0.0, 0.02, (len(far), 3))
-        seen.append(still)
-        slopes.append(np.zeros((len(far), 2)))
-    found.fit(np.concatenate(seen), np.concatenate(slopes), seed)
+            raise ConfigError(f"{press.name}: markers cover the whole contact; leave it out.")
+        features.append(rows[inside])
+        slopes.append(ball.slopes(press.shape, circle).reshape(-1, 2)[inside])
+        # Pixels without contact have zero slope and no change of color but noise.
+        free = _draw(rng, np.flatnonzero(distance > _FREE_RADIUS), _FREE_PIXELS)
+        unchanged = rows[free].copy()
+        unchanged[:, :3] = rng.normal(0.0, 0.02, (len(free), 3))
+        features.append(unchanged)
+        slopes.append(np.zeros((len(free), 2)))
+    slope_map.fit(np.concatenate(features), np.concatenate(slopes), seed)
 
 
-def _some(rng: np.random.Generator, places: np.ndarray, most: int) -> np.ndarray:
-    return rng.choice(places, min(most, len(places)), replace=False)
+def _draw(rng: np.random.Generator, pixels: np.ndarray, count: int) -> np.ndarray:
+    return rng.choice(pixels, min(count, len(pixels)), replace=False)

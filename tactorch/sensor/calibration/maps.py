@@ -1,25 +1,126 @@
-"""From change of colour and place to slope: by a small network, or by a table."""
+"""Maps from change of color and position to slope, and their registry.
+
+A further map is an `Options` class derived from `SensorMap` in a file of its own, and one line in
+`SENSOR_MAPS`; other packages add theirs by the entry point group `tactorch.sensor_map`.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import nn
 
-from tactorch.errors import ConfigError
+from tactorch.config import Options, Registry, option
+from tactorch.sensor.calibration.features import FEATURES, pixel_features
 
 Arrays = dict[str, np.ndarray]
-Samples = Float[np.ndarray, "_ 5"]
+Features = Float[np.ndarray, "_ 5"]
 Slopes = Float[np.ndarray, "_ 2"]
 _BATCH = 2048
 
+#: Maps from colors to slopes by name.
+SENSOR_MAPS = Registry(
+    "sensor_map",
+    {
+        "mlp": "tactorch.sensor.calibration.maps:Mlp",
+        "mlp_colour": "tactorch.sensor.calibration.maps:MlpColour",
+        "lookup": "tactorch.sensor.calibration.maps:Lookup",
+    },
+    "maps from change of color to slope",
+)
+
+
+@runtime_checkable
+class SlopeMap(Protocol):
+    """Map from features of pixels to slopes.
+
+    Attributes:
+        options: Settings that the map was created with.
+    """
+
+    options: "SensorMap"
+
+    def fit(self, features: Features, slopes: Slopes, seed: int) -> None:
+        """Fit, or continue to fit, to pixels of known slope."""
+
+    def __call__(self, features: Features) -> Slopes:
+        """Return the slopes of pixels."""
+
+    def arrays(self) -> Arrays:
+        """Return the fitted parameters."""
+
+    def restore(self, arrays: Arrays) -> None:
+        """Set the fitted parameters."""
+
+
+@dataclass(frozen=True)
+class SensorMap(Options):
+    """Settings of a map; `create` returns the map, to be fitted."""
+
+    section: ClassVar[str] = "sensor_map"
+
+    def create(self, seed: int) -> SlopeMap:
+        """Return a map that is not fitted.
+
+        Args:
+            seed: Seed of the initial parameters.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no create().")
+
+
+def map_slopes(
+    slope_map: SlopeMap, change: Float[np.ndarray, "h w 3"]
+) -> Float[np.ndarray, "h w 2"]:
+    """Return the slopes of an image by a map."""
+    return slope_map(pixel_features(change)).reshape(*change.shape[:2], 2)
+
+
+@dataclass(frozen=True)
+class Mlp(SensorMap):
+    """Network of two hidden layers."""
+
+    position: bool = option(
+        True, "Use the position of pixels, which helps with presses all over the gel"
+    )
+    width: int = option(48, "Width of the hidden layers", ge=1, le=4096)
+    steps: int = option(300, "Steps of Adam in each round", ge=1)
+    learning_rate: float = option(5e-3, "Initial learning rate, annealed to zero", gt=0)
+
+    def create(self, seed: int) -> SlopeMap:
+        """Return a network with initial weights that depend on the seed only."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            return MlpMap(self)
+
+
+@dataclass(frozen=True)
+class MlpColour(Mlp):
+    """Network of two hidden layers without the position, for few presses."""
+
+    position: bool = option(False, "Use the position of pixels")
+
+
+@dataclass(frozen=True)
+class Lookup(SensorMap):
+    """Table over the change of the three colors, with a correction by the position."""
+
+    bins: int = option(24, "Cells per color", ge=2, le=128)
+    max_change: float = option(
+        2.5, "Largest change of color in the table, in units of 50 gray values", gt=0
+    )
+
+    def create(self, seed: int) -> SlopeMap:
+        """Return an empty table."""
+        return LookupMap(self)
+
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """So small a network is slower on more, and much slower where others use the cores."""
+def _single_thread() -> Iterator[None]:
+    """Run torch on one thread, which is fastest for small networks on shared cores."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -28,182 +129,125 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-@runtime_checkable
-class SlopeMap(Protocol):
-    """What turns features of pixels into slopes."""
-
-    name: str
-
-    def fit(self, seen: Samples, slopes: Slopes, seed: int) -> None:
-        """Learn, or go on learning, from pixels of known slope."""
-
-    def __call__(self, seen: Samples) -> Slopes:
-        """Return the slopes of pixels."""
-
-    def arrays(self) -> Arrays:
-        """Return what was learnt, to be stored."""
-
-    def restore(self, arrays: Arrays) -> None:
-        """Take up what was stored."""
-
-
 class MlpMap:
-    """A network of two hidden layers.
+    """Slope map of `Mlp`."""
 
-    Args:
-        place: Whether it knows where a pixel is. With presses all over the gel that helps; with a
-            few it learns by heart where those were.
-        width: Of a hidden layer.
-        steps: Of Adam, in each call of `fit`.
-        learning_rate: At first; it falls to nothing along half a cosine.
-    """
-
-    def __init__(
-        self, place: bool = True, width: int = 48, steps: int = 300, learning_rate: float = 5e-3
-    ) -> None:
-        self.name = "mlp" if place else "mlp_colour"
-        self.steps, self.learning_rate = steps, learning_rate
-        self.inputs = 5 if place else 3
+    def __init__(self, options: Mlp) -> None:
+        self.options: SensorMap = options
+        self._steps, self._learning_rate = options.steps, options.learning_rate
+        self._inputs, width = FEATURES if options.position else 3, options.width
         self.network = nn.Sequential(
-            nn.Linear(self.inputs, width), nn.Tanh(),
+            nn.Linear(self._inputs, width), nn.Tanh(),
             nn.Linear(width, width), nn.Tanh(),
             nn.Linear(width, 2),
         )  # fmt: skip
 
-    def fit(self, seen: Samples, slopes: Slopes, seed: int) -> None:
-        """Learn, or go on learning, from pixels of known slope."""
-        with _one_thread():
-            self._fit(seen, slopes, seed)
-
-    def _fit(self, seen: Samples, slopes: Slopes, seed: int) -> None:
+    def fit(self, features: Features, slopes: Slopes, seed: int) -> None:
+        """Fit, or continue to fit, to pixels of known slope."""
         generator = torch.Generator().manual_seed(seed)
-        x, y = (torch.from_numpy(v.astype(np.float32)) for v in (seen[:, : self.inputs], slopes))
-        optimizer = torch.optim.Adam(self.network.parameters(), lr=self.learning_rate)
-        rate = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self.steps)
-        for _ in range(self.steps):
-            rows = torch.randint(len(x), (_BATCH,), generator=generator)
-            loss = (self.network(x[rows]) - y[rows]).square().mean()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            rate.step()
+        inputs = features[:, : self._inputs]
+        x, y = (torch.from_numpy(v.astype(np.float32)) for v in (inputs, slopes))
+        optimizer = torch.optim.Adam(self.network.parameters(), lr=self._learning_rate)
+        scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self._steps)
+        with _single_thread():
+            for _ in range(self._steps):
+                rows = torch.randint(len(x), (_BATCH,), generator=generator)
+                loss = (self.network(x[rows]) - y[rows]).square().mean()
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+                scheduler.step()
 
-    def __call__(self, seen: Samples) -> Slopes:
+    def __call__(self, features: Features) -> Slopes:
         """Return the slopes of pixels."""
         with torch.inference_mode():
-            own = torch.from_numpy(seen[:, : self.inputs].astype(np.float32))
-            return self.network(own).double().numpy()
+            x = torch.from_numpy(features[:, : self._inputs].astype(np.float32))
+            return self.network(x).double().numpy()
 
     def arrays(self) -> Arrays:
-        """Return what was learnt, to be stored."""
+        """Return the weights."""
         return {name: value.numpy() for name, value in self.network.state_dict().items()}
 
     def restore(self, arrays: Arrays) -> None:
-        """Take up what was stored."""
+        """Set the weights."""
         self.network.load_state_dict({name: torch.from_numpy(v) for name, v in arrays.items()})
-
-    @staticmethod
-    def seeded(seed: int, **settings: Any) -> "MlpMap":
-        """Make one whose first weights depend on the seed alone."""
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            return MlpMap(**settings)
 
 
 class LookupMap:
-    """A table over the change of the three colours, with a plane for the place.
+    """Slope map of `Lookup`.
 
-    Each cell holds the mean slope of the pixels that fell into it; empty ones are filled from their
-    neighbours. What is left is fitted by the place and its products with the colours.
-
-    Args:
-        bins: Cells for each colour.
-        most: Largest change that the table reaches, in units of `change`.
+    Each cell holds the mean slope of its pixels; empty cells are filled from their neighbors. The
+    residual is fitted by products of position and color.
     """
 
-    name = "lookup"
+    def __init__(self, options: Lookup) -> None:
+        self.options: SensorMap = options
+        self._bins, self._max_change = options.bins, options.max_change
+        self.table = np.zeros((self._bins, self._bins, self._bins, 2))
+        self.weights = np.zeros((9, 2))
 
-    def __init__(self, bins: int = 24, most: float = 2.5) -> None:
-        self.bins, self.most = bins, most
-        self.table = np.zeros((bins, bins, bins, 2))
-        self.plane = np.zeros((9, 2))
+    def fit(self, features: Features, slopes: Slopes, seed: int) -> None:
+        """Fit to pixels of known slope."""
+        target = slopes
+        for _ in range(3):  # table and correction alternately
+            self.table = self._mean_slopes(features, target)
+            design = self._design(features)
+            residual = slopes - self._table_slopes(features)
+            ridge = 1e-3 * len(features) * np.eye(9)
+            self.weights = np.linalg.solve(design.T @ design + ridge, design.T @ residual)
+            target = slopes - design @ self.weights
 
-    def fit(self, seen: Samples, slopes: Slopes, seed: int) -> None:
-        """Learn from pixels of known slope."""
-        left = slopes
-        self.plane = np.zeros((9, 2))
-        for _ in range(3):  # table and plane in turn
-            self.table = self._filled(seen, left)
-            design = self._design(seen)
-            rest = slopes - self._looked_up(seen)
-            ridge = 1e-3 * len(seen) * np.eye(9)
-            self.plane = np.linalg.solve(design.T @ design + ridge, design.T @ rest)
-            left = slopes - design @ self.plane
-
-    def __call__(self, seen: Samples) -> Slopes:
+    def __call__(self, features: Features) -> Slopes:
         """Return the slopes of pixels."""
-        return self._looked_up(seen) + self._design(seen) @ self.plane
+        return self._table_slopes(features) + self._design(features) @ self.weights
 
     def arrays(self) -> Arrays:
-        """Return what was learnt, to be stored."""
-        return {"table": self.table, "plane": self.plane, "most": np.array(self.most)}
+        """Return the table and the correction."""
+        return {"table": self.table, "plane": self.weights, "most": np.array(self._max_change)}
 
     def restore(self, arrays: Arrays) -> None:
-        """Take up what was stored."""
-        table, plane, most = arrays["table"], arrays["plane"], arrays["most"]
-        if table.shape != (len(table),) * 3 + (2,) or plane.shape != (9, 2) or not most > 0:
-            raise ValueError(f"its table is {table.shape}, its plane {plane.shape}, most={most}")
-        self.table, self.plane, self.bins, self.most = table, plane, len(table), float(most)
+        """Set the table and the correction."""
+        table, weights, max_change = arrays["table"], arrays["plane"], arrays["most"]
+        if table.shape != (len(table),) * 3 + (2,) or weights.shape != (9, 2) or not max_change > 0:
+            raise ValueError(
+                f"table of shape {table.shape}, correction of shape {weights.shape}, largest change"
+                f" {max_change}"
+            )
+        self.table, self.weights = table, weights
+        self._bins, self._max_change = len(table), float(max_change)
 
-    def _places(self, seen: Samples) -> np.ndarray:
-        middle = (self.bins - 1) / 2
-        return np.clip(seen[:, :3] / self.most * middle + middle, 0, self.bins - 1)
+    def _table_coordinates(self, features: Features) -> np.ndarray:
+        center = (self._bins - 1) / 2
+        return np.clip(features[:, :3] / self._max_change * center + center, 0, self._bins - 1)
 
-    def _looked_up(self, seen: Samples) -> Slopes:
+    def _table_slopes(self, features: Features) -> Slopes:
         from scipy.ndimage import map_coordinates
 
-        places = self._places(seen).T
+        coordinates = self._table_coordinates(features).T
         return np.stack(
-            [map_coordinates(self.table[..., k], places, order=1) for k in range(2)], axis=1
+            [map_coordinates(self.table[..., k], coordinates, order=1) for k in range(2)], axis=1
         )
 
-    def _filled(self, seen: Samples, slopes: Slopes) -> np.ndarray:
-        """Mean slopes of the cells, spread to empty ones by ever wider averages."""
+    def _mean_slopes(self, features: Features, slopes: Slopes) -> np.ndarray:
+        """Mean slopes of the cells; empty cells take wider and wider averages."""
         from scipy.ndimage import gaussian_filter
 
-        cells = tuple(self._places(seen).round().astype(int).T)
+        cells = tuple(self._table_coordinates(features).round().astype(int).T)
         total, count = np.zeros(self.table.shape), np.zeros(self.table.shape[:3])
         np.add.at(total, cells, slopes)
         np.add.at(count, cells, 1.0)
-        found, known = np.zeros_like(total), np.zeros(count.shape, dtype=bool)
+        table, known = np.zeros_like(total), np.zeros(count.shape, dtype=bool)
         for width in (0.6, 1.2, 2.4, 4.8, 9.6):
             weight = gaussian_filter(count, width, mode="constant")
             mean = [gaussian_filter(total[..., k], width, mode="constant") for k in range(2)]
             new = ~known & (weight > 1e-3)
-            found[new] = (np.stack(mean, axis=-1)[new]) / weight[new][:, None]
+            table[new] = (np.stack(mean, axis=-1)[new]) / weight[new][:, None]
             known |= new
-        return found
+        return table
 
-    def _design(self, seen: Samples) -> np.ndarray:
-        """Products of place and colour, and the place itself times the change's size."""
-        colour, place = seen[:, :3], seen[:, 3:]
-        products = [colour * place[:, [k]] for k in range(2)]
-        squares = colour * (place[:, [0]] ** 2 + place[:, [1]] ** 2)
+    def _design(self, features: Features) -> np.ndarray:
+        """Products of color with position and with squared distance from the center."""
+        color, position = features[:, :3], features[:, 3:]
+        products = [color * position[:, [k]] for k in range(2)]
+        squares = color * (position[:, [0]] ** 2 + position[:, [1]] ** 2)
         return np.concatenate([*products, squares], axis=1)
-
-
-#: Names of the maps: a network that knows the place, one that does not, and a table.
-MAPS = ("mlp", "mlp_colour", "lookup")
-
-
-def make_map(name: str, seed: int = 0) -> SlopeMap:
-    """Make a map that has learnt nothing yet.
-
-    Raises:
-        ConfigError: There is none of that name.
-    """
-    if name in ("mlp", "mlp_colour"):
-        return MlpMap.seeded(seed, place=name == "mlp")
-    if name != "lookup":
-        raise ConfigError(f"map={name!r}: choose one of {', '.join(MAPS)}.")
-    return LookupMap()

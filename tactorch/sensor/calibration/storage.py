@@ -1,22 +1,22 @@
-"""A calibration on disk: `calib.npz`, arrays and one text in JSON, nothing that runs when read."""
+"""Calibration files: npz archives of arrays and JSON text, without executable content."""
 
 import json
 import zipfile
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import atomic_path, require_file
-from tactorch.sensor.calibration.change import change
-from tactorch.sensor.calibration.fit import seen_slopes
-from tactorch.sensor.calibration.maps import SlopeMap, make_map
+from tactorch.sensor.calibration.features import image_change
+from tactorch.sensor.calibration.maps import SENSOR_MAPS, SlopeMap, map_slopes
 from tactorch.sensor.description import pixel_size
 from tactorch.sensor.frames import Image
-from tactorch.sensor.markers import MarkerLook
+from tactorch.sensor.markers import MarkerAppearance
 from tactorch.versions import versions
 
 FORMAT, VERSION = "tactorch-calibration", 1
@@ -26,31 +26,39 @@ _MAX_BYTES = 500_000_000  # of the unpacked arrays
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A sensor that can tell slopes from colours.
+    """Calibration of a sensor's colors.
 
     Attributes:
-        map: From colours and places to slopes.
-        reference: The gel without contact, as calibrated.
+        map: Map from colors and positions to slopes.
+        reference: Image of the gel without contact.
         mm_per_px: Size of a pixel along x and y, mm.
-        look: How markers look; None where there are none.
-        facts: What it was made of and how good it is, as plain values.
+        markers: Appearance of markers; None without markers.
+        facts: Origin and accuracy, as plain values.
     """
 
     map: SlopeMap
     reference: Image
     mm_per_px: tuple[float, float]
-    look: MarkerLook | None = None
+    markers: MarkerAppearance | None = None
     facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def map_name(self) -> str:
+        """Name of the map."""
+        return SENSOR_MAPS.name_of(type(self.map.options))
 
     def slopes(self, image: Image, reference: Image | None = None) -> Float[np.ndarray, "h w 2"]:
         """Return dz/dx and dz/dy of the gel's face in an image.
 
         Args:
-            image: Rectified.
-            reference: Of the gel without contact on that day; None for the calibration's own.
+            image: Rectified image.
+            reference: Image of the gel without contact on that day; None for the calibration's.
+
+        Returns:
+            The slopes.
 
         Raises:
-            ConfigError: The image has another size than the reference, or than calibrated for.
+            ConfigError: The image has another size than the reference or the calibration.
         """
         if image.shape != self.reference.shape:
             raise ConfigError(
@@ -58,8 +66,8 @@ class Calibration:
                 f" {self.reference.shape}; give rectified images of that sensor, or calibrate"
                 " again."
             )
-        still = self.reference if reference is None else reference
-        return seen_slopes(self.map, change(image, still, self.look))
+        unloaded = self.reference if reference is None else reference
+        return map_slopes(self.map, image_change(image, unloaded, self.markers))
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
@@ -68,13 +76,13 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     Raises:
         FileError: The file cannot be written.
     """
-    look = None if calibration.look is None else asdict(calibration.look)
+    markers = calibration.markers
     text = {
         "format": FORMAT,
         "version": VERSION,
-        "map": calibration.map.name,
+        "map": {"name": calibration.map_name, **to_mapping(calibration.map.options)},
         "mm_per_px": list(calibration.mm_per_px),
-        "look": look,
+        "look": None if markers is None else to_mapping(markers),
         "facts": calibration.facts,
         "versions": versions(),
     }
@@ -87,6 +95,9 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
 def load_calibration(path: str | Path) -> Calibration:
     """Read a calibration.
 
+    Returns:
+        The calibration.
+
     Raises:
         FileError: The file is missing, damaged, of another kind or of a later version.
     """
@@ -96,8 +107,8 @@ def load_calibration(path: str | Path) -> Calibration:
             size = sum(part.file_size for part in archive.infolist())
         if size > _MAX_BYTES:
             raise ValueError(f"its arrays have {size} bytes, more than {_MAX_BYTES}")
-        with np.load(file, allow_pickle=False) as found:
-            content = {name: found[name] for name in found.files}
+        with np.load(file, allow_pickle=False) as archive:
+            content = {name: archive[name] for name in archive.files}
         about = json.loads(str(content.pop("about")))
         if about["format"] != FORMAT:
             raise ValueError(f"its format is {about['format']}")
@@ -106,17 +117,10 @@ def load_calibration(path: str | Path) -> Calibration:
                 f"calibration '{path}' is of version {about['version']}, this tactorch reads"
                 f" {VERSION}; calibrate again."
             )
-        if not isinstance(about["facts"], dict):
-            raise ValueError("its facts are not a table")
-        found_map = make_map(about["map"])
-        _check_arrays(content)
-        found_map.restore({k[len(_PREFIX) :]: v for k, v in content.items() if k != "reference"})
-        look = None if about["look"] is None else MarkerLook(**about["look"])
-        scale = pixel_size("mm_per_px", about["mm_per_px"])
-        return Calibration(found_map, content["reference"], scale, look, about["facts"])
+        return _parse(about, content)
     except FileError:
         raise
-    except Exception as error:  # what a damaged archive leads to has no common base
+    except Exception as error:  # errors of damaged archives have no common base class
         reason = " ".join(str(error).split())[:120]
         raise FileError(
             f"calibration '{path}' cannot be read ({reason}); it is damaged or another file."
@@ -124,10 +128,22 @@ def load_calibration(path: str | Path) -> Calibration:
         ) from error
 
 
-def _check_arrays(content: dict[str, np.ndarray]) -> None:
+def _parse(about: dict[str, Any], content: dict[str, np.ndarray]) -> Calibration:
+    if not isinstance(about["facts"], dict):
+        raise ValueError("its facts are not a table")
     reference = content["reference"]
     if reference.dtype != np.uint8 or reference.ndim != 3 or reference.shape[2] != 3:
         raise ValueError(f"its reference is no image but {reference.shape} of {reference.dtype}")
     for name, values in content.items():
         if not np.isfinite(values).all():
             raise ValueError(f"its {name} is not finite")
+    slope_map = SENSOR_MAPS.build(about["map"]).create(0)
+    slope_map.restore({k[len(_PREFIX) :]: v for k, v in content.items() if k != "reference"})
+    markers = None if about["look"] is None else _parse_markers(about["look"])
+    scale = pixel_size("mm_per_px", about["mm_per_px"])
+    return Calibration(slope_map, reference, scale, markers, about["facts"])
+
+
+def _parse_markers(values: dict[str, Any]) -> MarkerAppearance:
+    former = {"smallest": "min_area", "largest": "max_area"}
+    return MarkerAppearance(**{former.get(name, name): v for name, v in values.items()})

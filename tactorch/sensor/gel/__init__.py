@@ -1,16 +1,16 @@
-"""The soft layer: its mesh, the contact forces behind its deformation, its modulus."""
+"""Mechanics of the gel: mesh, contact forces from its deformation, and its Young's modulus."""
 
-from tactorch.sensor.gel.contact import Contact
-from tactorch.sensor.gel.mesh import GelMesh, gel_mesh
-from tactorch.sensor.gel.model import GelModel
+from tactorch.sensor.gel.mesh import GelMesh, build_gel_mesh
+from tactorch.sensor.gel.model import GelContact, GelModel, GelOptions
 from tactorch.sensor.gel.modulus import GelModulus, KnownLoad, calibrate_modulus
 
 __all__ = [
-    "Contact",
+    "GelContact",
     "GelMesh",
     "GelModel",
     "GelModulus",
+    "GelOptions",
     "KnownLoad",
+    "build_gel_mesh",
     "calibrate_modulus",
-    "gel_mesh",
 ]

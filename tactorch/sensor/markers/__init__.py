@@ -1,16 +1,19 @@
-"""Markers on the gel: found, followed, and turned into displacements."""
+"""Markers on the gel: detection, tracking and displacements."""
 
-from tactorch.sensor.markers.detect import MarkerLook, detect_markers, marker_mask
-from tactorch.sensor.markers.displacement import displacement_mm
-from tactorch.sensor.markers.track import MarkerTracker, Tracked, TrackOptions, track
+from tactorch.sensor.markers.detection import MarkerAppearance, detect_markers, marker_mask
+from tactorch.sensor.markers.tracking import (
+    MarkerTracker,
+    TrackOptions,
+    marker_displacements,
+    track_markers,
+)
 
 __all__ = [
-    "MarkerLook",
+    "MarkerAppearance",
     "MarkerTracker",
     "TrackOptions",
-    "Tracked",
     "detect_markers",
-    "displacement_mm",
+    "marker_displacements",
     "marker_mask",
-    "track",
+    "track_markers",
 ]

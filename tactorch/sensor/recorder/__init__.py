@@ -1,9 +1,21 @@
-"""From the frames and poses of a whole session to a recording (Section VI-B)."""
+"""Recordings from frames and poses of a session, as a batch or while it runs (Section VI-B)."""
 
-from tactorch.sensor.recorder.growing import contacts_as_they_end
-from tactorch.sensor.recorder.hold import Fixture
-from tactorch.sensor.recorder.options import RecordOptions
-from tactorch.sensor.recorder.record import Recorded, record
-from tactorch.sensor.recorder.region import VirtualCube
+from tactorch.sensor.recorder.detector import ContactDetector, ContactInterval, FrameSummary
+from tactorch.sensor.recorder.objects import OBJECTS, BoxObject, MeshObject, VirtualCube
+from tactorch.sensor.recorder.press_builder import Fixture, RecordOptions
+from tactorch.sensor.recorder.record import SessionRecording, record, record_streaming
 
-__all__ = ["Fixture", "RecordOptions", "Recorded", "VirtualCube", "contacts_as_they_end", "record"]
+__all__ = [
+    "OBJECTS",
+    "BoxObject",
+    "ContactDetector",
+    "ContactInterval",
+    "Fixture",
+    "FrameSummary",
+    "MeshObject",
+    "RecordOptions",
+    "SessionRecording",
+    "VirtualCube",
+    "record",
+    "record_streaming",
+]

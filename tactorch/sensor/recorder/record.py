@@ -1,40 +1,61 @@
-"""From frames and poses to a recording: contacts, first touch, forces, presses."""
+"""Recordings from frames and poses: of a whole session, or contact by contact while it runs."""
 
-from collections.abc import Callable, Iterable
+import logging
+import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from tactorch.errors import ConfigError
+import numpy as np
+
+from tactorch.errors import ConfigError, FileError
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.sensor.chain import SensorChain
-from tactorch.sensor.contact import Poses
 from tactorch.sensor.frames import Frame
-from tactorch.sensor.recorder.maker import PressBuilder, noise_of, region_of
-from tactorch.sensor.recorder.options import RecordOptions
-from tactorch.sensor.recorder.region import VirtualCube
-from tactorch.sensor.recorder.session import ContactInterval, Session, watch
+from tactorch.sensor.poses import Poses
+from tactorch.sensor.recorder.detector import ContactDetector, ContactInterval, FrameSummary
+from tactorch.sensor.recorder.objects import VirtualCube
+from tactorch.sensor.recorder.press_builder import PressBuilder, RecordOptions
 from tactorch.versions import versions
 
+_log = logging.getLogger(__name__)
+_POSES_POLL_S = 0.1
 ProgressCallback = Callable[[str, int, int | None], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
-    """What came of a session.
+class SessionRecording:
+    """Recording of a session.
 
     Attributes:
-        recording: Its presses.
-        presses: Of each press: contact, frame, time_s, depth_mm, force_n (three components, in the
-            object's frame) and nodes (how many were seen).
-        session: What its frames show.
-        passed_over: Why frames with contact became no press, by their names.
+        recording: Recording with all presses.
+        presses: Table of the presses: contact, frame, time_s, depth_mm, force_n (three components
+            in the object frame) and nodes (number of observed nodes).
+        frames: Summary of each frame.
+        contacts: Contacts.
+        skipped: Reason by name for each frame with contact that became no press.
     """
 
     recording: Recording
     presses: list[dict[str, Any]]
-    session: Session
-    passed_over: dict[str, str]
+    frames: list[FrameSummary]
+    contacts: list[ContactInterval]
+    skipped: dict[str, str]
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """Faults of frames by name."""
+        return _faults(self.frames)
+
+    def contact_numbers(self) -> list[int | None]:
+        """Return the number of the contact, from 0, of each frame; None without contact."""
+        numbers = {
+            measurement.frame.index: number
+            for number, contact in enumerate(self.contacts)
+            for measurement in contact.measurements
+        }
+        return [numbers.get(summary.frame) for summary in self.frames]
 
 
 def record(
@@ -47,87 +68,175 @@ def record(
     *,
     provenance: dict[str, Any] | None = None,
     progress: ProgressCallback = lambda stage, done, total: None,
-) -> Recorded:
-    """Turn a session of frames and poses into a recording (Sections III-B and VI-B).
+) -> SessionRecording:
+    """Convert a session of frames and poses to a recording (Sections III-B and VI-B).
 
     Args:
-        frames: Of the session, with times.
-        chain: The calibrated sensor.
-        poses: T_object_sensor over the same clock; or what returns them once all frames are
-            there.
-        target: The object at rest in the object's frame, mm; or a virtual cube where its shape is
-            not known.
-        material: Of the object, but for Young's modulus.
-        options: How frames become presses.
-        provenance: What else to note beside what is noted anyway.
-        progress: Called with a stage ("frames", "presses"), how much of it is done, and of how
-            much (None where unknown).
+        frames: Frames of the session, with times.
+        chain: Calibrated sensor.
+        poses: T_object_sensor on the frames' clock; or a function that returns it, called after
+            the last frame.
+        target: Object at rest in the object frame, mm; or a virtual cube for an unknown shape.
+        material: Material of the object, without Young's modulus.
+        options: Conversion options.
+        provenance: Additional facts to store.
+        progress: Callback with the stage ("frames", "presses"), the amount done, and the total
+            (None if unknown).
+
+    Returns:
+        The recording with summaries of frames and presses.
 
     Raises:
-        ConfigError: No frame shows contact, a frame has no time or no pose, no contact could be
-            used, or the object is not held as told.
-        RecordingError: Presses, mesh and material do not fit each other.
+        ConfigError: No frame shows contact, a frame has no time or no pose, no contact yields a
+            press, or the object has no such side to support.
+        RecordingError: Presses, mesh and material are inconsistent.
     """
     options = options or RecordOptions()
-    session = watch(
-        frames, chain, min_frames=options.min_frames,
-        progress=lambda done: progress("frames", done, None),
-    )  # fmt: skip
-    _require_contact(session, chain)
-    if not isinstance(poses, Poses):
-        poses = poses()
-    poses.at([time_s for touch in session.contacts for time_s in touch.times_s])  # all are known
-    mesh = (
-        target
-        if isinstance(target, TetMesh)
-        else region_of(target, session.contacts[0], poses, chain.model.points[:, :2])
+    detector, summaries = ContactDetector(chain, options.min_frames), list[FrameSummary]()
+
+    def summarized() -> Iterator[Frame]:
+        for frame in frames:
+            yield frame
+            assert detector.summary is not None
+            summaries.append(detector.summary)
+            progress("frames", len(summaries), None)
+
+    contacts = list(detector.detect(summarized()))
+    if not contacts:
+        raise ConfigError(_no_contact(summaries, chain))
+    known_poses = poses if isinstance(poses, Poses) else poses()
+    known_poses.at([time_s for contact in contacts for time_s in contact.times_s])
+    builder = PressBuilder.create(
+        chain, known_poses, target, options, contacts[0], detector.noise_mm
     )
-    virtual = not isinstance(target, TetMesh)
-    maker = PressBuilder(
-        chain, poses, mesh, options, virtual, noise_of(session.noise_mm, chain, options)
-    )
-    total = sum(len(touch.chosen(options.steps)) for touch in session.contacts)
-    presses: list[Press] = []
-    rows, passed_over = [], {}
-    for number, touch in enumerate(session.contacts, start=1):
-        for index, made in maker.presses(touch, number):
-            if isinstance(made, Press):
-                presses.append(made)
-                rows.append(_row(number, touch, index, made))
+    total = sum(len(contact.select_frames(options.steps)) for contact in contacts)
+    presses, rows, skipped = list[Press](), [], {}
+    for number, contact in enumerate(contacts, start=1):
+        for index, result in builder.build(contact, number):
+            if isinstance(result, Press):
+                presses.append(result)
+                rows.append(_press_row(number, contact, index, result))
             else:
-                passed_over[touch.looks[index].frame.name] = str(made)
-            progress("presses", len(presses) + len(passed_over), total)
+                skipped[contact.measurements[index].frame.name] = str(result)
+            progress("presses", len(presses) + len(skipped), total)
     if not presses:
-        first_name, reason = next(iter(passed_over.items()))
-        raise ConfigError(f"no frame with contact became a press; '{first_name}': {reason}")
-    facts = {"sensor": chain.sensor.name, "frames": len(session.glances), "presses": rows}
-    facts |= {"faulty frames": session.faults, "passed over": passed_over, "versions": versions()}
+        name, reason = next(iter(skipped.items()))
+        raise ConfigError(f"no frame with contact became a press; '{name}': {reason}")
+    facts = {"sensor": chain.sensor.name, "frames": len(summaries), "presses": rows}
+    facts |= {"faulty frames": _faults(summaries), "skipped": skipped, "versions": versions()}
     recording = Recording(
-        mesh, tuple(presses), material, provenance={**facts, **(provenance or {})}
+        builder.mesh, tuple(presses), material, provenance={**facts, **(provenance or {})}
     )
-    return Recorded(recording, rows, session, passed_over)
+    return SessionRecording(recording, rows, summaries, contacts, skipped)
 
 
-def _require_contact(session: Session, chain: SensorChain) -> None:
-    if session.contacts:
-        return
-    faulty = f", {len(session.faults)} of them faulty," if session.faults else ""
-    raise ConfigError(
-        f"none of {len(session.glances)} frames{faulty} shows contact: the gel is pressed by"
-        f" {session.deepest_mm:.3g} mm at most, contact counts from"
-        f" {float(chain.options.min_depth_mm):g} mm (min_depth_mm); its slopes reach"
-        f" {session.steepest:.3g}, it counts as deformed from"
-        f" {float(chain.options.steep):g} (steep)."
+def record_streaming(
+    frames: Iterable[Frame],
+    chain: SensorChain,
+    read_poses: Callable[[], Poses],
+    target: TetMesh | VirtualCube,
+    material: MaterialSpec,
+    options: RecordOptions | None = None,
+    *,
+    provenance: dict[str, Any] | None = None,
+    poses_timeout_s: float = 5.0,
+) -> Iterator[Recording]:
+    """Yield the presses of each contact as a recording as soon as the contact has ended.
+
+    The presses equal those of `record`, except that the noise is estimated from the frames so far.
+    Faulty frames and contacts that yield no press are logged and skipped.
+
+    Args:
+        frames: Frames as they are captured, with times.
+        chain: Calibrated sensor.
+        read_poses: Function that returns T_object_sensor on the same clock, as far as known.
+        target: Object at rest in the object frame, mm; or a virtual cube, which is placed under
+            the first contact.
+        material: Material of the object, without Young's modulus.
+        options: Conversion options.
+        provenance: Additional facts to store.
+        poses_timeout_s: Time to wait for late poses.
+
+    Yields:
+        A recording of each contact.
+
+    Raises:
+        ConfigError: A frame has no time, or another size than the reference.
+        FileError: A camera stops giving images.
+    """
+    options = options or RecordOptions()
+    detector, mesh = ContactDetector(chain, options.min_frames), None
+    facts = {"sensor": chain.sensor.name, "versions": versions(), **(provenance or {})}
+    for number, contact in enumerate(detector.detect(_log_faults(frames)), start=1):
+        try:
+            poses = _wait_for_poses(contact, read_poses, poses_timeout_s)
+            builder = PressBuilder.create(
+                chain, poses, target, options, contact, detector.noise_mm, mesh
+            )
+            mesh = builder.mesh
+            results = [result for _, result in builder.build(contact, number)]
+        except (ConfigError, FileError) as error:
+            _log.warning("Contact %d is skipped: %s", number, error)
+            continue
+        presses = tuple(press for press in results if isinstance(press, Press))
+        if presses:
+            yield Recording(mesh, presses, material, provenance=facts, check_units=False)
+
+
+def _log_faults(frames: Iterable[Frame]) -> Iterator[Frame]:
+    for frame in frames:
+        if frame.fault:
+            _log.warning("%s: %s", frame.name, frame.fault)
+        yield frame
+
+
+def _wait_for_poses(
+    contact: ContactInterval, read_poses: Callable[[], Poses], timeout_s: float
+) -> Poses:
+    """Poses of a contact's frames, which may be late or incompletely written.
+
+    Raises:
+        ConfigError: The poses are missing after the timeout.
+        FileError: The poses cannot be read.
+    """
+    end = time.monotonic() + timeout_s
+    while True:
+        try:
+            poses = read_poses()
+            poses.at(contact.times_s)
+            return poses
+        except (ConfigError, FileError):
+            if time.monotonic() >= end:
+                raise
+        time.sleep(_POSES_POLL_S)
+
+
+def _no_contact(frames: list[FrameSummary], chain: SensorChain) -> str:
+    count = len(_faults(frames))
+    faulty = f", {count} of them faulty," if count else ""
+    depth, slope = (
+        float(np.nanmax([0.0, *values]))
+        for values in ([f.depth_mm for f in frames], [f.max_slope for f in frames])
+    )
+    return (
+        f"none of {len(frames)} frames{faulty} shows contact: the gel is pressed by"
+        f" {depth:.3g} mm at most, contact counts from {chain.options.min_depth_mm:g} mm"
+        f" (min_depth_mm); its slopes reach {slope:.3g}, it counts as deformed from"
+        f" {chain.options.min_slope:g} (min_slope)."
         " Is the reference without contact, and is the calibration of this sensor?"
     )
 
 
-def _row(contact: int, touch: ContactInterval, index: int, press: Press) -> dict[str, Any]:
+def _faults(frames: list[FrameSummary]) -> dict[str, str]:
+    return {frame.name: frame.fault for frame in frames if frame.fault}
+
+
+def _press_row(number: int, contact: ContactInterval, index: int, press: Press) -> dict[str, Any]:
     return {
-        "contact": contact,
-        "frame": touch.looks[index].frame.name,
-        "time_s": touch.times_s[index],
-        "depth_mm": touch.depths_mm[index],
+        "contact": number,
+        "frame": contact.measurements[index].frame.name,
+        "time_s": contact.times_s[index],
+        "depth_mm": contact.depths_mm[index],
         "force_n": press.total_force.tolist(),
         "nodes": int(press.observed.any(axis=1).sum()),
     }

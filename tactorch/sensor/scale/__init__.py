@@ -1,9 +1,8 @@
-"""The size of a pixel, from an object of known size that is pressed into the gel."""
+"""Size of a pixel, from an object of known size that is pressed into the gel."""
 
 from tactorch.sensor.scale.find import find_outline
-from tactorch.sensor.scale.pixel_scale import PixelScale, pixel_scale
+from tactorch.sensor.scale.fit import PixelScale, Warp, fit_warp, measure_pixel_scale
 from tactorch.sensor.scale.shape import KnownShape, Outline, cuboid, hexagon, read_corners
-from tactorch.sensor.scale.warp import Warp, warp_of
 
 __all__ = [
     "KnownShape",
@@ -12,8 +11,8 @@ __all__ = [
     "Warp",
     "cuboid",
     "find_outline",
+    "fit_warp",
     "hexagon",
-    "pixel_scale",
+    "measure_pixel_scale",
     "read_corners",
-    "warp_of",
 ]

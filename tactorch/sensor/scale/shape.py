@@ -1,4 +1,4 @@
-"""Objects of known size that tell the size of a pixel: their faces' corners, in mm and as seen."""
+"""Objects of known size for the measurement of the pixel size: corners in mm and in images."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,20 +11,20 @@ from tactorch.errors import ConfigError, FileError
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.table import read_rows
 
-_SMALLEST_MM, _LARGEST_MM = 0.5, 200.0
+_MIN_SIZE_MM, _MAX_SIZE_MM = 0.5, 200.0
 _COLUMNS = ("image", "corner", "x_px", "y_px")
-_SHARP = 0.1  # sine of the turn at a corner below which three corners lie on a line
-_APART_PX = 3.0  # corners that are nearer are one
-_HAND_PX = 0.5  # standard deviation of a corner that is set by hand, at best
+_MIN_SINE = 0.1  # of the exterior angle at a corner
+_MIN_SIDE_PX = 3.0
+_LABEL_DEVIATION_PX = 0.5  # standard deviation of labeled corners
 
 
 @dataclass(frozen=True)
 class KnownShape:
-    """The flat face of an object, a convex polygon of known size, pressed into the gel.
+    """Flat face of an object: a convex polygon of known size.
 
     Attributes:
-        name: For messages.
-        corners_mm: About its middle, going round as seen in the image (from x toward y).
+        name: Name of the shape, for messages.
+        corners_mm: Corners about the center, ordered from x toward y as in the image.
     """
 
     name: str
@@ -36,13 +36,13 @@ class KnownShape:
         return np.array(self.corners_mm)
 
     @property
-    def turn_rad(self) -> float:
-        """Least angle by which it turns into itself."""
-        own = self.corners[:, 0] + 1j * self.corners[:, 1]
-        for shift in range(1, len(own)):
-            turned = np.roll(own, -shift) / own
-            if np.ptp(turned.real) < 1e-9 and np.ptp(turned.imag) < 1e-9:
-                return float(np.angle(turned[0]) % (2 * np.pi))
+    def symmetry_rad(self) -> float:
+        """Smallest rotation that maps the shape to itself."""
+        corners = self.corners[:, 0] + 1j * self.corners[:, 1]
+        for shift in range(1, len(corners)):
+            ratio = np.roll(corners, -shift) / corners
+            if np.ptp(ratio.real) < 1e-9 and np.ptp(ratio.imag) < 1e-9:
+                return float(np.angle(ratio[0]) % (2 * np.pi))
         return 2 * np.pi
 
 
@@ -52,12 +52,17 @@ def hexagon(across_flats_mm: Real) -> KnownShape:
     Args:
         across_flats_mm: Distance of opposite sides.
 
+    Returns:
+        The shape.
+
     Raises:
-        ConfigError: It is not positive, or no size that a gel can take.
+        ConfigError: The size is not positive, or not plausible.
     """
     size = _size("across_flats_mm", across_flats_mm)
     angles = np.deg2rad(60.0 * np.arange(6))
-    return KnownShape("hexagon", _around(size / np.sqrt(3.0), angles))
+    radius = size / np.sqrt(3.0)
+    corners = tuple((float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles)
+    return KnownShape("hexagon", corners)
 
 
 def cuboid(width_mm: Real, height_mm: Real) -> KnownShape:
@@ -65,41 +70,40 @@ def cuboid(width_mm: Real, height_mm: Real) -> KnownShape:
 
     Args:
         width_mm: One side of the face.
-        height_mm: The other.
+        height_mm: The other side.
+
+    Returns:
+        The shape.
 
     Raises:
-        ConfigError: A side is not positive, or no size that a gel can take.
+        ConfigError: A side is not positive, or not plausible.
     """
     x, y = _size("width_mm", width_mm) / 2, _size("height_mm", height_mm) / 2
     return KnownShape("cuboid", ((-x, -y), (x, -y), (x, y), (-x, y)))
 
 
-def _around(radius: float, angles: Float[np.ndarray, " n"]) -> tuple[tuple[float, float], ...]:
-    return tuple((float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles)
-
-
 def _size(name: str, value: Real) -> float:
     size = positive(name, value)
-    if size < _SMALLEST_MM:
+    if size < _MIN_SIZE_MM:
         metres = f" {size:g} looks like metres; give {1e3 * size:g}." if size <= 0.2 else ""
-        raise ConfigError(f"{name}={size:g}: give mm, from {_SMALLEST_MM:g}.{metres}")
-    if size > _LARGEST_MM:
-        raise ConfigError(f"{name}={size:g}: give mm, up to {_LARGEST_MM:g}.")
+        raise ConfigError(f"{name}={size:g}: give mm, from {_MIN_SIZE_MM:g}.{metres}")
+    if size > _MAX_SIZE_MM:
+        raise ConfigError(f"{name}={size:g}: give mm, up to {_MAX_SIZE_MM:g}.")
     return size
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """A face of known shape as an image shows it.
+    """Outline of a face of known shape in an image.
 
     Attributes:
-        name: Of the image.
-        corners_px: Its corners (column, row), going round from x toward y.
-        deviation_px: Standard deviation of a corner's place; 0 where it is not known.
-        edge_px: Standard deviation of how far out its edges lie, all alike; 0 likewise.
+        name: Name of the image.
+        corners_px: Corners (column, row), ordered from x toward y.
+        deviation_px: Standard deviation of a corner; 0 if unknown.
+        edge_px: Standard deviation of a common offset of all edges; 0 if unknown.
 
     Raises:
-        ConfigError: Corners are no convex polygon.
+        ConfigError: The corners are not a convex polygon.
     """
 
     name: str
@@ -111,32 +115,32 @@ class Outline:
         corners = np.asarray(self.corners_px, dtype=float)
         if len(corners) < 3 or not np.isfinite(corners).all():
             raise ConfigError(f"{self.name}: give three corners or more, as finite numbers.")
-        away = corners - corners.mean(axis=0)
-        corners = corners[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
+        offsets = corners - corners.mean(axis=0)
+        corners = corners[np.argsort(np.arctan2(offsets[:, 1], offsets[:, 0]))]
         object.__setattr__(self, "corners_px", corners)
         sides = np.roll(corners, -1, axis=0) - corners
         length = np.linalg.norm(sides, axis=1)
-        if length.min() < _APART_PX:
-            at = corners[int(length.argmin())]
+        if length.min() < _MIN_SIDE_PX:
+            x, y = corners[int(length.argmin())]
             raise ConfigError(
-                f"{self.name}: two corners are at ({at[0]:.1f}, {at[1]:.1f}) px or nearly so; each"
-                " corner is given once."
+                f"{self.name}: two corners are at ({x:.1f}, {y:.1f}) px or nearly so; give each"
+                " corner once."
             )
-        after = np.roll(sides, -1, axis=0)
-        turns = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
-        turns /= length * np.roll(length, -1)
-        if turns.min() < _SHARP:
-            x, y = corners[(int(turns.argmin()) + 1) % len(corners)]
+        following = np.roll(sides, -1, axis=0)
+        sines = sides[:, 0] * following[:, 1] - sides[:, 1] * following[:, 0]
+        sines /= length * np.roll(length, -1)
+        if sines.min() < _MIN_SINE:
+            x, y = corners[(int(sines.argmin()) + 1) % len(corners)]
             raise ConfigError(
-                f"{self.name}: the corner at ({x:.1f}, {y:.1f}) px lies on a line with those beside"
-                " it, or inside; corners must be those of a convex polygon."
+                f"{self.name}: the corner at ({x:.1f}, {y:.1f}) px is on a line with its neighbors,"
+                " or inside; give the corners of a convex polygon."
             )
 
     def require(self, shape: KnownShape) -> None:
-        """Refuse an outline that has another number of corners than a shape.
+        """Check that an outline has as many corners as a shape.
 
         Raises:
-            ConfigError: It has.
+            ConfigError: The numbers differ.
         """
         if len(self.corners_px) != len(shape.corners_mm):
             raise ConfigError(
@@ -148,26 +152,30 @@ class Outline:
 def read_corners(path: str | Path) -> Mapping[str, Outline]:
     """Read corners from a CSV file with columns image, corner, x_px, y_px: a line for each corner.
 
-    `corner` is any name that an image has once; corners may come in any order. Set by hand, they
-    are taken to be known to half a pixel.
+    `corner` is a name that is unique within an image; the order of corners is arbitrary. Their
+    standard deviation is taken as half a pixel.
+
+    Returns:
+        Outline by name of the image.
 
     Raises:
         FileError: The file is missing, or a line cannot be read; the message names it.
-        ConfigError: Corners of an image are no convex polygon; the message names the image.
+        ConfigError: Corners of an image are not a convex polygon; the message names the image.
     """
-    found: dict[str, dict[str, tuple[float, float]]] = {}
+    table: dict[str, dict[str, tuple[float, float]]] = {}
     for row in read_rows(path, "table of corners", _COLUMNS):
         image, corner = row.text("image"), row.text("corner")
-        own = found.setdefault(image, {})
-        if corner in own:
-            raise FileError(f"{row.location}: corner {corner} of {image} is there twice.")
-        own[corner] = (row.number("x_px"), row.number("y_px"))
-    if not found:
+        corners = table.setdefault(image, {})
+        if corner in corners:
+            raise FileError(f"{row.location}: corner {corner} of {image} is given twice.")
+        corners[corner] = (row.number("x_px"), row.number("y_px"))
+    if not table:
         raise FileError(f"table of corners '{path}' has no line; give one for each corner.")
     outlines = {}
-    for image, corners in found.items():
+    deviation = _LABEL_DEVIATION_PX
+    for image, corners in table.items():
         try:
-            outlines[image] = Outline(image, np.array(list(corners.values())), _HAND_PX, _HAND_PX)
+            outlines[image] = Outline(image, np.array(list(corners.values())), deviation, deviation)
         except ConfigError as error:
             raise ConfigError(f"table of corners '{path}': {error}") from error
     return outlines

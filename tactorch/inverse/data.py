@@ -1,0 +1,278 @@
+"""The data of an inversion: observations, their noise, and errors that they have in common."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import orth
+from scipy.special import ndtri
+
+from tactorch.config import Options, option
+from tactorch.errors import ConfigError
+from tactorch.inverse.misfit import Misfit, Squares
+from tactorch.recording import Press, Recording
+
+_NORMAL_MEDIAN = float(ndtri(0.75))  # median size of a standard normal number
+
+
+@dataclass(frozen=True)
+class NoiseModel(Options):
+    """Standard deviations of the observed displacements.
+
+    The first that applies: `mm`, where given; the value stated by the press; the estimate from the
+    recording's unloaded frames; `relative`.
+
+    Attributes:
+        relative: Noise as a fraction of the root mean square of all observed displacements; also
+            a floor for stated and estimated noise, since no model is exact.
+        mm: Noise in mm, which overrides the recording's.
+    """
+
+    section: ClassVar[str] = "noise"
+    relative: float = option(
+        1e-4, "Noise as a fraction of the signal where it is not stated; a floor elsewhere",
+        gt=0, lt=1,
+    )  # fmt: skip
+    mm: float | None = option(
+        None, "Noise, which overrides what the recording states", unit="mm", gt=0
+    )
+
+    def deviations(self, recording: Recording) -> list[float]:
+        """Return the standard deviation of each press's displacements, mm."""
+        floor = self.relative * signal_rms(recording.presses)
+        return [max(known, floor) for known in self._known(recording, floor)]
+
+    def assumed(self, recording: Recording) -> bool:
+        """Return whether the noise of some press is assumed, because it is not stated."""
+        known = self.mm is not None or recording.unloaded is not None
+        return not known and any(press.noise_mm is None for press in recording.presses)
+
+    def floored(self, recording: Recording) -> bool:
+        """Return whether the noise of some press may be smaller than its deviation."""
+        floor = self.relative * signal_rms(recording.presses)
+        return any(known <= floor for known in self._known(recording, floor))
+
+    def _known(self, recording: Recording, floor: float) -> list[float]:
+        """Deviation of each press before the floor, mm."""
+        if self.mm is not None:
+            return [self.mm] * len(recording.presses)
+        default = floor if recording.unloaded is None else unloaded_noise(recording.unloaded)
+        return [default if p.noise_mm is None else p.noise_mm for p in recording.presses]
+
+
+def unloaded_noise(frames: Float[np.ndarray, "frames n 3"]) -> float:
+    """Estimate the standard deviation (mm) of each displacement from frames without contact.
+
+    The estimate uses the median change between successive frames, and is robust to a slow drift and
+    to marker outliers.
+    """
+    changes = np.abs(np.diff(frames, axis=0))
+    return float(np.nanmedian(changes)) / (_NORMAL_MEDIAN * np.sqrt(2.0))
+
+
+def signal_rms(presses: tuple[Press, ...]) -> float:
+    """Return the root mean square of all observed displacements, mm.
+
+    Raises:
+        ConfigError: all observed displacements are zero.
+    """
+    values = np.concatenate([press.displacement[press.data] for press in presses])
+    rms = float(np.sqrt(np.mean(values**2)))
+    if rms == 0.0:
+        raise ConfigError("all observed displacements are zero: the presses moved nothing.")
+    return rms
+
+
+class CorrelatedNoise:
+    """Errors common to several data: patterns of unknown size on top of white noise.
+
+    It whitens residuals whose covariance is the unit matrix plus B B^T. B has few columns, each the
+    pattern of an error of unit standard deviation, in standard deviations of the white noise. With
+    B = U S V^T the symmetric root of the inverse is 1 - U (1 - (1 + S^2)^(-1/2)) U^T.
+
+    Args:
+        patterns: B.
+    """
+
+    def __init__(self, patterns: Float[np.ndarray, "data k"]) -> None:
+        """Decompose the patterns."""
+        self._basis, self._sizes, _ = np.linalg.svd(patterns, full_matrices=False)
+        self._loss = 1.0 - 1.0 / np.sqrt(1.0 + self._sizes**2)
+
+    def widened(self, factors: Float[np.ndarray, " data"]) -> "CorrelatedNoise":
+        """Return the same errors relative to white noise that is `factors` times as large."""
+        return CorrelatedNoise(self._basis * self._sizes / factors[:, None])
+
+    def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
+        """Return whitened residuals or their derivatives; the operator is symmetric."""
+        if values.ndim == 1:  # not by BLAS: see `tactorch.linalg.vectors`
+            inner = self._loss * np.einsum("dk,d->k", self._basis, values)
+            return values - np.einsum("dk,k->d", self._basis, inner)
+        return values - self._basis @ (self._loss[:, None] * (self._basis.T @ values))
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Observed displacements of one press.
+
+    Attributes:
+        index: Observed degrees of freedom, 3 node + axis.
+        displacement: Their displacement, mm.
+        scale: Weight over standard deviation of each, 1/mm.
+    """
+
+    index: Int[np.ndarray, " p"]
+    displacement: Float[np.ndarray, " p"]
+    scale: Float[np.ndarray, " p"]
+
+
+@dataclass(frozen=True, eq=False)
+class DataModel:
+    """Observations of all presses with the statistics of their errors; immutable.
+
+    Attributes:
+        observations: Observed displacements of each press.
+        misfit: Cost of the residuals.
+        correlated: Errors that the data have in common, or None.
+        model_deviation: Standard deviation of the model's remaining error, one per press, mm; None
+            where the model is not corrected.
+        noise_fraction: Share of the data's variance that is noise rather than error of the model.
+    """
+
+    observations: tuple[Observation, ...]
+    misfit: Misfit = field(default_factory=Squares)
+    correlated: CorrelatedNoise | None = None
+    model_deviation: tuple[float, ...] | None = None
+    noise_fraction: float = 1.0
+
+    @staticmethod
+    def of(recording: Recording, noise: NoiseModel, misfit: Misfit) -> "DataModel":
+        """Return the data of a recording.
+
+        Args:
+            recording: Presses.
+            noise: Standard deviations of presses that do not state theirs.
+            misfit: Cost of the residuals.
+        """
+        pairs = zip(recording.presses, noise.deviations(recording), strict=True)
+        return DataModel(tuple(_observe(press, deviation) for press, deviation in pairs), misfit)
+
+    @property
+    def size(self) -> int:
+        """Number of observed degrees of freedom over all presses."""
+        return sum(len(observation.index) for observation in self.observations)
+
+    @property
+    def scale(self) -> Float[np.ndarray, " data"]:
+        """Weight over standard deviation of all data, 1/mm."""
+        return np.concatenate([observation.scale for observation in self.observations])
+
+    @property
+    def begins(self) -> Int[np.ndarray, " presses"]:
+        """Index of the first datum of each press."""
+        counts = [len(observation.index) for observation in self.observations]
+        return np.cumsum([0, *counts[:-1]])
+
+    def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
+        """Return data in standard deviations of each, or derivatives, in independent ones."""
+        return values if self.correlated is None else self.correlated.whiten(values)
+
+    def widened(self, factors: Float[np.ndarray, " presses"]) -> "DataModel":
+        """Return the data with the standard deviations of presses multiplied by factors."""
+        observations = tuple(
+            replace(observation, scale=observation.scale / factor)
+            for observation, factor in zip(self.observations, factors, strict=True)
+        )
+        correlated = self.correlated
+        if correlated is not None:  # the error of the model remains as large
+            counts = [len(observation.index) for observation in observations]
+            correlated = correlated.widened(np.repeat(factors, counts))
+        return replace(self, observations=observations, correlated=correlated)
+
+    def corrected(
+        self,
+        offsets: Sequence[Float[np.ndarray, " _"]],
+        deviations: Sequence[float],
+        points: Float[np.ndarray, "n 3"],
+    ) -> "DataModel":
+        """Return the data with the model's error subtracted and its remainder as uncertainty.
+
+        The remainder is partly rough, and counted as white noise, and partly smooth: it shifts and
+        stretches the whole contact, equally at every pressure. That part is common to all presses
+        at one place; without it the data would seem to determine small uniform motions, such as
+        those of the springs below, better than they do.
+
+        Args:
+            offsets: Error of the model at the observed degrees of freedom of each press, mm.
+            deviations: Standard deviation of the remainder of each press, mm.
+            points: Nodes of the mesh, mm.
+        """
+        observations = tuple(
+            replace(
+                observation,
+                displacement=observation.displacement - offset,
+                scale=observation.scale / np.sqrt(1.0 + (deviation * observation.scale) ** 2),
+            )
+            for observation, offset, deviation in zip(
+                self.observations, offsets, deviations, strict=True
+            )
+        )
+        changed = replace(self, observations=observations, model_deviation=tuple(deviations))
+        return replace(
+            changed,
+            correlated=CorrelatedNoise(_smooth_patterns(points, changed, deviations)),
+            noise_fraction=float(np.mean((changed.scale / self.scale) ** 2)),
+        )
+
+
+def _observe(press: Press, deviation: float) -> Observation:
+    weights = np.ones_like(press.forces) if press.weights is None else press.weights
+    # Data of zero weight are excluded: they would lower the mean squared residual.
+    index = np.flatnonzero(press.data & (weights > 0))
+    relative = weights.ravel()[index]
+    return Observation(index, press.displacement.ravel()[index], relative / deviation)
+
+
+def _smooth_patterns(
+    points: Float[np.ndarray, "n 3"], data: DataModel, deviations: Sequence[float]
+) -> Float[np.ndarray, "data k"]:
+    """Affine fields over each pressed place, in standard deviations of the white noise."""
+    begins = [*data.begins, data.size]
+    places: dict[bytes, list[int]] = {}
+    for i, observation in enumerate(data.observations):
+        places.setdefault(observation.index.tobytes(), []).append(i)
+    blocks = []
+    for members in places.values():
+        parts = [smooth_pattern(points, data.observations[i], deviations[i]) for i in members]
+        block = np.zeros((begins[-1], parts[0].shape[1]))
+        for i, part in zip(members, parts, strict=True):
+            block[begins[i] : begins[i + 1]] = part
+        blocks.append(block)
+    return np.hstack(blocks)
+
+
+def smooth_pattern(
+    points: Float[np.ndarray, "n 3"], observation: Observation, deviation: float
+) -> Float[np.ndarray, "data k"]:
+    """Return affine fields over one place, each as large as an error of this deviation (mm).
+
+    A single field may hold all of the error, so each has its full size. The unit is the standard
+    deviation of the white noise.
+    """
+    fields = _affine(points, observation.index)
+    height = deviation * np.sqrt(len(fields) / 3.0)  # a field moves one component
+    return height * observation.scale[:, None] * fields
+
+
+def _affine(
+    points: Float[np.ndarray, "n 3"], index: Int[np.ndarray, " p"]
+) -> Float[np.ndarray, "p k"]:
+    """Return orthonormal affine displacement fields, at most twelve, at the observations."""
+    positions = points[index // 3]
+    extent = np.ptp(positions, axis=0).max()
+    positions = (positions - positions.mean(axis=0)) / (extent if extent > 0 else 1.0)
+    shapes = np.column_stack([np.ones(len(index)), positions])
+    fields = [shapes * (index % 3 == axis)[:, None] for axis in range(3)]
+    return orth(np.hstack(fields), rcond=1e-6)

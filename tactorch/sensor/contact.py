@@ -1,0 +1,275 @@
+"""Presses on the object from contacts of the gel (Section III-A, and the end of Section VI-B).
+
+Without slip, a point of the gel stays with the point of the object that it touched first. Points
+are paired in the pose of first contact; afterwards the object's point moves with the gel's.
+Transferred forces keep their sum and their moment on any pair of meshes.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.interpolate import LinearNDInterpolator, RBFInterpolator
+from scipy.spatial import Delaunay
+
+from tactorch.config import Options, option
+from tactorch.errors import ConfigError
+from tactorch.mesh import TetMesh
+from tactorch.recording import Press
+from tactorch.sensor.gel import GelContact
+from tactorch.sensor.poses import check_pose, rotate_vectors, transform_points
+
+#: Smallest cosine between the sensor axis and the inward normal of a face that may be in contact.
+MIN_FACING = 0.5
+_MIN_INERTIA = 1e-9  # relative to the largest, of an axis about which nodes can carry a couple
+_CONTACT_LEVEL = 0.5  # of the interpolated contact indicator
+
+
+@dataclass(frozen=True)
+class ContactOptions(Options):
+    """Pairing of the gel with the object."""
+
+    reach_mm: float = option(
+        3.0, "Distance of the object's face from the gel at first contact, up to which it may be"
+        " touched", unit="mm", gt=0,
+    )  # fmt: skip
+    untouched: Literal["unseen", "sensor"] = option(
+        "unseen",
+        "Nodes under the gel without contact: unseen (not observed), or sensor (displaced with the"
+        " sensor, as the paper does in a virtual cube, whose empty parts then become soft)",
+    )
+    smoothing: float = option(0.0, "Smoothing of the interpolated displacements", ge=0)
+
+
+def build_press(
+    contact: GelContact,
+    pose: Float[np.ndarray, "4 4"],
+    first_pose: Float[np.ndarray, "4 4"],
+    mesh: TetMesh,
+    in_contact: Bool[np.ndarray, " k"],
+    *,
+    options: ContactOptions | None = None,
+    **fields: Any,
+) -> Press:
+    """Return the press of the sensor on an object.
+
+    Args:
+        contact: Forces on the gel and displacements of its face, in the sensor frame.
+        pose: T_object_sensor of this frame.
+        first_pose: T_object_sensor at first contact.
+        mesh: Object at rest, mm.
+        in_contact: Nodes of the gel's face in contact; forces on other nodes are ignored.
+        options: Pairing of the gel with the object.
+        fields: Further fields of the press: its supports (`springs`, `fixed`, `prescribed`),
+            `noise_mm`, `step`, `name`.
+
+    Returns:
+        The press.
+
+    Raises:
+        ConfigError: A pose is not valid, or the gel does not touch the object.
+        RecordingError: A field of the press is not valid.
+    """
+    options = options or ContactOptions()
+    check_pose(pose, "pose")
+    check_pose(first_pose, "first pose")
+    if not in_contact.any():
+        raise ConfigError("the gel touches nothing in this frame; leave it out.")
+    triangles = facing_triangles(mesh, first_pose, contact, options.reach_mm)
+    paired = transform_points(first_pose, contact.points)  # the object's points at first contact
+    motion = transform_points(pose, contact.points + contact.displacement) - paired
+    forces = -rotate_vectors(pose, np.where(in_contact[:, None], contact.forces, 0.0))
+    transferred = transfer_forces(paired, forces, mesh.points, triangles)
+    nodes = np.unique(triangles)
+    points = mesh.points[nodes]
+    interpolated, inside = interpolate_displacements(
+        paired, motion, points, first_pose[:3, 2], options.smoothing
+    )
+    at_rest = transform_points(np.linalg.inv(first_pose), points)
+    indicator = LinearNDInterpolator(
+        contact.points[:, :2], in_contact.astype(float), fill_value=0.0
+    )
+    touched = np.asarray(indicator(at_rest[:, :2]) >= _CONTACT_LEVEL)
+    displacement = np.full(mesh.points.shape, np.nan)
+    displacement[nodes[inside & touched]] = interpolated[inside & touched]
+    if options.untouched == "sensor":
+        free = inside & ~touched
+        displacement[nodes[free]] = transform_points(pose, at_rest[free]) - points[free]
+    observed = np.repeat(np.isfinite(displacement[:, :1]), 3, axis=1)
+    if not observed.any():
+        raise ConfigError(
+            "no node of the object is in contact with the gel; give a finer mesh of the object."
+        )
+    return Press(transferred, observed, displacement, direction=pose[:3, 2].copy(), **fields)
+
+
+def facing_triangles(
+    mesh: TetMesh, first_pose: Float[np.ndarray, "4 4"], contact: GelContact, reach_mm: float
+) -> Int[np.ndarray, "t 3"]:
+    """Return the object's surface triangles that face the gel, under it and within reach.
+
+    Raises:
+        ConfigError: There is no such triangle.
+    """
+    surface = mesh.surface
+    facing = np.asarray(surface.normals @ first_pose[:3, 2] < -MIN_FACING)
+    centers = transform_points(
+        np.linalg.inv(first_pose), mesh.points[surface.triangles].mean(axis=1)
+    )
+    low, high = contact.points[:, :2].min(axis=0), contact.points[:, :2].max(axis=0)
+    under = ((centers[:, :2] >= low) & (centers[:, :2] <= high)).all(axis=1)
+    close = np.abs(centers[:, 2] - float(np.median(contact.points[:, 2]))) <= reach_mm
+    triangles = surface.triangles[facing & under & close]
+    if not len(triangles):
+        candidates = facing & under
+        distance = np.abs(centers[candidates, 2]).min() if candidates.any() else np.inf
+        raise ConfigError(
+            "the gel is over no part of the object in the pose of first contact"
+            + (f": the nearest is {distance:.3g} mm away" if np.isfinite(distance) else "")
+            + "; check T_object_sensor, whose z axis points out of the sensor to the object."
+            + _metres_hint(first_pose, mesh)
+        )
+    return triangles
+
+
+def _metres_hint(first_pose: Float[np.ndarray, "4 4"], mesh: TetMesh) -> str:
+    translation = first_pose[:3, 3]
+    largest = float(np.abs(translation).max())
+    if not 0 < largest < 0.05 * float(np.abs(mesh.points).max()):
+        return ""
+    shown = [float(f"{v:.4g}") for v in translation]
+    return f" Its translation {shown} looks like metres; give mm."
+
+
+def transfer_forces(
+    points: Float[np.ndarray, "k 3"],
+    forces: Float[np.ndarray, "k 3"],
+    nodes: Float[np.ndarray, "n 3"],
+    triangles: Int[np.ndarray, "t 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """Return forces on the nodes of a surface with the same sum and moment.
+
+    Each force is distributed to the corners of the nearest triangle by barycentric coordinates. The
+    moment lost where its point is off the surface is restored by a couple over the loaded nodes.
+
+    Args:
+        points: Points at which the forces act, mm.
+        forces: Forces, N.
+        nodes: Nodes of the mesh, mm.
+        triangles: Surface triangles, as indices of nodes.
+
+    Returns:
+        Nodal forces, N.
+
+    Raises:
+        ConfigError: There is no triangle.
+    """
+    if not len(triangles):
+        raise ConfigError("the object has no surface in contact; give triangles.")
+    corners, shares = _nearest_triangles(points, nodes, triangles)
+    nodal = np.zeros(nodes.shape)
+    np.add.at(nodal, corners, shares[..., None] * forces[:, None])
+    moment = np.cross(points, forces).sum(axis=0) - np.cross(nodes, nodal).sum(axis=0)
+    loaded = np.unique(corners[np.linalg.norm(forces, axis=1) > 0])
+    if len(loaded):
+        nodal[loaded] += _couple(nodes[loaded], moment)
+    return nodal
+
+
+def _nearest_triangles(
+    points: np.ndarray, nodes: np.ndarray, triangles: np.ndarray
+) -> tuple[Int[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    """Corners of the triangle nearest to each point, and barycentric coordinates."""
+    nearest = np.zeros((len(points), 3), dtype=np.int64)
+    coordinates = np.zeros((len(points), 3))
+    corners = nodes[triangles]
+    for i, point in enumerate(points):
+        shares = _closest_barycentric(corners, point)
+        closest = np.einsum("tc,tcd->td", shares, corners)
+        best = int(np.argmin(((closest - point) ** 2).sum(axis=1)))
+        nearest[i], coordinates[i] = triangles[best], shares[best]
+    return nearest, coordinates
+
+
+def _closest_barycentric(
+    corners: Float[np.ndarray, "t 3 3"], point: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "t 3"]:
+    """Barycentric coordinates of each triangle's closest point to a point."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac, ap = b - a, c - a, point - a
+    d11, d12, d22 = ((u * v).sum(axis=1) for u, v in ((ab, ab), (ab, ac), (ac, ac)))
+    p1, p2 = (ab * ap).sum(axis=1), (ac * ap).sum(axis=1)
+    determinant = np.maximum(d11 * d22 - d12**2, 1e-300)
+    v, w = (d22 * p1 - d12 * p2) / determinant, (d11 * p2 - d12 * p1) / determinant
+    shares = np.stack([1 - v - w, v, w], axis=1)
+    outside = (shares < 0).any(axis=1)
+    if outside.any():
+        shares[outside] = _closest_on_edges(corners[outside], point)
+    return shares
+
+
+def _closest_on_edges(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates of the closest point on the edges of each triangle."""
+    best, min_distance = np.zeros((len(corners), 3)), np.full(len(corners), np.inf)
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        origin, edge = corners[:, start], corners[:, end] - corners[:, start]
+        t = ((point - origin) * edge).sum(axis=1) / np.maximum((edge**2).sum(axis=1), 1e-300)
+        t = np.clip(t, 0.0, 1.0)
+        distance = ((origin + t[:, None] * edge - point) ** 2).sum(axis=1)
+        closer = distance < min_distance
+        shares = np.zeros((len(corners), 3))
+        shares[:, start], shares[:, end] = 1 - t, t
+        best[closer], min_distance[closer] = shares[closer], distance[closer]
+    return best
+
+
+def _couple(nodes: Float[np.ndarray, "n 3"], moment: Float[np.ndarray, "3"]) -> np.ndarray:
+    """Smallest self-balanced forces with a given moment, about axes that the nodes can carry."""
+    arms = nodes - nodes.mean(axis=0)
+    inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
+    values, axes = np.linalg.eigh(inertia)
+    valid = values > _MIN_INERTIA * max(values[-1], 1e-300)
+    rotation = axes[:, valid] @ ((axes[:, valid].T @ moment) / values[valid])
+    return np.cross(rotation, arms)
+
+
+def interpolate_displacements(
+    points: Float[np.ndarray, "k 3"],
+    displacements: Float[np.ndarray, "k 3"],
+    nodes: Float[np.ndarray, "n 3"],
+    normal: Float[np.ndarray, "3"],
+    smoothing: float = 0.0,
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Interpolate displacements by a thin-plate spline in the plane across a normal.
+
+    Args:
+        points: Points with displacements, mm.
+        displacements: Displacements, mm; rows with NaN are ignored.
+        nodes: Points at which to interpolate, mm.
+        normal: Normal of the face in contact.
+        smoothing: Smoothing of the spline; 0 interpolates exactly.
+
+    Returns:
+        Displacements at the nodes, NaN outside the convex hull of the points in the plane; and
+        which nodes are inside.
+
+    Raises:
+        ConfigError: Fewer than four displacements are known, or their points are collinear.
+    """
+    known = np.isfinite(displacements).all(axis=1)
+    if known.sum() < 4:
+        raise ConfigError(f"{int(known.sum())} displacements are known; at least four are needed.")
+    plane = np.linalg.svd(normal[None])[2][1:].T
+    flat, targets = points[known] @ plane, nodes @ plane
+    if np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-9) < 2:
+        raise ConfigError("the points of known displacements are on a line; give a wider contact.")
+    inside = np.asarray(Delaunay(flat).find_simplex(targets) >= 0)
+    result = np.full(nodes.shape, np.nan)
+    if inside.any():
+        spline = RBFInterpolator(
+            flat, displacements[known], neighbors=min(40, int(known.sum())),
+            smoothing=smoothing, kernel="thin_plate_spline",
+        )  # fmt: skip
+        result[inside] = spline(targets[inside])
+    return result, inside

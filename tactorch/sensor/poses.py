@@ -1,0 +1,168 @@
+"""Poses of the sensor: checks, CSV tables and interpolation in time.
+
+A pose T_object_sensor maps points from the sensor frame to the object frame:
+p_object = R p_sensor + t, in mm.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation, Slerp
+
+from tactorch.errors import ConfigError, FileError
+from tactorch.sensor.table import read_rows
+
+_TOLERANCE = 1e-4  # of a rotation's orthonormality
+_MAX_DISTANCE_MM = 1e4
+_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of the sensor over time.
+
+    Attributes:
+        time_s: Strictly increasing times, (n,).
+        T_object_sensor: Rigid transforms, (n, 4, 4), mm.
+
+    Raises:
+        ConfigError: Shapes differ, times do not increase, or a pose is not a rigid transform.
+    """
+
+    time_s: Float[np.ndarray, " n"]
+    T_object_sensor: Float[np.ndarray, "n 4 4"]
+
+    def __post_init__(self) -> None:
+        if not len(self.time_s):
+            raise ConfigError("there is no pose; give one or more.")
+        if not np.isfinite(self.time_s).all():
+            i = int(np.argmin(np.isfinite(self.time_s)))
+            raise ConfigError(f"pose {i} has no time: time_s is {self.time_s[i]:g}; give seconds.")
+        bad = np.flatnonzero(~(np.diff(self.time_s) > 0))
+        if len(bad):
+            raise ConfigError(
+                f"time_s must rise: pose {bad[0] + 1} is at {self.time_s[bad[0] + 1]:g} s, the one"
+                f" before it at {self.time_s[bad[0]]:g} s."
+            )
+        for i, pose in enumerate(self.T_object_sensor):
+            check_pose(pose, f"pose {i}")
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def relative_to(self, start_s: float) -> "Poses":
+        """Return the poses with times relative to `start_s`."""
+        return replace(self, time_s=self.time_s - start_s)
+
+    def at(self, times_s: Sequence[float] | Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 4 4"]:
+        """Return poses interpolated in time: linear translation, spherical linear rotation.
+
+        Raises:
+            ConfigError: A time is before the first pose, after the last, or unknown.
+        """
+        times = np.asarray(times_s, dtype=float)
+        untimed = ~np.isfinite(times)
+        if untimed.any():
+            raise ConfigError(
+                f"{int(untimed.sum())} of {len(times)} frames have no time, which is needed to find"
+                " their poses; give frame_rate_hz in the sensor's description."
+            )
+        outside = (times < self.time_s[0]) | (times > self.time_s[-1])
+        if outside.any():
+            raise ConfigError(
+                f"{int(outside.sum())} of {len(times)} frames have no pose: frames are from"
+                f" {times.min():.3f} to {times.max():.3f} s, poses from {self.time_s[0]:.3f} to"
+                f" {self.time_s[-1]:.3f} s. Leave such frames out, or set both to one clock."
+            )
+        poses = np.tile(np.eye(4), (len(times), 1, 1))
+        translations = self.T_object_sensor[:, :3, 3]
+        if len(self) == 1:
+            poses[:] = self.T_object_sensor[0]
+            return poses
+        rotations = Slerp(self.time_s, Rotation.from_matrix(self.T_object_sensor[:, :3, :3]))
+        poses[:, :3, :3] = rotations(times).as_matrix()
+        poses[:, :3, 3] = np.column_stack(
+            [np.interp(times, self.time_s, translations[:, k]) for k in range(3)]
+        )
+        return poses
+
+
+def check_pose(pose: Float[np.ndarray, "4 4"], name: str = "T_object_sensor") -> None:
+    """Check that a matrix is a rigid transform.
+
+    Raises:
+        ConfigError: The matrix is not finite, mirrors, scales, or translates too far.
+    """
+    if not np.isfinite(pose).all():
+        raise ConfigError(f"{name} is not finite; leave out poses that the robot did not report.")
+    if np.abs(pose[3] - (0, 0, 0, 1)).max() > _TOLERANCE:
+        raise ConfigError(f"{name}: the last row must be 0 0 0 1; is it transposed?")
+    rotation = pose[:3, :3]
+    determinant = float(np.linalg.det(rotation))
+    if abs(determinant) < 0.5:
+        raise ConfigError(
+            f"{name} is singular (determinant {determinant:.3g}): its upper left 3 x 3 numbers"
+            " must be a rotation."
+        )
+    if determinant < 0:
+        raise ConfigError(
+            f"{name} mirrors (determinant {determinant:.3g}); turn one axis round, so that x, y and"
+            " z are right-handed."
+        )
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _TOLERANCE:
+        raise ConfigError(f"{name}: its rotation is not orthonormal; does it scale or shear?")
+    distance = float(np.abs(pose[:3, 3]).max())
+    if distance > _MAX_DISTANCE_MM:
+        raise ConfigError(f"{name} is {distance:.4g} mm away from the object's origin; give mm.")
+
+
+def transform_points(
+    pose: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*n 3"]
+) -> Float[np.ndarray, "*n 3"]:
+    """Transform points from the sensor frame to the object frame, mm."""
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def rotate_vectors(
+    pose: Float[np.ndarray, "4 4"], vectors: Float[np.ndarray, "*n 3"]
+) -> Float[np.ndarray, "*n 3"]:
+    """Rotate vectors, such as forces, from the sensor frame to the object frame."""
+    return vectors @ pose[:3, :3].T
+
+
+def read_poses(path: str | Path, *, growing: bool = False) -> Poses:
+    """Read poses from a CSV file with columns time_s, x_mm, y_mm, z_mm, qw, qx, qy, qz.
+
+    Args:
+        path: Path of the file.
+        growing: Whether lines are still appended; an unterminated last line is then ignored.
+
+    Returns:
+        The poses.
+
+    Raises:
+        FileError: The file is missing or a line cannot be read.
+        ConfigError: A pose or a time is not valid.
+    """
+    rows = list(read_rows(path, "table of poses", _COLUMNS, growing=growing))
+    table = np.array([[row.number(name) for name in _COLUMNS] for row in rows])
+    table = table.reshape(-1, len(_COLUMNS))
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(table[:, 4:], axis=1)
+    bad = np.flatnonzero(~(np.abs(lengths - 1.0) < 1e-2))
+    if len(bad):
+        raise FileError(
+            f"{rows[bad[0]].location}: the quaternion has length {lengths[bad[0]]:.4g}, not 1; give"
+            " qw, qx, qy, qz in the columns of these names."
+        )
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    if len(table):
+        poses[:, :3, :3] = Rotation.from_quat(table[:, 4:], scalar_first=True).as_matrix()
+    poses[:, :3, 3] = table[:, 1:4]
+    try:
+        return Poses(table[:, 0], poses)
+    except ConfigError as error:
+        raise ConfigError(f"table of poses '{path}': {error}") from error

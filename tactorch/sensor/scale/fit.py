@@ -1,0 +1,378 @@
+"""Size of a pixel from an object of known size pressed into the gel (Section VI-B).
+
+The corners of a flat face in any position and rotation determine the size of a pixel along x and y:
+each image adds three unknowns, and a triangle has six coordinates. They do not determine a common
+offset of all edges; its uncertainty adds to the standard deviation. For an inclined camera, the
+corners also determine the perspective warp that makes all pixels square and of equal size.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+
+from tactorch.errors import ConfigError
+from tactorch.sensor.description import SensorDescription
+from tactorch.sensor.scale.shape import KnownShape, Outline
+
+_POSE_UNKNOWNS = 3  # rotation and position in each image
+_MAX_RESIDUAL, _MIN_RESIDUAL_PX = 0.03, 1.5  # relative to the size, and absolute
+_MAX_DISAGREEMENT, _MAX_DEVIATIONS = 0.02, 4.0  # of an image's scale from the others'
+_DIFFERENCE_STEP = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class PixelScale:
+    """Measured size of a pixel.
+
+    Attributes:
+        mm_per_px: Size along x and y, mm.
+        deviation: Standard deviation of both, mm.
+        residual_px: Root mean square residual of the corners.
+        corners_px: Corners in each image by name.
+    """
+
+    mm_per_px: tuple[float, float]
+    deviation: tuple[float, float]
+    residual_px: float
+    corners_px: Mapping[str, Float[np.ndarray, "_ 2"]]
+
+    def relative_difference(self, sensor: SensorDescription) -> tuple[float, float]:
+        """Return the relative difference from the scale of a description along x and y."""
+        x, y = (
+            measured / float(described) - 1.0
+            for measured, described in zip(self.mm_per_px, sensor.mm_per_px, strict=True)
+        )
+        return x, y
+
+    def disagreement(self, sensor: SensorDescription) -> str:
+        """Return a message if the scale of a description is inconsistent, or "".
+
+        It is inconsistent if it differs by more than three standard deviations and 0.5 %.
+        """
+        messages = []
+        for axis, difference in enumerate(self.relative_difference(sensor)):
+            relative_deviation = self.deviation[axis] / self.mm_per_px[axis]
+            if abs(difference) > max(3.0 * relative_deviation, 0.005):
+                messages.append(
+                    f"along {'xy'[axis]} {self.mm_per_px[axis]:.5g} mm per px were measured"
+                    f" (+- {self.deviation[axis]:.1g}), {difference:+.1%} of mm_per_px="
+                    f"{float(sensor.mm_per_px[axis]):.5g} in the description of '{sensor.name}'"
+                )
+        return "; ".join(messages)
+
+    def apply_to(self, sensor: SensorDescription) -> SensorDescription:
+        """Return a description with this scale."""
+        return replace(sensor, mm_per_px=self.mm_per_px)
+
+
+def measure_pixel_scale(
+    outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescription
+) -> PixelScale:
+    """Measure the size of a pixel from the corners of a known shape.
+
+    Args:
+        outlines: Corners in one or more images, in rectified pixels.
+        shape: Pressed shape.
+        sensor: Sensor that took the images; its pixel aspect ratio is only used to distinguish the
+            sides of a cuboid.
+
+    Returns:
+        The size of a pixel.
+
+    Raises:
+        ConfigError: There is no image; an outline has another number of corners, corners of
+            another shape or outside the image, or another scale than the other images.
+    """
+    if not outlines:
+        raise ConfigError("no image of a known shape to measure the pixel's size with.")
+    x, y = (float(size) for size in sensor.mm_per_px)
+    center = (np.array(sensor.image_size_px, dtype=float) - 1) / 2
+    single_fits = []
+    for outline in outlines:
+        _require_inside(outline, sensor)
+        fit = _fit_plane([outline], shape, y / x, center)
+        _require_shape(fit, outline, shape)
+        single_fits.append(fit)
+    _require_agreement(outlines, single_fits)
+    fit = _fit_plane(outlines, shape, y / x, center)
+    scale = fit.plane.scale
+    random = np.sqrt(np.diag(fit.covariance))
+    relative_deviation = np.hypot(random, _edge_deviation(outlines, shape))
+    return PixelScale(
+        (float(scale[0]), float(scale[1])),
+        (float(relative_deviation[0] * scale[0]), float(relative_deviation[1] * scale[1])),
+        fit.residual_px,
+        {outline.name: outline.corners_px for outline in outlines},
+    )
+
+
+def _require_inside(outline: Outline, sensor: SensorDescription) -> None:
+    """Corners may be slightly outside the image, where visible edges intersect."""
+    width, height = sensor.image_size_px
+    x, y = outline.corners_px.T
+    margin = 0.1 * min(width, height)
+    outside = (x < -margin) | (y < -margin) | (x > width - 1 + margin) | (y > height - 1 + margin)
+    if outside.any():
+        corner = outline.corners_px[int(np.argmax(outside))]
+        raise ConfigError(
+            f"{outline.name}: the corner at ({corner[0]:.1f}, {corner[1]:.1f}) px is outside the"
+            f" image of {width} x {height} px; give corners in rectified images."
+        )
+
+
+def _size_px(outline: Outline) -> float:
+    x, y = outline.corners_px.T
+    return float(np.sqrt(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))))
+
+
+def _require_shape(fit: "_PlaneFit", outline: Outline, shape: KnownShape) -> None:
+    limit = max(_MAX_RESIDUAL * _size_px(outline), _MIN_RESIDUAL_PX)
+    x, y = fit.plane.scale
+    if fit.residual_px > limit:
+        raise ConfigError(
+            f"{outline.name}: its corners are no {shape.name} of that size, but"
+            f" {fit.residual_px:.1f} px off on average; check the shape, its sizes and the corners."
+        )
+    if not 2 / 3 < x / y < 1.5:
+        raise ConfigError(
+            f"{outline.name}: a pixel would be {x:.4g} x {y:.4g} mm; check the sizes of the"
+            f" {shape.name}, and its corners."
+        )
+
+
+def _require_agreement(outlines: Sequence[Outline], fits: Sequence["_PlaneFit"]) -> None:
+    if len(fits) < 2:
+        return
+    logs = np.array([fit.plane.terms[:2] for fit in fits])
+    median = np.median(logs, axis=0)
+    deviations = np.array([np.sqrt(np.diag(fit.covariance)) for fit in fits])
+    limits = np.maximum(
+        _MAX_DISAGREEMENT, _MAX_DEVIATIONS * np.minimum(deviations, _MAX_DISAGREEMENT)
+    )
+    excess = np.abs(logs - median) / limits
+    worst = int(excess.max(axis=1).argmax())
+    if excess[worst].max() > 1.0:
+        single, common = np.exp(logs[worst]), np.exp(median)
+        raise ConfigError(
+            f"images disagree: {outlines[worst].name} gives {single[0]:.4g} x {single[1]:.4g} mm"
+            f" per px, the median of all {len(fits)} is {common[0]:.4g} x {common[1]:.4g}; check"
+            " its corners and its object, or leave it out."
+        )
+
+
+def _edge_deviation(outlines: Sequence[Outline], shape: KnownShape) -> float:
+    """Relative standard deviation of the scale from a common offset of all edges."""
+    sides = np.roll(shape.corners, -1, axis=0) - shape.corners
+    cross = shape.corners[:, 0] * sides[:, 1] - shape.corners[:, 1] * sides[:, 0]
+    inner_radius = float((np.abs(cross) / np.linalg.norm(sides, axis=1)).mean())
+    size = float(np.sqrt(0.5 * np.abs(cross).sum()))
+    return float(np.mean([o.edge_px / (_size_px(o) * inner_radius / size) for o in outlines]))
+
+
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """Perspective warp that makes all pixels square and of equal size.
+
+    Attributes:
+        corners_px: `warp_corners_px` of a description.
+        deviation_px: Standard deviation of the corners.
+        mm_per_px: Size of a warped pixel along x and y, mm.
+        residual_px: Root mean square residual of the shape's corners.
+    """
+
+    corners_px: Float[np.ndarray, "4 2"]
+    deviation_px: float
+    mm_per_px: float
+    residual_px: float
+
+    def apply_to(self, sensor: SensorDescription) -> SensorDescription:
+        """Return a description with this warp and its scale."""
+        corners = tuple((float(x), float(y)) for x, y in self.corners_px)
+        return replace(sensor, warp_corners_px=corners, mm_per_px=(self.mm_per_px, self.mm_per_px))
+
+
+def fit_warp(outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescription) -> Warp:
+    """Fit the warp of an inclined camera to the corners of a known shape.
+
+    The warp keeps the center of the image and its rotation.
+
+    Args:
+        outlines: Corners in raw (undistorted) images: of a hexagon in one image or more, or of a
+            cuboid in two or more, rotated and moved between them.
+        shape: Pressed shape.
+        sensor: Sensor that took the images, without a warp or a crop.
+
+    Returns:
+        The warp.
+
+    Raises:
+        ConfigError: The description has a warp already, there are too few corners, or they are
+            those of another shape.
+    """
+    if sensor.warp_corners_px is not None or sensor.crop_px is not None:
+        raise ConfigError(
+            f"sensor '{sensor.name}' has warp_corners_px or crop_px already; give a description"
+            " without, and corners in images that are neither warped nor cropped."
+        )
+    if not outlines:
+        raise ConfigError("no image of a known shape to find the warp with.")
+    x, y = (float(size) for size in sensor.mm_per_px)
+    center = (np.array(sensor.image_size_px, dtype=float) - 1) / 2
+    fit = _fit_plane(outlines, shape, y / x, center, perspective=True)
+    size = min(float(np.ptp(outline.corners_px, axis=0).max()) for outline in outlines)
+    if fit.residual_px > max(_MAX_RESIDUAL * size, _MIN_RESIDUAL_PX):
+        worst = int(np.argmax([np.linalg.norm(part) for part in fit.residuals_px]))
+        raise ConfigError(
+            f"{outlines[worst].name}: its corners are no {shape.name} of that size from any"
+            f" direction, but {fit.residual_px:.1f} px off; check the shape and the corners."
+        )
+    corners, scale = _warp_corners(fit.plane)
+    return Warp(corners, _corner_deviation(fit), scale, fit.residual_px)
+
+
+def _warp_corners(plane: "_PlaneMap") -> tuple[Float[np.ndarray, "4 2"], float]:
+    """Points that become the corners of an image of square pixels, and the size of these."""
+    scale = float(np.sqrt(plane.scale.prod()))
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
+    return plane.to_px(signs * plane.center_px * scale), scale
+
+
+def _corner_deviation(fit: "_PlaneFit") -> float:
+    """Standard deviation of the warp's corners, by finite differences."""
+    terms = fit.plane.terms
+    corners, _ = _warp_corners(fit.plane)
+    columns = []
+    for i in range(len(terms)):
+        changed = terms.copy()
+        changed[i] += _DIFFERENCE_STEP
+        moved, _ = _warp_corners(_PlaneMap(changed, fit.plane.center_px))
+        columns.append((moved - corners).ravel() / _DIFFERENCE_STEP)
+    jacobian = np.stack(columns, axis=1)
+    return float(np.sqrt(np.trace(jacobian @ fit.covariance @ jacobian.T) / 8))
+
+
+@dataclass(frozen=True, eq=False)
+class _PlaneMap:
+    """Map from pixels to mm: X = S u / (1 + p u), with u relative to the center.
+
+    Attributes:
+        terms: Logarithms of the scales along x and y; with perspective also the shear over the
+            mean scale and the two components of p, times the center's distance from the edges.
+        center_px: Pixel at X = 0.
+    """
+
+    terms: Float[np.ndarray, " terms"]
+    center_px: Float[np.ndarray, "2"]
+
+    @property
+    def scale(self) -> Float[np.ndarray, "2"]:
+        """Size of a pixel at the center along x and y, mm."""
+        return np.exp(self.terms[:2])
+
+    def to_px(self, positions_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Convert positions in mm to pixels."""
+        x, y = self.scale
+        shear, px, py = self.terms[2:] if len(self.terms) > 2 else (0.0, 0.0, 0.0)
+        linear = np.array([(x, shear * np.sqrt(x * y)), (0.0, y)])
+        perspective = np.array([px, py]) / float(self.center_px.max())
+        matrices = linear - positions_mm[:, :, None] * perspective
+        return np.linalg.solve(matrices, positions_mm[:, :, None])[..., 0] + self.center_px
+
+
+@dataclass(frozen=True, eq=False)
+class _PlaneFit:
+    """Fitted plane map.
+
+    Attributes:
+        plane: Map.
+        covariance: Covariance of its terms.
+        residuals_px: Residuals of each image's corners.
+    """
+
+    plane: _PlaneMap
+    covariance: Float[np.ndarray, "terms terms"]
+    residuals_px: tuple[Float[np.ndarray, "_ 2"], ...]
+
+    @property
+    def residual_px(self) -> float:
+        """Root mean square residual of the corners."""
+        return float(np.sqrt((np.concatenate(self.residuals_px) ** 2).sum(axis=1).mean()))
+
+
+def _fit_plane(
+    outlines: Sequence[Outline],
+    shape: KnownShape,
+    aspect: float,
+    center_px: Float[np.ndarray, "2"],
+    *,
+    perspective: bool = False,
+) -> _PlaneFit:
+    """Fit one plane map, and a rotation and position of the shape in each image.
+
+    `aspect` is the approximate size of a pixel along y over that along x.
+    """
+    matched = [_match_corners(outline, shape, aspect) for outline in outlines]
+    terms = 5 if perspective else 2
+    freedom = sum(2 * len(c) for c, _ in matched) - terms - _POSE_UNKNOWNS * len(matched)
+    if freedom < 1:
+        raise ConfigError(
+            f"a {shape.name} in {len(matched)} image is not enough: {freedom + terms} numbers for"
+            f" {terms} unknowns; give more images, with the {shape.name} turned and moved."
+        )
+    start = np.zeros(terms)
+    sizes = [abs(factor) for _, factor in matched]
+    start[:2] = -np.log(float(np.mean(sizes))) + np.array([0.0, np.log(aspect)])
+    center = np.asarray(center_px, dtype=float)
+    values = [start]
+    for corners, factor in matched:
+        position = (corners.mean(axis=0) - center) * np.exp(start[:2])
+        values.append(np.array([np.angle(factor), *position]))
+
+    def residuals(x: Float[np.ndarray, " x"]) -> Float[np.ndarray, " y"]:
+        plane = _PlaneMap(x[:terms], center)
+        poses = x[terms:].reshape(-1, _POSE_UNKNOWNS)
+        parts = [
+            plane.to_px(_place(shape.corners, pose)) - corners
+            for (corners, _), pose in zip(matched, poses, strict=True)
+        ]
+        return np.concatenate(parts).ravel()
+
+    solution = least_squares(
+        residuals, np.concatenate(values), x_scale="jac", xtol=1e-12, ftol=1e-12
+    )
+    variance = max(
+        float(solution.fun @ solution.fun) / freedom,
+        float(np.mean([outline.deviation_px**2 for outline in outlines])),
+    )
+    covariance = variance * np.linalg.pinv(solution.jac.T @ solution.jac)[:terms, :terms]
+    cuts = np.cumsum([len(corners) for corners, _ in matched])[:-1]
+    parts = tuple(np.split(solution.fun.reshape(-1, 2), cuts))
+    return _PlaneFit(_PlaneMap(solution.x[:terms], center), covariance, parts)
+
+
+def _place(
+    corners: Float[np.ndarray, "n 2"], pose: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "n 2"]:
+    c, s = np.cos(pose[0]), np.sin(pose[0])
+    return corners @ np.array([(c, s), (-s, c)]) + pose[1:]
+
+
+def _match_corners(
+    outline: Outline, shape: KnownShape, aspect: float
+) -> tuple[Float[np.ndarray, "n 2"], complex]:
+    """Corners in the shape's order, and rotation and scale of the best similarity transform."""
+    outline.require(shape)
+    reference = shape.corners[:, 0] + 1j * shape.corners[:, 1]
+    best, match = np.inf, None
+    for shift in range(len(reference)):
+        corners = np.roll(outline.corners_px, -shift, axis=0)
+        z = corners[:, 0] + 1j * corners[:, 1] * aspect
+        factor = complex(np.vdot(reference, z - z.mean()) / np.vdot(reference, reference))
+        misfit = float(np.linalg.norm(z - z.mean() - factor * reference))
+        if misfit < best * (1 - 1e-9):
+            best, match = misfit, (corners, factor)
+    assert match is not None
+    return match
