@@ -190,7 +190,7 @@ def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
 
 
 def _check_header(path: Path, name: str) -> None:
-    """Refuse damaged headers that meshio would read for ever, or with all of the memory."""
+    """Refuse damaged headers that meshio would read without end or with excessive memory."""
     if name == "ply" and not re.search(rb"^end_header\s*?$", path.read_bytes(), re.MULTILINE):
         raise ValueError("the header has no end")
     if name == "gmsh":
