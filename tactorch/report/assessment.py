@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float
 from tactorch.errors import TactorchError
 from tactorch.findings import Confidence, compute_confidence, find_lump
 from tactorch.inverse import NoiseModel, Point, Settings, settings_from, solution
-from tactorch.inverse.nuisance.press_model import PressModelFactory
-from tactorch.inverse.nuisance.values import Nuisance
+from tactorch.inverse.nuisance import Nuisance, PressModelFactory
 from tactorch.recording import Recording
 from tactorch.report.runs import Run
 from tactorch.uncertainty import credibility
