@@ -1,8 +1,7 @@
 """Find a stiff ball in a soft cube from noisy presses on three sides.
 
 The presses are solved on a finer mesh than that of the inversion, and have 40 dB of noise: no
-inverse crime. The mesh is coarse, so that it takes seconds; `make demo` does the same on a finer
-one.
+inverse crime. The mesh is coarse, to run in seconds; `make demo` uses a finer one.
 """
 
 import numpy as np
@@ -11,7 +10,7 @@ from tactorch import PressPlan, find_lump, invert, make_phantom, scores, simulat
 
 
 def main() -> dict[str, float]:
-    """Simulate, invert, and tell where the ball is."""
+    """Simulate, invert, and locate the ball."""
     phantom = make_phantom("cube_sphere", depth=0.35, radius=0.22)  # cube of 10 mm, 0.2 and 1 MPa
     recording = simulate(
         phantom,
@@ -23,7 +22,7 @@ def main() -> dict[str, float]:
     )
     result = invert(recording)
     inclusion = find_lump(recording.mesh, result.youngs)
-    assert inclusion is not None, "nothing stands out of the map"
+    assert inclusion is not None, "no lump stands out of the map"
     score = scores(recording.mesh, result.youngs, recording.truth)
     off = np.linalg.norm(inclusion.center_mm - [5.0, 5.0, 6.5])
     found = {
@@ -34,7 +33,7 @@ def main() -> dict[str, float]:
         "chi2": result.history[-1]["chi2"],
     }
     print(f"centre off by {off:.2f} mm, radius {found['radius_mm']:.2f} mm (true 2.20)")
-    print(f"{found['contrast']:.1f} times as stiff as what surrounds it (true 5.0)")
+    print(f"{found['contrast']:.1f} times as stiff as its surroundings (true 5.0)")
     print(f"correlation with the truth {found['pearson']:.2f}, chi2 {found['chi2']:.2f}")
     print(f"stopped because {result.stop_reason}")
     return found

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tactorch.fem import SoftBody, Supports, make_material
-    from tactorch.findings import find_lump, finding_of
+    from tactorch.findings import build_finding, find_lump
     from tactorch.importers import import_published
     from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
     from tactorch.mesh import TetMesh, read_mesh, tetrahedralize
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tactorch.simulation import PressPlan, simulate
 
 _HOMES = {
-    "tactorch.findings": ("find_lump", "finding_of"),
+    "tactorch.findings": ("find_lump", "build_finding"),
     "tactorch.fem": ("SoftBody", "Supports", "make_material"),
     "tactorch.importers": ("import_published",),
     "tactorch.inverse": ("GaussNewton", "Reconstruction", "Settings", "invert"),
@@ -43,9 +43,9 @@ __all__ = [
     "SoftBody",
     "Supports",
     "TetMesh",
+    "build_finding",
     "find_inclusion",
     "find_lump",
-    "finding_of",
     "import_published",
     "invert",
     "make_material",

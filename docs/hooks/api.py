@@ -68,9 +68,9 @@ REST = "more"
 #: Names that lead their package; the others follow in the order of `__all__`.
 FIRST = (
     "Recording", "Press", "Phantom", "make_phantom", "simulate", "PressPlan", "invert", "Settings",
-    "Reconstruction", "posterior_of", "sample", "SoftBody", "Supports", "make_material", "TetMesh",
-    "read_mesh", "tetrahedralize", "SensorDescription", "load_sensor", "SensorChain", "record",
-    "scores", "find_lump", "find_inclusion", "TactorchError",
+    "Reconstruction", "compute_posterior", "sample", "SoftBody", "Supports", "make_material",
+    "TetMesh", "read_mesh", "tetrahedralize", "SensorDescription", "load_sensor", "SensorChain",
+    "record", "scores", "find_lump", "find_inclusion", "TactorchError",
 )  # fmt: skip
 
 

@@ -9,11 +9,11 @@ from tactorch.cli.runs import with_settings
 from tactorch.cli.settings import log
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
-from tactorch.findings import Finding, finding_of
+from tactorch.findings import Finding, build_finding
 from tactorch.inverse import settings_from
 from tactorch.recording import Recording
 from tactorch.report import Run, load_run
-from tactorch.uncertainty import GaussianPosterior, posterior_of
+from tactorch.uncertainty import GaussianPosterior, compute_posterior
 from tactorch.uncertainty.select import UNCOMPUTABLE
 
 
@@ -27,7 +27,7 @@ def run(cfg: DictConfig) -> Finding:
         )
     youngs = found.result.youngs
     posterior = _posterior(found, found.recording) if cfg.uncertainty else None
-    finding = finding_of(found.recording, youngs, posterior, most=cfg.most)
+    finding = build_finding(found.recording, youngs, posterior, max_lumps=cfg.max_lumps)
     values, text = finding.plain(), finding.text()
     if cfg.recognizer is not None:
         from tactorch.findings.recognition import load_recognizer, recognise
@@ -49,7 +49,7 @@ def _posterior(found: Run, recording: Recording) -> GaussianPosterior | None:
     complete = with_settings(found)
     try:
         settings = complete.settings or settings_from(complete.result.config)
-        return posterior_of(recording, complete.result, settings)
+        return compute_posterior(recording, complete.result, settings)
     except UNCOMPUTABLE as error:
         reason = str(error) or "the memory does not suffice"
         log.warning("how sure it is cannot be told: %s", reason)

@@ -122,7 +122,7 @@ _NAMES_OF: dict[Kind, str] = {
         max_trials workers max_epochs splits hidden layers voxels batch split patience
         width encoded cells held_out folds rounds reference_frames max_frames pictures
         min_frames divisions tnc_evaluations places epochs candidates
-        max_batch max_iterations max_presses most
+        max_batch max_iterations max_presses max_lumps
     """,
     _TEXT: """
         name misfit model_error element generator hold space hessian source weight_rule executor

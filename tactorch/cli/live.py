@@ -11,10 +11,10 @@ from omegaconf import DictConfig
 from tactorch.cli.kinds import HOMOGENEOUS
 from tactorch.cli.live_view import PAGE, Screen
 from tactorch.cli.logs import tell
-from tactorch.cli.outputs import finding
 from tactorch.cli.settings import folder, inversion_of, log, plain
 from tactorch.config import build, settings_of
 from tactorch.errors import ConfigError, TactorchError
+from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import Start, homogeneous
 from tactorch.recording import Recording
 from tactorch.sampling import (
@@ -100,7 +100,7 @@ def _log_result(result: LoopResult, out: Path) -> None:
     logging.getLogger("tactorch").info("The run ended: %s.", result.reason)
     update = result.update
     if update is not None:
-        log.info("%s", finding(update.lump, update.entry["youngs_median_mpa"]))
+        log.info("%s", summarize_inclusion(update.lump, update.entry["youngs_median_mpa"]))
         if update.recording.truth is not None:
             from tactorch.cli.outputs import score_table
 

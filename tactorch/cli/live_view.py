@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactorch.cli.live_page import page
-from tactorch.cli.outputs import finding
 from tactorch.cli.settings import log
 from tactorch.files import atomic_path
+from tactorch.findings.text import summarize_inclusion, summarize_plain
 from tactorch.sampling import LoopResult, Observer, Update
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Screen(Observer):
     def updated(self, update: Update) -> None:
         """See `Observer.updated`."""
         self._entries.append(update.entry)
-        self._finding = finding(update.lump, update.entry["youngs_median_mpa"])
+        self._finding = summarize_inclusion(update.lump, update.entry["youngs_median_mpa"])
         self._status = f"{update.entry['press']} presses; choosing the next place"
         number, seconds, chi2, lump = cells(update.entry)[:4]
         log.info("press %s: %s, chi2 %s, %s", number, seconds, chi2, lump)
@@ -166,21 +166,9 @@ def cells(entry: dict[str, Any]) -> tuple[str, ...]:
         str(entry["press"]) if entry["names"] else f"{entry['press']}, refined",
         f"{entry['seconds']:.1f} s",
         f"{entry['chi2']:.2g}",
-        _inclusion(entry),
+        summarize_plain(entry["inclusion"], entry["youngs_median_mpa"]),
         _deviation(entry),
         _next(entry),
-    )
-
-
-def _inclusion(entry: dict[str, Any]) -> str:
-    lump = entry["inclusion"]
-    if lump is None:
-        return f"none; {entry['youngs_median_mpa']:.3g} MPa"
-    x, y, z = lump["center_mm"]
-    return (
-        f"{lump['side']} at ({x:.1f}, {y:.1f}, {z:.1f}) mm, radius "
-        f"{lump['equivalent_radius_mm']:.1f} mm: {lump['mean_mpa']:.3g} MPa in "
-        f"{lump['background_mpa']:.3g}"
     )
 
 

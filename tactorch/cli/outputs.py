@@ -16,6 +16,7 @@ from tactorch.cli.tables import Table
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
 from tactorch.findings import find_lump
+from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import NuisanceEstimate, Reconstruction
 from tactorch.metrics import Inclusion, scores
 from tactorch.recording import Recording
@@ -154,7 +155,7 @@ def describe(
         f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
         f"Displacements are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations "
         f"(misfit {summary['misfit']:.3g} mm2).",
-        finding(inclusion, summary["youngs_median_mpa"]),
+        summarize_inclusion(inclusion, summary["youngs_median_mpa"]),
         *(_estimate(name, found) for name, found in reconstruction.nuisance.items()),
     ]
     if summary["volume_at_bounds"] > _MOST_AT_BOUNDS:
@@ -166,7 +167,9 @@ def describe(
     if recording.truth is not None:
         true = find_lump(recording.mesh, recording.truth)
         if true is not None and inclusion is not None:
-            lines.append("In truth: " + finding(true, float(np.median(recording.truth))))
+            lines.append(
+                "In truth: " + summarize_inclusion(true, float(np.median(recording.truth)))
+            )
     return "\n".join((*lines, *(f"\n{table.text()}" for table in tables)))
 
 
@@ -178,19 +181,6 @@ def _estimate(name: str, found: NuisanceEstimate) -> str:
     values = ", ".join(f"{value:.4g} +- {deviation:.2g}" for value, deviation in pairs)
     told = "" if found.is_informative else " (the data tell little)"
     return f"Estimated beside the map: {name} {values}{told}."
-
-
-def finding(inclusion: Inclusion | None, median_mpa: float) -> str:
-    """Say where the inclusion is, how large and how stiff."""
-    if inclusion is None:
-        return f"No inclusion stands out; Young's modulus is {median_mpa:.3g} MPa."
-    x, y, z = inclusion.center_mm
-    kind = "stiff" if inclusion.mean_mpa > inclusion.background_mpa else "soft"
-    return (
-        f"A {kind} inclusion at ({x:.2f}, {y:.2f}, {z:.2f}) mm, as large as a ball of radius "
-        f"{inclusion.equivalent_radius_mm:.2f} mm: {inclusion.mean_mpa:.3g} MPa on average in "
-        f"{inclusion.background_mpa:.3g} MPa."
-    )
 
 
 def histories_of(runs: Sequence[Path], own_name: str) -> dict[str, History]:

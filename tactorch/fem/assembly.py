@@ -19,8 +19,6 @@ from tactorch.fem.materials import (
     VolumetricDerivatives,
 )
 
-_NO_MEAN = np.empty(0)
-
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -96,46 +94,38 @@ class Assembly:
         kernels.kinematics(self.discretisation.nodes, self.gradients, u, F, invariants)
         if not self.material.allows_inversion and not invariants[2].min() > 0.0:
             return None
+        stress = np.empty_like(F)
+        derivatives = mean = None
         if isinstance(self.material, IsotropicMaterial):
-            return self._isotropic(self.material, F, invariants)
-        return self._general(F, invariants)
+            energy, derivatives, mean = self._strain_energy(self.material, invariants)
+            first = (derivatives.d1, derivatives.d2, derivatives.dj)
+            d1, d2, dj = (np.ascontiguousarray(np.broadcast_to(d, shape)) for d in first)
+            kernels.stress(F, invariants, d1, d2, dj, stress)
+        else:
+            gradient = torch.from_numpy(F)
+            poisson = torch.as_tensor(self._per_point(), dtype=torch.float64)
+            energy = (self.weights * self.material.energy(gradient, poisson).numpy()).sum(axis=1)
+            stress[...] = self.material.stress(gradient, poisson).numpy()
+        forces = np.empty((len(F), self.gradients.shape[2], 3))
+        kernels.element_forces(self.gradients, stress, self.weights, forces)
+        return Response(F, invariants, energy, forces, derivatives, mean)
 
-    def _isotropic(
-        self, material: IsotropicMaterial, F: np.ndarray, invariants: np.ndarray
-    ) -> Response:
+    def _strain_energy(
+        self, material: IsotropicMaterial, invariants: np.ndarray
+    ) -> tuple[np.ndarray, InvariantDerivatives, VolumetricDerivatives | None]:
+        """Energy of each element, its derivatives, and the volumetric part where averaged."""
         i1, i2, j = invariants
-        poisson = self._per_point()
-        strain = material.strain_derivatives(i1, i2, j, np.log(j), poisson)
-        mean = None
+        poisson, log_j = self._per_point(), np.log(j)
+        strain = material.strain_derivatives(i1, i2, j, log_j, poisson)
+        energy = (self.weights * strain.psi).sum(axis=1)
         if self.discretisation.element.mean_dilatation:
             average = (self.weights * j).sum(axis=1) / self.volumes
             mean = material.volumetric_derivatives(average, np.log(average), self.poisson)
-            dj, djj = strain.dj + np.reshape(mean.dj, (-1, 1)), strain.djj
-            energy = (self.weights * strain.psi).sum(axis=1) + self.volumes * mean.psi
-        else:
-            volume = material.volumetric_derivatives(j, np.log(j), poisson)
-            dj, djj = strain.dj + volume.dj, strain.djj + volume.djj
-            energy = (self.weights * (strain.psi + volume.psi)).sum(axis=1)
-        d = strain._replace(dj=dj, djj=djj)
-        stress = np.empty_like(F)
-        full = [np.ascontiguousarray(np.broadcast_to(x, j.shape)) for x in (d.d1, d.d2, d.dj)]
-        kernels.stress(F, invariants, *full, stress)
-        return Response(F, invariants, energy, self._forces(stress), d, mean)
-
-    def _general(self, F: np.ndarray, invariants: np.ndarray) -> Response:
-        gradient, poisson = (
-            torch.from_numpy(F),
-            torch.as_tensor(self._per_point(), dtype=torch.float64),
-        )
-        density = self.material.energy(gradient, poisson).numpy()
-        stress = np.ascontiguousarray(self.material.stress(gradient, poisson).numpy())
-        energy = (self.weights * density).sum(axis=1)
-        return Response(F, invariants, energy, self._forces(stress), None, None)
-
-    def _forces(self, stress: np.ndarray) -> np.ndarray:
-        out = np.empty((len(stress), self.gradients.shape[2], 3))
-        kernels.element_forces(self.gradients, stress, self.weights, out)
-        return out
+            total = strain._replace(dj=strain.dj + np.reshape(mean.dj, (-1, 1)))
+            return energy + self.volumes * mean.psi, total, mean
+        volume = material.volumetric_derivatives(j, log_j, poisson)
+        energy = energy + (self.weights * volume.psi).sum(axis=1)
+        return energy, strain._replace(dj=strain.dj + volume.dj, djj=strain.djj + volume.djj), None
 
     def internal_force(
         self, response: Response, youngs: Float[np.ndarray, " m"]
@@ -146,30 +136,44 @@ class Assembly:
         return out
 
     def tangent(
-        self, response: Response, youngs: Float[np.ndarray, " m"]
+        self,
+        response: Response,
+        youngs: Float[np.ndarray, " m"],
+        springs: Float[np.ndarray, "nodes 3"] | None = None,
+        *,
+        project: bool = False,
     ) -> Float[np.ndarray, " nnz"]:
-        """Return the upper-triangle values of the elastic tangent, N/mm."""
-        values = np.zeros(self.discretisation.pattern.nnz)
-        self._add_tangent(response, youngs, self.discretisation.slots, values)
-        return values
+        """Return the upper-triangle values of the tangent, N/mm.
 
-    def _add_tangent(
-        self, response: Response, youngs: np.ndarray, slots: np.ndarray, values: np.ndarray
-    ) -> None:
-        weights = self.weights * youngs[:, None]
+        Args:
+            response: Element responses.
+            youngs: Young's modulus of each element, MPa.
+            springs: Stiffness of springs on the nodes, N/mm; none by default.
+            project: Whether the negative eigenvalues of each element are set to zero.
+        """
+        d, weights = self.discretisation, self.weights * youngs[:, None]
+        values, slots = np.zeros(d.pattern.nnz), d.slots
+        if project:  # the entries of each element by itself
+            values = np.zeros(slots.size)
+            slots = np.arange(slots.size, dtype=np.int32).reshape(slots.shape)
         if response.derivatives is None:
             kernels.scatter_blocks(self._general_blocks(response, weights), slots, values)
-            return
-        coefficients = np.empty((9, *self.weights.shape))
-        for row, derivative in zip(coefficients, response.derivatives[1:], strict=True):
-            row[...] = derivative
-        mean = _NO_MEAN
-        if response.mean is not None:
-            mean = np.broadcast_to(response.mean.djj, youngs.shape) / (self.volumes * youngs)
-        kernels.tangent(
-            self.gradients, response.F, response.invariants, coefficients, weights, mean,
-            slots, values,
-        )  # fmt: skip
+        else:
+            coefficients = np.empty((9, *weights.shape))
+            for row, derivative in zip(coefficients, response.derivatives[1:], strict=True):
+                row[...] = derivative
+            mean = np.empty(0)
+            if response.mean is not None:
+                mean = np.broadcast_to(response.mean.djj, youngs.shape) / (self.volumes * youngs)
+            kernels.tangent(
+                self.gradients, response.F, response.invariants, coefficients, weights, mean,
+                slots, values,
+            )  # fmt: skip
+        if project:
+            values = self._project(values.reshape(slots.shape))
+        if springs is not None:
+            values[d.pattern.diagonal] += springs.ravel()
+        return values
 
     def _general_blocks(self, response: Response, weights: np.ndarray) -> np.ndarray:
         """Upper-triangle entries of the element tangents of a general material."""
@@ -183,21 +187,15 @@ class Assembly:
         rows, cols = self.discretisation.entry_rows_cols
         return np.ascontiguousarray(dense.numpy()[:, rows, cols])
 
-    def projected_tangent(
-        self, response: Response, youngs: Float[np.ndarray, " m"]
-    ) -> Float[np.ndarray, " nnz"]:
-        """Return the tangent with the negative eigenvalues of each element set to zero."""
-        rows, cols = self.discretisation.entry_rows_cols
-        m, entries = self.discretisation.slots.shape
-        blocks = np.zeros(m * entries)
-        slots = np.arange(m * entries, dtype=np.int32).reshape(m, entries)
-        self._add_tangent(response, youngs, slots, blocks)
-        size = self.discretisation.unknowns.shape[1]
-        dense = np.zeros((m, size, size))
-        dense[:, rows, cols] = dense[:, cols, rows] = blocks.reshape(m, entries)
+    def _project(self, entries: Float[np.ndarray, "m entries"]) -> Float[np.ndarray, " nnz"]:
+        """Assemble element tangents with their negative eigenvalues set to zero."""
+        d = self.discretisation
+        rows, cols = d.entry_rows_cols
+        size = d.unknowns.shape[1]
+        dense = np.zeros((len(entries), size, size))
+        dense[:, rows, cols] = dense[:, cols, rows] = entries
         eigenvalues, vectors = np.linalg.eigh(dense)
         positive = (vectors * np.maximum(eigenvalues, 0.0)[:, None, :]) @ vectors.swapaxes(1, 2)
-        values = np.zeros(self.discretisation.pattern.nnz)
-        entries_of_elements = np.ascontiguousarray(positive[:, rows, cols])
-        kernels.scatter_blocks(entries_of_elements, self.discretisation.slots, values)
+        values = np.zeros(d.pattern.nnz)
+        kernels.scatter_blocks(np.ascontiguousarray(positive[:, rows, cols]), d.slots, values)
         return values

@@ -97,9 +97,9 @@ class Newton:
         forces: Nodal forces, N.
         supports: Supports.
         options: Settings of the search.
-        after: A search with a similar tangent whose factorisation is reused: the first steps need
-            none of their own, and on large meshes memory is needed for one only. The search
-            `after` then has to factor again.
+        after: A search with a similar tangent whose factorisation is reused, so that the first
+            steps need no factorisation and large meshes memory for one only. The search `after`
+            then has to factor again.
     """
 
     def __init__(
@@ -158,7 +158,8 @@ class Newton:
         """Return the linearisation at an equilibrium; the search's solver passes to it."""
         assert result.response is not None
         self._use_double_precision()
-        values = self.pattern.apply_dirichlet(self._tangent(result.response), self._fixed)
+        tangent = self.assembly.tangent(result.response, self.youngs, self.supports.springs)
+        values = self.pattern.apply_dirichlet(tangent, self._fixed)
         self._factored = False
         return Linearization(
             self.assembly, self.youngs, result.displacement, result.response, values,
@@ -198,16 +199,6 @@ class Newton:
             f"balance beyond {load:.0%} of the load. Lower the forces, check their unit (N) and "
             "that of the moduli (MPa), or spread the load."
         )
-
-    def _tangent(self, response: Response) -> np.ndarray:
-        values = self.assembly.tangent(response, self.youngs)
-        values[self.pattern.diagonal] += self.supports.springs.ravel()
-        return values
-
-    def _projected_tangent(self, response: Response) -> np.ndarray:
-        values = self.assembly.projected_tangent(response, self.youngs)
-        values[self.pattern.diagonal] += self.supports.springs.ravel()
-        return values
 
     def _energy(self, response: Response, u: np.ndarray, load: float) -> tuple[float, float]:
         """Total energy, and the magnitude of its terms, to which round-off is relative."""
@@ -284,13 +275,15 @@ class Newton:
         self, response: Response, residual: np.ndarray, jump: np.ndarray, rtol: float
     ) -> np.ndarray | None:
         """Newton step, in which fixed unknowns move by `jump`; None if the tangent is singular."""
-        step = self._solve(self._tangent(response), residual, jump, rtol)
+        body, springs = self.assembly, self.supports.springs
+        tangent = body.tangent(response, self.youngs, springs)
+        step = self._solve(tangent, residual, jump, rtol)
         if step is None or (not jump.any() and dot(residual, step) > 0.0):
-            step = self._solve(self._projected_tangent(response), residual, jump)
+            tangent = body.tangent(response, self.youngs, springs, project=True)
+            step = self._solve(tangent, residual, jump)
         if step is None:  # semi-definite and singular
-            values = self._projected_tangent(response)
-            values[self.pattern.diagonal] *= 1.0 + 1e-6
-            step = self._solve(values, residual, jump)
+            tangent[self.pattern.diagonal] *= 1.0 + 1e-6
+            step = self._solve(tangent, residual, jump)
         return None if step is None else step.reshape(-1, 3)
 
     def _solve(

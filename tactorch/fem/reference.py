@@ -18,9 +18,24 @@ def deformation_gradient(
     gradients: Float[Tensor, "m q k 3"],
 ) -> Float[Tensor, "*cases m q 3 3"]:
     """Return F = I + sum over nodes of u (x) g, at every quadrature point."""
-    nodes = torch.from_numpy(discretisation.nodes).to(u.device)
-    one = torch.eye(3, dtype=u.dtype, device=u.device)
+    nodes = torch.from_numpy(discretisation.nodes)
+    one = torch.eye(3, dtype=u.dtype)
     return one + torch.einsum("...mki,mqkI->...mqiI", u[..., nodes, :], gradients)
+
+
+def _energy(
+    material: Material, averaged: bool, F: Tensor, weights: Tensor, poisson: Tensor
+) -> Float[Tensor, "*cases m"]:
+    """Energy of each element per unit modulus, mm^3."""
+    per_point = poisson[..., None] if poisson.ndim else poisson
+    if not (averaged and isinstance(material, IsotropicMaterial)):
+        return (weights * material.energy(F, per_point)).sum(-1)
+    i1, i2, j = invariants(F)
+    volumes = weights.sum(-1)
+    mean = (weights * j).sum(-1) / volumes
+    strain = material.strain_energy(i1, i2, j, torch.log(j), per_point)
+    volume = material.volumetric_energy(mean, torch.log(mean), poisson)
+    return (weights * strain).sum(-1) + volumes * volume
 
 
 def element_energy(
@@ -33,17 +48,25 @@ def element_energy(
     """Return the energy of each element per unit modulus, mm^3 (eq. 2 over its volume)."""
     gradients, weights = discretisation.geometry(points)
     F = deformation_gradient(discretisation, u, gradients)
-    per_point = poisson[..., None] if poisson.ndim else poisson
-    averaged = discretisation.element.mean_dilatation and isinstance(material, IsotropicMaterial)
-    if not averaged:
-        return (weights * material.energy(F, per_point)).sum(-1)
-    assert isinstance(material, IsotropicMaterial)
-    i1, i2, j = invariants(F)
-    volumes = weights.sum(-1)
-    mean = (weights * j).sum(-1) / volumes
-    strain = material.strain_energy(i1, i2, j, torch.log(j), per_point)
-    volume = material.volumetric_energy(mean, torch.log(mean), poisson)
-    return (weights * strain).sum(-1) + volumes * volume
+    return _energy(material, discretisation.element.mean_dilatation, F, weights, poisson)
+
+
+def _weighted_stress(
+    discretisation: Discretisation,
+    material: Material,
+    u: Tensor,
+    poisson: Tensor,
+    points: Tensor,
+) -> tuple[Float[Tensor, "*cases m q 3 3"], Float[Tensor, "m q k 3"]]:
+    """Stress per unit modulus times the quadrature volumes, mm^3; shape gradients, 1/mm."""
+    gradients, weights = discretisation.geometry(points)
+    averaged = discretisation.element.mean_dilatation
+    F = deformation_gradient(discretisation, u, gradients)
+
+    def total(F: Tensor) -> Tensor:
+        return _energy(material, averaged, F, weights, poisson).sum()
+
+    return torch.func.grad(total)(F), gradients
 
 
 def element_work(
@@ -55,17 +78,10 @@ def element_work(
     points: Float[Tensor, "n 3"],
 ) -> Float[Tensor, "*cases m"]:
     """Return the virtual work of each element's unit force (eq. 11) on `v`, mm^3."""
-    gradients, weights = discretisation.geometry(points)
-    F = deformation_gradient(discretisation, u, gradients)
-    one = torch.eye(3, dtype=u.dtype, device=u.device)
-    change = deformation_gradient(discretisation, v, gradients) - one
-    per_point = poisson[..., None] if poisson.ndim else poisson
-    averaged = discretisation.element.mean_dilatation and isinstance(material, IsotropicMaterial)
-    if not averaged:
-        return (weights * (material.stress(F, per_point) * change).sum((-2, -1))).sum(-1)
-    assert isinstance(material, IsotropicMaterial)
-    stress = material.averaged_stress(F, weights, poisson)
-    return (weights * (stress * change).sum((-2, -1))).sum(-1)
+    stress, gradients = _weighted_stress(discretisation, material, u, poisson, points)
+    nodes = torch.from_numpy(discretisation.nodes)
+    change = torch.einsum("...mki,mqkI->...mqiI", v[..., nodes, :], gradients)
+    return (stress * change).sum((-3, -2, -1))
 
 
 def internal_force(
@@ -76,16 +92,8 @@ def internal_force(
     poisson: Float[Tensor, "*m"],
     points: Float[Tensor, "n 3"],
 ) -> Float[Tensor, "*cases nodes 3"]:
-    """Return the nodal elastic forces, N: the work of the elements on unit displacements."""
-    gradients, weights = discretisation.geometry(points)
-    F = deformation_gradient(discretisation, u, gradients)
-    per_point = poisson[..., None] if poisson.ndim else poisson
-    if discretisation.element.mean_dilatation and isinstance(material, IsotropicMaterial):
-        stress = material.averaged_stress(F, weights, poisson)
-    else:
-        stress = material.stress(F, per_point)
-    scaled = weights * youngs[:, None]
-    blocks = torch.einsum("mq,...mqiI,mqkI->...mki", scaled, stress, gradients)
-    nodes = torch.from_numpy(discretisation.nodes).to(u.device).reshape(-1)
-    out = torch.zeros_like(u)
-    return out.index_add(u.ndim - 2, nodes, blocks.flatten(-3, -2))
+    """Return the nodal elastic forces, N."""
+    stress, gradients = _weighted_stress(discretisation, material, u, poisson, points)
+    blocks = torch.einsum("m,...mqiI,mqkI->...mki", youngs, stress, gradients)
+    nodes = torch.from_numpy(discretisation.nodes).reshape(-1)
+    return torch.zeros_like(u).index_add(u.ndim - 2, nodes, blocks.flatten(-3, -2))

@@ -1,16 +1,17 @@
-"""What a map of Young's modulus is good for: where a lump is, how deep, how sure, which shape.
+"""Findings: lumps of a map with depth, confidence and text.
 
-- `find_lumps`: the parts of a map that stand out, the most conspicuous first; `find_lump`: that
-  one alone.
-- `lay_under`: how deep a lump lies under what was pressed.
-- `finding_of`: lumps, depths and, with a posterior, how sure; as numbers and as text.
-- `tactorch.findings.recognition`: which of the shapes that a recognizer knows a map shows;
-  imported by itself, because it loads Lightning.
+- `find_lumps`, `find_lump`: regions that stand out of a map, the most conspicuous first.
+- `measure_depth`: depth of a region below the pressed surface.
+- `compute_confidence`: probability and intervals of a lump by the posterior.
+- `build_finding`: lumps with depths and confidences, as numbers and text.
+- `tactorch.findings.text`: sentences and facts that the command line, report and live runs show.
+- `tactorch.findings.recognition`: probability of each shape that a recognizer knows; imported
+  separately, because it loads Lightning.
 """
 
-from tactorch.findings.confidence import Confidence, confidence_of
-from tactorch.findings.depth import Depth, lay_under
-from tactorch.findings.finding import Finding, Lump, finding_of
+from tactorch.findings.confidence import Confidence, compute_confidence
+from tactorch.findings.depth import Depth, measure_depth
+from tactorch.findings.finding import Finding, Lump, build_finding
 from tactorch.findings.lumps import find_lump, find_lumps
 
 __all__ = [
@@ -18,9 +19,9 @@ __all__ = [
     "Depth",
     "Finding",
     "Lump",
-    "confidence_of",
+    "build_finding",
+    "compute_confidence",
     "find_lump",
     "find_lumps",
-    "finding_of",
-    "lay_under",
+    "measure_depth",
 ]

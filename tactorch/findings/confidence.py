@@ -1,4 +1,4 @@
-"""How sure a lump is, by maps drawn from the posterior of the moduli."""
+"""Confidence of a lump by maps drawn from the posterior."""
 
 from dataclasses import dataclass
 
@@ -6,27 +6,25 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtr
 
-from tactorch.findings.lumps import around
+from tactorch.findings.lumps import adjacent_elements
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
 from tactorch.metrics.segment import Side
 from tactorch.uncertainty import GaussianPosterior
 
-#: Draws, and what the ends of a 90 % interval leave out on either side.
-DRAWS, _TAIL = 400, 0.05
+_TAIL = 0.05  # probability outside a 90 % interval, on either side
 
 
 @dataclass(frozen=True, eq=False)
 class Confidence:
-    """What the posterior says of a lump.
+    """Probability and intervals of a lump.
 
-    It knows the noise that is stated and the prior, and nothing of what is wrong with the model;
-    and the lump was looked for, so that the strongest of many chance ones seems surer than it is.
+    They account for the stated noise and the prior, but not for model errors. The lump was
+    selected as the most conspicuous one, so its probability is optimistic.
 
     Attributes:
-        probability: That the lump is stiffer (or softer) than what surrounds it, 0 to 1.
-        contrast: Least and largest ratio of the moduli that 90 % of the draws hold; each is that
-            of the geometric means over the volumes.
+        probability: Probability that the lump is stiffer (or softer) than its surroundings.
+        contrast: 90 % interval of the ratio of the moduli's geometric means.
         center_deviation_mm: Standard deviation of the centre along x, y and z, (3,), mm.
     """
 
@@ -35,44 +33,47 @@ class Confidence:
     center_deviation_mm: Float[np.ndarray, "3"]
 
     def at_least(self, side: Side) -> float:
-        """Return how many times as stiff (or as soft) the lump is at least, with 95 %.
+        """Return the 95 % lower bound of the contrast as a ratio above 1.
 
-        The upper end is not to be told like that: total variation draws a lump towards what
-        surrounds it, so that the true contrast is often beyond.
+        An upper bound is not given: total variation shrinks contrasts, so that the true one is
+        often larger.
         """
         return self.contrast[0] if side == "stiff" else 1.0 / self.contrast[1]
 
 
-def confidence_of(
+def compute_confidence(
     mesh: TetMesh,
     lump: Inclusion,
     posterior: GaussianPosterior,
     *,
-    draws: int = DRAWS,
+    draws: int = 400,
     seed: int = 0,
 ) -> Confidence:
-    """Tell how sure a lump is.
+    """Estimate the confidence of a lump from posterior samples.
 
     Args:
-        mesh: The body.
-        lump: Part of the map that the posterior belongs to.
-        posterior: As `tactorch.uncertainty.posterior_of` returns it.
-        draws: Maps drawn.
-        seed: Of the draws.
+        mesh: Mesh of the map.
+        lump: Lump of the posterior's map.
+        posterior: Posterior, see `tactorch.uncertainty.compute_posterior`.
+        draws: Number of samples.
+        seed: Seed of the samples.
+
+    Returns:
+        Probability and intervals.
     """
     rng = np.random.default_rng(seed)
     x = np.clip(posterior.sample(rng, draws), *posterior.parameterization.limits)
-    youngs = np.log(np.array([posterior.parameterization.youngs(row) for row in x]))
+    log_youngs = np.log(np.array([posterior.parameterization.youngs(row) for row in x]))
     sign = 1.0 if lump.side == "stiff" else -1.0
-    inside, near = lump.elements, around(mesh, lump.elements)
-    logs = _mean(mesh, youngs, inside) - _mean(mesh, youngs, ~near)
-    ends = np.exp(np.quantile(logs, [_TAIL, 1.0 - _TAIL]))
-    spread = float(logs.std())
-    chance = float(ndtr(sign * float(logs.mean()) / spread)) if spread > 0 else 1.0
+    inside, near = lump.elements, adjacent_elements(mesh, lump.elements)
+    contrasts = _mean(mesh, log_youngs, inside) - _mean(mesh, log_youngs, ~near)
+    ends = np.exp(np.quantile(contrasts, [_TAIL, 1.0 - _TAIL]))
+    deviation = float(contrasts.std())
+    probability = ndtr(sign * float(contrasts.mean()) / deviation) if deviation > 0 else 1.0
     return Confidence(
-        probability=chance,
+        probability=float(probability),
         contrast=(float(ends[0]), float(ends[1])),
-        center_deviation_mm=_centers(mesh, sign * youngs, near).std(axis=0),
+        center_deviation_mm=_centers(mesh, sign * log_youngs, near).std(axis=0),
     )
 
 
@@ -87,7 +88,7 @@ def _mean(
 def _centers(
     mesh: TetMesh, signed: Float[np.ndarray, "n m"], near: Bool[np.ndarray, " m"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Centroid of what stands out, by how far it does, within the lump and what touches it."""
+    """Centroids of lump and adjacent elements, weighted by the excess over the background."""
     background = _mean(mesh, signed, ~near)[:, None]
     excess = np.maximum(signed - background, 0.0) * (mesh.volumes * near)
     total = excess.sum(axis=1, keepdims=True)

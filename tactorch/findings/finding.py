@@ -1,34 +1,30 @@
-"""What a map shows, in numbers and in words."""
+"""Lumps of a map as numbers with intervals."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.findings.confidence import Confidence, confidence_of
-from tactorch.findings.depth import Depth, lay_under
+from tactorch.findings.confidence import Confidence, compute_confidence
+from tactorch.findings.depth import Depth, measure_depth
 from tactorch.findings.lumps import find_lumps
+from tactorch.findings.text import describe_lump
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
-from tactorch.metrics.segment import Side
 from tactorch.recording import Recording
 from tactorch.uncertainty import GaussianPosterior
-
-#: Chances up to which a lump is called likely, and below which it is not believed.
-_SURE, _DOUBTFUL = 0.99, 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class Lump:
-    """A lump: what stands out, how deep it lies, and how sure it is.
+    """A lump with its depth and confidence.
 
     Attributes:
-        inclusion: Place, size, moduli and elements.
-        size_mm: Of its bounding box along x, y and z, (3,), mm.
-        depth: Under what was pressed; None where nothing was.
-        confidence: By the posterior; None without one.
+        inclusion: Location, size, moduli and elements.
+        size_mm: Size along x, y and z, (3,), mm.
+        depth: Depth below the presses; None if no press pushes.
+        confidence: Confidence by the posterior; None without a posterior.
     """
 
     inclusion: Inclusion
@@ -38,10 +34,10 @@ class Lump:
 
     def plain(self) -> dict[str, Any]:
         """Return plain values: mm, MPa, mm^3."""
-        found, depth, sure = self.inclusion, self.depth, self.confidence
+        inclusion, depth, confidence = self.inclusion, self.depth, self.confidence
         values: dict[str, Any] = {
-            **found.plain(),
-            "contrast": float(found.contrast),
+            **inclusion.plain(),
+            "contrast": float(inclusion.contrast),
             "size_mm": [float(x) for x in self.size_mm],
         }
         if depth is not None:
@@ -50,42 +46,25 @@ class Lump:
                 "cover_mm": depth.cover_mm,
                 "under": depth.face or [float(x) for x in depth.above_mm],
             }
-        if sure is not None:
+        if confidence is not None:
             values |= {
-                "probability": sure.probability,
-                "contrast_90": list(sure.contrast),
-                "center_deviation_mm": [float(x) for x in sure.center_deviation_mm],
+                "probability": confidence.probability,
+                "contrast_90": list(confidence.contrast),
+                "center_deviation_mm": [float(x) for x in confidence.center_deviation_mm],
             }
         return values
 
     def text(self) -> str:
-        """Say it in one sentence or three."""
-        found = self.inclusion
-        ratio = found.contrast if found.side == "stiff" else 1.0 / found.contrast
-        kind = "stiff" if found.side == "stiff" else "soft"
-        sentences = [
-            f"A {kind} lump {self._place()}, {_by(self.size_mm)} mm (as large as a ball of radius"
-            f" {found.equivalent_radius_mm:.2g} mm), {ratio:.2g} times as {kind} as what surrounds"
-            f" it ({found.mean_mpa:.3g} in {found.background_mpa:.3g} MPa)."
-        ]
-        if self.confidence is not None:
-            sentences.append(_certainty(self.confidence, found.side))
-        return " ".join(sentences)
-
-    def _place(self) -> str:
-        at = f"at ({', '.join(f'{x:.2f}' for x in self.inclusion.center_mm)}) mm"
-        if self.depth is None:
-            return at
-        side = f"the pressed side {self.depth.face}" if self.depth.face else "what was pressed"
-        return f"{at}, {self.depth.center_mm:.2f} mm under {side}"
+        """Return the lump as text, see `tactorch.findings.text.describe_lump`."""
+        return describe_lump(self.inclusion, self.size_mm, self.depth, self.confidence)
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """All that stands out in a map.
+    """All lumps of a map.
 
     Attributes:
-        lumps: The most conspicuous first.
+        lumps: Lumps, the most conspicuous first.
         background_mpa: Median modulus over the elements, MPa.
     """
 
@@ -100,72 +79,55 @@ class Finding:
         }
 
     def text(self) -> str:
-        """Say it for a person."""
+        """Return the finding as text, one line per lump."""
         if not self.lumps:
             return f"No lump stands out; Young's modulus is {self.background_mpa:.3g} MPa."
         return "\n".join(lump.text() for lump in self.lumps)
 
 
-def finding_of(
+def build_finding(
     recording: Recording,
     youngs: Float[np.ndarray, " m"],
     posterior: GaussianPosterior | None = None,
     *,
-    most: int = 5,
+    max_lumps: int = 5,
 ) -> Finding:
-    """Tell what stands out in a map of the object that was pressed.
+    """Find the lumps of a map, and measure their depth and confidence.
 
     Args:
-        recording: The presses; its truth is not read.
+        recording: Presses; the truth is not read.
         youngs: Map, (m,), MPa.
-        posterior: Of the same map; without it nothing is said of how sure the lumps are.
-        most: Lumps at most.
+        posterior: Posterior of the same map; without it the lumps have no confidence.
+        max_lumps: Largest number of lumps.
+
+    Returns:
+        The lumps and the background.
 
     Raises:
-        MeshError: The map is not over the elements of the recording's mesh, or a modulus of it
-            not above 0.
+        MeshError: The map does not fit the recording's mesh, or a modulus is not above 0.
     """
     mesh = recording.mesh
     lumps = [
         Lump(
-            inclusion=found,
-            size_mm=_extent(mesh, found),
-            depth=lay_under(mesh, recording.presses, found.center_mm, found.elements),
-            confidence=None if posterior is None else confidence_of(mesh, found, posterior),
+            inclusion=inclusion,
+            size_mm=_size(mesh, inclusion),
+            depth=measure_depth(mesh, recording.presses, inclusion.center_mm, inclusion.elements),
+            confidence=(
+                None if posterior is None else compute_confidence(mesh, inclusion, posterior)
+            ),
         )
-        for found in find_lumps(mesh, youngs, most=most)
+        for inclusion in find_lumps(mesh, youngs, max_lumps=max_lumps)
     ]
     return Finding(tuple(lumps), float(np.median(youngs)))
 
 
-def _extent(mesh: TetMesh, found: Inclusion) -> Float[np.ndarray, "3"]:
-    """Sides of the box around a lump's elements, as of a body of even density.
+def _size(mesh: TetMesh, inclusion: Inclusion) -> Float[np.ndarray, "3"]:
+    """Axes of the ellipsoid with the second moments of the elements.
 
-    The corners of elements that a lump only touches would make it too large: the box is that of
-    the ellipsoid with the same second moments.
+    The bounding box of the elements would be too large: it holds corners far from the lump.
     """
-    weights = mesh.volumes * found.elements
-    offsets = mesh.centroids - found.center_mm
-    within = np.ptp(mesh.points[mesh.tets], axis=1) ** 2 / 20.0  # about an element's own moment
+    weights = mesh.volumes * inclusion.elements
+    offsets = mesh.centroids - inclusion.center_mm
+    within = np.ptp(mesh.points[mesh.tets], axis=1) ** 2 / 20.0  # approximate moment of an element
     moments = (weights @ (offsets**2 + within)) / weights.sum()
     return 2.0 * np.sqrt(5.0 * moments)
-
-
-def _certainty(sure: Confidence, side: Side) -> str:
-    deviation = float(np.linalg.norm(sure.center_deviation_mm))
-    said = (
-        f"By noise and prior it is there with {_percent(sure.probability)}, at least"
-        f" {sure.at_least(side):.2g} times as {side} (95 %), its centre known to"
-        f" {deviation:.2g} mm."
-    )
-    if sure.probability < _DOUBTFUL:
-        return f"{said} Do not believe it without more presses."
-    return said if sure.probability >= _SURE else f"{said} More presses would settle it."
-
-
-def _percent(chance: float) -> str:
-    return "more than 99.9 %" if chance > 0.999 else f"{100 * chance:.3g} %"
-
-
-def _by(lengths: Sequence[float] | Float[np.ndarray, " k"]) -> str:
-    return " x ".join(f"{x:.2g}" for x in lengths)

@@ -1,4 +1,4 @@
-"""Which of the shapes that a recognizer knows a map shows (Section V-B)."""
+"""Recognition of the inclusion's shape by a trained network (Section V-B)."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from tactorch.learning.training import BEST, rebuild
 from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.metrics.checks import check_on_mesh
 
-_VOXELS = 24  # as recognizers are trained by default; the network takes any number
+_VOXELS = 24  # default of training; the network accepts any number
 
 
 def load_recognizer(path: str | Path) -> Recognizer:
@@ -20,12 +20,12 @@ def load_recognizer(path: str | Path) -> Recognizer:
     Raises:
         FileError: The checkpoint is missing, damaged or of another network.
     """
-    place = Path(path)
-    if place.is_dir():
-        found = [place / BEST, *sorted(place.glob(f"split-*/{BEST}"))]
-        place = next((file for file in found if file.is_file()), found[0])
+    checkpoint = Path(path)
+    if checkpoint.is_dir():
+        files = [checkpoint / BEST, *sorted(checkpoint.glob(f"split-*/{BEST}"))]
+        checkpoint = next((file for file in files if file.is_file()), files[0])
     advice = "give the run of `tactorch train experiment=recognizer`"
-    return rebuild(Recognizer, place, "recognizer", advice)
+    return rebuild(Recognizer, checkpoint, "recognizer", advice)
 
 
 def recognise(
@@ -35,23 +35,23 @@ def recognise(
     *,
     voxels: int = _VOXELS,
 ) -> dict[str, float]:
-    """Return the probability of each shape, the likeliest first.
+    """Return the probability of each shape, in descending order.
 
-    The answer is one of the shapes that the recognizer was trained on, whatever the map shows.
+    Only shapes that the recognizer was trained on are considered.
 
     Args:
         mesh: The body.
         youngs: Moduli, (m,), MPa.
-        recognizer: A trained one, see `load_recognizer`.
-        voxels: In each direction, as it was trained.
+        recognizer: Trained network, see `load_recognizer`.
+        voxels: Voxels in each direction, as in training.
 
     Raises:
-        MeshError: The map is not over the elements of the mesh.
+        MeshError: The map does not fit the mesh.
     """
     check_on_mesh(mesh, "youngs", youngs)
     grid = VoxelGrid(mesh, voxels)
-    shown = torch.from_numpy(np.log(grid.fill(youngs))).float()[None, None]
+    volume = torch.from_numpy(np.log(grid.fill(youngs))).float()[None, None]
     with torch.no_grad():
-        chances = recognizer.eval()(shown).softmax(dim=1)[0].tolist()
-    named = dict(zip(recognizer.classes, chances, strict=True))
-    return dict(sorted(named.items(), key=lambda item: -item[1]))
+        probabilities = recognizer.eval()(volume).softmax(dim=1)[0].tolist()
+    by_name = dict(zip(recognizer.classes, probabilities, strict=True))
+    return dict(sorted(by_name.items(), key=lambda item: -item[1]))

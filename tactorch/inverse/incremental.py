@@ -39,13 +39,13 @@ class IncrementalResult:
         result: The reconstruction; its history and seconds are those of this update.
         point: The point of the objective at the map.
         weight: Weight of the prior.
-        settled: Whether the optimizer converged, rather than reaching the limit of an update.
+        converged: Whether the optimizer converged, rather than reaching the limit of an update.
     """
 
     result: Reconstruction
     point: Point
     weight: float
-    settled: bool
+    converged: bool
 
 
 @dataclass(frozen=True, eq=False)

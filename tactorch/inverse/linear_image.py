@@ -1,4 +1,4 @@
-"""A first, linear image of what presses show, on a coarse grid: cheap, and the same for any mesh.
+"""A linear image from presses on a coarse grid, cheap and independent of the mesh.
 
 The presses are linearised at the best uniform modulus, and log E over it gets a Gaussian prior on
 the cells of the body's box; image and certainty are then one small dense solve (Tarantola, 2005,
@@ -22,16 +22,16 @@ from tactorch.recording import Recording
 
 # Of the prior: standard deviation of log E, correlation length, and deviation of the mean.
 _SPREAD, _LENGTH, _SHIFT = 0.7, 0.2, 0.3
-# What mesh and linearisation get wrong, as a share of a press's displacement.
+# Error of mesh and linearisation relative to a press's displacement.
 _FLOOR = 0.02
-_MOST_ENTRIES = 5e7  # of a dense sensitivity matrix: 400 MB
+_MAX_ENTRIES = 5e7  # of a dense sensitivity matrix: 400 MB
 
 
 def linear_map(recording: Recording, count: int = 8) -> Float[np.ndarray, " m"]:
     """Return the linear image of a recording at its elements, MPa.
 
-    A stand-in for a reconstruction, at the price of one Gauss-Newton step: as blurred by what the
-    presses do not see, and as noisy, but softer at its edges.
+    It approximates a reconstruction at the cost of one Gauss-Newton step, with equal blur and noise
+    but softer edges.
 
     Args:
         recording: Presses on an object; its truth is not read.
@@ -51,7 +51,7 @@ def linear_map(recording: Recording, count: int = 8) -> Float[np.ndarray, " m"]:
 def linear_image(
     evaluation: Evaluation, mesh: TetMesh, deviations: list[float], count: int
 ) -> tuple[Float[np.ndarray, "v v v"], Float[np.ndarray, "v v v"]]:
-    """Return log E over the uniform modulus, and how much of its variance the presses explain.
+    """Return log E over the uniform modulus, and the explained fraction of its variance.
 
     Args:
         evaluation: Of a uniform map.
@@ -62,11 +62,11 @@ def linear_image(
     Raises:
         ConvergenceError: An equilibrium is unstable and has no derivatives.
     """
-    trust = _trust(evaluation, deviations)
-    jacobian = trust[:, None] * _by_cells(evaluation, _cells(mesh, count))
+    weights = _relative_weights(evaluation, deviations)
+    jacobian = weights[:, None] * _by_cells(evaluation, _cells(mesh, count))
     precision = _prior_precision(count) + jacobian.T @ jacobian
     factor = cho_factor(precision, lower=True, check_finite=False)
-    image = -cho_solve(factor, jacobian.T @ (trust * evaluation.residuals))
+    image = -cho_solve(factor, jacobian.T @ (weights * evaluation.residuals))
     variance = cho_solve(factor, np.eye(count**3)).diagonal()
     explained = 1.0 - variance / (_SPREAD**2 + _SHIFT**2)
     return image.reshape((count,) * 3), explained.reshape((count,) * 3)
@@ -75,10 +75,10 @@ def linear_image(
 def _by_cells(evaluation: Evaluation, cells: sp.csr_matrix) -> Float[np.ndarray, "data cells"]:
     """Return d residuals / d log E of the cells.
 
-    By one solve a datum where the matrix over all elements is small, else by one a cell.
+    It takes one solve per datum where the matrix over all elements is small, else one per cell.
     """
     chain = sp.diags(evaluation.youngs) @ cells
-    if len(evaluation.residuals) * len(evaluation.youngs) <= _MOST_ENTRIES:
+    if len(evaluation.residuals) * len(evaluation.youngs) <= _MAX_ENTRIES:
         return evaluation.jacobian() @ chain
     columns = [
         evaluation.jacobian_times(chain[:, [c]].toarray()[:, 0]) for c in range(cells.shape[1])
@@ -86,13 +86,15 @@ def _by_cells(evaluation: Evaluation, cells: sp.csr_matrix) -> Float[np.ndarray,
     return np.column_stack(columns)
 
 
-def _trust(evaluation: Evaluation, deviations: list[float]) -> Float[np.ndarray, " data"]:
-    """Weight of each datum once the floor is counted in, against what the residuals have."""
+def _relative_weights(
+    evaluation: Evaluation, deviations: list[float]
+) -> Float[np.ndarray, " data"]:
+    """Weight of each datum with the floor, relative to its weight in the residuals."""
     parts = []
     for i, deviation in enumerate(deviations):
-        seen = evaluation.observed(i)
-        floor = _FLOOR * float(np.sqrt(np.mean(seen**2)))
-        parts.append(np.full(len(seen), deviation / np.hypot(deviation, floor)))
+        observed = evaluation.observed(i)
+        floor = _FLOOR * float(np.sqrt(np.mean(observed**2)))
+        parts.append(np.full(len(observed), deviation / np.hypot(deviation, floor)))
     return np.concatenate(parts)
 
 

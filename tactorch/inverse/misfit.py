@@ -95,7 +95,7 @@ class Adaptive(Misfit):
     Huber's cost of whole presses. With q the mean square of a press's n residuals the cost is
     n q / 2 up to q = 1 and n (sqrt(q) - 1/2) beyond. It is convex: a press that no map fits pulls
     with the force of one that deviates by its noise. (The profile likelihood, n/2 log q, is not
-    convex, and leads astray far from the solution.)
+    convex, and misleads far from the solution.)
     """
 
     def residuals(self, white: _Data, begins: _Begins) -> _Data:

@@ -27,7 +27,7 @@ class StopReason(StrEnum):
         "the prior is exhausted and the data are not fitted to their noise: the noise is larger "
         "than stated, or the model is wrong"
     )
-    WEIGHT_CHOSEN = "the weight of the prior has settled"
+    WEIGHT_CHOSEN = "the weight of the prior has converged"
     CONVERGED = "the objective no longer falls"
     NO_DESCENT = "no step lowers the objective any more"
     LOCAL_MINIMUM = "a local minimum"
@@ -76,7 +76,7 @@ class Monitor:
     Attributes:
         max_seconds: Time limit.
         checkpoint: File to save the state to, or None.
-        on_record: Called with each record of the history (a progress bar, say).
+        on_record: Called with each record of the history (for a progress bar).
         on_iteration: Called with each record and its map, MPa.
         stop_condition: Called after each record with all records; returns a reason to stop there,
             or None.
@@ -219,9 +219,9 @@ def _dict(saved: dict[str, np.ndarray], name: str) -> dict[str, Any]:
 
 
 def _entry(names: np.ndarray, row: np.ndarray) -> dict[str, Any]:
-    whole = ("iteration", "evaluations")
+    integers = ("iteration", "evaluations")
     values = zip(names.tolist(), row.tolist(), strict=True)
-    return {k: int(v) if k in whole else v for k, v in values if not np.isnan(v)}
+    return {k: int(v) if k in integers else v for k, v in values if not np.isnan(v)}
 
 
 def describe(entry: dict[str, Any]) -> str:

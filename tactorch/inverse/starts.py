@@ -1,6 +1,6 @@
-"""Where an inversion starts: one modulus, the best uniform one, random draws, or a given map.
+"""Starts of an inversion: one modulus, the best uniform one, random draws, or a given map.
 
-A start is a function of the inverse problem, so a learned one plugs in the same way.
+A start is a function of the inverse problem and the bounds, as is a learned one.
 """
 
 import logging
@@ -68,7 +68,7 @@ def best_uniform(
 
 
 def homogeneous(problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
-    """Start from the best uniform modulus, nuisance parameters that are free fitted beside it."""
+    """Return the best uniform map, MPa, fitted together with the nuisance parameters."""
     fit = uniform_fit(problem, bounds, problem.nuisance)
     return np.full(problem.n_elements, fit.youngs_mpa)
 
@@ -79,15 +79,15 @@ def monte_carlo(
     draws: int = 16,
     seed: int = 0,
 ) -> Callable[[InverseProblem, Bounds], np.ndarray]:
-    """Make a start that draws maps and keeps the one that fits best.
+    """Return a start that draws maps and takes the one that fits best.
 
-    Draws without an equilibrium are passed over. Draws are solved side by side where there are
+    Draws without an equilibrium are skipped. Draws are solved side by side where there are
     fewer presses than cores, else the presses of each.
 
     Args:
-        draw: Draws a map, MPa; a prior's `sample`, say.
+        draw: Draws a map, MPa, such as `sample` of a prior.
         draws: Number of maps.
-        seed: Of the draws; each has a generator of its own.
+        seed: Seed of the draws; each has a separate generator.
 
     Raises:
         ConfigError: `draws` is not positive.
@@ -121,7 +121,7 @@ def monte_carlo(
 def fits_better_than_uniform(
     guess: Float[np.ndarray, " m"], problem: InverseProblem, bounds: Bounds, name: str
 ) -> bool:
-    """Say whether a guessed map (MPa) fits the presses better than the best uniform one.
+    """Return whether a guessed map (MPa) fits the presses better than the best uniform one.
 
     Both are judged at the nuisance values that the recording states, from which inversions start.
 
@@ -158,8 +158,8 @@ def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np
         ConfigError: its shape is wrong, or it leaves the bounds.
     """
     m = problem.n_elements
-    found = start(problem, bounds) if callable(start) else start
-    values = np.asarray(found, dtype=np.float64)
+    start = start(problem, bounds) if callable(start) else start
+    values = np.asarray(start, dtype=np.float64)
     if values.ndim and values.shape != (m,):
         raise ConfigError(f"start_mpa has shape {values.shape}; expected one modulus or ({m},).")
     low, high = bounds.lower * (1 - _BOUND_RTOL), bounds.upper * (1 + _BOUND_RTOL)

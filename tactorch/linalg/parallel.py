@@ -56,7 +56,7 @@ def map_cases(work: Callable[[int], T], count: int) -> list[T]:
     available = worker_count()
     workers = min(count, available)
     if workers <= 1:
-        return [work(i) for i in range(count)]
+        return list(map(work, range(count)))
 
     def run(i: int) -> T:
         with single_threaded(), limit_workers(available // workers):

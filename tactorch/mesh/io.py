@@ -179,7 +179,7 @@ def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
             content = meshio.Mesh(*_read_obj(path))
         else:
             if name == "ply" and b"\nend_header" not in path.read_bytes():
-                raise ValueError("its header has no end")  # meshio reads on without end
+                raise ValueError("its header has no end")  # meshio reads on forever
             content = importlib.import_module(f"meshio.{name}").read(str(path))
     if not len(content.points):
         raise FileError(f"'{path}' contains no points: it is empty, or not of the {name} format.")

@@ -1,4 +1,4 @@
-"""How good is a map of Young's modulus? Fields are per element, MPa."""
+"""Metrics of a map of Young's modulus; fields are per element, MPa."""
 
 from tactorch.metrics.fields import normalised_correlation, pearson, psnr, rmse_mpa, ssim_1d
 from tactorch.metrics.inclusion import Inclusion, find_inclusion

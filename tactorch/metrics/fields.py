@@ -1,11 +1,11 @@
-"""Metrics over the list of elements: each element counts once, whatever its volume.
+"""Metrics over the list of elements: each element counts once, regardless of its volume.
 
-That is how the paper (section IV-A, Metrics) and its authors count. The scores published with
-their cases (RMSE, SSIM, PSNR, "Cosine Similarity") come out to all six digits as `rmse_mpa`,
+The paper (section IV-A, Metrics) and its authors count so too. The scores published with their
+cases (RMSE, SSIM, PSNR, "Cosine Similarity") are reproduced to all six digits by `rmse_mpa`,
 `ssim_1d(..., range_mpa=R)`, `psnr(..., range_mpa=R)` and `pearson`, where R is 1.499 MPa for
-box-3 and 3.999 MPa for box-torus: a fixed scale of 0.001 to 1.5 (4.0) MPa, a little wider than
-the true moduli span. With `range_mpa="truth"` both differ in the second digit. Table II of the
-paper has a range of 1 MPa, the default here.
+box-3 and 3.999 MPa for box-torus: a fixed scale of 0.001 to 1.5 (4.0) MPa, slightly wider than
+the range of the true moduli. With `range_mpa="truth"` both differ in the second digit. Table II
+of the paper has a range of 1 MPa, the default here.
 """
 
 from typing import Literal
@@ -20,15 +20,15 @@ Range = float | Literal["truth"]
 
 
 def rmse_mpa(youngs: Float[np.ndarray, " m"], truth: Float[np.ndarray, " m"]) -> float:
-    """Root mean square error over the elements, MPa."""
+    """Return the root mean square error over the elements, MPa."""
     check_pair(youngs, truth)
     return float(np.sqrt(np.mean((youngs - truth) ** 2)))
 
 
 def pearson(youngs: Float[np.ndarray, " m"], truth: Float[np.ndarray, " m"]) -> float:
-    """Pearson's correlation over the elements, -1 to 1; NaN where a field is constant.
+    """Return Pearson's correlation over the elements, -1 to 1; NaN if a field is constant.
 
-    It does not change when a field is scaled or shifted. The authors call it cosine similarity.
+    It is invariant under scaling and shift. The authors call it cosine similarity.
     """
     check_pair(youngs, truth)
     a, b = _centred(youngs), _centred(truth)
@@ -39,10 +39,10 @@ def pearson(youngs: Float[np.ndarray, " m"], truth: Float[np.ndarray, " m"]) -> 
 def normalised_correlation(
     youngs: Float[np.ndarray, " m"], truth: Float[np.ndarray, " m"]
 ) -> float:
-    """Normalised correlation s of the paper (section IV-A), 0 to 1; NaN where a field is constant.
+    """Return the normalised correlation s (section IV-A), 0 to 1; NaN if a field is constant.
 
     s = |<e_gt - mean e_gt, e - mean e>| / (||e_gt - mean e_gt|| ||e - mean e||), the magnitude of
-    Pearson's correlation: a map with hard and soft exchanged scores as high as the right one.
+    Pearson's correlation: a map with hard and soft exchanged scores as high as the correct one.
     """
     return abs(pearson(youngs, truth))
 
@@ -52,12 +52,12 @@ def psnr(
     truth: Float[np.ndarray, " m"],
     range_mpa: Range = 1.0,
 ) -> float:
-    """Peak signal-to-noise ratio, 20 log10(range / RMSE), dB; infinite where RMSE is 0.
+    """Return the peak signal-to-noise ratio 20 log10(range / RMSE), dB; infinite if RMSE is 0.
 
     Args:
         youngs: Moduli, (m,), MPa.
         truth: True moduli, (m,), MPa.
-        range_mpa: The peak, MPa (1 in Table II of the paper), or "truth" for max - min of it.
+        range_mpa: Range of the data, MPa (1 in Table II), or "truth" for max - min of the truth.
 
     Raises:
         ConfigError: The range is not above 0.
@@ -74,16 +74,16 @@ def ssim_1d(
     window: int = 401,
     range_mpa: Range = "truth",
 ) -> float:
-    """Structural similarity of the two lists of elements, as the authors of the paper score.
+    """Return the structural similarity of the two lists of elements, as the paper's authors do.
 
-    The window slides over elements in their order in the mesh, which has no meaning in space: use
-    this only to compare with the published numbers, and `tactorch.metrics.ssim` otherwise.
+    The window slides over elements in mesh order, which has no spatial meaning: use it only to
+    compare with the published numbers, and `tactorch.metrics.ssim` otherwise.
 
     Args:
         youngs: Moduli, (m,), MPa.
         truth: True moduli, (m,), MPa.
         window: Length of the window, odd and at most m.
-        range_mpa: Range of the data, MPa, or "truth" for max - min of it.
+        range_mpa: Range of the data, MPa, or "truth" for max - min of the truth.
 
     Raises:
         ConfigError: The window does not fit, or the range is not above 0.
@@ -103,13 +103,13 @@ def _range(range_mpa: Range, truth: Float[np.ndarray, " m"]) -> float:
     peak = float(np.ptp(truth)) if range_mpa == "truth" else float(range_mpa)
     if not (np.isfinite(peak) and peak > 0):
         raise ConfigError(
-            f"range_mpa is {range_mpa!r}, which comes to {peak:g} MPa; give a range above 0 "
-            "(a homogeneous truth has no range)"
+            f"range_mpa is {range_mpa!r}, that is {peak:g} MPa; give a range above 0 "
+            "(a homogeneous truth has none)"
         )
     return peak
 
 
 def _centred(values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-    """Remove the mean; what is left of a constant field is round-off, and set to zero."""
+    """Remove the mean; the round-off that is left of a constant field is set to zero."""
     centred = values - values.mean()
     return centred if np.ptp(values) > 1e-12 * np.abs(values).max() else np.zeros_like(values)

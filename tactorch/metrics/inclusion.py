@@ -1,28 +1,32 @@
-"""Finding the inclusion in a map, without knowing the truth."""
+"""The inclusion of a map, without the truth."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from tactorch.mesh import TetMesh
 from tactorch.metrics.checks import check_on_mesh
-from tactorch.metrics.segment import Side, segment, standing_out, volume_mean
+from tactorch.metrics.segment import (
+    Side,
+    connected_parts,
+    inclusion_side,
+    segment,
+    volume_mean,
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Inclusion:
-    """A connected region that is stiffer or softer than what surrounds it.
+    """A connected region that is stiffer or softer than the background.
 
     Attributes:
-        center_mm: Centroid of its volume, (3,), mm.
+        center_mm: Centroid, (3,), mm.
         volume_mm3: Volume, mm^3.
         equivalent_radius_mm: Radius of the sphere of that volume, mm.
         mean_mpa: Mean modulus over its volume, MPa.
-        background_mpa: Mean modulus over the volume of all that does not stand out, MPa.
+        background_mpa: Mean modulus over the volume of the background, MPa.
         elements: Its elements, (m,).
         side: "stiff" or "soft".
     """
@@ -34,6 +38,27 @@ class Inclusion:
     background_mpa: float
     elements: Bool[np.ndarray, " m"]
     side: Side
+
+    @staticmethod
+    def measure(
+        mesh: TetMesh,
+        youngs: Float[np.ndarray, " m"],
+        elements: Bool[np.ndarray, " m"],
+        side: Side,
+        background_mpa: float,
+        center_mm: Float[np.ndarray, "3"],
+    ) -> "Inclusion":
+        """Return the inclusion of these elements, with its volume and mean modulus."""
+        volume = float(mesh.volumes[elements].sum())
+        return Inclusion(
+            center_mm=center_mm,
+            volume_mm3=volume,
+            equivalent_radius_mm=float(np.cbrt(3 * volume / (4 * np.pi))),
+            mean_mpa=float(volume_mean(mesh, youngs, elements)),
+            background_mpa=background_mpa,
+            elements=elements,
+            side=side,
+        )
 
     @property
     def contrast(self) -> float:
@@ -53,43 +78,27 @@ class Inclusion:
 
 
 def find_inclusion(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> Inclusion | None:
-    """Find the largest region that stands out of a map; None where nothing does.
+    """Find the largest face-connected region of the segmented map (`tactorch.metrics.segment`).
 
-    Elements past half way from the background to the extreme are taken, stiff or soft
-    (`tactorch.metrics.segment` has the rule); of these the face-connected region of largest
-    volume. Maps that stay within 2 % of their background have none.
-    `tactorch.findings.find_lump`, which the commands use, is more robust to outliers.
+    `tactorch.findings.find_lump`, which the commands use, is more robust to outlier elements.
 
     Args:
         mesh: The body, m elements.
         youngs: Moduli, (m,), MPa.
 
+    Returns:
+        The inclusion; None if the map stays within 2 % of its background.
+
     Raises:
-        MeshError: The field is not over the elements of the mesh.
+        MeshError: The field does not fit the mesh.
     """
     check_on_mesh(mesh, "youngs", youngs)
-    side = standing_out(mesh, youngs)
+    side = inclusion_side(mesh, youngs)
     if side is None:
         return None
-    outstanding = segment(mesh, youngs, side)
-    elements = _largest_region(mesh, outstanding)
-    volume = float(mesh.volumes[elements].sum())
-    return Inclusion(
-        center_mm=volume_mean(mesh, mesh.centroids, elements),
-        volume_mm3=volume,
-        equivalent_radius_mm=float(np.cbrt(3 * volume / (4 * np.pi))),
-        mean_mpa=float(volume_mean(mesh, youngs, elements)),
-        background_mpa=float(volume_mean(mesh, youngs, ~outstanding)),
-        elements=elements,
-        side=side,
-    )
-
-
-def _largest_region(mesh: TetMesh, mask: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
-    """Return the face-connected part of `mask` with the largest volume."""
-    pairs = mesh.adjacency.pairs
-    kept = pairs[mask[pairs].all(axis=1)]
-    graph = coo_array((np.ones(len(kept)), (kept[:, 0], kept[:, 1])), shape=(mesh.n_tets,) * 2)
-    _, labels = connected_components(graph, directed=False)
-    volumes = np.bincount(labels, weights=np.where(mask, mesh.volumes, 0.0))
-    return mask & (labels == np.argmax(volumes))
+    mask = segment(mesh, youngs, side)
+    parts = connected_parts(mesh, mask)
+    elements = max(parts, key=lambda part: float(mesh.volumes[part].sum()))
+    background = float(volume_mean(mesh, youngs, ~mask))
+    center = volume_mean(mesh, mesh.centroids, elements)
+    return Inclusion.measure(mesh, youngs, elements, side, background, center)

@@ -1,13 +1,12 @@
-"""Was the inclusion found: where it is, how strongly, and in which shape?
+"""Position, contrast and shape of the inclusion against the truth.
 
 Both maps are segmented by the same rule (`tactorch.metrics.segment`): past half way from the
-background to the extreme, on the side, stiff or soft, on which the truth stands out. All segmented
-elements count, so that artefacts elsewhere cost. Position error is a figure of merit of electrical
-impedance tomography (GREIT), and contrast recovery is akin to its amplitude response.
+background to the extreme, on the side (stiff or soft) of the true inclusion. All segmented
+elements count, so that artefacts elsewhere lower the scores. Position error is a figure of merit of
+electrical impedance tomography (GREIT), and contrast recovery is akin to its amplitude response.
 
-A homogeneous truth has no inclusion: all three measures are NaN, "does not apply". A truth that
-varies smoothly is segmented like any other, and its measures say how well its stiffest (softest)
-part was found.
+A homogeneous truth has no inclusion: all three measures are NaN. A smoothly varying truth is
+segmented like any other; the measures then refer to its stiffest (softest) part.
 """
 
 import numpy as np
@@ -15,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.mesh import TetMesh
 from tactorch.metrics.checks import check_on_mesh
-from tactorch.metrics.segment import segment, standing_out, volume_mean
+from tactorch.metrics.segment import inclusion_side, segment, volume_mean
 
 _NAN = float("nan")
 
@@ -23,56 +22,56 @@ _NAN = float("nan")
 def position_error_mm(
     mesh: TetMesh, youngs: Float[np.ndarray, " m"], truth: Float[np.ndarray, " m"]
 ) -> float:
-    """Distance between the centroids of the found and the true inclusion, mm.
+    """Return the distance between the centroids of the segmented and the true inclusion, mm.
 
-    NaN where the truth has no inclusion, or the map shows none.
+    NaN if the truth or the map has no inclusion.
     """
-    found, true = _segments(mesh, youngs, truth)
-    if not (found.any() and true.any()):
+    masks = _segments(mesh, youngs, truth)
+    if not all(mask.any() for mask in masks):
         return _NAN
-    centres = [volume_mean(mesh, mesh.centroids, mask) for mask in (found, true)]
+    centres = [volume_mean(mesh, mesh.centroids, mask) for mask in masks]
     return float(np.linalg.norm(centres[0] - centres[1]))
 
 
 def contrast_recovery(
     mesh: TetMesh, youngs: Float[np.ndarray, " m"], truth: Float[np.ndarray, " m"]
 ) -> float:
-    """Contrast of the map between true inclusion and true background, over the true contrast.
+    """Return the contrast of true inclusion and background in the map over the true contrast.
 
-    1 is perfect, 0 tells nothing of the inclusion, below 0 has stiff and soft exchanged. Contrast
-    is the difference of the means over the volume. NaN where the truth has no inclusion.
+    1 is perfect, 0 shows no inclusion, below 0 has stiff and soft exchanged. Contrast is the
+    difference of the volume means. NaN if the truth has no inclusion.
     """
     _, true = _segments(mesh, youngs, truth)
     if not true.any():
         return _NAN
-    found, right = (
+    contrast, true_contrast = (
         float(volume_mean(mesh, field, true) - volume_mean(mesh, field, ~true))
         for field in (youngs, truth)
     )
-    return found / right
+    return contrast / true_contrast
 
 
 def dice(mesh: TetMesh, youngs: Float[np.ndarray, " m"], truth: Float[np.ndarray, " m"]) -> float:
-    """Overlap of the found and the true inclusion by volume, 2 |A n B| / (|A| + |B|), 0 to 1.
+    """Return the volume overlap of segmented and true inclusion, 2 |A n B| / (|A| + |B|), 0 to 1.
 
-    0 where the map shows no inclusion; NaN where the truth has none.
+    0 if the map has no inclusion; NaN if the truth has none.
     """
-    found, true = _segments(mesh, youngs, truth)
+    segmented, true = _segments(mesh, youngs, truth)
     if not true.any():
         return _NAN
     volumes = mesh.volumes
-    both = volumes[found & true].sum()
-    return float(2 * both / (volumes[found].sum() + volumes[true].sum()))
+    overlap = volumes[segmented & true].sum()
+    return float(2 * overlap / (volumes[segmented].sum() + volumes[true].sum()))
 
 
 def _segments(
     mesh: TetMesh, youngs: Float[np.ndarray, " m"], truth: Float[np.ndarray, " m"]
 ) -> tuple[Bool[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
-    """Segment both maps on the side on which the truth stands out; nothing where it does not."""
+    """Segment both maps on the side of the true inclusion; empty masks if there is none."""
     check_on_mesh(mesh, "youngs", youngs)
     check_on_mesh(mesh, "truth", truth)
-    side = standing_out(mesh, truth)
+    side = inclusion_side(mesh, truth)
     if side is None:
-        nothing = np.zeros(mesh.n_tets, dtype=bool)
-        return nothing, nothing
+        empty = np.zeros(mesh.n_tets, dtype=bool)
+        return empty, empty
     return segment(mesh, youngs, side), segment(mesh, truth, side)

@@ -1,4 +1,4 @@
-"""All metrics of a map at once."""
+"""All metrics of a map."""
 
 import numpy as np
 from jaxtyping import Float
@@ -21,11 +21,11 @@ def scores(
 
     Returns:
         `rmse_mpa`, `pearson`, `normalised_correlation`, `ssim` (3-D, range 1 MPa), `psnr` (range
-        1 MPa, dB), `position_error_mm`, `contrast_recovery`, `dice`. Each is explained by the
-        function of its name; NaN means that it does not apply.
+        1 MPa, dB), `position_error_mm`, `contrast_recovery`, `dice`, as defined by the functions of
+        these names; NaN where a metric does not apply.
 
     Raises:
-        MeshError: A field is not over the elements of the mesh.
+        MeshError: A field does not fit the mesh.
     """
     return {
         "rmse_mpa": rmse_mpa(youngs, truth),

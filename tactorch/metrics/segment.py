@@ -1,33 +1,34 @@
-"""Which elements stand out: past half way from the background to the extreme.
+"""Segmentation of a map: elements past half way from the background to the extreme.
 
-Background is the median over the volume. The extreme is taken of the field averaged over each
-element and its face neighbours: reconstructions often leave a single element at a bound, which
-would otherwise decide both the side (stiff or soft) and the height. The elements themselves are
-then judged by their own modulus, so that a field of two levels is cut exactly between them, down
-to an inclusion of one element.
+The background is the volume-weighted median. The extreme is taken of the field averaged over each
+element and its face neighbours, since reconstructions often leave single elements at a bound.
+Elements are then compared by their own modulus, so that a field of two levels is cut exactly
+between them, down to an inclusion of one element.
 """
 
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from tactorch.mesh import TetMesh
 
 Side = Literal["stiff", "soft"]
 
-# Fields whose extreme is within this of the background, relatively, have no inclusion.
-LEAST_CONTRAST = 0.02
+# Smallest relative distance of the extreme from the background in a field with an inclusion.
+MIN_CONTRAST = 0.02
 
 
-def standing_out(mesh: TetMesh, values: Float[np.ndarray, " m"]) -> Side | None:
-    """Tell whether the field's inclusion is stiff or soft, or None where it has none.
+def inclusion_side(mesh: TetMesh, values: Float[np.ndarray, " m"]) -> Side | None:
+    """Return whether the field's inclusion is stiff or soft; None if it has none.
 
-    The side is that of the extreme farther from the background by ratio.
+    The side is that of the extreme with the larger ratio to the background.
     """
     background, low, high = _levels(mesh, values)
     stiffer, softer = high / background, background / low
-    if max(stiffer, softer) <= 1 + LEAST_CONTRAST:
+    if max(stiffer, softer) <= 1 + MIN_CONTRAST:
         return None
     return "stiff" if stiffer >= softer else "soft"
 
@@ -35,13 +36,12 @@ def standing_out(mesh: TetMesh, values: Float[np.ndarray, " m"]) -> Side | None:
 def segment(mesh: TetMesh, values: Float[np.ndarray, " m"], side: Side) -> Bool[np.ndarray, " m"]:
     """Return the elements past half way from the background to the extreme on `side`.
 
-    An inclusion must fill less than half of the body, or it is the background. Empty where
-    nothing stands out on that side.
+    An inclusion fills less than half of the body. The mask is empty if nothing stands out.
     """
     background, low, high = _levels(mesh, values)
-    if side == "stiff" and high > background * (1 + LEAST_CONTRAST):
+    if side == "stiff" and high > background * (1 + MIN_CONTRAST):
         return values > (background + high) / 2
-    if side == "soft" and low * (1 + LEAST_CONTRAST) < background:
+    if side == "soft" and low * (1 + MIN_CONTRAST) < background:
         return values < (background + low) / 2
     return np.zeros(len(values), dtype=bool)
 
@@ -56,24 +56,34 @@ def volume_mean(
 def weighted_median(values: Float[np.ndarray, " m"], weights: Float[np.ndarray, " m"]) -> float:
     """Return the value below which half of the weight lies."""
     order = np.argsort(values, kind="stable")
-    reached = np.cumsum(weights[order])
-    # The slack lets a half that is reached up to round-off count as reached.
-    return float(values[order[np.searchsorted(reached, reached[-1] * 0.5 * (1 - 1e-12))]])
+    total = np.cumsum(weights[order])
+    # The slack absorbs round-off where exactly half of the weight is reached.
+    return float(values[order[np.searchsorted(total, total[-1] * 0.5 * (1 - 1e-12))]])
 
 
 def neighbourhood_mean(mesh: TetMesh, values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
     """Average over the volume of each element and those that share a face with it."""
-    one, other = mesh.adjacency.pairs.T
+    first, second = mesh.adjacency.pairs.T
     volumes = mesh.volumes.copy()
     moments = mesh.volumes * values
-    for here, there in ((one, other), (other, one)):
-        volumes += np.bincount(here, weights=mesh.volumes[there], minlength=mesh.n_tets)
-        moments += np.bincount(here, weights=(mesh.volumes * values)[there], minlength=mesh.n_tets)
+    for element, neighbour in ((first, second), (second, first)):
+        volumes += np.bincount(element, weights=mesh.volumes[neighbour], minlength=mesh.n_tets)
+        weights = (mesh.volumes * values)[neighbour]
+        moments += np.bincount(element, weights=weights, minlength=mesh.n_tets)
     return moments / volumes
 
 
+def connected_parts(mesh: TetMesh, mask: Bool[np.ndarray, " m"]) -> list[Bool[np.ndarray, " m"]]:
+    """Return the masks of the face-connected parts of `mask`."""
+    pairs = mesh.adjacency.pairs
+    inner = pairs[mask[pairs].all(axis=1)]
+    graph = coo_array((np.ones(len(inner)), (inner[:, 0], inner[:, 1])), shape=(mesh.n_tets,) * 2)
+    _, labels = connected_components(graph, directed=False)
+    return [mask & (labels == label) for label in np.unique(labels[mask])]
+
+
 def _levels(mesh: TetMesh, values: Float[np.ndarray, " m"]) -> tuple[float, float, float]:
-    """Return background, lowest and highest level."""
+    """Background, lowest and highest level."""
     background = weighted_median(values, mesh.volumes)
-    around = neighbourhood_mean(mesh, values)
-    return background, float(around.min()), float(around.max())
+    means = neighbourhood_mean(mesh, values)
+    return background, float(means.min()), float(means.max())

@@ -1,4 +1,4 @@
-"""Structural similarity in space: both fields on one voxel grid."""
+"""Structural similarity in space, on a voxel grid."""
 
 import numpy as np
 from jaxtyping import Float
@@ -17,14 +17,13 @@ def ssim(
     window: int = 7,
     range_mpa: float = 1.0,
 ) -> float:
-    """Mean structural similarity over the body, at most 1; on the scale of the paper's tables.
+    """Return the mean structural similarity over the body, on the scale of the paper's tables.
 
-    The bounding box is cut into `voxels` in each direction, and each voxel takes the modulus of
-    the element whose centroid is nearest to its centre. Voxels outside the body therefore carry
-    its nearest modulus on outward, so that windows reaching over the edge see no made-up step
-    there; they are left out of the mean. As is usual, so are voxels whose window would reach
-    beyond the grid (unless nothing of the body would be left). For a box this is plainly
-    `skimage.metrics.structural_similarity` of the two grids.
+    The bounding box is divided into `voxels` in each direction; each voxel takes the modulus of the
+    element with the nearest centroid. Voxels outside the body extend its modulus outward, so that
+    windows across the surface contain no artificial step; they are excluded from the mean. So are
+    voxels whose window exceeds the grid, unless no voxel of the body would be left. For a box this
+    equals `skimage.metrics.structural_similarity` of the two grids.
 
     Args:
         mesh: The body, m elements.
@@ -36,7 +35,7 @@ def ssim(
 
     Raises:
         ConfigError: The window does not fit the grid, or the range is not above 0.
-        MeshError: A field is not over the elements of the mesh.
+        MeshError: A field does not fit the mesh.
     """
     from skimage.metrics import structural_similarity
 

@@ -9,10 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import TactorchError
-from tactorch.findings import Confidence, confidence_of, find_lump
+from tactorch.findings import Confidence, compute_confidence, find_lump
 from tactorch.inverse import NoiseModel, Point, Settings, settings_from, solution
-from tactorch.inverse.nuisance.press_model import PressModelFactory
-from tactorch.inverse.nuisance.values import Nuisance
+from tactorch.inverse.nuisance import Nuisance, PressModelFactory
 from tactorch.recording import Recording
 from tactorch.report.runs import Run
 from tactorch.uncertainty import credibility
@@ -143,7 +142,9 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     )
     at_bound |= low == high  # the whole interval is beyond a bound
     inclusion = find_lump(recording.mesh, run.result.youngs)
-    confidence = None if inclusion is None else confidence_of(recording.mesh, inclusion, posterior)
+    confidence = (
+        None if inclusion is None else compute_confidence(recording.mesh, inclusion, posterior)
+    )
     summary = UncertaintySummary(
         metric, low, high, resolution, at_bound, type(posterior).__name__, confidence
     )

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
-from tactorch.findings import find_lump, lay_under
+from tactorch.findings import find_lump, measure_depth
 from tactorch.findings.text import (
     Fact,
     describe_inclusion,
@@ -125,7 +125,7 @@ def describe_run(run: Run, assessment: Assessment) -> RunReport:
         facts = [Fact("Young's modulus", modulus, "median")]
     else:
         presses = () if run.recording is None else run.recording.presses
-        depth = lay_under(mesh, presses, inclusion.center_mm, inclusion.elements)
+        depth = measure_depth(mesh, presses, inclusion.center_mm, inclusion.elements)
         uncertainty = assessment.uncertainty
         confidence = None if uncertainty is None else uncertainty.confidence
         description = describe_inclusion(inclusion, depth)

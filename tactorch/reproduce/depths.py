@@ -75,7 +75,7 @@ def run_case(case: Case, scratch: Path) -> CaseResult:
     )
     blind = replace(recording, truth=None)
     reconstruction = invert(blind, Settings(), start_mpa=homogeneous, show_progress=False)
-    lumps = find_lumps(recording.mesh, reconstruction.youngs, most=1, side="stiff")
+    lumps = find_lumps(recording.mesh, reconstruction.youngs, max_lumps=1, side="stiff")
     (ball, _), *_ = phantom.inclusions
     true = np.array(ball.bounds()).mean(axis=0)
     center = lumps[0].center_mm if lumps else None

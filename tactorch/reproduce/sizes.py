@@ -86,9 +86,9 @@ def run_case(case: Case, scratch: Path) -> CaseResult:
     reconstruction = invert(
         wrong, Settings(nuisance=nuisance), start_mpa=START_MPA, show_progress=False
     )
-    lumps = find_lumps(wrong.mesh, reconstruction.youngs, most=1)
+    lumps = find_lumps(wrong.mesh, reconstruction.youngs, max_lumps=1)
     center = lumps[0].center_mm / settings["size"] if lumps else np.full(3, np.nan)
-    true = find_lumps(exact.mesh, truth, most=1)[0].center_mm
+    true = find_lumps(exact.mesh, truth, max_lumps=1)[0].center_mm
     estimate = reconstruction.nuisance.get("rest_scale")
     return CaseResult(
         {

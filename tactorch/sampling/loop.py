@@ -340,7 +340,7 @@ class SamplingLoop:
     def _refine(self) -> None:
         """Continue an update that ended at its limit, until a press comes."""
         inversion, update = self._inversion, self._update
-        if inversion is None or (update is not None and update.solution.settled):
+        if inversion is None or (update is not None and update.solution.converged):
             return
         last = self._history[-1]
         if update is None and last["settled"] and "next" in last:
@@ -359,7 +359,7 @@ class SamplingLoop:
             "seconds": seconds,
             "iterations": result.iterations,
             "stop_reason": result.stop_reason,
-            "settled": solution.settled,
+            "settled": solution.converged,
             "chi2": float(result.history[-1]["chi2"]),
             "weight": solution.weight,
             "youngs_median_mpa": float(np.median(result.youngs)),

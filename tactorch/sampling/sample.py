@@ -188,7 +188,7 @@ class _RestartedInversion:
         objective = make_objective(recording, settings)
         point = objective.at(objective.start(result.youngs))
         weight = float(result.history[-1].get("weight", 0.0))
-        self._result = IncrementalResult(result, point, weight, settled=True)
+        self._result = IncrementalResult(result, point, weight, converged=True)
         return self._result
 
     def refine(self, *, stop: Callable[[], bool]) -> IncrementalResult:

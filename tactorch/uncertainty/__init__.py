@@ -2,11 +2,11 @@
 
 - `sensitivity_matrix`, `credibility`, `layer_profile`: which elements the observed displacements
   depend on, and how this decreases with depth (eq. 14 and 15).
-- `posterior_of`: the posterior of a reconstruction, chosen among the following.
+- `compute_posterior`: posterior of a reconstruction, one of the following.
 - `LaplacePosterior`: Gaussian approximation at the reconstruction; `LowRankPosterior` for large
   meshes.
 - `variational_posterior`: Gaussian scale mixture for total variation, with estimated scales.
-- `coverage`, `calibration_curve`: whether stated deviations hold over objects of known truth.
+- `coverage`, `calibration_curve`: coverage of intervals over objects of known truth.
 - `GaussianState`: Kalman update by a press (eq. 16 and 17).
 """
 
@@ -20,7 +20,7 @@ from tactorch.uncertainty.gaussian import GaussianPosterior
 from tactorch.uncertainty.gaussian_state import GaussianState
 from tactorch.uncertainty.laplace import LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
-from tactorch.uncertainty.select import posterior_of
+from tactorch.uncertainty.select import compute_posterior
 from tactorch.uncertainty.sensitivity import (
     Credibility,
     credibility,
@@ -39,10 +39,10 @@ __all__ = [
     "VariationalPosterior",
     "calibration_curve",
     "calibration_error",
+    "compute_posterior",
     "coverage",
     "credibility",
     "layer_profile",
-    "posterior_of",
     "sensitivity_matrix",
     "variational_posterior",
 ]

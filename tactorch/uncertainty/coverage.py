@@ -1,4 +1,4 @@
-"""Do stated uncertainties hold? Judged over objects whose truth is known."""
+"""Coverage and calibration of posterior intervals over objects of known truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ from scipy.special import ndtri
 from tactorch.errors import ConfigError
 
 # Truth, mean and standard deviation of each element, in the posterior's parameter.
-Judged = tuple[np.ndarray, np.ndarray, np.ndarray]
+Estimate = tuple[np.ndarray, np.ndarray, np.ndarray]
 _LEVELS = np.linspace(0.05, 0.95, 19)
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Share of true values within intervals of one level.
+    """Fraction of true values within intervals of one level.
 
     Attributes:
-        level: Probability that the intervals claim.
-        fraction: Share over all elements of all objects, by weight where they have one.
-        per_object: Share of each object's elements, likewise.
+        level: Nominal probability of the intervals.
+        fraction: Weighted fraction over all elements of all objects.
+        per_object: Weighted fraction over each object's elements.
     """
 
     level: float
@@ -30,7 +30,7 @@ class Coverage:
 
 
 def coverage(
-    objects: Sequence[Judged],
+    objects: Sequence[Estimate],
     level: float = 0.95,
     weights: Sequence[np.ndarray] | None = None,
 ) -> Coverage:
@@ -38,19 +38,22 @@ def coverage(
 
     Args:
         objects: Truth, mean and standard deviation of each element, per object.
-        level: Probability that the intervals claim.
-        weights: How much each element counts, per object: its volume, say; all alike by default.
+        level: Nominal probability of the intervals.
+        weights: Weight of each element, per object, such as its volume; equal by default.
+
+    Returns:
+        Fractions of true values within the intervals.
 
     Raises:
-        ConfigError: no object, shapes that differ, a deviation that is not positive, weights that
-            are negative or fit no element, or a level not between 0 and 1.
+        ConfigError: there is no object, shapes differ, a deviation is not positive, weights are
+            negative or do not fit, or the level is not between 0 and 1.
     """
     if not 0 < level < 1:
         raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
     if len(objects) == 0:
         raise ConfigError("objects is empty; give at least one (truth, mean, deviation).")
-    reach = float(ndtri(0.5 + 0.5 * level))
-    hits = [_distance(i, judged) <= reach for i, judged in enumerate(objects)]
+    quantile = float(ndtri(0.5 + 0.5 * level))
+    hits = [_distance(i, *estimate) <= quantile for i, estimate in enumerate(objects)]
     if weights is None:
         weights = [np.ones(len(hit)) for hit in hits]
     _check_weights(weights, hits)
@@ -61,16 +64,16 @@ def coverage(
 
 
 def calibration_curve(
-    objects: Sequence[Judged], levels: Float[np.ndarray, " k"] = _LEVELS
+    objects: Sequence[Estimate], levels: Float[np.ndarray, " k"] = _LEVELS
 ) -> Float[np.ndarray, " k"]:
-    """Return the covered share at each level; equal to the levels where deviations are right."""
+    """Return the covered fraction at each level; equal to the levels if deviations are exact."""
     return np.array([coverage(objects, float(level)).fraction for level in levels])
 
 
 def calibration_error(
-    objects: Sequence[Judged], levels: Float[np.ndarray, " k"] = _LEVELS
+    objects: Sequence[Estimate], levels: Float[np.ndarray, " k"] = _LEVELS
 ) -> float:
-    """Return the mean distance of the covered share from the level: 0 is perfect."""
+    """Return the mean distance of the covered fraction from the level; 0 is perfect."""
     return float(np.abs(calibration_curve(objects, levels) - levels).mean())
 
 
@@ -82,14 +85,13 @@ def _check_weights(weights: Sequence[np.ndarray], hits: Sequence[np.ndarray]) ->
     for i, (weight, hit) in enumerate(zip(weights, hits, strict=True)):
         if weight.shape != hit.shape or not np.all(weight >= 0) or not weight.sum() > 0:
             raise ConfigError(
-                f"object {i}: weights {weight.shape} must be one an element ({hit.shape}), none "
-                "negative and not all 0."
+                f"object {i}: weights {weight.shape} must be {hit.shape}, none negative and not "
+                "all 0."
             )
 
 
-def _distance(index: int, judged: Judged) -> np.ndarray:
-    """Return the distance of truth and mean in standard deviations."""
-    truth, mean, deviation = judged
+def _distance(index: int, truth: np.ndarray, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """Distance of truth and mean in standard deviations."""
     if not truth.shape == mean.shape == deviation.shape or truth.size == 0:
         raise ConfigError(
             f"object {index}: truth {truth.shape}, mean {mean.shape} and deviation "

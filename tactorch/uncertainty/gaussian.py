@@ -1,4 +1,4 @@
-"""What every normal posterior of the parameters offers, dense or of low rank."""
+"""Interface of normal posteriors, dense or of low rank."""
 
 from abc import ABC, abstractmethod
 
@@ -11,11 +11,11 @@ from tactorch.inverse import Parameterization
 
 
 class GaussianPosterior(ABC):
-    """A normal distribution of the parameters x, one an element.
+    """Normal distribution of the parameters x, one per element.
 
     Attributes:
-        mean: Its mean.
-        parameterization: What x means.
+        mean: Mean.
+        parameterization: Map from x to moduli.
     """
 
     mean: Float[np.ndarray, " m"]
@@ -31,11 +31,11 @@ class GaussianPosterior(ABC):
 
     @abstractmethod
     def resolution_diagonal(self) -> Float[np.ndarray, " m"]:
-        """Return diag(H^-1 J^T J): near 1 where the data decide, near 0 where the prior does."""
+        """Return diag(H^-1 J^T J): near 1 where data dominate, near 0 where the prior does."""
 
     @abstractmethod
     def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
-        """Draw parameters, one map a row."""
+        """Draw parameters, one map per row."""
 
     @abstractmethod
     def log_det(self) -> float:
@@ -48,18 +48,24 @@ class GaussianPosterior(ABC):
     def interval(
         self, level: float = 0.95
     ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Return lower and upper moduli (MPa) that hold each element's with this probability.
+        """Return the central interval of each element's modulus, (lower, upper), MPa.
 
-        The ends are those of the normal interval of x, turned into moduli and cut to the bounds.
+        It is the normal interval of x, mapped to moduli and clipped to the bounds.
+
+        Args:
+            level: Probability of the interval.
+
+        Returns:
+            Lower and upper moduli, MPa.
 
         Raises:
             ConfigError: `level` is not between 0 and 1.
         """
         if not 0 < level < 1:
             raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
-        reach = float(ndtri(0.5 + 0.5 * level)) * self.deviation()
+        half_width = float(ndtri(0.5 + 0.5 * level)) * self.deviation()
         limits = self.parameterization.limits
-        low, high = (np.clip(self.mean + sign * reach, *limits) for sign in (-1, 1))
+        low, high = (np.clip(self.mean + sign * half_width, *limits) for sign in (-1, 1))
         return self.parameterization.youngs(low), self.parameterization.youngs(high)
 
     def correlation(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:

@@ -1,4 +1,4 @@
-"""What is believed of the moduli between presses, and how a press changes it (Section V-C)."""
+"""Normal distribution of the moduli between presses, and its update by a press (Section V-C)."""
 
 from dataclasses import dataclass
 
@@ -11,11 +11,11 @@ from tactorch.errors import ConfigError
 
 @dataclass(frozen=True, eq=False)
 class GaussianState:
-    """A normal distribution of one number an element.
+    """Normal distribution with one parameter per element.
 
     Attributes:
-        mean: Of each element.
-        covariance: Between elements, dense and positive definite.
+        mean: Mean.
+        covariance: Dense positive definite covariance.
     """
 
     mean: Float[np.ndarray, " m"]
@@ -28,14 +28,17 @@ class GaussianState:
     def after_map(
         self, observed: Float[np.ndarray, " m"], credibility: Float[np.ndarray, " m"]
     ) -> "GaussianState":
-        """Join the map of one press by itself, as the paper does (eq. 16 and 17).
+        """Update by the map of a single press, as in the paper (eq. 16 and 17).
 
-        R is diagonal with 1 / credibility. Solved in the data's space, so that elements of
-        credibility 0, which the press did not feel, keep what was believed of them.
+        R is diagonal with 1 / credibility. The update is solved in data space, so that elements of
+        credibility 0 have no data.
 
         Args:
-            observed: The map of the press, in the unit of the mean.
-            credibility: Of each element, in the inverse square of that unit, at least 0.
+            observed: Map of the press, in the unit of the mean.
+            credibility: Credibility of each element, in the inverse square of that unit.
+
+        Returns:
+            The updated distribution.
 
         Raises:
             ConfigError: lengths differ, or a credibility is negative or not finite.
@@ -43,65 +46,69 @@ class GaussianState:
         if not len(observed) == len(credibility) == len(self.mean):
             raise ConfigError(
                 f"observed has {len(observed)} elements and credibility {len(credibility)}, but "
-                f"the belief {len(self.mean)}; give one each."
+                f"the state {len(self.mean)}; give one each."
             )
         if not (np.isfinite(credibility).all() and (credibility >= 0).all()):
             raise ConfigError("credibility must be finite and at least 0 everywhere.")
-        felt = credibility > 0
-        rows = np.diag(np.sqrt(credibility))[felt]
+        rows = np.diag(np.sqrt(credibility))[credibility > 0]
         return self.after_press(rows, rows @ (observed - self.mean))
 
     def after_press(
         self, jacobian: Float[np.ndarray, "data m"], innovation: Float[np.ndarray, " data"]
     ) -> "GaussianState":
-        """Join the data of one press, linear around the mean: a rank update of the covariance.
+        """Update by the data of a press, linearised at the mean (Kalman update).
 
         Args:
-            jacobian: Derivative of the press's displacements, in standard deviations of the noise.
-            innovation: Measured minus predicted at the mean, in the same.
+            jacobian: Derivative of the data, in standard deviations of the noise.
+            innovation: Observed minus predicted data at the mean, in the same unit.
+
+        Returns:
+            The updated distribution.
 
         Raises:
             ConfigError: shapes do not fit.
         """
-        self._check(jacobian)
         if len(innovation) != len(jacobian):
             raise ConfigError(
                 f"innovation has {len(innovation)} values for {len(jacobian)} rows of the jacobian."
             )
-        cross = jacobian @ self.covariance
-        lower = sl.cholesky(np.eye(len(jacobian)) + cross @ jacobian.T, lower=True)
-        half = sl.solve_triangular(lower, cross, lower=True)
-        seen = sl.solve_triangular(lower, innovation, lower=True)
-        return GaussianState(self.mean + half.T @ seen, self.covariance - half.T @ half)
+        lower, cross = self._factor(jacobian)
+        half_gain = sl.solve_triangular(lower, cross, lower=True)
+        whitened = sl.solve_triangular(lower, innovation, lower=True)
+        mean = self.mean + half_gain.T @ whitened
+        return GaussianState(mean, self.covariance - half_gain.T @ half_gain)
 
     def information_gain(self, jacobian: Float[np.ndarray, "data m"]) -> float:
-        """Return what a press is expected to tell: log det(I + J Sigma J^T) / 2, in nats.
+        """Return the mutual information of moduli and data, log det(I + J Sigma J^T) / 2, nats.
 
-        It is the mutual information of moduli and data, so it needs no data.
+        Args:
+            jacobian: See `after_press`.
 
         Raises:
             ConfigError: the jacobian has another number of columns than there are elements.
         """
-        self._check(jacobian)
-        spread = np.eye(len(jacobian)) + jacobian @ self.covariance @ jacobian.T
-        return float(np.log(sl.cholesky(spread, lower=True).diagonal()).sum())
+        lower, _ = self._factor(jacobian)
+        return float(np.log(lower.diagonal()).sum())
 
     def expected_variance_reduction(
         self, jacobian: Float[np.ndarray, "data m"]
     ) -> Float[np.ndarray, " m"]:
-        """Return by how much a press is to lower the variance of each element; it needs no data.
+        """Return the reduction of each element's variance by a press, before its data.
+
+        Args:
+            jacobian: See `after_press`.
 
         Raises:
             ConfigError: the jacobian has another number of columns than there are elements.
         """
-        self._check(jacobian)
-        cross = jacobian @ self.covariance
-        lower = sl.cholesky(np.eye(len(jacobian)) + cross @ jacobian.T, lower=True)
-        half = sl.solve_triangular(lower, cross, lower=True)
-        return np.square(half).sum(axis=0)
+        lower, cross = self._factor(jacobian)
+        return np.square(sl.solve_triangular(lower, cross, lower=True)).sum(axis=0)
 
-    def _check(self, jacobian: np.ndarray) -> None:
+    def _factor(self, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cholesky factor L of I + J Sigma J^T, and J Sigma."""
         if jacobian.shape[1] != len(self.mean):
             raise ConfigError(
                 f"jacobian has {jacobian.shape[1]} columns for {len(self.mean)} elements."
             )
+        cross = jacobian @ self.covariance
+        return sl.cholesky(np.eye(len(jacobian)) + cross @ jacobian.T, lower=True), cross

@@ -1,9 +1,9 @@
 """Gaussian (Laplace) approximation of the posterior at a solution, by dense algebra.
 
 The precision is H = J^T J + P, with J the sensitivity of the residuals (in standard deviations)
-and P the prior's weighted curvature, both in parameters x. Memory is two m x m matrices: fit for
-a few thousand elements; `LowRankPosterior` is for more. Total variation is stood for by its
-quadratic majorant at the map; `variational_posterior` gives it a width of its own.
+and P the prior's weighted curvature, both in parameters x. Memory is two m x m matrices, suitable
+for a few thousand elements; `LowRankPosterior` is for larger meshes. Total variation is
+approximated by its quadratic majorant at the map; `variational_posterior` estimates its scales.
 """
 
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ from tactorch.uncertainty.gaussian import GaussianPosterior
 
 @dataclass(frozen=True, eq=False)
 class LaplacePosterior(GaussianPosterior):
-    """A normal distribution of the parameters x.
+    """Normal distribution of the parameters x.
 
     Attributes:
         mean: Parameters at the solution, elements only.
-        jacobian: D residuals / d x; columns beyond the elements are global unknowns.
-        factor: Cholesky factor of the precision, as wide as the Jacobian.
-        parameterization: What x means.
+        jacobian: D residuals / d x; columns beyond the elements are nuisance parameters.
+        factor: Cholesky factor of the precision, with as many rows as the Jacobian has columns.
+        parameterization: Map from x to moduli.
     """
 
     mean: Float[np.ndarray, " m"]
@@ -38,21 +38,20 @@ class LaplacePosterior(GaussianPosterior):
 
     @staticmethod
     def at(point: Point, weight: float) -> "LaplacePosterior":
-        """Take the posterior at a point of the objective.
+        """Return the posterior at a point of the objective.
 
-        Global unknowns that are estimated beside the map count with their own prior: what is not
-        known of them widens the elements' deviations.
+        Nuisance parameters are marginalised: their uncertainty widens the elements' deviations.
 
         Args:
             point: The solution.
-            weight: Weight of the prior on the map there.
+            weight: Weight of the prior on the map.
 
         Raises:
-            ConfigError: the weight is negative, or data and prior leave something undetermined.
+            ConfigError: the weight is negative, or data and prior leave moduli undetermined.
         """
         check_weight(weight)
-        prior, meaning = point.prior_curvature(weight), point.objective.parameterization
-        return LaplacePosterior.of(point.elements, point.jacobian, 1.0, prior, meaning)
+        prior, parameterization = point.prior_curvature(weight), point.objective.parameterization
+        return LaplacePosterior.of(point.elements, point.jacobian, 1.0, prior, parameterization)
 
     @staticmethod
     def of(
@@ -62,10 +61,17 @@ class LaplacePosterior(GaussianPosterior):
         prior: sp.spmatrix | sp.sparray,
         parameterization: Parameterization,
     ) -> "LaplacePosterior":
-        """Take the posterior of a linear model with the prior's precision weight * prior; see `at`.
+        """Return the posterior of a linear model.
+
+        Args:
+            mean: Parameters at the solution.
+            jacobian: D residuals / d x.
+            weight: Weight of the prior.
+            prior: Precision of the prior without its weight.
+            parameterization: Map from x to moduli.
 
         Raises:
-            ConfigError: the weight is negative, or data and prior leave something undetermined.
+            ConfigError: the weight is negative, or data and prior leave moduli undetermined.
         """
         check_weight(weight)
         precision = jacobian.T @ jacobian
@@ -74,8 +80,8 @@ class LaplacePosterior(GaussianPosterior):
         factor = DenseCholesky.of(precision)
         if factor is None:
             raise ConfigError(
-                f"weight={weight}: data and prior leave some moduli undetermined, so the posterior "
-                "has no finite width; give a prior and a larger weight."
+                f"weight={weight}: data and prior leave some moduli undetermined; give a prior "
+                "and a larger weight."
             )
         return LaplacePosterior(mean, jacobian, factor, parameterization)
 
@@ -93,14 +99,14 @@ class LaplacePosterior(GaussianPosterior):
 
     def resolution_diagonal(self) -> Float[np.ndarray, " m"]:
         """See `GaussianPosterior.resolution_diagonal`."""
-        seen = self._covariance[: len(self.mean)] @ self.jacobian.T
-        return np.einsum("mp,pm->m", seen, self.jacobian[:, : len(self.mean)])
+        gain = self._covariance[: len(self.mean)] @ self.jacobian.T
+        return np.einsum("mp,pm->m", gain, self.jacobian[:, : len(self.mean)])
 
     def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
         """See `GaussianPosterior.sample`."""
         noise = torch.from_numpy(rng.standard_normal((self.jacobian.shape[1], n)))
-        drawn = torch.linalg.solve_triangular(self.factor.lower.T, noise, upper=True).numpy()
-        return self.mean + drawn[: len(self.mean)].T
+        sample = torch.linalg.solve_triangular(self.factor.lower.T, noise, upper=True).numpy()
+        return self.mean + sample[: len(self.mean)].T
 
     def log_det(self) -> float:
         """See `GaussianPosterior.log_det`."""
@@ -108,6 +114,6 @@ class LaplacePosterior(GaussianPosterior):
 
 
 def check_weight(weight: float) -> None:
-    """Refuse a negative or undefined weight of the prior."""
+    """Raise ConfigError for a negative or undefined weight of the prior."""
     if not weight >= 0:
         raise ConfigError(f"weight={weight} of the prior must be 0 or more.")

@@ -1,19 +1,17 @@
-"""The Laplace posterior of large meshes: the prior, and the few directions in which data tell more.
+"""Laplace posterior for large meshes: the prior, updated along a few informative directions.
 
-The precision is H = J^T J + P as in `posterior`, but J is known by its products alone and P is
+The precision is H = J^T J + P as in `LaplacePosterior`, but J is applied to vectors only and P is
 sparse. With the pairs J^T J v = lambda P v, V^T P V = 1 (Lanczos), the covariance is
 
     H^-1 = P^-1 - V diag(lambda / (1 + lambda)) V^T
 
-(Flath et al., 2011; Bui-Thanh et al., 2013). Pairs that are left out can only make variances too
-large, and `excess` says by how much at most: what is stated errs on the safe side. The prior's
-variances come from its factorisation, exactly.
+(Flath et al., 2011; Bui-Thanh et al., 2013). Omitted pairs only increase the variances, by at most
+`excess`. The prior's variances are exact, from its factorisation.
 
-**Priors that leave the mean free.** Total variation and smoothness are blind to a change of all
-log-moduli alike, so their precision is singular. The mean log-modulus is therefore given a normal
-prior of its own, of deviation `MEAN_DEVIATION`: the term 1 / (m MEAN_DEVIATION^2) on the diagonal.
-That is a factor of e^10 either way, more than the moduli of all solids, and its share in any other
-direction is as small as it is there.
+**Improper priors.** Total variation and smoothness are invariant under a shift of all log-moduli,
+so their precision is singular. The mean log-modulus therefore has a normal prior of deviation
+`MEAN_DEVIATION`: the term 1 / (m MEAN_DEVIATION^2) on the diagonal. That allows a factor of e^10
+either way, more than the range of all solids; its effect in other directions is negligible.
 """
 
 from collections.abc import Callable
@@ -39,15 +37,15 @@ MEAN_DEVIATION = 10.0
 
 @dataclass(frozen=True, eq=False)
 class LowRankPosterior(GaussianPosterior):
-    """A normal distribution of the parameters x that holds no dense matrix.
+    """Normal distribution of the parameters x without a dense matrix.
 
     Attributes:
         mean: Parameters at the solution, elements only.
-        precision: P, the prior's; rows beyond the elements are global unknowns.
-        factor: Its factorisation.
-        eigenvalues: Lambda, falling: how much more the data tell than the prior, by direction.
-        directions: V, one a column.
-        parameterization: What x means.
+        precision: Precision P of the prior; rows beyond the elements are nuisance parameters.
+        factor: Factorisation of the precision.
+        eigenvalues: Lambda in descending order: precision of data over prior, by direction.
+        directions: V, one per column.
+        parameterization: Map from x to moduli.
     """
 
     mean: Float[np.ndarray, " m"]
@@ -59,19 +57,19 @@ class LowRankPosterior(GaussianPosterior):
 
     @staticmethod
     def at(point: Point, weight: float, rank: int = 100, *, seed: int = 0) -> "LowRankPosterior":
-        """Take the posterior at a point of the objective, by its products with vectors.
+        """Return the posterior at a point of the objective, by Jacobian-vector products.
 
-        Costs some three times `rank` products with J and its transpose, each one solve a press.
+        Costs about 3 `rank` products with J and its transpose, each one solve per press.
 
         Args:
             point: The solution.
-            weight: Weight of the prior there.
-            rank: Number of directions; enough where `excess` is small beside the variance.
-            seed: Of the first vector.
+            weight: Weight of the prior.
+            rank: Number of directions; sufficient if `excess` is small against the variance.
+            seed: Seed of the first Lanczos vector.
 
         Raises:
-            ConfigError: the weight is negative, or the prior leaves more undetermined than the
-                mean (as with weight 0).
+            ConfigError: the weight is negative, or the prior leaves more than the mean
+                undetermined (as with weight 0).
         """
         check_weight(weight)
         slope = point.objective.parameterization.slope(point.elements) / point.youngs
@@ -96,15 +94,15 @@ class LowRankPosterior(GaussianPosterior):
         *,
         seed: int = 0,
     ) -> "LowRankPosterior":
-        """Take the posterior of a linear model; see `at`.
+        """Return the posterior of a linear model.
 
         Args:
             mean: Parameters at the solution.
             data_hessian: Multiplies a vector by J^T J.
-            precision: The prior's, positive definite.
-            parameterization: What the parameters mean.
-            rank: Number of directions, at most one less than the unknowns.
-            seed: Of the first vector.
+            precision: Precision of the prior, positive definite.
+            parameterization: Map from parameters to moduli.
+            rank: Number of directions, below the number of unknowns.
+            seed: Seed of the first Lanczos vector.
 
         Raises:
             ConfigError: the rank cannot be used, or the precision is not positive definite.
@@ -115,8 +113,8 @@ class LowRankPosterior(GaussianPosterior):
         factor = SparseFactor.of(precision)
         if factor is None:
             raise ConfigError(
-                "the prior's precision is not positive definite: it leaves moduli undetermined "
-                "that no rank makes up for; give a prior, and a weight above 0."
+                "the prior's precision is not positive definite: it leaves moduli "
+                "undetermined; give a prior, and a weight above 0."
             )
         values, vectors = spla.eigsh(
             spla.LinearOperator((size, size), matvec=data_hessian, dtype=np.float64),
@@ -125,27 +123,27 @@ class LowRankPosterior(GaussianPosterior):
             Minv=spla.LinearOperator((size, size), matvec=factor.solve, dtype=np.float64),
             v0=np.random.default_rng(seed).standard_normal(size),
         )
-        # Round-off makes zeros negative.
-        falling, vectors = np.maximum(values[::-1], 0.0), np.ascontiguousarray(vectors[:, ::-1])
-        return LowRankPosterior(mean, precision, factor, falling, vectors, parameterization)
+        # Zero eigenvalues may be negative by round-off.
+        values, vectors = np.maximum(values[::-1], 0.0), np.ascontiguousarray(vectors[:, ::-1])
+        return LowRankPosterior(mean, precision, factor, values, vectors, parameterization)
 
     def excess(self) -> Float[np.ndarray, " m"]:
-        """Return by how much each variance may be too large at most, for the rank's sake.
+        """Return an upper bound of each variance's error by the finite rank.
 
-        No direction left out tells more than the last one taken, and together they hold what the
-        ones taken leave of the prior's variance.
+        No omitted eigenvalue exceeds the last one, and the omitted directions share the prior
+        variance that the included ones leave.
         """
-        left = self.factor.inverse_diagonal - (self.directions**2).sum(axis=1)
-        return np.maximum(self._known[-1] * left[: len(self.mean)], 0.0)
+        remaining = self.factor.inverse_diagonal - (self.directions**2).sum(axis=1)
+        return np.maximum(self._reduction[-1] * remaining[: len(self.mean)], 0.0)
 
     @property
-    def _known(self) -> Float[np.ndarray, " r"]:
-        """Share of the prior's variance that the data take away along each direction."""
+    def _reduction(self) -> Float[np.ndarray, " r"]:
+        """Relative reduction of the prior variance by the data along each direction."""
         return self.eigenvalues / (1.0 + self.eigenvalues)
 
     @cached_property
     def _variance(self) -> Float[np.ndarray, " unknowns"]:
-        return self.factor.inverse_diagonal - self.directions**2 @ self._known
+        return self.factor.inverse_diagonal - self.directions**2 @ self._reduction
 
     def prior_variance(self) -> Float[np.ndarray, " m"]:
         """Return the variance of each element's parameter before the data."""
@@ -156,26 +154,26 @@ class LowRankPosterior(GaussianPosterior):
         return self._variance[: len(self.mean)].copy()
 
     def covariance(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
-        """See `GaussianPosterior.covariance`; one sparse solve an element."""
+        """See `GaussianPosterior.covariance`; one sparse solve per element."""
         columns = np.zeros((len(self.factor.pivots), len(elements)))
         columns[elements, np.arange(len(elements))] = 1.0
-        chosen = self.directions[elements]
+        rows = self.directions[elements]
         prior = self.factor.solve(columns)[elements]
-        return 0.5 * (prior + prior.T) - (chosen * self._known) @ chosen.T
+        return 0.5 * (prior + prior.T) - (rows * self._reduction) @ rows.T
 
     def resolution_diagonal(self) -> Float[np.ndarray, " m"]:
         """See `GaussianPosterior.resolution_diagonal`."""
-        turned = self.precision @ self.directions
-        return ((self.directions * turned) @ self._known)[: len(self.mean)]
+        weighted = self.precision @ self.directions
+        return ((self.directions * weighted) @ self._reduction)[: len(self.mean)]
 
     def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
         """See `GaussianPosterior.sample`."""
-        drawn = self.factor.correlated(rng.standard_normal((len(self.factor.pivots), n)))
-        along = self.directions.T @ (self.precision @ drawn)
+        sample = self.factor.correlated(rng.standard_normal((len(self.factor.pivots), n)))
+        along = self.directions.T @ (self.precision @ sample)
         shrink = 1.0 - 1.0 / np.sqrt(1.0 + self.eigenvalues)
-        drawn -= self.directions @ (shrink[:, None] * along)
-        return self.mean + drawn[: len(self.mean)].T
+        sample -= self.directions @ (shrink[:, None] * along)
+        return self.mean + sample[: len(self.mean)].T
 
     def log_det(self) -> float:
-        """See `GaussianPosterior.log_det`; from below, by what the directions leave out."""
+        """See `GaussianPosterior.log_det`; a lower bound, by the omitted directions."""
         return self.factor.log_det() + float(np.log1p(self.eigenvalues).sum())

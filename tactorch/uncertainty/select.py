@@ -1,4 +1,4 @@
-"""The posterior that fits a reconstruction, its prior and its size."""
+"""Choice of the posterior by prior and size of the problem."""
 
 from tactorch.errors import TactorchError
 from tactorch.inverse import Point, Reconstruction, Settings, solution
@@ -8,38 +8,42 @@ from tactorch.uncertainty.laplace import LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
 from tactorch.uncertainty.variational import has_variational_posterior, variational_posterior
 
-#: What may keep a posterior from being computed: of large problems NumPy, torch or ARPACK, too.
+#: Errors of a posterior that cannot be computed; on large problems also of NumPy, torch, ARPACK.
 UNCOMPUTABLE = (TactorchError, MemoryError, RuntimeError)
-VARIATIONAL, DENSE = 2_000, 12_000  # parameters up to which it takes seconds, or fits the memory
+MAX_VARIATIONAL, MAX_DENSE = 2_000, 12_000  # parameters, limited by time and by memory
 
 
-def posterior_of(
-    recording: Recording, found: Reconstruction, settings: Settings | None = None
+def compute_posterior(
+    recording: Recording, reconstruction: Reconstruction, settings: Settings | None = None
 ) -> GaussianPosterior:
-    """Return how far each modulus of a reconstruction can be trusted.
+    """Return the posterior of a reconstruction.
 
-    Under total variation that is `variational_posterior`, whose intervals hold; with other priors
-    and up to 12,000 elements `LaplacePosterior`; beyond, `LowRankPosterior`, whose deviations are
-    never too small by what its rank leaves out.
+    It is `variational_posterior` under total variation up to 2,000 parameters, otherwise
+    `LaplacePosterior` up to 12,000, and `LowRankPosterior` beyond.
 
     Args:
         recording: Presses that were inverted.
-        found: What `invert` returned, or `Reconstruction.load` has read.
-        settings: Settings of the inversion; the default ones by default.
+        reconstruction: Result of `invert`.
+        settings: Settings of the inversion.
+
+    Returns:
+        The posterior.
 
     Raises:
-        ConfigError: settings and result do not fit, or data and prior leave moduli undetermined.
+        ConfigError: settings and result do not match, or data and prior leave moduli undetermined.
         ConvergenceError: a press has no stable equilibrium at the map.
     """
-    point = solution(recording, found, settings or Settings())
-    return posterior_at(point, found.history[-1].get("weight", 0.0))
+    point = solution(recording, reconstruction, settings or Settings())
+    return posterior_at(point, reconstruction.history[-1].get("weight", 0.0))
 
 
 def posterior_at(point: Point, weight: float) -> GaussianPosterior:
     """Return the posterior at a point of the objective, with this weight of the prior."""
     size = point.objective.size
-    if size <= VARIATIONAL and has_variational_posterior(point, weight):
+    if size <= MAX_VARIATIONAL and has_variational_posterior(point, weight):
         return variational_posterior(point, weight)
     return (
-        LaplacePosterior.at(point, weight) if size <= DENSE else LowRankPosterior.at(point, weight)
+        LaplacePosterior.at(point, weight)
+        if size <= MAX_DENSE
+        else LowRankPosterior.at(point, weight)
     )

@@ -1,7 +1,7 @@
-"""A sparse symmetric positive definite matrix, factored, and the diagonal of its inverse.
+"""Factorisation of a sparse positive definite matrix, and the diagonal of its inverse.
 
-The diagonal comes from the factor alone (Takahashi, Fagan and Chin, 1973): entries of the inverse
-on the factor's pattern follow from each other, last column first, so no system is solved.
+The diagonal follows from the factor without solves (Takahashi, Fagan and Chin, 1973): entries of
+the inverse on the factor's pattern are computed recursively from the last column.
 """
 
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from jaxtyping import Float, Int
 
 @dataclass(frozen=True, eq=False)
 class SparseFactor:
-    """The factorisation A = L D L^T of a permuted sparse matrix, L of unit diagonal.
+    """Factorisation A = L D L^T of a permuted sparse matrix, L with unit diagonal.
 
     Attributes:
-        below: L without its diagonal, compressed columns, rows sorted; entries that vanish by
-            cancellation are kept.
+        below: L without its diagonal, compressed columns, rows sorted; includes entries that
+            vanish by cancellation.
         pivots: Diagonal of D.
-        place: Where each unknown stands in the permuted order.
-        lu: The factorisation as SciPy has it, to solve with.
+        place: Position of each unknown in the permuted order.
+        lu: SciPy's factorisation, for solves.
     """
 
     below: sp.csc_matrix
@@ -34,7 +34,7 @@ class SparseFactor:
 
     @staticmethod
     def of(matrix: sp.spmatrix | sp.sparray) -> "SparseFactor | None":
-        """Factor; None if the matrix is not positive definite."""
+        """Factor a matrix; None if it is not positive definite."""
         try:
             lu = spla.splu(
                 sp.csc_matrix(matrix),
@@ -42,10 +42,10 @@ class SparseFactor:
                 diag_pivot_thresh=0.0,
                 options={"SymmetricMode": True},
             )
-        except RuntimeError:  # SciPy's word for an exactly singular matrix
+        except RuntimeError:  # exactly singular
             return None
         pivots = lu.U.diagonal()
-        # Rows in another order than columns: a pivot on the diagonal vanished.
+        # Rows and columns differ in order if a pivot on the diagonal vanished.
         if not np.all(pivots > 0) or not np.array_equal(lu.perm_r, lu.perm_c):
             return None
         place = lu.perm_c.astype(np.int64)
@@ -66,10 +66,10 @@ class SparseFactor:
         return sp.csr_matrix((self.below + sp.eye(len(self.pivots), format="csc")).T)
 
     def correlated(self, noise: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """Turn columns of standard normal numbers into draws of covariance A^-1."""
+        """Return samples of covariance A^-1 from columns of standard normal numbers."""
         scaled = noise / np.sqrt(self.pivots)[:, None]
-        drawn = spla.spsolve_triangular(self._upper, scaled, lower=False, unit_diagonal=True)
-        return drawn[self.place]
+        sample = spla.spsolve_triangular(self._upper, scaled, lower=False, unit_diagonal=True)
+        return sample[self.place]
 
     @cached_property
     def inverse_diagonal(self) -> Float[np.ndarray, " n"]:
@@ -81,13 +81,13 @@ class SparseFactor:
 
 
 def _below(permuted: sp.csr_matrix, lower: sp.csc_matrix) -> sp.csc_matrix:
-    """Return L below the diagonal on its whole pattern: SciPy leaves out what came out zero."""
+    """Return L below the diagonal on its full pattern, of which SciPy omits zeros."""
     lower.sort_indices()
     rows, columns = (permuted.indptr, permuted.indices), (lower.indptr, lower.indices, lower.data)
     size = permuted.shape[0]
     starts = np.zeros(size + 1, dtype=np.int64)
-    none = np.empty(0)
-    _fill(*rows, *columns, starts[1:], none.astype(np.int32), none)
+    empty = np.empty(0)
+    _fill(*rows, *columns, starts[1:], empty.astype(np.int32), empty)
     ends = np.cumsum(starts)
     indices, values = np.empty(ends[-1], dtype=np.int32), np.empty(ends[-1])
     _fill(*rows, *columns, ends[:-1].copy(), indices, values)
@@ -97,21 +97,21 @@ def _below(permuted: sp.csr_matrix, lower: sp.csc_matrix) -> sp.csc_matrix:
 @no_type_check
 @numba.njit(nogil=True, cache=True)
 def _fill(row_ends, row_indices, lower_ends, lower_indices, lower_values, ends, indices, values):
-    """Count L's entries a column (with no room for them), or write them; `ends` moves along.
+    """Count the entries of L per column if `indices` is empty, or write them; advances `ends`.
 
-    Row i of L has an entry in column j if j lies above some entry of A's row in the elimination
-    tree (Liu, 1990).
+    Row i of L has an entry in column j if j is an ancestor of an entry of A's row in the
+    elimination tree (Liu, 1990).
     """
     n = len(ends)
     parent = np.full(n, -1, dtype=np.int64)
-    seen = np.full(n, -1, dtype=np.int64)
-    upcoming = lower_ends[:-1] + 1  # past the diagonal, which comes first
+    visited = np.full(n, -1, dtype=np.int64)
+    upcoming = lower_ends[:-1] + 1  # the diagonal is first
     for i in range(n):
-        seen[i] = i
+        visited[i] = i
         for q in range(row_ends[i], row_ends[i + 1]):
             j = row_indices[q]
-            while j < i and seen[j] != i:
-                seen[j] = i
+            while j < i and visited[j] != i:
+                visited[j] = i
                 if len(indices) > 0:
                     indices[ends[j]] = i
                     values[ends[j]] = 0.0
@@ -130,7 +130,7 @@ def _selected_inverse(indptr, indices, values, pivots, diagonal):
     """Z = D^-1 L^-1 + (1 - L^T) Z, on the pattern of L, column by column from the last."""
     n = len(pivots)
     entries = np.zeros(len(values))  # Z below the diagonal
-    slot = np.full(n, -1, dtype=np.int64)  # where a row stands in the present column
+    slot = np.full(n, -1, dtype=np.int64)  # position of a row in the current column
     for j in range(n - 1, -1, -1):
         begin, end = indptr[j], indptr[j + 1]
         for t in range(begin, end):
@@ -140,7 +140,7 @@ def _selected_inverse(indptr, indices, values, pivots, diagonal):
             inner = share * diagonal[k]
             for q in range(indptr[k], indptr[k + 1]):
                 other = slot[indices[q]]
-                if other >= 0:  # Z is symmetric: the entry serves both rows
+                if other >= 0:  # Z is symmetric
                     entries[other] -= share * entries[q]
                     inner += values[other] * entries[q]
             entries[t] -= inner

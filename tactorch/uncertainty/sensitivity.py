@@ -9,7 +9,7 @@ from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Evaluation
 from tactorch.mesh import TetMesh
 
-_SUBDIVISIONS = 11  # points along an edge of an element, when it is shared out among layers
+_SUBDIVISIONS = 11  # sample points along an edge of an element
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +24,12 @@ class Credibility:
     values: Float[np.ndarray, " m"]
 
     def per_volume(self, mesh: TetMesh) -> Float[np.ndarray, " m"]:
-        """Return L over the element's volume, mm/MPa/mm^3: free of the size of elements."""
+        """Return L over the element's volume, mm/MPa/mm^3, independent of the element size."""
         return self.values / mesh.volumes
 
 
 def sensitivity_matrix(evaluation: Evaluation) -> Float[np.ndarray, "data m"]:
-    """Return M = S du/de (eq. 14), mm/MPa; rows are the observed unknowns of all presses in turn.
+    """Return M = S du/de (eq. 14), mm/MPa; one row per observed degree of freedom.
 
     Raises:
         ConvergenceError: an equilibrium is unstable and has no derivatives.
@@ -40,18 +40,24 @@ def sensitivity_matrix(evaluation: Evaluation) -> Float[np.ndarray, "data m"]:
 def credibility(matrix: Evaluation | Float[np.ndarray, "data m"]) -> Credibility:
     """Return L(j) = max_i |M_ij| (eq. 15).
 
-    The row i runs over observed degrees of freedom: the x, y and z displacement of a surface node
-    count apart. Of an evaluation, one press's rows are held at a time.
+    The row i runs over observed degrees of freedom: x, y and z displacements are separate rows.
+
+    Args:
+        matrix: Sensitivity matrix, or an evaluation, of which one press's rows are in memory at a
+            time.
+
+    Returns:
+        Credibility of each element.
 
     Raises:
         ConvergenceError: an equilibrium is unstable and has no derivatives.
     """
     if isinstance(matrix, np.ndarray):
         return Credibility(np.abs(matrix).max(axis=0, initial=0.0))
-    largest = np.zeros(len(matrix.youngs))
+    maximum = np.zeros(len(matrix.youngs))
     for press in matrix.sensitivities:
-        np.maximum(largest, np.abs(press.matrix()).max(axis=0, initial=0.0), out=largest)
-    return Credibility(largest)
+        np.maximum(maximum, np.abs(press.matrix()).max(axis=0, initial=0.0), out=maximum)
+    return Credibility(maximum)
 
 
 def layer_profile(
@@ -59,12 +65,12 @@ def layer_profile(
 ) -> tuple[Float[np.ndarray, " layers"], Float[np.ndarray, " layers"]]:
     """Integrate a metric over equal layers of the bounding box (Fig. 3).
 
-    An element that reaches over several layers is shared out by sample points of equal volume.
+    An element in several layers is divided among them by sample points of equal volume.
 
     Args:
         mesh: The body, mm.
         values: Metric of each element.
-        axis: Across which the layers lie: 0, 1 or 2.
+        axis: Normal of the layers: 0, 1 or 2.
         layers: Number of layers.
 
     Returns:
@@ -93,7 +99,7 @@ def layer_profile(
 
 
 def _barycentric(count: int) -> Float[np.ndarray, "p 4"]:
-    """Return evenly spread inner points of a tetrahedron as barycentric weights."""
+    """Evenly distributed inner points of a tetrahedron as barycentric weights."""
     grid = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     grid = grid[grid.sum(axis=1) < count]
     last = count - 1 - grid.sum(axis=1, keepdims=True)

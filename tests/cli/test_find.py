@@ -19,13 +19,13 @@ def test_lumps_are_told_with_how_sure_they_are(tactorch: Any, finished_run: Path
     for lump in values["lumps"]:
         assert 0.0 <= lump["probability"] <= 1.0
         assert lump["depth_mm"] > 0
-    assert "By noise and prior" in text or "No lump" in text
+    assert "Given noise and prior" in text or "No lump" in text
 
 
 def test_without_uncertainty_nothing_is_said_of_it(tactorch: Any, finished_run: Path) -> None:
     done = tactorch("find", f"run={finished_run}", "uncertainty=false", "out=elsewhere")
     assert done.status == 0, done.err
-    assert "By noise and prior" not in Path("elsewhere/finding.txt").read_text()
+    assert "Given noise and prior" not in Path("elsewhere/finding.txt").read_text()
 
 
 def test_a_recognizer_names_the_shape(tactorch: Any, finished_run: Path) -> None:
@@ -44,8 +44,8 @@ def test_a_recognizer_names_the_shape(tactorch: Any, finished_run: Path) -> None
     [
         ((), "'run' is missing"),
         (("nowhere",), "nowhere"),
-        (("run=RUN", "most=0"), "most=0"),
-        (("run=RUN", "most=x"), "most='x': give a whole number"),
+        (("run=RUN", "max_lumps=0"), "max_lumps=0"),
+        (("run=RUN", "max_lumps=x"), "max_lumps='x': give a whole number"),
         (("run=RUN", "recording=gone.h5"), "gone.h5"),
         (("run=RUN", "uncertainty=false", "recognizer=gone.ckpt"), "gone.ckpt"),
     ],

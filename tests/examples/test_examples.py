@@ -75,7 +75,7 @@ def test_gradient(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["by_youngs"] == pytest.approx(0.138215681, abs=1e-8)
     assert found["by_pressure"] == pytest.approx(-0.138215681 / 0.2, abs=1e-7)
     assert found["by_pressure_quotient"] == pytest.approx(found["by_pressure"], abs=1e-6)
-    assert found["bend"] == pytest.approx(1.2386, abs=1e-3)
+    assert found["curvature"] == pytest.approx(1.2386, abs=1e-3)
     # Of the stretch of the table at nu = 0.45: between the chords to 0.30 and to 0.49.
     assert 0.0313 < found["by_poisson"] < 0.0361
 

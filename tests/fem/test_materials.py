@@ -226,17 +226,6 @@ def test_poisson_may_differ_by_point(name, F):
     torch.testing.assert_close(material.stress(F, ratios), each, rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.parametrize(
-    "name", [n for n in MATERIALS.names() if issubclass(MATERIALS[n], IsotropicMaterial)]
-)
-def test_averaged_stress_of_a_uniform_element_is_the_plain_one(name, F):
-    material = make_material(name, NU)
-    four = F[:, None].expand(-1, 4, 3, 3)
-    weights = torch.rand(len(F), 4, dtype=torch.float64)
-    averaged = material.averaged_stress(four, weights, torch.tensor(NU, dtype=torch.float64))
-    torch.testing.assert_close(averaged, material.stress(four, NU), rtol=1e-12, atol=1e-13)
-
-
 def test_lame_factor_scales_the_part_in_lambda(F):
     half = make_material("neo_hookean", NU, lame_factor=0.5).energy(F, NU)
     log_j = torch.linalg.slogdet(F).logabsdet

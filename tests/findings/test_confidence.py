@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tactorch.findings import confidence_of, find_lump, finding_of
+from tactorch.findings import build_finding, compute_confidence, find_lump
 from tactorch.inverse.parameterization import Log
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording
@@ -30,7 +30,7 @@ def posterior(map_mpa, deviation):
 def sure(map_mpa, deviation, draws=400):
     lump = find_lump(MESH, map_mpa)
     assert lump is not None
-    return lump, confidence_of(MESH, lump, posterior(map_mpa, deviation), draws=draws)
+    return lump, compute_confidence(MESH, lump, posterior(map_mpa, deviation), draws=draws)
 
 
 @pytest.mark.parametrize("inside", [0.5, 0.08])
@@ -49,8 +49,8 @@ def test_the_contrast_is_as_uncertain_as_its_mean(inside):
 def test_what_might_be_chance_is_not_believed():
     lump, stated = sure(youngs(0.21), 3.0)
     assert 0.4 < stated.probability < 0.9
-    finding = finding_of(recording(), youngs(0.21), posterior(youngs(0.21), 3.0))
-    assert "Do not believe it" in finding.text()
+    finding = build_finding(recording(), youngs(0.21), posterior(youngs(0.21), 3.0))
+    assert "Do not rely on it" in finding.text()
     assert finding.lumps[0].plain()["probability"] == stated.probability
     assert lump.side == "stiff"
 
@@ -61,7 +61,9 @@ def test_a_certain_map_has_a_certain_centre():
     assert np.linalg.norm(exact.center_deviation_mm) < 1e-4
     assert np.linalg.norm(vague.center_deviation_mm) > 0.01
     assert exact.probability == pytest.approx(1.0)
-    assert "more than 99.9 %" in finding_of(recording(), youngs(), posterior(youngs(), 1e-6)).text()
+    assert (
+        "more than 99.9 %" in build_finding(recording(), youngs(), posterior(youngs(), 1e-6)).text()
+    )
 
 
 def recording():

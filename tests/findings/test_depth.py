@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactorch.findings import lay_under
+from tactorch.findings import measure_depth
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import Press
 
@@ -27,7 +27,7 @@ NEAR = np.linalg.norm(MESH.centroids - CENTER, axis=1) < 2.5
 
 
 def test_it_is_told_from_the_side_that_is_nearest() -> None:
-    found = lay_under(MESH, [pushed("z+"), pushed("y-")], CENTER, NEAR)
+    found = measure_depth(MESH, [pushed("z+"), pushed("y-")], CENTER, NEAR)
     assert found is not None
     assert found.center_mm == pytest.approx(2.5)
     np.testing.assert_allclose(found.inward, (0, 0, -1))
@@ -37,7 +37,7 @@ def test_a_grip_from_opposite_sides_pushes_nowhere() -> None:
     grip = pushed("x+", "x-")
     noise = np.random.default_rng(0).normal(scale=1e-9, size=grip.forces.shape)
     grip = replace(grip, forces=grip.forces + noise * (grip.forces != 0))
-    assert lay_under(MESH, [grip], CENTER, NEAR) is None
-    found = lay_under(MESH, [grip, pushed("y-")], CENTER, NEAR)
+    assert measure_depth(MESH, [grip], CENTER, NEAR) is None
+    found = measure_depth(MESH, [grip, pushed("y-")], CENTER, NEAR)
     assert found is not None
     assert found.center_mm == pytest.approx(4.0)

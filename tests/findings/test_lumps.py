@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError, MeshError
-from tactorch.findings import find_lumps, finding_of, lay_under
+from tactorch.findings import build_finding, find_lumps, measure_depth
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording
 
@@ -53,7 +53,7 @@ def test_two_lumps_of_either_kind_are_ranked_by_contrast_and_size():
     assert [lump.side for lump in found] == ["soft", "stiff"]
     assert np.array_equal(found[1].elements, first)
     assert [lump.side for lump in find_lumps(MESH, youngs, side="stiff")] == ["stiff"]
-    assert len(find_lumps(MESH, youngs, most=1)) == 1
+    assert len(find_lumps(MESH, youngs, max_lumps=1)) == 1
 
 
 def test_what_is_faint_beside_another_is_left_out():
@@ -73,7 +73,7 @@ def test_specks_are_left_out():
 
 def test_nothing_is_found_in_a_uniform_body():
     assert find_lumps(MESH, np.full(MESH.n_tets, 0.2)) == []
-    assert "No lump" in finding_of(recording(), np.full(MESH.n_tets, 0.2)).text()
+    assert "No lump" in build_finding(recording(), np.full(MESH.n_tets, 0.2)).text()
 
 
 @settings(max_examples=25)
@@ -110,10 +110,10 @@ def test_bad_input_is_refused():
         find_lumps(MESH, np.ones(3))
     with pytest.raises(MeshError, match="above 0"):
         find_lumps(MESH, np.zeros(MESH.n_tets))
-    with pytest.raises(ConfigError, match="most=0"):
-        find_lumps(MESH, np.ones(MESH.n_tets), most=0)
+    with pytest.raises(ConfigError, match="max_lumps=0"):
+        find_lumps(MESH, np.ones(MESH.n_tets), max_lumps=0)
     with pytest.raises(ConfigError, match="no element"):
-        lay_under(MESH, [press()], np.full(3, 5.0), np.zeros(MESH.n_tets, dtype=bool))
+        measure_depth(MESH, [press()], np.full(3, 5.0), np.zeros(MESH.n_tets, dtype=bool))
 
 
 def recording(*faces):
@@ -124,12 +124,12 @@ def recording(*faces):
 def test_depth_is_under_the_nearest_pressed_side():
     youngs, _ = ball((4, 5, 7), 2.2, 1.0)
     (lump,) = find_lumps(MESH, youngs)
-    depth = lay_under(MESH, recording("x+", "z+").presses, lump.center_mm, lump.elements)
+    depth = measure_depth(MESH, recording("x+", "z+").presses, lump.center_mm, lump.elements)
     assert depth is not None
     assert depth.face == "z+"
     assert depth.center_mm == pytest.approx(10.0 - lump.center_mm[2])
     assert depth.cover_mm < depth.center_mm
-    only_x = lay_under(MESH, recording("x+").presses, lump.center_mm, lump.elements)
+    only_x = measure_depth(MESH, recording("x+").presses, lump.center_mm, lump.elements)
     assert only_x is not None
     assert only_x.face == "x+"
     assert only_x.center_mm == pytest.approx(10.0 - lump.center_mm[0])
@@ -140,7 +140,7 @@ def test_slanted_pushes_have_no_side():
     forces[face_nodes(MESH, "z+")] = [0.1, 0.0, -0.1]
     slanted = Press(forces, forces != 0, 0.01 * forces, noise_mm=1e-3, fixed=press().fixed)
     _, inside = ball((5, 5, 7), 2.2, 1.0)
-    depth = lay_under(MESH, [slanted], np.array([5.0, 5.0, 7.0]), inside)
+    depth = measure_depth(MESH, [slanted], np.array([5.0, 5.0, 7.0]), inside)
     assert depth is not None
     assert depth.face == ""
     assert depth.center_mm == pytest.approx(3.0 * np.sqrt(2), abs=0.5)
@@ -148,10 +148,10 @@ def test_slanted_pushes_have_no_side():
 
 def test_the_text_says_where_how_large_and_how_stiff():
     youngs, _ = ball((4, 5, 7), 2.2, 1.0)
-    finding = finding_of(recording(), youngs)
+    finding = build_finding(recording(), youngs)
     text = finding.text()
     assert "A stiff lump at (" in text
-    assert "under the pressed side z+" in text
+    assert "below the pressed side z+" in text
     assert "5 times as stiff" in text
     lump = finding.lumps[0]
     assert lump.plain()["under"] == "z+"
@@ -161,5 +161,5 @@ def test_the_text_says_where_how_large_and_how_stiff():
 def test_the_size_is_that_along_each_axis():
     centred = (MESH.centroids - [5, 5, 5]) / [3.0, 2.0, 1.5]
     youngs = np.where((centred**2).sum(axis=1) < 1, 1.0, 0.2)
-    size = finding_of(recording(), youngs).lumps[0].size_mm
+    size = build_finding(recording(), youngs).lumps[0].size_mm
     assert size == pytest.approx([6.0, 4.0, 3.0], abs=0.5)

@@ -97,7 +97,7 @@ def test_wrong_draws_are_refused(changes: dict, message: str) -> None:
         ({"options": {"sise": 1}}, "sise"),
         ({"options": {"count": [3]}}, "family.count=.*list of two whole numbers"),
         ({"options": {"backgrounds": ["uniform", "blue"]}}, "'blue' is unknown"),
-        ({"element": "hex8"}, "element='hex8'"),
+        ({"element": "hex8"}, "element=hex8"),
         ({"mesh": MeshSizes(1e-4)}, "cells"),
         ({"material": MaterialSpec("steel", 0.3)}, "steel"),
         ({"inversion": Settings(max_seconds=1.0)}, "max_seconds"),

@@ -130,8 +130,8 @@ def replace_nodes(press: Any) -> Any:
 
 def test_settling_ends_where_the_optimizer_does(noisy: Recording) -> None:
     growing = IncrementalInversion(noisy, max_iterations=1)
-    assert not growing.add(noisy.presses[:2]).settled
-    assert growing.refine().settled
+    assert not growing.add(noisy.presses[:2]).converged
+    assert growing.refine().converged
 
 
 def test_a_weight_without_end_is_not_carried_on() -> None:
@@ -179,15 +179,15 @@ def test_settling_can_be_broken_off_and_goes_on(noisy: Recording) -> None:
     growing = IncrementalInversion(noisy, max_iterations=1)
     growing.add(noisy.presses[:2])
     broken = growing.refine(stop=lambda: True)
-    assert (broken.result.iterations, broken.settled) == (1, False)
+    assert (broken.result.iterations, broken.converged) == (1, False)
     assert broken.result.stop_reason is StopReason.STOPPED
-    assert growing.refine().settled
+    assert growing.refine().converged
 
 
 def test_an_update_in_no_time_makes_one_iteration(noisy: Recording) -> None:
     growing = IncrementalInversion(noisy, max_iterations=5, max_seconds_per_update=1e-9)
     found = growing.add(noisy.presses[:1])
-    assert (found.result.iterations, found.settled) == (1, False)
+    assert (found.result.iterations, found.converged) == (1, False)
     patient = IncrementalInversion(noisy, max_iterations=5, max_seconds_per_update=1e9)
     assert patient.add(noisy.presses[:1]).result.iterations == 5
 

@@ -144,7 +144,7 @@ def test_an_assumed_noise_raises_no_weight(cube: Recording) -> None:
 @pytest.mark.parametrize("rule", sorted(RULES))
 def test_a_rule_settles(noisy: Recording, rule: str) -> None:
     found = run(noisy, rule)
-    assert "weight of the prior has settled" in found.stop_reason
+    assert "weight of the prior has converged" in found.stop_reason
 
 
 @pytest.mark.parametrize(

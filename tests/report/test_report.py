@@ -109,7 +109,7 @@ def test_alarms_are_those_of_the_summary(run_folder: Path) -> None:
 
 
 def test_uncertainty_is_that_of_the_posterior(run_folder: Path) -> None:
-    from tactorch.uncertainty import posterior_of
+    from tactorch.uncertainty import compute_posterior
 
     run = load_run(run_folder)
     steps: list[tuple[int, int]] = []
@@ -117,7 +117,7 @@ def test_uncertainty_is_that_of_the_posterior(run_folder: Path) -> None:
     assert assessment.uncertainty is not None
     assert run.recording is not None
     settings = Settings(optimizer=GaussNewton(max_iterations=6))
-    low, high = posterior_of(run.recording, run.result, settings).interval(0.95)
+    low, high = compute_posterior(run.recording, run.result, settings).interval(0.95)
     np.testing.assert_allclose(assessment.uncertainty.low, low)
     np.testing.assert_allclose(assessment.uncertainty.high, high)
     assert steps == [(k, 4) for k in range(5)]

@@ -23,7 +23,7 @@ from tactorch.uncertainty import (
     LaplacePosterior,
     LowRankPosterior,
     VariationalPosterior,
-    posterior_of,
+    compute_posterior,
     select,
     variational_posterior,
 )
@@ -41,7 +41,7 @@ def test_it_is_that_of_the_point_where_the_inversion_ended(noisy: Recording) -> 
     objective = make_objective(noisy, Settings())
     point = objective.at(objective.start(found.youngs))
     expected = variational_posterior(point, found.history[-1]["weight"])
-    actual = posterior_of(noisy, found)
+    actual = compute_posterior(noisy, found)
     assert isinstance(actual, VariationalPosterior)
     np.testing.assert_allclose(actual.deviation(), expected.deviation(), rtol=1e-6)
     low, high = actual.interval(0.9)
@@ -53,8 +53,8 @@ def test_other_priors_and_larger_meshes_have_their_own(
 ) -> None:
     settings = Settings(regularization="smoothness")
     found = invert(noisy, settings)
-    assert type(posterior_of(noisy, found, settings)) is LaplacePosterior
-    monkeypatch.setattr(select, "DENSE", 10)
+    assert type(compute_posterior(noisy, found, settings)) is LaplacePosterior
+    monkeypatch.setattr(select, "MAX_DENSE", 10)
     told: list[tuple[int, float]] = []
 
     def at(point: Point, weight: float) -> LaplacePosterior:

@@ -154,48 +154,6 @@ class IsotropicMaterial(Material):
         strain = self.strain_energy(i1, i2, j, log_j, poisson)
         return strain + self.volumetric_energy(j, log_j, poisson)
 
-    def stress(
-        self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
-    ) -> Float[Tensor, "*batch 3 3"]:
-        """Return the first Piola-Kirchhoff stress per unit modulus, d psi / dF."""
-        d = self._derivatives(F, poisson)
-        return _combine(F, d.d1, d.d2, d.dj)
-
-    def averaged_stress(
-        self, F: Float[Tensor, "*cases m q 3 3"], weights: Float[Tensor, "m q"], poisson: Scalars
-    ) -> Float[Tensor, "*cases m q 3 3"]:
-        """Return the stress per unit modulus with the volumetric part at the element's mean J."""
-        i1, i2, j = invariants(F)
-        mean = (weights * j).sum(-1) / weights.sum(-1)
-        per_point = poisson[..., None] if getattr(poisson, "ndim", 0) else poisson
-        d = self.strain_derivatives(i1, i2, j, torch.log(j), per_point)
-        pressure = self.volumetric_derivatives(mean, torch.log(mean), poisson).dj
-        pressure = _expand(pressure, mean)[..., None]
-        return _combine(F, _expand(d.d1, j), _expand(d.d2, j), d.dj + pressure)
-
-    def tangent(
-        self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
-    ) -> Float[Tensor, "*batch 3 3 3 3"]:
-        """Return the tangent per unit modulus, d P_iI / d F_jJ at [i, I, j, J]."""
-        d = self._derivatives(F, poisson)
-        g = torch.stack(_invariant_gradients(F), dim=-3)
-        mixed = torch.stack(
-            [d.d11, d.d12, d.d1j, d.d12, d.d22, d.d2j, d.d1j, d.d2j, d.djj], dim=-1
-        ).unflatten(-1, (3, 3))
-        outer = torch.einsum("...aiI,...ab,...bjJ->...iIjJ", g, mixed, g)
-        h1, h2, hj = _invariant_hessians(F)
-        weight = [x[..., None, None, None, None] for x in (d.d1, d.d2, d.dj)]
-        return outer + weight[0] * h1 + weight[1] * h2 + weight[2] * hj
-
-    def _derivatives(self, F: Tensor, poisson: Scalars) -> InvariantDerivatives:
-        """All derivatives at F, of both parts together."""
-        i1, i2, j = invariants(F)
-        log_j = torch.log(j)
-        strain = self.strain_derivatives(i1, i2, j, log_j, poisson)
-        volume = self.volumetric_derivatives(j, log_j, poisson)
-        total = strain._replace(dj=strain.dj + volume.dj, djj=strain.djj + volume.djj)
-        return InvariantDerivatives(*(_expand(d, j) for d in total))
-
 
 def _differentiate(
     energy: Callable[..., Tensor], arguments: tuple[Scalars, ...], poisson: Scalars
@@ -225,16 +183,6 @@ def _differentiate(
     return psi(*arguments).numpy(), tuple(d.numpy() for d in first), rows
 
 
-def _expand(value: Scalars, like: Tensor) -> Tensor:
-    return torch.as_tensor(value, dtype=like.dtype, device=like.device).expand(like.shape)
-
-
-def _combine(F: Tensor, d1: Tensor, d2: Tensor, dj: Tensor) -> Tensor:
-    """Sum of the gradients of the invariants with these weights."""
-    g1, g2, gj = _invariant_gradients(F)
-    return d1[..., None, None] * g1 + d2[..., None, None] * g2 + dj[..., None, None] * gj
-
-
 def invariants(
     F: Float[Tensor, "*batch 3 3"],
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
@@ -242,38 +190,5 @@ def invariants(
     C = F.mT @ F
     i1 = C.diagonal(dim1=-2, dim2=-1).sum(-1)
     i2 = 0.5 * (i1 * i1 - (C * C).sum((-2, -1)))
-    return i1, i2, (F[..., 0, :] * _cofactor(F)[..., 0, :]).sum(-1)
-
-
-def _cofactor(F: Tensor) -> Tensor:
-    """Cofactor matrix: d det F / dF, without an inverse."""
-    a, b, c = F.unbind(-2)
-    cross = torch.linalg.cross
-    return torch.stack([cross(b, c), cross(c, a), cross(a, b)], dim=-2)
-
-
-def _invariant_gradients(F: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradients of I1, I2, J with respect to F."""
-    C = F.mT @ F
-    i1 = C.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-    return 2.0 * F, 2.0 * (i1 * F - F @ C), _cofactor(F)
-
-
-def _invariant_hessians(F: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Second derivatives of I1, I2, J with respect to F, at [i, I, j, J]."""
-    one = torch.eye(3, dtype=F.dtype, device=F.device)
-    identity = torch.einsum("ij,IJ->iIjJ", one, one).expand(*F.shape[:-2], 3, 3, 3, 3)
-    B, C = F @ F.mT, F.mT @ F
-    i1 = C.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None, None, None]
-    second = (
-        2.0 * torch.einsum("...iI,...jJ->...iIjJ", F, F)
-        + i1 * identity
-        - torch.einsum("ij,...IJ->...iIjJ", one, C)
-        - torch.einsum("...iJ,...jI->...iIjJ", F, F)
-        - torch.einsum("...ij,IJ->...iIjJ", B, one)
-    )
-    levi = torch.zeros(3, 3, 3, dtype=F.dtype, device=F.device)
-    for i in range(3):
-        levi[i, (i + 1) % 3, (i + 2) % 3], levi[i, (i + 2) % 3, (i + 1) % 3] = 1.0, -1.0
-    third = torch.einsum("ijk,IJK,...kK->...iIjJ", levi, levi, F)
-    return 2.0 * identity, 2.0 * second, third
+    a, b, c = F.unbind(-2)  # the triple product: det's second derivative is not finite at rest
+    return i1, i2, (a * torch.linalg.cross(b, c)).sum(-1)

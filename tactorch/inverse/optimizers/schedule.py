@@ -2,7 +2,7 @@
 
 Discrepancy principle (Morozov, 1966): the weight falls until the mean squared residual reaches one,
 the noise. A map that converges to less than the noise at that weight is overfitted: the weight
-rises again, and is bisected. Two other rules choose it anew at every iterate from the linearised
+rises again, and is bisected. Two other rules choose it at every iterate from the linearised
 problem: generalised cross-validation (Golub, Heath and Wahba, 1979) takes the weight that predicts
 left-out data best, the L-curve (Hansen, 1998) the corner of misfit against prior. Neither needs the
 size of the noise.
@@ -239,7 +239,7 @@ def warm_start_state(state: dict[str, float], growth: float) -> dict[str, float]
     """Return the state of a schedule to continue from with more data; empty where it is of no use.
 
     A weight that fitted the data is kept, and lowered or raised from there; one chosen by another
-    rule is chosen anew. Uninformative data raise the weight without end: it starts no higher than
+    rule is chosen again. Uninformative data raise the weight without end: it starts no higher than
     a hundred times one that dominates at a uniform map.
 
     Args:

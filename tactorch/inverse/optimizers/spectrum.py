@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from tactorch.inverse.objective import Point
 
-# What the prior does not see (a uniform change, say) is held by this share of its mean diagonal.
-_HOLD = 1e-6
+# Shift of directions that the prior leaves free (a uniform change), relative to its mean diagonal.
+_SHIFT = 1e-6
 _DECADES, _PER_DECADE = 8, 8
 
 
@@ -55,9 +55,9 @@ class Spectrum:
         curvature: sp.csr_matrix,
         gradient: Float[np.ndarray, " m"],
     ) -> "Spectrum | None":
-        """Decompose J, r, P, g; None where P, held a little, cannot be factored."""
+        """Decompose J, r, P, g; None where P with a small shift cannot be factored."""
         prior = curvature.toarray()
-        prior[np.diag_indices_from(prior)] += _HOLD * prior.trace() / len(prior)
+        prior[np.diag_indices_from(prior)] += _SHIFT * prior.trace() / len(prior)
         try:
             factor = la.cholesky(prior, lower=True, overwrite_a=True, check_finite=False)
             values, vectors = _right_vectors(jacobian, factor)
@@ -69,7 +69,7 @@ class Spectrum:
         return Spectrum(values, vectors.T @ slope, vectors.T @ push, misfit, len(residuals))
 
     def weights(self) -> Float[np.ndarray, " w"]:
-        """Weights worth looking at, from the largest squared singular value down."""
+        """Return candidate weights, from the largest squared singular value down."""
         exponents = np.linspace(0.0, -_DECADES, _DECADES * _PER_DECADE + 1)
         return float(self.squares.max()) * 10.0**exponents
 
@@ -78,18 +78,18 @@ class Spectrum:
         return -(self.pull + w * self.push) / (self.squares + w)
 
     def misfits(self, weights: Float[np.ndarray, " w"]) -> Float[np.ndarray, " w"]:
-        """Squared residuals |r + J d|^2 that each weight leaves."""
+        """Return the squared residuals |r + J d|^2 at each weight."""
         steps = self._steps(weights)
         left = self.misfit + 2.0 * steps @ self.pull + (steps * steps) @ self.squares
         return np.maximum(left, np.finfo(float).tiny)
 
     def penalties(self, weights: Float[np.ndarray, " w"]) -> Float[np.ndarray, " w"]:
-        """The prior's quadratic, above its least and without its weight, that each leaves."""
+        """Return the prior's quadratic above its minimum, without its weight, at each weight."""
         left = self._steps(weights) + self.push
         return np.maximum(0.5 * (left * left).sum(axis=1), np.finfo(float).tiny)
 
     def freedom(self, weights: Float[np.ndarray, " w"]) -> Float[np.ndarray, " w"]:
-        """Data that each weight uses up: the trace of the influence matrix."""
+        """Return the degrees of freedom at each weight: the trace of the influence matrix."""
         return (self.squares / (self.squares + weights[:, None])).sum(axis=1)
 
 
@@ -101,6 +101,6 @@ def _right_vectors(jacobian: np.ndarray, factor: np.ndarray) -> tuple[np.ndarray
         values, vectors = la.eigh(scaled @ scaled.T, driver="evd", check_finite=False)
         return np.maximum(values, 0.0), vectors
     values, left = la.eigh(scaled.T @ scaled, driver="evd", check_finite=False)
-    seen = values > 1e-12 * values[-1]
-    vectors = scaled @ left[:, seen] / np.sqrt(values[seen])
-    return values[seen], vectors
+    determined = values > 1e-12 * values[-1]
+    vectors = scaled @ left[:, determined] / np.sqrt(values[determined])
+    return values[determined], vectors

@@ -182,8 +182,8 @@ def smoothed_median(
 ) -> float:
     """Return the level c that minimises the sum of weights * sqrt((field - c)^2 + edge^2).
 
-    The weighted median where `edge` is small beside the spread. The sum is strictly convex in c:
-    bisection on its slope.
+    It is the weighted median where `edge` is small relative to the spread. The sum is strictly
+    convex in c, so bisection on its slope converges.
     """
     low, high = float(field.min()), float(field.max())
     level = weighted_median(field, weights)

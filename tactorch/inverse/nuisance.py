@@ -1,0 +1,242 @@
+"""Nuisance parameters: quantities other than the moduli that the data depend on."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from tactorch.config import Options, option
+from tactorch.recording import Press, Recording
+
+_SIZES = {"poisson": 1, "force_scale": 1, "rest_scale": 3, "translation_mm": 3, "rotation_rad": 3}
+_RATIOS = ("force_scale", "rest_scale")
+_POISSON_LIMITS = (-0.9, 0.4995)  # above, tetrahedra of any kind lock
+_MAX_Z = 8.0  # prior standard deviations from the assumed value
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisance:
+    """Values of the nuisance parameters, common to all presses.
+
+    The sensor's frame differs from that of the mesh by a small rigid motion: a point x is reported
+    at `rotation (x - c) + c + translation`, with c the centre of the mesh's bounding box, and
+    forces are rotated likewise. The true rest shape is the mesh stretched along the axes
+    about where each press holds it. The true forces are the reported ones times `force_scale`.
+
+    Attributes:
+        poisson: Poisson's ratio of the whole object.
+        force_scale: True over reported force.
+        rest_scale: True over assumed size along x, y and z.
+        translation_mm: Translation of the sensor's reports, mm.
+        rotation_rad: Rotation vector of the sensor's reports, rad.
+    """
+
+    poisson: float
+    force_scale: float = 1.0
+    rest_scale: Float[np.ndarray, "3"] = field(default_factory=lambda: np.ones(3))
+    translation_mm: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    rotation_rad: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+
+    @staticmethod
+    def assumed(recording: Recording) -> "Nuisance":
+        """Return the values that the recording states or implies."""
+        return Nuisance(recording.material.poisson)
+
+    @property
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """The rotation as a matrix; exactly the unit matrix for a zero vector."""
+        if not self.rotation_rad.any():
+            return np.eye(3)
+        return Rotation.from_rotvec(self.rotation_rad).as_matrix()
+
+    def rotation_rates(self) -> Float[np.ndarray, "3 3"]:
+        """Return, column by column, the spatial rotation by a change of each component.
+
+        This is the left Jacobian of the rotation group (Sola, Deray and Atchuthan, 2018, eq. 145).
+        """
+        angle = float(np.linalg.norm(self.rotation_rad))
+        x, y, z = self.rotation_rad
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        if angle < 1e-4:  # the coefficients' own series: their differences would cancel
+            return np.eye(3) + 0.5 * cross + cross @ cross / 6.0
+        a = (1.0 - np.cos(angle)) / angle**2
+        b = (angle - np.sin(angle)) / angle**3
+        return np.eye(3) + a * cross + b * (cross @ cross)
+
+
+@dataclass(frozen=True)
+class NuisancePrior(Options):
+    """Nuisance parameters to be estimated; each field is a prior standard deviation, or None.
+
+    The prior is normal about the recording's values: for Poisson's ratio, translation and rotation
+    in their units, for the scales in their logarithms (0.1 is about 10 %). The optimizer's variable
+    is z, the difference from there in standard deviations.
+
+    Without springs of known stiffness, weight or prescribed motion the scales of forces and moduli
+    are one unknown: the data are then uninformative about `force_scale`, and its deviation remains
+    that of the prior.
+
+    Attributes:
+        poisson: Deviation of Poisson's ratio, such as 0.02.
+        force_scale: Deviation of the logarithm of true over reported force, such as 0.2.
+        rest_scale: Deviation of the logarithm of true over assumed size of each axis, such as 0.1.
+        translation_mm: Deviation of each component of the sensor's offset, mm.
+        rotation_rad: Deviation of each component of the sensor's rotation vector, rad.
+    """
+
+    section: ClassVar[str] = "nuisance"
+    poisson: float | None = option(None, "Deviation of Poisson's ratio; null: known", gt=0)
+    force_scale: float | None = option(
+        None, "Relative deviation of true from reported force; null: known", gt=0
+    )
+    rest_scale: float | None = option(
+        None, "Relative deviation of true from assumed size, each axis; null: known", gt=0
+    )
+    translation_mm: float | None = option(
+        None, "Deviation of the sensor's offset, each axis; null: known", unit="mm", gt=0
+    )
+    rotation_rad: float | None = option(
+        None, "Deviation of the sensor's rotation, each axis; null: known", unit="rad", gt=0
+    )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that are estimated."""
+        return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
+
+    @property
+    def size(self) -> int:
+        """Number of values that are estimated."""
+        return sum(_SIZES[name] for name in self.names)
+
+    def parts(self, values: Float[np.ndarray, " k"]) -> dict[str, np.ndarray]:
+        """Split values, in the order of z, by parameter."""
+        ends = np.cumsum([_SIZES[name] for name in self.names])[:-1]
+        return dict(zip(self.names, np.split(values, ends), strict=True)) if self.names else {}
+
+    def nuisance(self, z: Float[np.ndarray, " k"], assumed: Nuisance) -> Nuisance:
+        """Return the values at z."""
+        changes: dict[str, Any] = {}
+        for name, part in self.parts(z).items():
+            shift, origin = getattr(self, name) * part, getattr(assumed, name)
+            value = origin * np.exp(shift) if name in _RATIOS else origin + shift
+            changes[name] = float(value[0]) if _SIZES[name] == 1 else value
+        return replace(assumed, **changes)
+
+    def z(
+        self, values: Mapping[str, Float[np.ndarray, " _"]], assumed: Nuisance
+    ) -> Float[np.ndarray, " k"]:
+        """Return z of values, by name; the inverse of `nuisance`."""
+        parts = [np.zeros(0)]
+        for name in self.names:
+            value = np.atleast_1d(values[name])
+            origin = np.atleast_1d(getattr(assumed, name))
+            shift = np.log(value / origin) if name in _RATIOS else value - origin
+            parts.append(shift / getattr(self, name))
+        return np.concatenate(parts)
+
+    def slopes(self) -> Float[np.ndarray, " k"]:
+        """Return d(value, or log of a scale) / dz: the prior deviations of the components."""
+        return np.concatenate(
+            [np.zeros(0), *(np.full(_SIZES[name], getattr(self, name)) for name in self.names)]
+        )
+
+    def limits(self, assumed: Nuisance) -> tuple[np.ndarray, np.ndarray]:
+        """Return bounds of z."""
+        low, high = np.full(self.size, -_MAX_Z), np.full(self.size, _MAX_Z)
+        if self.poisson is not None:  # the first component
+            ends = (np.array(_POISSON_LIMITS) - assumed.poisson) / self.poisson
+            low[0], high[0] = max(low[0], ends[0]), min(high[0], ends[1])
+        return low, high
+
+
+@dataclass(frozen=True, eq=False)
+class PressModel:
+    """A press at given nuisance values: true forces, true rest shape, reported displacement.
+
+    Attributes:
+        forces: True forces on the mesh's nodes, in its frame, N.
+        arm: True rest position relative to the support of the press, mm.
+        drift: Displacement that the sensor reports at zero displacement, mm.
+        values: The nuisance values.
+        rest: Assumed rest positions relative to the centre of rotation, mm.
+    """
+
+    forces: Float[np.ndarray, "n 3"]
+    arm: Float[np.ndarray, "n 3"]
+    drift: Float[np.ndarray, "n 3"]
+    values: Nuisance
+    rest: Float[np.ndarray, "n 3"]
+
+    def reported(self, u: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "n 3"]:
+        """Return the displacement that the sensor reports where the true one is u, mm."""
+        return self.drift + u[: len(self.rest)] @ self.values.rotation.T
+
+    def force_rates(self, name: str) -> list[Float[np.ndarray, "n 3"]]:
+        """Return the change of the true forces by each component of a parameter.
+
+        For a scale the component is its logarithm.
+        """
+        if name == "force_scale":
+            return [self.forces]
+        if name == "rotation_rad":
+            rotated = self.forces @ self.values.rotation.T
+            rates = self.values.rotation_rates().T
+            return [-np.cross(rate, rotated) @ self.values.rotation for rate in rates]
+        return []
+
+    def report_rates(
+        self, name: str, u: Float[np.ndarray, "nodes 3"]
+    ) -> list[Float[np.ndarray, "n 3"]]:
+        """Return the change of the report by each component, the true displacement unchanged."""
+        if name == "rest_scale":
+            return [np.outer(self.arm[:, a], self.values.rotation[:, a]) for a in range(3)]
+        if name == "translation_mm":
+            return [np.broadcast_to(row, self.rest.shape).copy() for row in np.eye(3)]
+        if name == "rotation_rad":
+            rotated = self.reported(u) + self.rest - self.values.translation_mm
+            return [np.cross(rate, rotated) for rate in self.values.rotation_rates().T]
+        return []
+
+
+class PressModelFactory:
+    """Makes the press models of a recording."""
+
+    def __init__(self, recording: Recording) -> None:
+        """Find the support of each press."""
+        self._presses = recording.presses
+        self.points = recording.mesh.points
+        self._center = recording.mesh.bounds.mean(axis=0)
+        self._supports = [
+            _support_center(press, self.points, self._center) for press in recording.presses
+        ]
+
+    def rest_points(self, values: Nuisance) -> Float[np.ndarray, "n 3"]:
+        """Return the true rest shape, mm, up to a translation."""
+        return self.points * values.rest_scale
+
+    def at(self, values: Nuisance, index: int) -> PressModel:
+        """Return the model of one press."""
+        rotation, support = values.rotation, self._supports[index]
+        rest, arm = self.points - self._center, (self.points - support) * values.rest_scale
+        # This form is exactly zero at the assumed values.
+        true = rest + (arm - (self.points - support))
+        drift = true @ rotation.T - rest + values.translation_mm
+        forces = values.force_scale * (self._presses[index].forces @ rotation)
+        return PressModel(forces, arm, drift, values, rest)
+
+
+def _support_center(
+    press: Press, points: Float[np.ndarray, "n 3"], center: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Return the mean position of the supported nodes along each axis, mm.
+
+    The table does not move with the size of the object; an axis without support has the centre.
+    """
+    supported = press.fixed | (press.springs > 0)
+    return np.array(
+        [points[on, a].mean() if (on := supported[:, a]).any() else center[a] for a in range(3)]
+    )
