@@ -15,8 +15,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.tactorch-installed
 # One thread per process: the workers already share the cores.
 ONE_THREAD := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1
-# Quick tests check the shapes of some calls, see tests/conftest.py; these of all.
-ALL_CHECKED := TACTORCH_CHECK_EVERY=1
+# Quick tests check the shapes of some calls, see tests/shape_checks.py; these of all.
+ALL_CHECKED := TACTORCH_MAX_CHECKS=0
 # Tests start processes: each would compile the package anew where bytecode is not kept.
 KEEP_BYTECODE := PYTHONDONTWRITEBYTECODE=
 # "worksteal" evens out files of very different length.

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -72,3 +73,68 @@ def test_a_full_disk_is_one_error(what: str, tmp_path: Path) -> None:
     assert done.stdout.splitlines()[-1].startswith("refused: cannot write")
     assert "Traceback" not in done.stderr
     assert "Exception ignored" not in done.stderr
+
+
+LIMIT = 6000  # bytes; enough for the settings and the log of a run
+PRESS = ("press.faces=[z+]", "press.steps=1")
+DATASET = (
+    "dataset.count=4", "dataset.shard=4", "dataset.reconstruct=false", "dataset.samples=1",
+    "dataset.mesh.relative_edge_length=0.3", "dataset.mesh.fine_relative=null",
+    "dataset.presses.steps=[1]", "workers=1",
+)  # fmt: skip
+COMMANDS = {
+    "simulate": (*PRESS, "mesh=coarse", "out=out.h5"),
+    "generate": (*DATASET, "out=out"),
+    "invert": ("recording=case.h5", "plots=false", "optimizer.max_iterations=1"),
+    "live": ("recording=case.h5", "plots=false", "patience_seconds=1"),
+    "train": (
+        "data.folder=data", "data.source=truth", "data.voxels=6", "data.shares=[0.5,0.25,0.25]",
+        "model.hidden=8", "model.layers=2", "trainer.max_epochs=1",
+    ),
+}  # fmt: skip
+
+
+def run_command(folder: Path, *words: str, limit: int | None = None) -> Any:
+    def full_disk() -> None:
+        import resource
+
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    command = [sys.executable, "-m", "tactorch", *words]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=120, cwd=folder, preexec_fn=full_disk
+    )
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("full")
+    for words in (
+        ("simulate", *PRESS, "mesh=coarse", "out=case.h5", "run_dir=a"),
+        ("generate", *DATASET, "out=data", "run_dir=b"),
+    ):
+        done = run_command(folder, *words)
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no limit of a file's size")
+@pytest.mark.parametrize("is_log_full", [False, True])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_on_a_full_disk_ends_with_one_line(
+    command: str, is_log_full: bool, place: Path
+) -> None:
+    run = place / f"{command}-{is_log_full}"
+    run.mkdir()
+    if is_log_full:
+        (run / f"{command}.log").write_bytes(b"-" * LIMIT)
+    done = run_command(place, command, *COMMANDS[command], f"run_dir={run}", limit=LIMIT)
+    assert done.returncode == 2, done.stderr
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith(f"tactorch {command}: error: cannot write '")
+    assert (".log'" in done.stderr) == is_log_full
+    assert not (place / "out.h5").exists()
+    results = {path.name for folder in (run, place / "out") for path in folder.rglob("*")}
+    assert not [name for name in results if ".part" in name or name.endswith((".h5", ".ckpt"))]

@@ -150,8 +150,8 @@ class App:
         self._started = True
         self._place = Path(HydraConfig.get().runtime.output_dir)
         note = ", ".join(f"{name} {version}" for name, version in versions().items())
-        to_log_file(f"tactorch {self.command} with {note}")
         try:
+            to_log_file(f"tactorch {self.command} with {note}")
             options = build_options(self.command, cfg)
             self._check_output(getattr(options, "out", None))
             with _plain_warnings(), _no_lines_in_the_bar():

@@ -19,7 +19,11 @@ _PLAIN_LINES = {"formatters": {"simple": _LINES}}
 _HYDRA: Mapping[str, Any] = {
     "run": {"dir": "${run_dir}"},
     "sweep": {"dir": "${run_dir}", "subdir": "${hydra.job.num}"},
-    "job_logging": {**_PLAIN_LINES, "loggers": {"matplotlib": {"level": "WARNING"}}},
+    "job_logging": {
+        **_PLAIN_LINES,
+        "handlers": {"file": {"class": "tactorch.cli.logs.RunLog"}},
+        "loggers": {"matplotlib": {"level": "WARNING"}},
+    },
     "hydra_logging": _PLAIN_LINES,
 }
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from tactorch.cli.overrides import PROGRAM
 from tactorch.cli.schema import EXPERIMENT, Schema, add_presets, read_experiments, read_yaml
 from tactorch.errors import ConfigError
 from tactorch.files import require_folder
@@ -39,28 +40,31 @@ def _check_names(folder: Path, options: dict[str, Any]) -> None:
 
 def _check_plain(path: Path, folder: Path) -> None:
     """Refuse settings of Hydra and names of functions, wherever they stand in a file."""
-    text = path.read_bytes()
-    is_hydra = path.relative_to(folder).parts[0] == "hydra" or b"@package hydra" in text
-    reasons = [key for key in _keys(read_yaml(path)) if _is_program(key)]
+    content = path.read_bytes()
+    is_hydra = path.relative_to(folder).parts[0] == "hydra" or b"@package hydra" in content
+    reasons = [text for text in _texts(read_yaml(path)) if _is_program(text)]
     if is_hydra or reasons:
         shown = f" sets '{reasons[0]}'" if reasons else " sets 'hydra'"
         raise ConfigError(
-            f"'{path}'{shown}, which can run programs; remove it, or add --trust-config-dir if you "
-            "trust everything in that folder."
+            f"'{path}'{shown}, which can run programs or read the environment; remove it, or add "
+            "--trust-config-dir if you trust everything in that folder."
         )
 
 
-def _is_program(key: str) -> bool:
-    name = key.removeprefix("override ").lstrip("/")
-    return name in ("hydra", "_target_") or name.startswith(("hydra/", "hydra.", "hydra@"))
+def _is_program(text: str) -> bool:
+    name = text.removeprefix("override ").lstrip("/")
+    is_hydra = name == "hydra" or name.startswith(("hydra/", "hydra.", "hydra@"))
+    return is_hydra or PROGRAM.search(text) is not None
 
 
-def _keys(value: Any) -> Iterator[str]:
-    """Yield all names in a table, and all text in its lists of defaults."""
+def _texts(value: Any) -> Iterator[str]:
+    """Yield all text in a table, names and values."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield str(key)
-            yield from _keys(inner)
+            yield from _texts(inner)
     elif isinstance(value, list):
         for item in value:
-            yield from [item] if isinstance(item, str) else _keys(item)
+            yield from _texts(item)
+    elif isinstance(value, str):
+        yield value

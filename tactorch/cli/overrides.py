@@ -1,6 +1,7 @@
 """Settings as typed, KEY=VALUE: checked against the schema before Hydra composes them."""
 
 import difflib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,9 @@ from tactorch.errors import ConfigError
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
 
+#: What runs a function, or reads the environment, when settings are resolved: all but ${NAME} and
+#: the time.
+PROGRAM = re.compile(r"_target_|\$\{(?!now:|[\w.]+\})")
 _HYDRA = ("hydra.", "hydra/")
 #: Names of settings up to version 0.1, and their names now.
 _RENAMED = {

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactorch.cli.overrides import check_overrides, key_of
+from tactorch.cli.overrides import PROGRAM, check_overrides, key_of
 from tactorch.cli.schema import Schema, app_name
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
@@ -25,8 +25,6 @@ _STATES = {
     "demo": (CHECKPOINT,),
     "train": ("last.ckpt", "split-*/last.ckpt"),
 }
-# What runs a function, or reads the environment, when Hydra resolves it.
-_PROGRAMS = ("_target_", "${oc.")
 
 
 def with_resume(schema: Schema, words: list[str], *, multirun: bool = False) -> list[str]:
@@ -80,7 +78,7 @@ def _check_plain(schema: Schema, kept: list[str], given: list[str], path: Path) 
     """Return the settings of a run folder; the given ones may choose other options."""
     try:
         for word in kept:
-            if any(program in word for program in _PROGRAMS):
+            if PROGRAM.search(word):
                 raise ConfigError(f"'{word}' is no plain value.")
         return check_overrides(schema, [*kept, *given], trusted=False)[: len(kept)]
     except ConfigError as error:

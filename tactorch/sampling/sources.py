@@ -119,7 +119,8 @@ class RecordingSource(PressSource):
 
         Raises:
             OtherObjectError: a recording is of another object than earlier presses.
-            RecordingError: presses that were read before were changed or removed.
+            RecordingError: presses that were read before were changed or removed, or the only
+                recording is invalid.
         """
         arrivals: list[Arrival] = []
         for path in self._paths():
@@ -147,7 +148,7 @@ class RecordingSource(PressSource):
         except OtherObjectError:
             raise
         except (FileError, RecordingError, OSError) as error:
-            self._unreadable(file, str(error))
+            self._unreadable(file, error)
             return []
         file.read_at, file.failed_at, file.reported = stamp, None, False
         file.check(contents.count, contents.presses)
@@ -165,13 +166,21 @@ class RecordingSource(PressSource):
             file.last = max(new), arrivals[-1].digest
         return arrivals
 
-    def _unreadable(self, file: "_File", reason: str) -> None:
-        """Report a file once it has been unreadable for `patience_seconds`."""
+    def _unreadable(self, file: "_File", error: Exception) -> None:
+        """Report a file once it has been unreadable for `patience_seconds`.
+
+        Raises:
+            RecordingError: the only file can be read and is no valid recording; waiting does not
+                help.
+        """
         now = time.monotonic()
         file.failed_at = now if file.failed_at is None else file.failed_at
-        if not file.reported and now - file.failed_at >= self._patience:
-            file.reported = True
-            self._report(f"'{file.path}' cannot be read yet, and is tried again: {reason}")
+        if file.reported or now - file.failed_at < self._patience:
+            return
+        if isinstance(error, RecordingError) and not self.path.is_dir():
+            raise error
+        file.reported = True
+        self._report(f"'{file.path}' cannot be read yet, and is tried again: {error}")
 
 
 @dataclass(eq=False)

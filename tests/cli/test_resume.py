@@ -147,6 +147,8 @@ ATTACK = "+hydra.callbacks.x._target_=numpy.savetxt"
         ("~optimizer.tolerance", "would remove a setting"),
         ("regularization.weight={_target_: os.system}", "no plain value"),
         ("recording=${oc.env:HOME}", "no plain value"),
+        ("recording=${ oc.env:HOME}", "no plain value"),
+        ("recording=${${optimizer.name}.env:HOME}", "no plain value"),
         ("optimizer.max_iterations=1,2", "several values"),
     ],
 )
@@ -170,6 +172,7 @@ def test_a_run_folder_gives_plain_settings_only(
         ("experiment/x.yaml", "defaults:\n  - override /hydra/launcher: joblib\n"),
         ("regularization/x.yaml", "name: tikhonov\nweight:\n  _target_: os.system\n"),
         ("hydra/callbacks/x.yaml", "y: 1\n"),
+        ("experiment/x.yaml", "# @package _global_\nrecording: ${ oc.env:HOME}\n"),
     ],
 )
 def test_a_folder_of_settings_gives_plain_settings_only(
@@ -182,7 +185,7 @@ def test_a_folder_of_settings_gives_plain_settings_only(
         "invert", f"recording={recording}", "--config-dir", tmp_path / "own", "experiment=x"
     )
     assert done.status == 2
-    assert "can run programs" in done.err
+    assert "can run programs or read the environment" in done.err
     assert "--trust-config-dir" in done.err
     assert not list(Path().iterdir())
 

@@ -137,13 +137,17 @@ def test_what_can_be_no_source_is_refused(tmp_path: Path) -> None:
         RecordingSource(tmp_path / "none")
 
 
-def test_declared_presses_that_are_not_there_are_reported(
+def test_declared_presses_that_are_not_there_end_it(
     path: Path, whole: Recording, notes: list[str]
 ) -> None:
+    """The file can be read: waiting does not repair it. Others of a folder are still read."""
     whole.select([0]).save(path)
     with h5py.File(path, "r+") as file:
         file["presses"].attrs["count"] = 1_000_000_000
-    source = RecordingSource(path, patience_seconds=0.0, report=notes.append)
-    assert keys(source) == []
+    with pytest.raises(RecordingError, match="declares 1000000000 presses"):
+        RecordingSource(path, patience_seconds=0.0).poll()
+    whole.select([1]).save(path.with_name("z.h5"))
+    source = RecordingSource(path.parent, patience_seconds=0.0, report=notes.append)
+    assert keys(source) == ["z.h5, press 1"]
     assert len(notes) == 1
     assert "declares 1000000000 presses" in notes[0]
