@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
+from typing import Literal
 
 import lightning
 import numpy as np
@@ -81,9 +82,9 @@ class RecognitionData(lightning.LightningDataModule):
         *,
         voxels: int = 24,
         batch: int = 16,
-        shares: Sequence[float] = (0.7, 0.1, 0.2),
+        shares: tuple[float, float, float] = (0.7, 0.1, 0.2),
         split: int = 0,
-        source: str = "reconstruction",
+        source: Literal["reconstruction", "truth"] = "reconstruction",
         augment: bool = True,
         brightness: float = 0.1,
         seed: int = 0,
