@@ -97,9 +97,9 @@ class Newton:
         forces: Nodal forces, N.
         supports: Supports.
         options: Settings of the search.
-        after: A search with a similar tangent whose factorisation is reused: the first steps need
-            none of their own, and on large meshes memory is needed for one only. The search
-            `after` then has to factor again.
+        after: A search with a similar tangent whose factorisation is reused, so that the first
+            steps need no factorisation and large meshes memory for one only. The search `after`
+            then has to factor again.
     """
 
     def __init__(
