@@ -264,7 +264,7 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
 
 
 def rebuild(make: Callable[..., _Network], path: Path, kind: str, advice: str) -> _Network:
-    """Make a network anew from a checkpoint alone: its settings stand in it. Ready to answer.
+    """Load a network in evaluation mode from a checkpoint, which contains its settings.
 
     Args:
         make: The network's class.

@@ -7,7 +7,7 @@ import numpy as np
 
 from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
-from tactorch.recording import Recording, append_press
+from tactorch.recording import Recording, append_press, compact
 
 
 def grow(contacts: Iterable[Recording], out: Path) -> Path:
@@ -40,5 +40,6 @@ def grow(contacts: Iterable[Recording], out: Path) -> Path:
             "no contact became presses; see what was told of them, or look at the frames with"
             " tactorch sensor track."
         )
+    compact(out)
     log.info("recording: %s", out)
     return out

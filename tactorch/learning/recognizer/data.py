@@ -21,7 +21,7 @@ from tactorch.mesh import VoxelGrid
 
 
 class Turned(Dataset[tuple[Tensor, Tensor]]):
-    """SampleMaps, each seen through a symmetry and a factor drawn anew in each epoch.
+    """SampleMaps, each transformed by a random symmetry and factor in each epoch.
 
     Args:
         maps: (n, 1, v, v, v) log-modulus.
