@@ -29,6 +29,8 @@ def run_app(command: str, words: Sequence[str]) -> None:
     if wants_help(words):
         print(help_text(command, words))
         return
+    # A log file that cannot be written is no reason for a traceback among the messages.
+    logging.raiseExceptions = os.environ.get(_DEBUG) == "1"
     try:
         app = _prepare(command, words)
     except TactorchError as error:
@@ -201,7 +203,7 @@ def _composition_error(error: Exception) -> str:
     from hydra.errors import HydraException
 
     if isinstance(error, OSError):
-        return f"the run folder cannot be made ({error}); choose another run_dir."
+        return f"the run folder cannot be made or written ({error}); choose another run_dir."
     cause = f" ({error.__cause__})" if error.__cause__ else ""
     kind = "" if isinstance(error, HydraException) else f"{type(error).__name__}: "
     return f"{kind}{error}{cause}"

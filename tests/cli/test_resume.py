@@ -121,7 +121,7 @@ def test_interruption_writes_the_best_map_and_says_so(
     monkeypatch.setattr(Monitor, "accept", interrupted)
     done = tactorch("invert", f"recording={recording}", *RUN)
     assert done.status == 130
-    assert "interrupted; go on with tactorch invert resume=run\n" in done.err
+    assert "interrupted; continue with tactorch invert resume=run\n" in done.err
     assert load().stop_reason == "interrupted"
     assert load().iterations == 1
 
