@@ -150,9 +150,7 @@ def _select_map(
     with progress("choosing a map", "maps") as report:
         selected, maps = select_map(presses, ball, options, groups, report)
     for each, quality in maps.items():
-        log.info(
-            "%s: mean error of slopes %.4f / %.4f on presses left out", candidate, *quality.mae
-        )
+        log.info("%s: mean error of slopes %.4f / %.4f on presses left out", each, *quality.mae)
     return replace(options, map=SENSOR_MAPS.build(selected)), maps
 
 
