@@ -168,7 +168,7 @@ def test_what_cannot_be_calibrated_with_is_refused() -> None:
         find_circle(image_change(drawn.still(1), drawn.still()), BALL, "x.png")
     with pytest.raises(ConfigError, match="has shape"):
         image_change(drawn.still()[:-4], drawn.still())
-    with pytest.raises(ConfigError, match="sensor_map=forest is unknown; choose one of mlp"):
+    with pytest.raises(ConfigError, match="map=forest is unknown; choose one of mlp"):
         FitOptions("forest")
     with pytest.raises(ConfigError, match="radius_mm=6000"):
         Ball(6000.0, (0.05, 0.05))
