@@ -198,7 +198,7 @@ def test_an_object_of_unknown_shape(
         ("0,1,0,0", HEIGHTS_MM, ("held_side=under",), ("side='under'", "opposite")),
         ("0,1,0,0", HEIGHTS_MM, ("held_by=glue",), ("'glue'", "springs")),
         ("0,1,0,0", HEIGHTS_MM, ("first_touch=feel",), ("'feel'", "shape or depth")),
-        ("0,1,0,0", HEIGHTS_MM, ("poses_clock=sun",), ("poses_clock=sun", "frames, unix")),
+        ("0,1,0,0", HEIGHTS_MM, ("poses_clock=sun",), ("poses_clock='sun'", "frames or unix")),
         ("0,1,0,0", HEIGHTS_MM, ("poses_clock=unix",), ("poses_clock=unix", "is no camera")),
         ("0,1,0,0", HEIGHTS_MM, ("untouched=gone",), ("untouched='gone'", "sensor")),
         ("0,1,0,0", HEIGHTS_MM, ("object.edge_mm=9",), ("object.edge_mm=9",)),
