@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from tactorch.cli.progress import progress
-from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
+from tactorch.cli.sensor.inputs import load_reference, load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import CalibrateSettings
 from tactorch.cli.sensor.presses import Pressed, presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
@@ -73,11 +73,11 @@ def run(cfg: CalibrateSettings) -> Path:
     for name in RESULTS:
         (place / name).unlink(missing_ok=True)
     options = _options(cfg)
-    sensor = sensor_of(cfg)
+    sensor = load_sensor_settings(cfg)
     x, y = map(float, sensor.mm_per_px)
     ball = Ball(cfg.ball_radius_mm, (x, y))
-    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
-    look = look_of(sensor, cfg.marker_diameter_px)
+    reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
+    look = marker_appearance(sensor, cfg.marker_diameter_px)
     presses = presses_of(cfg, sensor, ball, reference, look)
     used, held = _parted(presses, cfg, options.seed)
     options, maps = _with_map(cfg.map, used, ball, options)

@@ -10,7 +10,7 @@ calibration was fitted to are named: their figures are no test of the calibratio
 from typing import Any
 
 from tactorch.cli.sensor.calibrate import digest
-from tactorch.cli.sensor.inputs import calibrated, reference_of
+from tactorch.cli.sensor.inputs import load_calibrated, load_reference
 from tactorch.cli.sensor.options import CheckSettings
 from tactorch.cli.sensor.presses import presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
@@ -23,11 +23,11 @@ def run(cfg: CheckSettings) -> MapQuality:
     place = run_folder()
     for name in RESULTS:
         (place / name).unlink(missing_ok=True)
-    sensor, calibration = calibrated(cfg)
+    sensor, calibration = load_calibrated(cfg)
     ball = Ball(cfg.ball_radius_mm, calibration.mm_per_px)
     reference = calibration.reference
     if cfg.reference is not None:
-        reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
+        reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
     presses = presses_of(cfg, sensor, ball, reference, calibration.markers)
     judged = [
         Judged(one, fit_new_circle(one.touch, calibration.map, ball), calibration.map)
