@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def simulated(
     turn: np.ndarray, cell: float, depths: Sequence[float] = DEPTHS, element: str = "tet4"
 ) -> list[Scene]:
-    """Press the gel on the cube, rotate_vectors."""
+    """Press the gel on the cube, rotated."""
     cube = box_mesh(SIDE, round(SIDE / cell))
     gel = build_gel_mesh(GEL, cell, max(3, round(2.5 / cell)))
     first = looking_down(SIDE)

@@ -122,7 +122,7 @@ def test_the_same_seed_gives_the_same_map() -> None:
 
 
 def test_markers_do_not_count() -> None:
-    """What they hide is fill_masked in: the change is that of the gel beneath."""
+    """What they hide is filled in: the change is that of the gel beneath."""
     places, look = grid()[:20], MarkerAppearance(10.0)
     reference, plain = draw(places, noise=0.5), draw(np.zeros((0, 2)), noise=0.5)
     lit = np.clip(reference.astype(int) + 30, 0, 255).astype(np.uint8)
