@@ -52,19 +52,23 @@ def _prepare(command: str, words: Sequence[str]) -> "App":
         FileError: the folder of settings, or of the run to resume, cannot be read.
     """
     from tactorch.cli.foreign import add_folder
-    from tactorch.cli.overrides import check_overrides, check_required
+    from tactorch.cli.overrides import check_overrides, check_required, key_of
     from tactorch.cli.resume import with_resume
     from tactorch.cli.schema import load_schema
+    from tactorch.errors import ConfigError
 
     flags, settings = _read_flags(command, words)
     schema = load_schema(command)
-    if flags.config_dir and not flags.trust_config_dir:
+    if flags.config_dir and flags.trust_config_dir:  # whatever its files hold, Hydra composes it
+        if any(key_of(word) == "resume" for word in settings):
+            raise ConfigError("resume takes plain settings; leave out --trust-config-dir.")
+        return App(schema, flags, settings)
+    if flags.config_dir:
         add_folder(schema, Path(flags.config_dir))
-    if not (flags.config_dir and flags.trust_config_dir):
-        settings = check_overrides(schema, settings, multirun=flags.multirun)
-        settings = with_resume(schema, settings, multirun=flags.multirun)
-        if not (flags.cfg or flags.hydra_help or flags.info is not None):
-            check_required(schema, settings)
+    settings = check_overrides(schema, settings, multirun=flags.multirun)
+    settings = with_resume(schema, settings, multirun=flags.multirun)
+    if not (flags.cfg or flags.hydra_help or flags.info is not None):
+        check_required(schema, settings)
     return App(schema, flags, settings)
 
 
