@@ -9,7 +9,7 @@ import torch
 from scipy.special import ndtri
 from torch.nn import functional
 
-from tactorch.cli.settings import log
+from tactorch.cli.logs import log
 from tactorch.learning.surrogate.features import SHARED_CHANNELS
 from tactorch.learning.surrogate.network import correlation
 from tactorch.viz.calibration import plot_coverage
