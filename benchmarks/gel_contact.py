@@ -3,12 +3,12 @@
     python benchmarks/gel_contact.py [--quick] [--gel-mesh FOLDER] [--out FOLDER]
 
 A rigid punch and a rigid sphere are pressed without friction on gels: one with the published
-outline and material of the GelSight Mini, a thick gel, and the paper's finger. Small presses are compared
-with the exact solution for a bonded layer of the same thickness, and with the half space (Hertz) on
-a very thick gel; a deep press without slip has only a fine simulation. The displacement of the face
-in the fine simulation is interpolated and given to `GelModel` on another, coarser mesh: without
-noise, and with noise of 1 % of its largest value (ten seeds on the usual mesh of the Mini, three
-elsewhere). Then the modulus of the gel is estimated from the forces of the fine simulations.
+outline and material of the GelSight Mini, a thick gel, and the paper's finger. Small presses are
+compared with the exact solution for a bonded layer of the same thickness, and with the half space
+(Hertz) on a very thick gel; a deep press without slip has only a fine simulation. The displacement
+of the face in the fine simulation is interpolated and given to `GelModel` on another, coarser mesh:
+without noise, and with noise of 1 % of its largest value (ten seeds on the usual mesh of the Mini,
+three elsewhere). Then the modulus of the gel is estimated from the forces of the fine simulations.
 --gel-mesh names a folder with the published mesh of the GelSight Mini's gel, which is curved and
 rounded: it is used in the fine simulation, and `GelModel` assumes a flat gel. The last line printed
 is one JSON object.

@@ -373,7 +373,7 @@ def inversion_mesh() -> TetMesh:
 
 
 def inverted(place: Path) -> dict[str, float]:
-    """Invert and locate the ball: the centre of the region stiffer than half of the contrast."""
+    """Invert and locate the ball: the weighted centre of the moduli above half of the contrast."""
     tactorch("invert", f"recording={place}/recording.h5", f"run_dir={place}/invert")
     found = Reconstruction.load(place / "invert" / "reconstruction.h5")
     mesh = found.mesh
