@@ -28,10 +28,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hydra import compose, initialize_config_module
 from machine import OtherWork, write_results
 
-from tactorch.cli.generate import recipe_of
+from tactorch.cli.compose import compose_options
+from tactorch.cli.generate import make_recipe
 from tactorch.generation import Sample, make_sample
 from tactorch.importers import import_published
 from tactorch.inverse import Reconstruction, Settings, homogeneous, invert
@@ -77,9 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def held_out(seed: int, index: int) -> Sample:
     """Make an object and its presses, of the warm-start family."""
-    with initialize_config_module("tactorch.conf", version_base="1.3"):
-        cfg = compose("generate", overrides=["dataset=warmstart", f"dataset.seed={seed}"])
-    return make_sample(recipe_of(cfg), index)
+    options = compose_options("generate", ["dataset=warmstart", f"dataset.seed={seed}"])
+    return make_sample(make_recipe(options), index)
 
 
 def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str, Any]:
@@ -87,7 +86,7 @@ def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str,
     truth = recording.truth
     assert truth is not None
     predicted = scores(recording.mesh, start.predict(recording).youngs, truth)
-    about = start.as_prior_mean(Settings(), recording)
+    about = start.with_prior_mean(Settings(), recording)
     runs = {
         "uniform": (homogeneous, Settings()),
         "surrogate": (start.fresh(), Settings()),

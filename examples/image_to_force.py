@@ -80,7 +80,7 @@ def main() -> dict[str, np.ndarray]:
     found = {"true": truth.total, "told": seen.contact.total}
     for name, force in found.items():
         print(f"{name}: {force[0]:+.3f} N along x, {force[2]:+.3f} N along z")
-    print(f"depth {-seen.height.height_mm.min():.2f} mm (true 0.50)")
+    print(f"depth {seen.height.depth_mm:.2f} mm (true 0.50)")
     return found
 
 

@@ -1,7 +1,6 @@
 """One command as a Hydra app, whose every error is one message on standard error."""
 
-import importlib
-import importlib.util
+import argparse
 import logging
 import os
 import sys
@@ -9,10 +8,8 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
-from tactorch.cli.catalog import PACKAGE, Catalog, app_name, conf_folder
 from tactorch.cli.logs import to_log_file
 from tactorch.cli.status import INTERRUPTED, WRONG
 from tactorch.cli.tables import is_rich
@@ -21,110 +18,170 @@ from tactorch.text import printable
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-# What is no name in Python.
-_MODULES = {"import": "import_", "evaluate-model": "evaluate_model"}
 _DEBUG = "HYDRA_FULL_ERROR"
 
 
-def run_app(verb: str, given: Sequence[str]) -> None:
+def run_app(command: str, words: Sequence[str]) -> None:
     """Run the Hydra app of a command; ends the process with a status other than 0 on errors."""
-    from tactorch.cli.error_messages import unknown_flag
     from tactorch.cli.help import help_text, wants_help
-    from tactorch.cli.resume import with_resume
     from tactorch.errors import TactorchError
 
-    if wants_help(given):
-        print(help_text(verb, given))
+    if wants_help(words):
+        print(help_text(command, words))
         return
     try:
-        settings = with_resume(verb, list(given))
+        app = _prepare(command, words)
     except TactorchError as error:
-        fail(str(error), verb)
-    wrong = unknown_flag(verb, settings)
-    if wrong:
-        fail(wrong, verb)
-    app = App(verb, settings)
+        fail(str(error), command)
     try:
         app.run()
     except KeyboardInterrupt:
-        print(f"tactorch {verb}: interrupted{app.how_to_go_on()}", file=sys.stderr)
+        print(f"tactorch {command}: interrupted{app.continuation()}", file=sys.stderr)
         sys.exit(INTERRUPTED)
     if app.failed:
         sys.exit(WRONG)
 
 
+def _prepare(command: str, words: Sequence[str]) -> "App":
+    """Check flags and settings before Hydra composes them.
+
+    Raises:
+        ConfigError: a flag or a setting cannot be used.
+        FileError: the folder of settings, or of the run to resume, cannot be read.
+    """
+    from tactorch.cli.foreign import add_folder
+    from tactorch.cli.overrides import check_overrides, check_required
+    from tactorch.cli.resume import with_resume
+    from tactorch.cli.schema import load_schema
+
+    flags, settings = _read_flags(command, words)
+    schema = load_schema(command)
+    if flags.config_dir and not flags.trust_config_dir:
+        add_folder(schema, Path(flags.config_dir))
+    if not (flags.config_dir and flags.trust_config_dir):
+        settings = check_overrides(schema, settings, multirun=flags.multirun)
+        settings = with_resume(schema, settings, multirun=flags.multirun)
+        if not (flags.cfg or flags.hydra_help or flags.info is not None):
+            check_required(schema, settings)
+    return App(schema, flags, settings)
+
+
+class _Flags(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        from tactorch.errors import ConfigError
+
+        raise ConfigError(
+            f"{' '.join(message.split())}; settings are KEY=VALUE, without dashes: see {self.prog} "
+            "--help."
+        )
+
+
+def _read_flags(command: str, words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
+    """Return Hydra's flags that a command takes, and its settings."""
+    parser = _Flags(f"tactorch {command}", add_help=False, allow_abbrev=False)
+    parser.add_argument("--multirun", "-m", action="store_true")
+    parser.add_argument("--cfg", "-c", choices=("job", "hydra", "all"))
+    parser.add_argument("--resolve", action="store_true")
+    parser.add_argument("--package", "-p")
+    parser.add_argument("--config-dir", "-cd")
+    parser.add_argument("--trust-config-dir", action="store_true")
+    parser.add_argument("--hydra-help", action="store_true")
+    parser.add_argument("--info", "-i", nargs="?", const="all")
+    flags, settings = parser.parse_known_args(words)
+    if any(word.startswith("-") for word in settings):
+        parser.error(f"unrecognized arguments: {' '.join(settings)}")
+    if flags.resolve and not flags.cfg:
+        parser.error("--resolve needs --cfg")
+    return flags, settings
+
+
 class App:
     """A command with its settings; Hydra calls `job`, once or, in a sweep, for each combination."""
 
-    def __init__(self, verb: str, settings: list[str]) -> None:
-        """Take the name of the command and its settings as typed."""
-        self.verb = verb
-        self.settings = settings
-        self.failed = False
-        self.began = False
-        self.place: Path | None = None
+    def __init__(self, schema: Any, flags: argparse.Namespace, settings: Sequence[str]) -> None:
+        self.command, self.failed = schema.command, False
+        self._schema, self._flags, self._settings = schema, flags, settings
+        self._started = False
+        self._place: Path | None = None
         self._outputs: set[Path] = set()
 
     def run(self) -> None:
-        """Hand over to Hydra."""
+        """Let Hydra compose the settings and call `job`."""
         import hydra
 
+        from tactorch.cli.compose import SEARCH_PACKAGE, store_config
+
         debugging = os.environ.get(_DEBUG) == "1"
-        with _process_of(self.verb, self.settings):
-            name = app_name(self.verb)
-            app = hydra.main(version_base="1.3", config_path=_conf(), config_name=name)
+        with _hydra_process(f"tactorch {self.command}", self._arguments()):
+            name = store_config(self._schema)
+            path = f"pkg://{SEARCH_PACKAGE}"
+            app = hydra.main(version_base="1.3", config_path=path, config_name=name)
             try:
                 app(self.job)()
             except Exception as error:
-                if debugging or self.began:
+                if debugging or self._started:
                     raise
-                from tactorch.cli.error_messages import complaint
+                fail(_composition_error(error), self.command)
 
-                fail(complaint(error, self.verb, self.settings), self.verb)
+    def _arguments(self) -> list[str]:
+        """Return the command line that Hydra reads."""
+        flags = self._flags
+        chosen = {
+            "--multirun": flags.multirun,
+            "--resolve": flags.resolve,
+            "--hydra-help": flags.hydra_help,
+        }
+        valued = {"--cfg": flags.cfg, "--package": flags.package, "--info": flags.info}
+        if flags.trust_config_dir:
+            valued["--config-dir"] = flags.config_dir
+        words = [flag for flag, given in chosen.items() if given]
+        words += [word for flag, value in valued.items() if value for word in (flag, value)]
+        return [*self._settings, *words]
 
     def job(self, cfg: "DictConfig") -> Any:
         """Run the command once; errors raised on purpose become a message."""
         from hydra.core.hydra_config import HydraConfig
 
-        from tactorch.cli.kinds import check_settings
+        from tactorch.cli.compose import build_options
+        from tactorch.cli.schema import command_module
         from tactorch.errors import TactorchError
         from tactorch.versions import versions
 
-        self.began = True
-        self.place = Path(HydraConfig.get().runtime.output_dir)
+        self._started = True
+        self._place = Path(HydraConfig.get().runtime.output_dir)
         note = ", ".join(f"{name} {version}" for name, version in versions().items())
-        to_log_file(f"tactorch {self.verb} with {note}")
+        to_log_file(f"tactorch {self.command} with {note}")
         try:
-            check_settings(cfg, Catalog(self.verb), self.settings)
-            self._check_output(cfg.get("out"))
+            options = build_options(self.command, cfg)
+            self._check_output(getattr(options, "out", None))
             with _plain_warnings(), _no_lines_in_the_bar():
-                return _module(self.verb).run(cfg)
+                return command_module(self.command).run(options)
         except TactorchError as error:
-            self._complain(str(error))
+            self._report(str(error))
         except OSError as error:
-            self._complain(f"{error}; check that path, its permissions and the free space.")
+            self._report(f"{error}; check that path, its permissions and the free space.")
         except MemoryError as error:
-            self._complain(
+            self._report(
                 f"out of memory ({error}); use a coarser mesh, fewer presses or optimizer=lbfgs."
             )
         return None
 
-    def how_to_go_on(self) -> str:
-        """Return the rest of a sentence, where a run that was stopped can go on."""
+    def continuation(self) -> str:
+        """Return the end of a sentence, where a run that was stopped can be continued."""
         from tactorch.cli.resume import has_state
 
-        if self.place is None or not has_state(self.verb, self.place):
+        if self._place is None or not has_state(self.command, self._place):
             return ""
-        place = Path(os.path.relpath(self.place))
-        return f"; go on with tactorch {self.verb} resume={place}"
+        place = Path(os.path.relpath(self._place))
+        return f"; continue with tactorch {self.command} resume={place}"
 
-    def _complain(self, message: str) -> None:
-        """Say what went wrong; other jobs of a sweep still run."""
+    def _report(self, message: str) -> None:
+        """Print an error; other jobs of a sweep still run."""
         self.failed = True
-        _say(message, self.verb)
+        _print_error(message, self.command)
         to_log_file(f"error: {message}", error=True)
 
-    def _check_output(self, out: str | None) -> None:
+    def _check_output(self, out: Path | None) -> None:
         """Refuse that jobs of a sweep write the same file."""
         from tactorch.errors import ConfigError
 
@@ -134,43 +191,43 @@ class App:
         if path in self._outputs:
             raise ConfigError(
                 f"out={out} is written by more than one job; put what differs in its name, as in "
-                "out='x-${seed}.h5', or leave it out: each job has a folder of its own."
+                "out='x-${seed}.h5', or leave it out: each job has its own folder."
             )
         self._outputs.add(path)
 
 
-def fail(message: str, verb: str = "") -> NoReturn:
-    """Print one message and leave."""
-    _say(message, verb)
+def _composition_error(error: Exception) -> str:
+    """Return the message of an error that came before the command started."""
+    from hydra.errors import HydraException
+
+    if isinstance(error, OSError):
+        return f"the run folder cannot be made ({error}); choose another run_dir."
+    cause = f" ({error.__cause__})" if error.__cause__ else ""
+    kind = "" if isinstance(error, HydraException) else f"{type(error).__name__}: "
+    return f"{kind}{error}{cause}"
+
+
+def fail(message: str, command: str = "") -> NoReturn:
+    """Print one message and end the process."""
+    _print_error(message, command)
     sys.exit(WRONG)
 
 
-def _say(message: str, verb: str) -> None:
-    """Print an error as one line, whatever the library that it comes from put between."""
-    line = printable(" ".join(message.split()))
-    print(f"tactorch {verb}".rstrip() + f": error: {line}", file=sys.stderr)
-
-
-def _module(verb: str) -> ModuleType:
-    """Import a command's module, and with it all that makes a start slow."""
-    return importlib.import_module(f"tactorch.cli.{_MODULES.get(verb, verb).replace(' ', '.')}")
-
-
-def _conf() -> str:
-    """The settings' place as Hydra wants it."""
-    installed = importlib.util.find_spec(PACKAGE) is not None
-    return f"pkg://{PACKAGE}" if installed else os.fspath(conf_folder())
+def _print_error(message: str, command: str) -> None:
+    """Print an error as one line, also where a library's message has several."""
+    start = f"tactorch {command}".rstrip()
+    print(f"{start}: error: {printable(' '.join(message.split()))}", file=sys.stderr)
 
 
 @contextmanager
-def _process_of(verb: str, settings: Sequence[str]) -> Iterator[None]:
-    """Give Hydra the command line it reads, and errors to us instead of printing them."""
-    arguments, debug = sys.argv, os.environ.get(_DEBUG)
-    sys.argv, os.environ[_DEBUG] = [f"tactorch {verb}", *settings], "1"
+def _hydra_process(program: str, arguments: Sequence[str]) -> Iterator[None]:
+    """Set the command line that Hydra reads, and let it raise errors instead of printing them."""
+    given, debug = sys.argv, os.environ.get(_DEBUG)
+    sys.argv, os.environ[_DEBUG] = [program, *arguments], "1"
     try:
         yield
     finally:
-        sys.argv = arguments
+        sys.argv = given
         os.environ.pop(_DEBUG)
         if debug is not None:
             os.environ[_DEBUG] = debug
@@ -197,7 +254,7 @@ def _is_not_iteration(record: logging.LogRecord) -> bool:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show warnings of ours as their message alone, on the terminal and in the log."""
+    """Show warnings of tactorch as their message alone, on the terminal and in the log."""
     usual: Callable[..., None] = warnings.showwarning
 
     def show(

@@ -1,31 +1,51 @@
-"""`tactorch demo`: from presses to a map in one command."""
+"""`tactorch demo`: from presses to a map of stiffness.
 
-from omegaconf import DictConfig
+    tactorch demo                                  a soft cube with a stiff ball, simulated on a
+                                                   finer mesh and with noise, then inverted
+    tactorch demo source=published path=FOLDER     a published case
 
-from tactorch.cli.import_ import read_case
-from tactorch.cli.invert import invert_recording
-from tactorch.cli.settings import folder, log
-from tactorch.cli.simulate import make_recording
+The run folder gets recording.h5 and the same files as that of `tactorch invert`.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from tactorch.cli.invert import InversionOptions, invert_recording
+from tactorch.cli.options import CommandOptions
+from tactorch.cli.settings import log, run_folder
+from tactorch.cli.simulate import SimulationOptions, simulate_recording
+from tactorch.config import option
 from tactorch.errors import ConfigError
+from tactorch.importers import FORMATS  # noqa: F401  (the registry of the section)
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 
 
-def run(cfg: DictConfig) -> Reconstruction:
-    """Simulate or import a recording, invert it, and report the inclusion."""
-    recording = _recording(cfg)
-    path = folder() / "recording.h5"
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions(SimulationOptions, InversionOptions, CommandOptions):
+    """Settings of the command."""
+
+    source: Literal["simulated", "published"] = option("simulated", "Source of the recording")
+    path: Path | None = option(None, "Folder of the published case, for source=published")
+    format: Any = option("published", "Format of the published case", section="format")
+    run_dir: str = option("outputs/demo", "Folder of the results and the log")
+
+
+def run(options: DemoOptions) -> Reconstruction:
+    """Simulate or read a recording, and invert it."""
+    recording = _recording(options)
+    path = run_folder() / "recording.h5"
     recording.save(path)
     log.info("%s\n", recording.summary())
-    return invert_recording(cfg, recording, path)
+    return invert_recording(options, recording, path)
 
 
-def _recording(cfg: DictConfig) -> Recording:
-    if cfg.source == "simulated":
+def _recording(options: DemoOptions) -> Recording:
+    if options.source == "simulated":
         log.info("Simulating noisy presses on a finer mesh than that of the inversion ...")
-        return make_recording(cfg)
-    if cfg.source != "published":
-        raise ConfigError(f"source={cfg.source} is unknown; choose simulated or published.")
-    if cfg.path is None:
+        return simulate_recording(options)
+    if options.path is None:
         raise ConfigError("source=published needs path=FOLDER, the folder of a published case.")
-    return read_case(cfg, str(cfg.path))
+    recording: Recording = options.format(folder=options.path)
+    return recording

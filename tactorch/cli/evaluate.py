@@ -1,25 +1,42 @@
-"""`tactorch evaluate`."""
+"""`tactorch evaluate`: score a reconstruction against the truth that a recording carries.
+
+    tactorch evaluate run=runs/gauss_newton
+    tactorch evaluate run=reconstruction.h5 recording=FILE.h5 out=scores.json
+
+The scores are printed and written to scores.json in the folder of the reconstruction, or to `out`.
+"""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
-from omegaconf import DictConfig
-
-from tactorch.cli.logs import tell
+from tactorch.cli.logs import log_text
+from tactorch.cli.options import CommandOptions, UnitCheck
 from tactorch.cli.outputs import score_table, write_json
 from tactorch.cli.settings import log
+from tactorch.config import option
 from tactorch.errors import FileError, RecordingError
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 
 
-def run(cfg: DictConfig) -> dict[str, float]:
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions(UnitCheck, CommandOptions):
+    """Settings of the command."""
+
+    run: Path = option(help="Run folder of `tactorch invert`, or its reconstruction.h5")
+    recording: Path | None = option(None, "Recording; null: the one that the run names")
+    out: Path | None = option(
+        None, "Scores as JSON; null: scores.json in the folder of the reconstruction"
+    )
+
+
+def run(options: EvaluateOptions) -> dict[str, float]:
     """Score a reconstruction; prints a table and writes JSON."""
-    path = Path(str(cfg.run))
-    path = path / "reconstruction.h5" if path.is_dir() else path
+    path = options.run / "reconstruction.h5" if options.run.is_dir() else options.run
     reconstruction = Reconstruction.load(path)
-    source = _recording_of(path) if cfg.recording is None else Path(str(cfg.recording))
-    recording = Recording.load(source, check_units=cfg.check_units)
+    source = options.recording or _recording_path(path)
+    recording = Recording.load(source, check_units=options.check_units)
     if recording.truth is None:
         raise RecordingError(f"recording '{source}' carries no truth, so there is no score.")
     if recording.mesh.content_hash() != reconstruction.mesh.content_hash():
@@ -28,19 +45,19 @@ def run(cfg: DictConfig) -> dict[str, float]:
             "recording that was inverted."
         )
     columns = score_table(recording, {"reconstruction": reconstruction.youngs})
-    tell(columns.table.text(), columns.table)
-    out = path.parent / "scores.json" if cfg.out is None else Path(str(cfg.out))
+    log_text(columns.table.text(), columns.table)
+    out = options.out or path.parent / "scores.json"
     write_json(out, columns.values)
     log.info("scores: %s", out)
     return columns.values["reconstruction"]
 
 
-def _recording_of(path: Path) -> Path:
-    """The recording that a run's summary names."""
+def _recording_path(path: Path) -> Path:
+    """Return the recording that a run's summary names."""
     summary = path.parent / "summary.json"
     try:
         return Path(json.loads(summary.read_text())["recording"])
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError) as error:
         raise FileError(
             f"'{summary}' does not name a recording ({error}); give recording=FILE.h5."
         ) from error

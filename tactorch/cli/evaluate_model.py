@@ -1,82 +1,81 @@
-"""`tactorch evaluate-model`."""
+"""`tactorch evaluate-model`: evaluate a trained network, in numbers and pictures.
 
+    tactorch evaluate-model run=outputs/train/RUN
+    tactorch evaluate-model run=outputs/train/RUN folder=data/recognition_noisy
+
+The run folder gets scores.json, calibration.png and examples.png, and for a recognizer
+confusion.png. A run of several splits is evaluated on the test part of each.
+"""
+
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from omegaconf import DictConfig, OmegaConf
-
-from tactorch.cli.networks import data_of, model_of
+from tactorch.cli.compose import saved_options
+from tactorch.cli.networks import make_data, make_model, model_name
+from tactorch.cli.options import CommandOptions
 from tactorch.cli.outputs import write_json
-from tactorch.cli.settings import folder
-from tactorch.cli.train import check_data, read_data
-from tactorch.errors import ConfigError, FileError
-from tactorch.files import require_file, require_folder
-from tactorch.learning.splits import PARTS
+from tactorch.cli.settings import run_folder
+from tactorch.cli.train import TrainOptions, check_data, read_data
+from tactorch.config import option
+from tactorch.errors import ConfigError
+from tactorch.files import require_folder
 
 
-def run(cfg: DictConfig) -> dict[str, Any]:
-    """Judge a trained network; writes numbers and pictures."""
-    if cfg.part not in PARTS:
-        raise ConfigError(f"part={cfg.part}: choose one of {', '.join(PARTS)}.")
-    place = require_folder(str(cfg.run), "run to judge")
-    trained = _settings(place)
-    judged = [_trained(trained, place, n, cfg.folder, cfg.part) for n in range(trained.splits)]
-    if trained.model.name == "recognizer":
+@dataclass(frozen=True, kw_only=True)
+class EvaluateModelOptions(CommandOptions):
+    """Settings of the command."""
+
+    run: Path = option(help="Run folder of `tactorch train`")
+    folder: Path | None = option(
+        None, "Another dataset to evaluate on, all of it; null: the run's own"
+    )
+    part: Literal["train", "val", "test"] = option("test", "Part of the run's own dataset")
+
+
+def run(options: EvaluateModelOptions) -> dict[str, Any]:
+    """Evaluate a trained network; writes numbers and pictures."""
+    place = require_folder(options.run, "run to evaluate")
+    trained: TrainOptions = saved_options("train", place)
+    results = [_load_split(trained, place, n, options) for n in range(trained.splits)]
+    if model_name(trained) == "recognizer":
         from tactorch.cli.judge_recognizer import judge
     else:
         from tactorch.cli.judge_surrogate import judge
-    result = judge(judged, folder())
-    write_json(folder() / "scores.json", result)
-    return result
+    scores = judge(results, run_folder())
+    write_json(run_folder() / "scores.json", scores)
+    return scores
 
 
-def _settings(place: Path) -> DictConfig:
-    path = require_file(place / ".hydra" / "config.yaml", "settings of the run to judge")
-    try:
-        settings = OmegaConf.load(path)
-        if not isinstance(settings, DictConfig):
-            raise ValueError("no settings")
-        names = (settings.model.name, settings.data.name, settings.data.folder, settings.seed)
-        if settings.splits < 1 or any(name is None for name in names):
-            raise ValueError("a setting is missing")
-    # What a damaged YAML file raises has no common base.
-    except Exception as error:
-        raise FileError(
-            f"'{path}' is no settings of a run of `tactorch train`"
-            f" ({' '.join(str(error).split())[:120]}); give the folder of such a run."
-        ) from error
-    return settings
-
-
-def _trained(
-    trained: DictConfig, place: Path, number: int, other: str | None, part: str
+def _load_split(
+    trained: TrainOptions, place: Path, number: int, options: EvaluateModelOptions
 ) -> tuple[Any, Any, str, dict[str, Any]]:
-    """Return a split's network, data, the part to judge it on, and what the run noted of its data.
+    """Return a split's network, its data, the part to evaluate on, and the stored facts.
 
     The data are the run's own, or all of another dataset.
     """
-    settings = trained.copy()
-    if other is not None:
-        settings.data = {**settings.data, "folder": str(other), "shares": [0.0, 0.0, 1.0]}
-        part = "test"
-    data = data_of(settings, number)
+    part: str = options.part
+    if options.folder is not None:
+        data = replace(trained.data, folder=options.folder, shares=(0.0, 0.0, 1.0))
+        trained, part = replace(trained, data=data), "test"
+    module = make_data(trained, number)
     own = place if trained.splits == 1 else place / f"split-{number:02d}"
-    known = read_data(own)
-    if other is None:
-        check_data(own, data)
-    if not data.parts[part]:
+    facts = read_data(own)
+    if options.folder is None:
+        check_data(own, module)
+    if not module.parts[part]:
         raise ConfigError(f"part={part} of the run's dataset is empty; choose another.")
-    return _network(settings, data, known, own), data, part, known
+    return _network(trained, module, facts, own), module, part, facts
 
 
-def _network(settings: DictConfig, data: Any, known: dict[str, Any], own: Path) -> Any:
+def _network(trained: TrainOptions, data: Any, facts: dict[str, Any], own: Path) -> Any:
     """Return the best network of a run."""
     from tactorch.learning.training import BEST, load_weights
 
-    if settings.model.name == "surrogate":  # refuses weights for what is no longer shown
+    if model_name(trained) == "surrogate":  # refuses weights of an older version of its input
         from tactorch.learning.surrogate.weights import load_surrogate
 
         return load_surrogate(own / BEST)
-    model = model_of(settings, data, known)
+    model = make_model(trained, data, facts)
     load_weights(model, own / BEST)
     return model.eval()

@@ -1,67 +1,94 @@
-"""`tactorch generate`."""
+"""`tactorch generate`: make a dataset of simulated presses on random objects.
 
+    tactorch generate                                   150 reconstructions of three shapes
+    tactorch generate dataset=warmstart dataset.count=200 out=data/small
+    tactorch generate dataset=warmstart executor=dask scheduler=tcp://HOST:8786
+
+A run that was stopped or killed continues where it was when the same command is given again.
+Settings of optimizer, regularization and so on are those of the reconstructions, if there are any.
+"""
+
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, Literal
 
-from omegaconf import DictConfig
-
+from tactorch.cli.options import CommandOptions
 from tactorch.cli.progress import progress
-from tactorch.cli.settings import build, inversion_of, log, material_of, plain
+from tactorch.cli.settings import inversion_settings, log, material_spec
+from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.generation import MeshSizes, PressDraw, Recipe, SampleSet, generate
+from tactorch.generation import Recipe, SampleSet, generate
 from tactorch.generation.recipe import LINEAR
 from tactorch.inverse import Settings
 
 
-def run(cfg: DictConfig) -> SampleSet:
-    """Make a dataset, or what is missing of one."""
-    recipe = recipe_of(cfg)
-    out = Path("data") / recipe.name if cfg.out is None else Path(str(cfg.out))
+@dataclass(frozen=True, kw_only=True)
+class Dataset(Recipe):
+    """A recipe, and whether its recordings are inverted."""
+
+    reconstruct: bool | Literal["linear"] = option(
+        False, "Invert each recording; linear: the linear image, for a tenth of the time"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenerateOptions(Settings, CommandOptions):
+    """Settings of the command."""
+
+    dataset: Dataset = option(
+        factory=lambda: Dataset(name="own", count=1), help="Recipe", preset="recognition"
+    )
+    material: Any = option("neo_hookean", "Material of the objects", section="material")
+    out: Path | None = option(None, "Folder of the dataset; null: data/NAME")
+    executor: Literal["processes", "dask"] = option("processes", "Where samples are made")
+    workers: int | None = option(None, "Processes; null: one per core", ge=1)
+    scheduler: str | None = option(
+        None, "Address of the Dask scheduler, such as tcp://127.0.0.1:8786"
+    )
+    retry_failed: bool = option(False, "Try failed samples of unfinished shards again")
+    card: bool = option(True, "Write the data card")
+
+
+def run(options: GenerateOptions) -> SampleSet:
+    """Make a dataset, or its missing samples."""
+    recipe = make_recipe(options)
+    out = options.out or Path("data") / recipe.name
     log.info("%s: %d samples in %s", recipe.name, recipe.count, out)
-    with progress(recipe.name, "samples") as tell:
-        found = generate(
+    with progress(recipe.name, "samples") as update:
+        samples = generate(
             recipe,
             out,
-            executor=cfg.executor,
-            workers=cfg.workers,
-            scheduler=cfg.scheduler,
-            retry_failed=cfg.retry_failed,
-            progress=lambda done, failed, total: tell(done, total, f", {failed} failed"),
+            executor=options.executor,
+            workers=options.workers,
+            scheduler=options.scheduler,
+            retry_failed=options.retry_failed,
+            progress=lambda done, failed, total: update(done, total, f", {failed} failed"),
         )
-    if not len(found):
-        first = next(iter(found.manifest["failed"].values()))
+    if not len(samples):
+        first = next(iter(samples.manifest["failed"].values()))
         raise ConfigError(f"none of {recipe.count} samples could be made; the first: {first}")
-    for index, reason in found.manifest["failed"].items():
+    for index, reason in samples.manifest["failed"].items():
         log.info("sample %s failed: %s", index, reason)
-    if cfg.card:
+    if options.card:
         from tactorch.generation.card import PICTURE, looked_at, write_card
         from tactorch.viz.learning import plot_samples
 
-        plot_samples(looked_at(found), found.folder / PICTURE)
-        log.info("data card: %s", write_card(found))
-    log.info("%d samples: %s", len(found), out)
-    return found
+        plot_samples(looked_at(samples), samples.folder / PICTURE)
+        log.info("data card: %s", write_card(samples))
+    log.info("%d samples: %s", len(samples), out)
+    return samples
 
 
-def recipe_of(cfg: DictConfig) -> Recipe:
-    """Make the recipe."""
-    settings = plain(cfg.dataset)
-    family = settings.pop("family")
-    if not isinstance(family, dict) or "name" not in family:
-        raise ConfigError("dataset.family lacks its name; give dataset.family.name=...")
-    reconstruct = settings.pop("reconstruct")
-    parts = {
-        "family": family.pop("name"),
-        "options": family,
-        "presses": build("dataset.presses", PressDraw, settings.pop("presses")),
-        "mesh": build("dataset.sizes", MeshSizes, settings.pop("sizes")),
-        "material": material_of(cfg),
-        "element": cfg.element,
-        "inversion": _inversion(cfg, reconstruct),
+def make_recipe(options: GenerateOptions) -> Recipe:
+    """Return the recipe of a dataset."""
+    inversion: Settings | str | None = None
+    if options.dataset.reconstruct:
+        is_linear = options.dataset.reconstruct == LINEAR
+        inversion = LINEAR if is_linear else inversion_settings(options)
+    values = {f.name: getattr(options.dataset, f.name) for f in fields(Recipe)}
+    others = {
+        "material": material_spec(options.material),
+        "element": options.element,
+        "inversion": inversion,
     }
-    return build("dataset", Recipe, {**settings, **parts})
-
-
-def _inversion(cfg: DictConfig, reconstruct: bool | str) -> Settings | str | None:
-    if reconstruct == LINEAR:
-        return LINEAR
-    return inversion_of(cfg) if reconstruct else None
+    return Recipe(**{**values, **others})

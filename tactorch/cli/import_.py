@@ -1,35 +1,34 @@
-"""`tactorch import`."""
+"""`tactorch import`: convert files of other formats into a recording.
 
+    tactorch import format=published path=FOLDER out=FILE.h5
+    tactorch import path=box-torus out=torus.h5 "format.relabel_truth={3.0: 1.5}"
+
+Presses, supports and truth of the files are checked before the recording is written.
+"""
+
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from omegaconf import DictConfig
-
-from tactorch.cli.settings import log, plain
-from tactorch.errors import ConfigError
-from tactorch.importers import import_published
-from tactorch.recording import Recording
+from tactorch.cli.options import CommandOptions
+from tactorch.cli.settings import log
+from tactorch.config import option
+from tactorch.importers import FORMATS  # noqa: F401  (the registry of the section)
 
 
-def run(cfg: DictConfig) -> Path:
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions(CommandOptions):
+    """Settings of the command."""
+
+    path: Path = option(help="Folder to import")
+    out: Path = option(help="Recording to write (.h5)")
+    format: Any = option("published", "Format of the files", section="format")
+
+
+def run(options: ImportOptions) -> Path:
     """Import a recording and write it; returns its path."""
-    out = Path(str(cfg.out))
-    recording = read_case(cfg, str(cfg.path))
-    recording.save(out)
+    recording = options.format(folder=options.path)
+    recording.save(options.out)
     log.info("%s", recording.summary())
-    log.info("recording: %s", out)
-    return out
-
-
-def read_case(cfg: DictConfig, path: str) -> Recording:
-    """Read files of others in the chosen format.
-
-    Raises:
-        ConfigError: the format or one of its options is unknown.
-    """
-    options = plain(cfg.format)
-    name = options.pop("name")
-    if name != "published":
-        raise ConfigError(f"format '{name}' is unknown; the one known is 'published'.")
-    relabel = options.pop("relabel_truth") or {}
-    pairs = {float(old): float(new) for old, new in relabel.items()}
-    return import_published(path, relabel_truth=pairs, **options)
+    log.info("recording: %s", options.out)
+    return options.out

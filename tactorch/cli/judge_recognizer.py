@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from tactorch.cli.logs import log, tell
+from tactorch.cli.logs import log, log_text
 from tactorch.cli.tables import Table
 from tactorch.errors import ConfigError
 from tactorch.learning.recognizer.scores import class_scores
@@ -57,7 +57,7 @@ def judge(judged: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> 
         for kind, figures in result["classes"].items()
     ]
     table = Table(("class", *names), rows)
-    tell(table.text(), table)
+    log_text(table.text(), table)
     return result
 
 

@@ -1,21 +1,31 @@
-"""`tactorch live`."""
+"""`tactorch live`: follow a growing recording: the map after each press, and where to press next.
+
+    tactorch live recording=session.h5
+    tactorch live recording=FOLDER idle_seconds=60
+    tactorch live recording=session.h5 run_dir=runs/session     again, to continue it
+    tactorch live replay=FILE.h5                                no robot: replays a recording
+
+Append presses with tactorch.recording.append_press. Open live.html in the run folder: it updates
+itself. The folder also gets live.png, reconstruction.h5 and history.jsonl.
+"""
 
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
+from typing import Literal
 
-from omegaconf import DictConfig
-
-from tactorch.cli.kinds import HOMOGENEOUS
 from tactorch.cli.live_view import PAGE, Screen
-from tactorch.cli.logs import tell
-from tactorch.cli.settings import folder, inversion_of, log, plain
-from tactorch.config import build, settings_of
+from tactorch.cli.logs import log_text
+from tactorch.cli.options import CommandOptions, UnitCheck
+from tactorch.cli.settings import inversion_settings, log, run_folder
+from tactorch.config import option, settings_of
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.findings.text import summarize_inclusion
-from tactorch.inverse import Start, homogeneous
+from tactorch.inverse import Settings, Start, homogeneous
+from tactorch.inverse.starts import START_MPA
 from tactorch.recording import Recording
 from tactorch.sampling import (
     LoopOptions,
@@ -28,37 +38,58 @@ from tactorch.sampling import (
 )
 
 
-def run(cfg: DictConfig) -> LoopResult:
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions(LoopOptions, Settings, UnitCheck, CommandOptions):
+    """Settings of the command."""
+
+    recording: Path | None = option(
+        None, "File (.h5) that presses are appended to, or a folder of such files"
+    )
+    patience_seconds: float = option(
+        5.0, "Time after which an unreadable file is reported", unit="s", ge=0
+    )
+    suggest: SuggestOptions = option(factory=SuggestOptions, help="Suggestion of the next press")
+    replay: Path | None = option(
+        None, "Whole recording to replay into `recording` press by press, to try without a robot"
+    )
+    pause_seconds: float = option(4.0, "Pause between replayed presses", unit="s", ge=0)
+    start_mpa: float | Literal["homogeneous"] = option(
+        START_MPA, "Modulus of the start; homogeneous: the one that fits best", unit="MPa", gt=0
+    )
+    plots: bool = option(True, "Draw live.png")
+
+
+def run(options: LiveOptions) -> LoopResult:
     """Follow a recording; Ctrl-C ends the run and keeps its results."""
-    out, settings = folder(), inversion_of(cfg)
-    for name in ("patience_seconds", "pause_seconds"):
-        if cfg[name] < 0:
-            raise ConfigError(f"{name}={cfg[name]}: give a time of at least 0 s.")
-    options = LoopOptions(**{s.name: cfg[s.name] for s in settings_of(LoopOptions)})
-    suggester = Suggester(settings, build(SuggestOptions, plain(cfg.suggest), "suggest"))
-    replayed = None if cfg.replay is None else Recording.load(str(cfg.replay))
-    path = _path(cfg, out)
-    with Screen(out, path, plots=cfg.plots) as screen, _replaying(cfg, replayed, path, screen):
+    out, settings = run_folder(), inversion_settings(options)
+    loop = LoopOptions(**{s.name: getattr(options, s.name) for s in settings_of(LoopOptions)})
+    replayed = None if options.replay is None else Recording.load(options.replay)
+    path = _path(options, out)
+    start: Start = homogeneous if isinstance(options.start_mpa, str) else options.start_mpa
+    with (
+        Screen(out, path, plots=options.plots) as screen,
+        _replaying(options, replayed, path, screen),
+    ):
         source = RecordingSource(
             path,
-            patience_seconds=cfg.patience_seconds,
-            check_units=cfg.check_units,
+            patience_seconds=options.patience_seconds,
+            check_units=options.check_units,
             report=screen.show_message,
         )
-        start: Start = homogeneous if cfg.start_mpa == HOMOGENEOUS else float(cfg.start_mpa)
+        suggester = Suggester(settings, options.suggest)
         result = SamplingLoop.following(
-            source, settings, out, screen, options=options, suggester=suggester, start_mpa=start
+            source, settings, out, screen, options=loop, suggester=suggester, start_mpa=start
         ).run()
         screen.ended(result)
     _log_result(result, out)
     return result
 
 
-def _path(cfg: DictConfig, out: Path) -> Path:
-    """Path of the recording to follow."""
-    if cfg.recording is not None:
-        return Path(str(cfg.recording))
-    if cfg.replay is None:
+def _path(options: LiveOptions, out: Path) -> Path:
+    """Return the path of the recording to follow."""
+    if options.recording is not None:
+        return options.recording
+    if options.replay is None:
         raise ConfigError(
             "'recording' is missing; give recording=FILE.h5 or a folder, or replay=FILE.h5 to "
             "replay a whole recording (see tactorch live --help)."
@@ -68,7 +99,7 @@ def _path(cfg: DictConfig, out: Path) -> Path:
 
 @contextmanager
 def _replaying(
-    cfg: DictConfig, recording: Recording | None, path: Path, screen: Screen
+    options: LiveOptions, recording: Recording | None, path: Path, screen: Screen
 ) -> Iterator[None]:
     """Replay a recording during the run, if one is given."""
     if recording is None:
@@ -82,7 +113,7 @@ def _replaying(
 
     def play() -> None:
         try:
-            replay(recording, path, cfg.pause_seconds, stop)
+            replay(recording, path, options.pause_seconds, stop)
         except TactorchError as error:
             screen.show_message(f"the replay failed: {error}")
 
@@ -105,5 +136,5 @@ def _log_result(result: LoopResult, out: Path) -> None:
             from tactorch.cli.outputs import score_table
 
             table = score_table(update.recording, {"live": update.youngs}).table
-            tell(table.text(), table)
+            log_text(table.text(), table)
     log.info("results: %s", out / PAGE)

@@ -1,9 +1,9 @@
-"""What goes to the run's log file, and what to the terminal."""
+"""Messages to the run's log file and to the terminal."""
 
 import logging
 import sys
 
-from tactorch.cli.tables import Table, drawn, is_rich
+from tactorch.cli.tables import Table, draw, is_rich
 from tactorch.text import printable
 
 log = logging.getLogger("tactorch")
@@ -20,7 +20,7 @@ def to_log_file(message: str, error: bool = False) -> None:
             handler.handle(record)
 
 
-def tell(text: str, *tables: Table) -> None:
+def log_text(text: str, *tables: Table) -> None:
     """Log a text that has tables in it, as their `text`; at a terminal they are drawn."""
     text = printable(text)
     if not is_rich():
@@ -31,6 +31,6 @@ def tell(text: str, *tables: Table) -> None:
         before, _, text = text.partition(table.text())
         if before.strip():
             print(before.rstrip("\n"))
-        drawn(table)
+        draw(table)
     if text:
         print(text.removeprefix("\n"))

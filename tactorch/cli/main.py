@@ -1,4 +1,4 @@
-"""Verbs, and the way from a command line to one of them."""
+"""The commands, and the dispatch of a command line to one of them."""
 
 import os
 import sys
@@ -10,35 +10,35 @@ _HELP = ("-h", "--help", "help")
 
 VERBS = {
     "simulate": "press a phantom and record how its surface moves",
-    "import": "turn files of others into a recording",
+    "import": "convert files of other formats into a recording",
     "invert": "reconstruct the map of Young's modulus from a recording",
-    "live": "follow a recording that grows: the map after each press, and where to press next",
-    "find": "what a map shows: lumps, how deep, how sure, of which shape",
+    "live": "follow a growing recording: the map after each press, and where to press next",
+    "find": "lumps in a map: depth, size, confidence and shape",
     "evaluate": "score a reconstruction against the truth",
-    "report": "one HTML file that shows what a run has found, or several side by side",
+    "report": "one HTML file with the results of a run, or of several side by side",
     "generate": "make a dataset of simulated presses on random objects",
     "train": "train a network on a dataset",
-    "evaluate-model": "how good a trained network is, in numbers and pictures",
-    "reproduce": "the paper's tables and figures, made anew, beside its own numbers",
+    "evaluate-model": "evaluate a trained network, in numbers and pictures",
+    "reproduce": "reproduce the paper's tables and figures beside its own numbers",
     "demo": "from presses to a map, on a simulated cube or a published case",
     "sensor": "from camera frames of a tactile sensor to forces; see its commands below",
-    "doctor": "what works on this machine, what is missing, and the commands that install it",
+    "doctor": "check this machine: what works, what is missing, and how to install it",
     "completion": "a script that makes bash, zsh or fish complete commands and settings",
 }
 #: Commands of a verb that has several.
 GROUPS = {
     "sensor": {
-        "calibrate": "learn what colours tell of slopes, from presses of a ball",
-        "check": "judge a calibration on presses that it was not made from",
+        "calibrate": "fit the map from colours to slopes, from presses of a ball",
+        "check": "test a calibration on presses that it was not fitted to",
         "track": "follow the markers through frames",
-        "reconstruct": "depth of the gel's face in each frame",
-        "force": "force on the gel in each frame, in all and over its face",
+        "reconstruct": "depth of the gel's surface in each frame",
+        "force": "force on the gel in each frame: resultant and distribution",
         "record": "frames and poses of a session into a recording, to invert",
     },
 }
-#: Verbs that are no Hydra apps: they have no file of settings.
+#: Verbs that are no Hydra apps: they have no settings.
 PLAIN = ("doctor", "completion")
-#: All that can be given settings, as typed.
+#: Commands that take settings, as typed.
 COMMANDS = (
     *(verb for verb in VERBS if verb not in (*GROUPS, *PLAIN)),
     *(f"{group} {verb}" for group, verbs in GROUPS.items() for verb in verbs),
@@ -46,7 +46,7 @@ COMMANDS = (
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run `tactorch VERB [settings]`; ends the process where something is wrong."""
+    """Run `tactorch VERB [settings]`; ends the process with a status other than 0 on errors."""
     try:
         _dispatch(arguments)
         sys.stdout.flush()
@@ -84,7 +84,7 @@ def _dispatch(arguments: list[str] | None) -> None:
     elif settings[0] in GROUPS[verb]:
         run_app(f"{verb} {settings[0]}", settings[1:])
     else:
-        from tactorch.cli.error_messages import did_you_mean
+        from tactorch.config import did_you_mean
 
         commands = list(GROUPS[verb])
         fail(
@@ -95,19 +95,19 @@ def _dispatch(arguments: list[str] | None) -> None:
 
 
 def _no_command(word: str) -> str:
-    """Say that a word is no command, and which one may be meant."""
-    from tactorch.cli.error_messages import did_you_mean
+    """Return the message for a word that is no command."""
+    from tactorch.config import did_you_mean
 
     if "=" in word:
         return f"a command comes first, as in: tactorch simulate {word}"
     inner = next((command for command in COMMANDS if command.endswith(f" {word}")), None)
     flags = ("--help", "--version")
-    meant = f" Did you mean '{inner}'?" if inner else did_you_mean(word, [*VERBS, *flags])
-    return f"'{word}' is not a command; choose one of {', '.join(VERBS)}.{meant}"
+    hint = f" Did you mean '{inner}'?" if inner else did_you_mean(word, [*VERBS, *flags])
+    return f"'{word}' is not a command; choose one of {', '.join(VERBS)}.{hint}"
 
 
 def _run_plain(verb: str, words: list[str]) -> None:
-    """Run a verb that is no Hydra app; it gives the exit status."""
+    """Run a verb that is no Hydra app; its module returns the exit status."""
     from tactorch.cli.app import fail
     from tactorch.cli.help import wants_help
     from tactorch.errors import TactorchError

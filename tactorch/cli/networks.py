@@ -1,111 +1,119 @@
 """The networks that can be trained, each with the data that it learns from."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig
+import lightning
 
-from tactorch.cli.settings import build, plain
+from tactorch.config import ArgumentOptions, Registry, options_from_arguments
 from tactorch.errors import ConfigError
+from tactorch.learning.recognizer.data import RecognitionData
+from tactorch.learning.recognizer.network import Recognizer
+from tactorch.learning.surrogate.data import SurrogateData
+from tactorch.learning.surrogate.network import Surrogate
+
+if TYPE_CHECKING:
+    from tactorch.cli.train import TrainOptions
+
+_HERE = "tactorch.cli.networks"
+#: Networks by name.
+MODELS = Registry(
+    "model",
+    {
+        "recognizer": f"{_HERE}:RecognizerOptions",
+        "surrogate": f"{_HERE}:SurrogateOptions",
+    },
+    "networks",
+)
+#: Data modules by name.
+DATA = Registry(
+    "data",
+    {
+        "recognition": f"{_HERE}:RecognitionDataOptions",
+        "warmstart": f"{_HERE}:SurrogateDataOptions",
+    },
+    "data to learn from",
+)
 
 
 @dataclass(frozen=True)
-class Network:
-    """A network and its data.
+class DataUse:
+    """Use of data by a network.
 
     Attributes:
-        data: Name of the data that it learns from.
-        make_data: Makes the data module from settings.
-        make: Makes the module from settings.
-        given: What the module takes from the data.
-        facts: What a run notes of the data, beside their fingerprint.
+        data: Name of the data module.
+        arguments: Arguments of the network that are attributes of the data module.
+        facts: Attributes of the data module that a run stores with its fingerprint.
     """
 
     data: str
-    make_data: Callable[..., Any]
-    make: Callable[..., Any]
-    given: tuple[str, ...]
+    arguments: tuple[str, ...]
     facts: tuple[str, ...] = ()
 
 
-def _recognition(**settings: Any) -> Any:
-    from tactorch.learning.recognizer.data import RecognitionData
-
-    return RecognitionData(**settings)
-
-
-def _recognizer(**settings: Any) -> Any:
-    from tactorch.learning.recognizer.network import Recognizer
-
-    return Recognizer(**settings)
-
-
-def _warmstart(**settings: Any) -> Any:
-    from tactorch.learning.surrogate.data import SurrogateData
-
-    return SurrogateData(**settings)
-
-
-def _surrogate(**settings: Any) -> Any:
-    from tactorch.learning.surrogate.network import Surrogate
-
-    return Surrogate(**settings)
-
-
-NETWORKS = {
-    "recognizer": Network(
-        "recognition", _recognition, _recognizer, ("classes", "mean", "deviation"), ("classes",)
-    ),
-    "surrogate": Network(
-        "warmstart", _warmstart, _surrogate, ("press_scale", "shared_scale", "cells", "frames")
-    ),
+_USES = {
+    "recognizer": DataUse("recognition", ("classes", "mean", "deviation"), ("classes",)),
+    "surrogate": DataUse("warmstart", ("press_scale", "shared_scale", "cells", "frames")),
 }
+RecognizerOptions = options_from_arguments(
+    Recognizer, "model", without=_USES["recognizer"].arguments
+)
+SurrogateOptions = options_from_arguments(
+    Surrogate, "model", without=(*_USES["surrogate"].arguments, "version")
+)
+RecognitionDataOptions = options_from_arguments(RecognitionData, "data", without=("seed",))
+SurrogateDataOptions = options_from_arguments(SurrogateData, "data", without=("seed",))
 
 
-def network_of(cfg: DictConfig) -> Network:
-    """Return the network that is asked for.
+def model_name(options: "TrainOptions") -> str:
+    """Return the name of the network."""
+    return MODELS.name_of(type(options.model))
+
+
+def check_network(options: "TrainOptions") -> DataUse:
+    """Return how the network uses its data.
 
     Raises:
-        ConfigError: It is unknown, or the data are not what it learns from.
+        ConfigError: the data are not what the network learns from.
     """
-    if cfg.model.name not in NETWORKS:
-        raise ConfigError(f"model '{cfg.model.name}' is unknown; choose {', '.join(NETWORKS)}.")
-    network = NETWORKS[cfg.model.name]
-    if cfg.data.name != network.data:
+    model, data = model_name(options), DATA.name_of(type(options.data))
+    use = _USES[model]
+    if data != use.data:
         raise ConfigError(
-            f"model={cfg.model.name} learns from data={network.data}, not from"
-            f" data={cfg.data.name}; give that."
+            f"model={model} learns from data={use.data}, not from data={data}; give that."
         )
-    return network
+    return use
 
 
-def data_of(cfg: DictConfig, number: int) -> Any:
-    """Make the data module of a split."""
-    settings = plain(cfg.data)
-    del settings["name"]
-    if settings["folder"] is None:
-        raise ConfigError("data.folder=None: give the folder of a dataset.")
-    settings["split"] += number
-    return build("data", network_of(cfg).make_data, {**settings, "seed": cfg.seed})
+def make_data(options: "TrainOptions", number: int) -> Any:
+    """Return the data module of a split."""
+    data: ArgumentOptions = options.data
+    check_network(options)
+    return with_split(data, number)(seed=options.seed)
 
 
-def model_of(cfg: DictConfig, data: Any, known: Mapping[str, Any] | None = None) -> Any:
-    """Make the network for the data, with weights that depend on the seed alone.
+def with_split(data: Any, number: int) -> Any:
+    """Return the settings of the data with the seed of another split."""
+    return replace(data, split=data.split + number)
 
-    What a run has `known` of its data counts before the data at hand.
+
+def make_model(options: "TrainOptions", data: Any, stored: Mapping[str, Any] | None = None) -> Any:
+    """Return the network for the data, with weights that depend on the seed only.
+
+    Args:
+        options: Settings of the training.
+        data: The data module.
+        stored: Facts that a run stored of its data; they take precedence.
     """
-    import lightning
-
-    network, settings = network_of(cfg), plain(cfg.model)
-    del settings["name"]
-    lightning.seed_everything(cfg.seed, verbose=False)
-    noted = known or {}
-    given = {name: noted.get(name, getattr(data, name, None)) for name in network.given}
-    return build("model", network.make, {**given, **settings})
+    lightning.seed_everything(options.seed, verbose=False)
+    facts = stored or {}
+    names = check_network(options).arguments
+    given = {name: facts.get(name, getattr(data, name, None)) for name in names}
+    return options.model(**given)
 
 
-def facts_of(cfg: DictConfig, data: Any) -> dict[str, Any]:
-    """Return what a run notes of its data."""
-    noted = {name: getattr(data, name) for name in network_of(cfg).facts}
-    return {"fingerprint": data.fingerprint, **noted}
+def data_facts(options: "TrainOptions", data: Any) -> dict[str, Any]:
+    """Return the facts of the data that a run stores."""
+    facts = {name: getattr(data, name) for name in check_network(options).facts}
+    return {"fingerprint": data.fingerprint, **facts}

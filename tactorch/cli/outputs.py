@@ -1,4 +1,4 @@
-"""What a run leaves in its folder: files, pictures, numbers and a few sentences."""
+"""Results of a run: files, pictures, numbers and a summary."""
 
 import json
 import math
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.cli.logs import tell
+from tactorch.cli.logs import log_text
 from tactorch.cli.settings import log
 from tactorch.cli.tables import Table
 from tactorch.errors import FileError
@@ -23,7 +23,7 @@ from tactorch.recording import Recording
 
 History = Sequence[Mapping[str, Any]]
 
-# What an inversion leaves in its folder.
+# Results of an inversion, in its folder.
 RESULTS = (
     "reconstruction.h5",
     "reconstruction.vtu",
@@ -32,12 +32,12 @@ RESULTS = (
     "summary.json",
     "summary.txt",
 )
-# What other commands make of these, and leave beside them.
-MADE_OF_RESULTS = ("finding.txt", "finding.json", "report.html")
+# Results that other commands add.
+DERIVED_RESULTS = ("finding.txt", "finding.json", "report.html")
 
 
-# Of the volume: with more at a bound a map is no more than where the search ran to.
-_MOST_AT_BOUNDS = 0.2
+# Largest share of the volume at the bounds of a map that can be trusted.
+_MAX_AT_BOUNDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def write_outputs(
     text = describe(recording, reconstruction, inclusion, summary, tables)
     with atomic_path(out / "summary.txt") as temporary:
         temporary.write_text(text + "\n")
-    tell(f"\n{text}", *tables)
+    log_text(f"\n{text}", *tables)
     if plots:
         for path in draw(out, recording, reconstruction, others or {}):
             log.info("picture: %s", path)
@@ -108,7 +108,7 @@ def write_outputs(
 def summarise(
     recording: Recording, reconstruction: Reconstruction, inclusion: Inclusion | None, source: str
 ) -> dict[str, Any]:
-    """Collect the numbers of a run; scores stand among them where there is a truth."""
+    """Return the numbers of a run, with scores where there is a truth."""
     last = reconstruction.history[-1]
     summary: dict[str, Any] = {
         "recording": source,
@@ -149,7 +149,7 @@ def describe(
     summary: Mapping[str, Any],
     tables: Sequence[Table] = (),
 ) -> str:
-    """Say in a few lines what was found and how far to believe it; tables stand at the end."""
+    """Return a summary of the map in words, followed by tables."""
     lines = [
         f"{summary['optimizer']}: {summary['iterations']} iterations in "
         f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
@@ -158,18 +158,17 @@ def describe(
         summarize_inclusion(inclusion, summary["youngs_median_mpa"]),
         *(_estimate(name, found) for name, found in reconstruction.nuisance.items()),
     ]
-    if summary["volume_at_bounds"] > _MOST_AT_BOUNDS:
+    if summary["volume_at_bounds"] > _MAX_AT_BOUNDS:
         lines.append(
-            f"DO NOT TRUST THIS MAP: {summary['volume_at_bounds']:.0%} of it lie at a bound of"
+            f"DO NOT TRUST THIS MAP: {summary['volume_at_bounds']:.0%} of it is at a bound of"
             " Young's modulus. If the bounds are right, presses or model are off by more than the"
             " noise that is stated: give noise.mm larger, or estimate what is wrong (nuisance)."
         )
     if recording.truth is not None:
         true = find_lump(recording.mesh, recording.truth)
         if true is not None and inclusion is not None:
-            lines.append(
-                "In truth: " + summarize_inclusion(true, float(np.median(recording.truth)))
-            )
+            median = float(np.median(recording.truth))
+            lines.append("In truth: " + summarize_inclusion(true, median))
     return "\n".join((*lines, *(f"\n{table.text()}" for table in tables)))
 
 
@@ -177,17 +176,17 @@ def _estimate(name: str, found: NuisanceEstimate) -> str:
     pairs = zip(found.value, found.deviation, strict=True)
     if not np.isfinite(found.deviation).any():
         values = ", ".join(f"{value:.4g}" for value in found.value)
-        return f"Estimated beside the map: {name} {values} (how sure was not computed)."
+        return f"Estimated with the map: {name} {values} (uncertainty not computed)."
     values = ", ".join(f"{value:.4g} +- {deviation:.2g}" for value, deviation in pairs)
-    told = "" if found.is_informative else " (the data tell little)"
-    return f"Estimated beside the map: {name} {values}{told}."
+    note = "" if found.is_informative else " (hardly determined by the data)"
+    return f"Estimated with the map: {name} {values}{note}."
 
 
-def histories_of(runs: Sequence[Path], own_name: str) -> dict[str, History]:
-    """Read the convergence of other runs, each under a name of its own.
+def read_histories(runs: Sequence[Path], own_name: str) -> dict[str, History]:
+    """Return the convergence of other runs by distinct names.
 
     Raises:
-        FileError: one is no run, or named twice.
+        FileError: one is no run, or is named twice.
     """
     histories: dict[str, History] = {}
     for run in runs:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class Place(NamedTuple):
-    """What bare values in front of a command's settings are: the first, and a list of others."""
+    """Settings that the words without a key are values of: the first word, and a list of others."""
 
     first: str
     others: str = ""
@@ -19,21 +19,21 @@ POSITIONAL = {
 
 
 def named(verb: str, settings: Sequence[str]) -> list[str]:
-    """Return the settings with those in front that lack a key under the key that they belong to.
+    """Return the settings, with their keys put before the leading words that have none.
 
-    Where a command takes no more of them, they stay as they are, and are complained of as such.
+    Words beyond those that the command takes stay as they are, and are refused later.
     """
     if verb not in POSITIONAL:
         return list(settings)
     place, count = POSITIONAL[verb], 0
-    most = len(settings) if place.others else 1
-    while count < min(most, len(settings)) and _is_bare(settings[count]):
+    limit = len(settings) if place.others else 1
+    while count < min(limit, len(settings)) and _is_bare(settings[count]):
         count += 1
     bare, rest = settings[:count], list(settings[count:])
-    found = [f"{place.first}={_quoted(value)}" for value in bare[:1]]
+    keyed = [f"{place.first}={_quoted(value)}" for value in bare[:1]]
     if len(bare) > 1:
-        found.append(f"{place.others}=[{','.join(map(_quoted, bare[1:]))}]")
-    return [*found, *rest]
+        keyed.append(f"{place.others}=[{','.join(map(_quoted, bare[1:]))}]")
+    return [*keyed, *rest]
 
 
 def _is_bare(word: str) -> bool:

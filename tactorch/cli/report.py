@@ -1,57 +1,84 @@
-"""`tactorch report`."""
+"""`tactorch report`: one HTML file with the results of a run, or of several side by side.
 
+    tactorch report runs/gauss_newton
+    tactorch report runs/gauss_newton runs/tnc            side by side
+    tactorch report run=runs/gauss_newton uncertainty=false out=quick.html
+    tactorch report run=RUN recording=FILE.h5             where the recording was moved
+
+The file needs no server and no network: slices to scrub through, a 3-D view that turns, credibility
+and uncertainty, observed and predicted presses, settings. It can be printed.
+"""
+
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-from omegaconf import DictConfig
-
+from tactorch.cli.options import CommandOptions, UnitCheck
 from tactorch.cli.progress import progress
 from tactorch.cli.runs import with_settings
-from tactorch.cli.settings import log, plain
+from tactorch.cli.settings import log
+from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.report import load_run, run_names, write_report
 
 
-def run(cfg: DictConfig) -> Path:
-    """Write the report of one run, or of several side by side."""
-    folders = [Path(str(folder)) for folder in (cfg.run, *plain(cfg.compare))]
+@dataclass(frozen=True, kw_only=True)
+class ReportOptions(UnitCheck, CommandOptions):
+    """Settings of the command."""
+
+    run: Path = option(help="Folder of an inversion")
+    compare: tuple[Path, ...] = option((), "Folders of other inversions, shown side by side")
+    recording: Path | None = option(
+        None, "Recording that `run` inverted, where it is not the file that the run names"
+    )
+    out: Path | None = option(None, "File to write; null: report.html in the run's folder")
+    uncertainty: bool = option(True, "Credibility and posterior: solves the presses again")
+    colours: Literal["viridis", "cividis", "ultrasound"] = option(
+        "viridis", "Colour map; ultrasound is grey, and the page can switch"
+    )
+
+
+def run(options: ReportOptions) -> Path:
+    """Write the report of a run, or of several side by side."""
+    folders = [options.run, *options.compare]
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise ConfigError("compare: a run is named twice; give each run once.")
     runs = [
         load_run(
             folder,
             name=name,
-            recording=cfg.recording if folder is folders[0] else None,
-            check_units=cfg.check_units,
+            recording=options.recording if folder is folders[0] else None,
+            check_units=options.check_units,
         )
         for folder, name in zip(folders, run_names(folders), strict=True)
     ]
-    for one in runs:
-        if one.missing:
+    for run in runs:
+        if run.missing:
             log.warning(
-                "%s: the report omits truth, presses and uncertainty: %s Give recording=FILE.h5 if"
-                " the recording was moved.",
-                one.name,
-                one.missing,
+                "%s: the report lacks truth, presses and uncertainty: %s Give recording=FILE"
+                ".h5 if it was moved.",
+                run.name,
+                run.missing,
             )
-    runs = [with_settings(one) for one in runs]
-    solved = [one for one in runs if one.recording is not None]
-    if cfg.uncertainty and solved:
+    runs = [with_settings(run) for run in runs]
+    complete = [run for run in runs if run.recording is not None]
+    if options.uncertainty and complete:
         log.info(
             "Solving the presses again for the uncertainty of the map (%s elements); "
-            "uncertainty=false skips this step.",
-            " and ".join(f"{one.result.mesh.n_tets:,}" for one in solved),
+            "uncertainty=false leaves it out.",
+            " and ".join(f"{run.result.mesh.n_tets:,}" for run in complete),
         )
-    out = folders[0] / "report.html" if cfg.out is None else Path(str(cfg.out))
+    out = options.out or folders[0] / "report.html"
     with progress("uncertainty", "steps") as update:
         done = -1
 
-        def advance(what: str, step: int, steps: int) -> None:
+        def on_step(name: str, step: int, steps: int) -> None:
             nonlocal done
             done += step == 0
-            update(done * steps + step, len(solved) * steps, f", {what}")
+            update(done * steps + step, len(complete) * steps, f", {name}")
 
         write_report(
-            runs, out, uncertainty=cfg.uncertainty, colours=str(cfg.colours), progress=advance
+            runs, out, uncertainty=options.uncertainty, colours=options.colours, progress=on_step
         )
     log.info("report: %s (%.1f MB)", out, out.stat().st_size / 1e6)
     return out

@@ -1,12 +1,22 @@
-"""Continuing a run: its folder remembers the settings it was started with."""
+"""Continuing a run: its folder holds the settings it was started with.
+
+A run folder is data that people exchange. Its settings are taken only where they are known ones of
+the command, with plain values; settings of Hydra, by which a file could run any function, are
+refused.
+"""
 
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from tactorch.cli.overrides import check_overrides, key_of
+from tactorch.cli.schema import Schema, app_name
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 CHECKPOINT = "checkpoint.npz"
 # Files that show that a run of a command got as far as having a state.
@@ -15,75 +25,114 @@ _STATES = {
     "demo": (CHECKPOINT,),
     "train": ("last.ckpt", "split-*/last.ckpt"),
 }
+# What runs a function, or reads the environment, when Hydra resolves it.
+_PROGRAMS = ("_target_", "${oc.")
 
 
-def with_resume(verb: str, settings: list[str]) -> list[str]:
-    """Let `resume=RUN` repeat that run's settings in its folder; the given ones win.
+def with_resume(schema: Schema, words: list[str], *, multirun: bool = False) -> list[str]:
+    """Return the settings of the run in `resume=RUN`, changed by the given ones.
 
-    A run that was stopped before its first checkpoint starts anew.
+    A run that was stopped before its first checkpoint starts from the beginning.
+
+    Args:
+        schema: Schema of the command.
+        words: Settings as Hydra takes them.
+        multirun: Whether several runs are asked for.
 
     Raises:
-        FileError: it is not a run folder.
-        ConfigError: it is a run of another command, or several runs are asked for.
+        FileError: the folder is no run folder, or its settings are damaged.
+        ConfigError: the run is of another command, several runs are asked for, or the folder holds
+            settings that are not plain ones of the command.
     """
-    chosen = [s.split("=", 1)[1] for s in settings if s.startswith("resume=")]
-    if verb not in _STATES or not chosen or chosen[-1] in ("", "null"):
-        return settings
-    if {"-m", "--multirun"} & set(settings):
+    chosen = [word.split("=", 1)[1] for word in words if key_of(word) == "resume"]
+    if schema.command not in _STATES or not chosen or chosen[-1] in ("", "null"):
+        return words
+    if multirun:
         raise ConfigError("resume continues one run; leave out -m.")
-    return _repeated(verb, Path(chosen[-1].strip("'\"")), settings)
+    return _repeated(schema, Path(chosen[-1].strip("'\"")), words)
 
 
-def _repeated(verb: str, run: Path, settings: list[str]) -> list[str]:
+def _repeated(schema: Schema, run: Path, words: list[str]) -> list[str]:
     require_folder(run, "run to resume")
-    earlier = _load(run, "overrides.yaml")
-    hydra = _load(run, "hydra.yaml")
-    if not isinstance(earlier, list) or not isinstance(hydra, dict):
-        raise FileError(f"'{run / '.hydra'}' does not hold a run's settings; start the run anew.")
-    made_by = hydra["hydra"]["job"]["name"]
-    if made_by != verb:
+    place = run / ".hydra"
+    earlier, hydra = _load(place / "overrides.yaml"), _load(place / "hydra.yaml")
+    try:
+        made_by, started_in = hydra["hydra"]["job"]["name"], hydra["hydra"]["runtime"]["cwd"]
+        is_sound = isinstance(earlier, list) and all(isinstance(w, str) for w in earlier)
+    except (KeyError, TypeError):
+        is_sound = False
+    if not is_sound or not isinstance(started_in, str):
+        raise FileError(f"'{place}' does not hold a run's settings; start the run again.")
+    if made_by != app_name(schema.command):
         raise ConfigError(f"'{run}' is a run of {made_by}; continue it with tactorch {made_by}.")
-    if not has_state(verb, run):
-        notice = f"'{run}' was stopped before its first checkpoint; it starts anew."
+    if not has_state(schema.command, run):
+        notice = f"'{run}' was stopped before its first checkpoint; it starts from the beginning."
         print(notice, file=sys.stderr)
-        settings = [s for s in settings if _key(s) != "resume"]
-    given = {_key(setting) for setting in settings}
-    kept = [s for s in earlier if _key(s) not in {*given, "resume", "run_dir"}]
-    kept = [_moved(s, Path(hydra["hydra"]["runtime"]["cwd"])) for s in kept]
+        words = [word for word in words if key_of(word) != "resume"]
+    given = {key_of(word) for word in words}
+    kept = [word for word in earlier if key_of(word) not in {*given, "resume", "run_dir"}]
+    checked = _check_plain(schema, kept, words, place / "overrides.yaml")
     here = [] if "run_dir" in given else [f"run_dir='{run}'"]
-    return [*kept, *settings, *here]
+    return [*(_moved(word, Path(started_in)) for word in checked), *words, *here]
 
 
-def has_state(verb: str, run: Path) -> bool:
-    """Whether a run of a command got as far as having a state to go on from."""
-    return any(any(run.glob(pattern)) for pattern in _STATES.get(verb, ()))
+def _check_plain(schema: Schema, kept: list[str], given: list[str], path: Path) -> list[str]:
+    """Return the settings of a run folder; the given ones may choose other options."""
+    try:
+        for word in kept:
+            if any(program in word for program in _PROGRAMS):
+                raise ConfigError(f"'{word}' is no plain value.")
+        return check_overrides(schema, [*kept, *given], trusted=False)[: len(kept)]
+    except ConfigError as error:
+        raise ConfigError(
+            f"'{path}' holds more than plain settings of tactorch {schema.command}: {error} Remove "
+            "it from that file if you trust the rest, or start the run again."
+        ) from error
 
 
-def _load(run: Path, name: str) -> Any:
+def has_state(command: str, run: Path) -> bool:
+    """Return whether a run of a command got as far as having a state to go on from."""
+    return any(any(run.glob(pattern)) for pattern in _STATES.get(command, ()))
+
+
+def read_settings(run: Path) -> "DictConfig":
+    """Return the settings that a run folder holds.
+
+    Raises:
+        FileError: there are none, or they are damaged.
+    """
     from omegaconf import OmegaConf
 
-    path = require_file(run / ".hydra" / name, "settings of the run to resume")
+    path = run / ".hydra" / "config.yaml"
+    content = _load(path)
+    if not isinstance(content, dict):
+        raise FileError(f"'{path}' does not hold a run's settings; start the run again.")
+    cfg = OmegaConf.create(content)
+    return cfg
+
+
+def _load(path: Path) -> Any:
+    from omegaconf import OmegaConf
+
+    require_file(path, "settings of the run")
     try:
         return OmegaConf.to_container(OmegaConf.load(path))
     except Exception as error:  # whatever a damaged YAML file leads to
-        raise FileError(f"'{path}' cannot be read ({error}); start the run anew.") from error
+        reason = " ".join(str(error).split())
+        raise FileError(f"'{path}' cannot be read ({reason}); start the run again.") from error
 
 
-def _moved(setting: str, started_in: Path) -> str:
-    """Keep a relative path of what is read pointing where it did when the run was started."""
-    key, value = setting.split("=", 1) if "=" in setting else (setting, "")
+def _moved(word: str, started_in: Path) -> str:
+    """Return a setting whose relative path, of a file that is read, points where it did before."""
+    key, value = word.split("=", 1) if "=" in word else (word, "")
     path = value.strip("'\"")
     if (
         key not in ("recording", "path", "data.folder", "initialization.weights")
         or os.path.isabs(path)
         or Path.cwd() == started_in
     ):
-        return setting
+        return word
     return f"{key}='{os.path.relpath(started_in / path)}'"
-
-
-def _key(setting: str) -> str:
-    return setting.split("=", 1)[0].lstrip("+~")
 
 
 def checkpoint_of(run: str | Path) -> Path:

@@ -1,42 +1,82 @@
-"""`tactorch simulate`."""
+"""`tactorch simulate`: press a phantom and record how its surface moves.
 
+    tactorch simulate                                   a cube with a ball, pressed on three sides
+    tactorch simulate phantom=cube_cylinder snr_db=20 out=cylinder.h5
+    tactorch simulate press.faces=[z+] press.steps=8 mesh=same snr_db=null
+    tactorch simulate -m phantom.depth=0.3,0.4,0.5 seed=1,2
+
+The recording is written to recording.h5 in the run folder, or to `out`.
+"""
+
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
-from omegaconf import DictConfig
-
+from tactorch.cli.options import CommandOptions
 from tactorch.cli.progress import progress
-from tactorch.cli.settings import folder, log, material_of, phantom_of, plain, plan_of
-from tactorch.config import build
+from tactorch.cli.settings import log, material_spec, run_folder
+from tactorch.config import Options, option
+from tactorch.errors import ConfigError
+from tactorch.fem import MATERIALS  # noqa: F401  (the registry of the section)
+from tactorch.linalg import SOLVERS  # noqa: F401
 from tactorch.phantoms import MeshSize
+from tactorch.phantoms.library import PHANTOMS  # noqa: F401
 from tactorch.recording import Recording
-from tactorch.simulation import simulate
+from tactorch.simulation import PressPlan, simulate
 
 
-def run(cfg: DictConfig) -> Path:
-    """Simulate a recording, write it and return its path."""
-    recording = make_recording(cfg)
-    out = folder() / "recording.h5" if cfg.out is None else Path(str(cfg.out))
+@dataclass(frozen=True, kw_only=True)
+class SimulationOptions(Options):
+    """Settings of a simulated recording."""
+
+    phantom: Any = option("cube_sphere", "Object and its inclusions", section="phantom")
+    press: PressPlan = option(factory=PressPlan, help="Presses", preset="three_sides")
+    mesh: MeshSize = option(factory=MeshSize, help="Meshes", preset="default")
+    material: Any = option("neo_hookean", "Material of the object", section="material")
+    solver: Any = option("auto", "Linear solver", section="solver")
+    element: Literal["tet4", "tet10"] = option("tet4", "Element type")
+    samples: int = option(
+        4, "Samples per edge that average the modulus over cut elements; 1: centroid", ge=1
+    )
+    snr_db: float | None = option(40.0, "Signal-to-noise ratio; null: no noise", unit="dB")
+    seed: int = option(0, "Seed of the noise", ge=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateOptions(SimulationOptions, CommandOptions):
+    """Settings of the command."""
+
+    out: Path | None = option(None, "Recording to write; null: recording.h5 in the run folder")
+
+
+def run(options: SimulateOptions) -> Path:
+    """Simulate a recording and write it; returns its path."""
+    recording = simulate_recording(options)
+    out = options.out or run_folder() / "recording.h5"
     recording.save(out)
     log.info("%s", recording.summary())
     log.info("recording: %s", out)
     return out
 
 
-def make_recording(cfg: DictConfig) -> Recording:
-    """Simulate a recording with the given settings."""
-    phantom = phantom_of(cfg)
-    mesh, fine = build(MeshSize, plain(cfg.mesh), "mesh").build(phantom)
-    with progress("simulating", "presses") as on_progress:
+def simulate_recording(options: SimulationOptions) -> Recording:
+    """Simulate a recording."""
+    try:
+        phantom = options.phantom.build()
+    except ConfigError as error:  # of shapes, which know no settings
+        raise ConfigError(f"phantom: {error}") from error
+    mesh, fine = options.mesh.build(phantom)
+    with progress("simulating", "presses") as update:
         return simulate(
             phantom,
-            plan_of(cfg),
-            material=material_of(cfg),
+            options.press,
+            material=material_spec(options.material),
             mesh=mesh,
             fine_mesh=fine,
-            samples=cfg.samples,
-            element=cfg.element,
-            solver=cfg.solver.name,
-            snr_db=cfg.snr_db,
-            seed=cfg.seed,
-            progress=on_progress,
+            samples=options.samples,
+            element=options.element,
+            solver=options.solver,
+            snr_db=options.snr_db,
+            seed=options.seed,
+            progress=update,
         )

@@ -45,24 +45,24 @@ class Table:
 def is_rich(stream: Any = None) -> bool:
     """Whether a stream (standard output, if none is given) is a terminal that can be drawn on."""
     try:
-        there = (sys.stdout if stream is None else stream).isatty()
+        is_terminal = (sys.stdout if stream is None else stream).isatty()
     except (AttributeError, ValueError):  # none at all, or closed
         return False
-    return there and os.environ.get("TERM", "") not in _NO_CONTROL
+    return is_terminal and os.environ.get("TERM", "") not in _NO_CONTROL
 
 
 def show(table: Table) -> None:
     """Print a table."""
     try:
         if is_rich():
-            drawn(table)
+            draw(table)
             return
     except ImportError:  # `tactorch doctor` is run just where packages are missing
         pass
     print(table.text())
 
 
-def drawn(table: Table) -> None:
+def draw(table: Table) -> None:
     """Draw a table at the terminal.
 
     Raises:
@@ -73,10 +73,10 @@ def drawn(table: Table) -> None:
     from rich.table import Table as Rich
     from rich.text import Text
 
-    found = Rich(box=box.SIMPLE_HEAD, show_header=any(table.header), header_style="")
+    drawing = Rich(box=box.SIMPLE_HEAD, show_header=any(table.header), header_style="")
     for column, name in enumerate(table.header):
         side: Literal["left", "right"] = "left" if column < table.words else "right"
-        found.add_column(Text(name), justify=side)
+        drawing.add_column(Text(name), justify=side)
     for row in table.rows:
-        found.add_row(*(Text(printable(cell), table.styles.get(cell, "")) for cell in row))
-    Console(highlight=False).print(found)
+        drawing.add_row(*(Text(printable(cell), table.styles.get(cell, "")) for cell in row))
+    Console(highlight=False).print(drawing)

@@ -172,7 +172,7 @@ class Setting:
         from tactorch.config.registry import REGISTRIES, build
 
         if self.constraint.section in REGISTRIES:
-            return REGISTRIES[self.constraint.section].build(value)
+            return REGISTRIES[self.constraint.section].build(value, name)
         if self.nested is not None and isinstance(value, Mapping):
             return build(self.nested, value, name)
         return value

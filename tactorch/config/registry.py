@@ -1,7 +1,8 @@
 """Named components of a kind, built in or from installed packages, and settings that choose one."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
@@ -45,6 +46,14 @@ class Registry:
         others = sorted({*self._plugins(), *self._added} - set(self._paths))
         return (*self._paths, *others)
 
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self.names())
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether there is a component of this name."""
+        return name in self.names()
+
     def register(self, name: str, component: Any) -> Any:
         """Add a component for this process, and return it.
 
@@ -80,17 +89,21 @@ class Registry:
 
     def name_of(self, component: type) -> str:
         """Return the name of a component class, or its import path where it has no name."""
-        path = f"{component.__module__}:{component.__qualname__}"
         paths = self._paths | {name: entry.value for name, entry in self._plugins().items()}
+        for name, path in paths.items():
+            module, _, attribute = path.partition(":")
+            if getattr(sys.modules.get(module), attribute, None) is component:
+                return name
         added = (name for name, value in self._added.items() if value is component)
-        return next((name for name, known in paths.items() if known == path), next(added, path))
+        return next(added, f"{component.__module__}:{component.__qualname__}")
 
-    def build(self, given: Any) -> Any:
+    def build(self, given: Any, section: str = "") -> Any:
         """Make the settings of a component.
 
         Args:
             given: A name, a table with the key "name" and other settings, or an object made
                 already, which is returned as it is.
+            section: Where the settings stand, for messages; that of the registry by default.
 
         Raises:
             ConfigError: the name or a setting is unknown, or a value cannot be used.
@@ -99,12 +112,14 @@ class Registry:
             given = {"name": given}
         if not isinstance(given, Mapping):
             return given
-        values = dict(given)
+        values, section = dict(given), section or self.section
         name = values.pop("name", None)
         if not isinstance(name, str):
             names = ", ".join(self.names())
-            raise ConfigError(f"{self.section}.name={name!r}: choose one of {names}.")
-        return build(self[name], values, self.section, f"{self.section}={name}")
+            raise ConfigError(f"{section}.name={name!r}: choose one of {names}.")
+        if name not in self:
+            raise ConfigError(unknown_choice(section, name, self.names()))
+        return build(self[name], values, section, f"{section}={name}")
 
     def _plugins(self) -> dict[str, Any]:
         return {entry.name: entry for entry in entry_points(group=self.group)}
@@ -177,7 +192,7 @@ def unknown_choice(section: str, name: str, names: Iterable[str]) -> str:
 
 def unknown_setting(name: str, known: Iterable[str], chosen: str = "") -> str:
     """Return the message for a setting that does not exist, with the one likely meant."""
-    known, leaf = tuple(known), name.rpartition(".")[2]
+    known, leaf = tuple(known), str(name).rpartition(".")[2]
     prefix = name.removesuffix(leaf)
     match = difflib.get_close_matches(leaf, known, n=1)
     if match:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tactorch.config.options import Options, Setting, settings_of
-from tactorch.config.registry import MISSING, REGISTRIES, plain_value
+from tactorch.config.registry import MISSING, REGISTRIES, Registry, plain_value
 from tactorch.config.values import leaf_types
 from tactorch.errors import ConfigError
 
@@ -37,16 +37,17 @@ def _describe(setting: Setting, prefix: str) -> dict[str, Any]:
     registry = REGISTRIES.get(setting.constraint.section)
     types = leaf_types(setting.annotation)
     names = setting.choices if registry is None else registry.names()
+    default = default_of(setting)
     return {
         "name": f"{prefix}{setting.name}",
-        "default": default_of(setting),
+        "default": {"name": default} if _has_settings(registry) else default,
         "help": setting.constraint.help,
         "unit": setting.constraint.unit,
         "range": setting.constraint.describe(),
         "expectation": setting.expectation if registry is None else " or ".join(names),
         "choices": [text_of(name) for name in names],
         "is_path": Path in types,
-        "is_table": dict in types,
+        "is_table": dict in types or _has_settings(registry),
     }
 
 
@@ -54,10 +55,17 @@ def default_of(setting: Setting) -> Any:
     """Return the default as a plain value: a component by its name, "???" where there is none."""
     if setting.required:
         return MISSING
-    registry = REGISTRIES.get(setting.constraint.section)
-    if registry is not None and isinstance(setting.default, Options):
-        return registry.name_of(type(setting.default))
-    return plain_value(setting.default)
+    registry, default = REGISTRIES.get(setting.constraint.section), setting.default
+    if registry is not None and isinstance(default, Options):
+        default = registry.name_of(type(default))
+    return plain_value(default)
+
+
+def _has_settings(registry: Registry | None) -> bool:
+    """Return whether a component of a registry has settings, so that a name alone is no value."""
+    if registry is None:
+        return False
+    return any(settings_of(registry[name]) for name in registry.names())
 
 
 def tree_of(settings: list[dict[str, Any]]) -> dict[str, Any]:

@@ -37,6 +37,8 @@ def convert(value: Any, annotation: Any) -> Any:
         return next((a for a in arguments if a == value and type(a) is type(value)), INVALID)
     if annotation in _PLAIN:
         return _PLAIN[annotation](value)
+    if origin is Sequence:
+        origin, arguments = tuple, (*arguments, Ellipsis)
     if origin in (tuple, list):
         return _convert_sequence(value, origin, arguments)
     if isinstance(origin, type) and issubclass(origin, Mapping):
@@ -118,8 +120,10 @@ def describe(annotation: Any) -> str:
         count = len(arguments)
         letters = ",".join(_LETTERS[:count])
         return f"a list of {_COUNTS.get(count, count)} {_plural(arguments[0])}: [{letters}]"
-    if origin in (tuple, list):
-        example = "[[...],[...]]" if get_origin(arguments[0]) in (tuple, list) else "[A,B]"
+    if origin in (tuple, list, Sequence):
+        example = (
+            "[[...],[...]]" if get_origin(arguments[0]) in (tuple, list, Sequence) else "[A,B]"
+        )
         return f"a list of {_plural(arguments[0])}: {example}"
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return f"a table of {_plural(arguments[1])}: {{NAME: VALUE}}"

@@ -62,7 +62,7 @@ def sample_name(index: int) -> str:
 
 
 def to_bytes(sample: Sample) -> bytes:
-    """Return a sample as the content of an HDF5 file of its own."""
+    """Return a sample as the content of a separate HDF5 file."""
 
     def write(file: "h5py.File") -> None:
         write_recording(file, vars(sample.recording))

@@ -1,68 +1,63 @@
 """Random plans of presses. Lengths in mm, pressures in MPa."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.mesh.values import Real, positive
 from tactorch.simulation import PressPlan
+
+Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class PressDraw:
-    """What plans of presses are drawn from.
+class PressDraw(Options):
+    """Distribution of plans of presses.
 
-    Attributes:
-        faces: Sets of pressed sides, one of which is drawn.
-        p_max_mpa: Range of the highest pressure, MPa.
-        load: Range of the highest pressure over the object's median modulus, evenly drawn in its
-            logarithm, as one presses soft objects more gently; it takes the place of `p_max_mpa`.
-            None does not.
-        steps: Numbers of equal steps up to it, one of which is drawn.
-        patch_radius_mm: Range of the radius of the pressed patches; None presses whole sides.
-        patches: Fewest and most patches on each side, at random places.
-        patch_share: Share of the plans that press patches, where they have a radius; the others
-            press whole sides.
-        support: What holds the opposite side, see `PressPlan`.
-        spring_n_per_mm: Stiffness of each spring.
-
-    Raises:
-        ConfigError: A value cannot be used.
+    A pressure of `load` follows the object's stiffness, as a person presses soft objects more
+    gently; its logarithm is uniformly distributed.
     """
 
-    faces: Sequence[Sequence[str]] = (("z+", "x+", "y+"),)
-    p_max_mpa: Sequence[Real] = (0.02, 0.02)
-    load: Sequence[Real] | None = None
-    steps: Sequence[int] = (4,)
-    patch_radius_mm: Sequence[Real] | None = None
-    patches: Sequence[int] = (1, 1)
-    patch_share: Real = 1.0
-    support: Literal["springs", "fixed", "roller"] = "springs"
-    spring_n_per_mm: float = 1.0
+    section: ClassVar[str] = "dataset.presses"
+    faces: tuple[tuple[str, ...], ...] = option(
+        (("z+", "x+", "y+"),), "Sets of pressed faces, one of which is drawn"
+    )
+    p_max_mpa: Range = option((0.02, 0.02), "Range of the highest pressure", unit="MPa", gt=0)
+    load: Range | None = option(
+        None, "Range of the highest pressure over the median modulus, in place of p_max_mpa", gt=0
+    )
+    steps: tuple[int, ...] = option((4,), "Numbers of load steps, one of which is drawn", ge=1)
+    patch_radius_mm: Range | None = option(
+        None, "Range of the radius of pressed patches; null: whole faces", unit="mm", gt=0
+    )
+    patches: tuple[int, int] = option((1, 1), "Fewest and most patches on each face", ge=1)
+    patch_share: float = option(
+        1.0, "Share of the plans that press patches; the others press whole faces", ge=0, le=1
+    )
+    support: Literal["springs", "fixed", "roller"] = option(
+        "springs", "Support of the opposite face"
+    )
+    spring_n_per_mm: float = option(1.0, "Stiffness of each spring", unit="N/mm", gt=0)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.faces or not self.steps:
-            raise ConfigError("faces and steps must each offer at least one choice.")
-        _range("p_max_mpa", self.p_max_mpa)
-        if self.load is not None:
-            _range("load", self.load)
-        if self.patch_radius_mm is not None:
-            _range("patch_radius_mm", self.patch_radius_mm)
-        if len(self.patches) != 2 or not 1 <= self.patches[0] <= self.patches[1]:
-            raise ConfigError(
-                f"patches={list(self.patches)}: give the fewest and the most, from 1."
-            )
-        if not 0.0 <= self.patch_share <= 1.0:
-            raise ConfigError(f"patch_share={self.patch_share}: give a share, from 0 to 1.")
-        support: dict[str, Any] = {"support": self.support, "spring_n_per_mm": self.spring_n_per_mm}
-        for sides, steps in product(self.faces, self.steps):  # refuse what no draw could use
+            raise ConfigError("dataset.presses: faces and steps need at least one choice each.")
+        for name in ("p_max_mpa", "load", "patch_radius_mm", "patches"):
+            pair = getattr(self, name)
+            if pair is not None and pair[0] > pair[1]:
+                raise ConfigError(f"dataset.presses.{name}={list(pair)}: give the lower end first.")
+        for sides, steps in product(self.faces, self.steps):  # refuse plans that cannot be made
             PressPlan(
-                p_max_mpa=float(self.p_max_mpa[0]), steps=steps, faces=tuple(sides), **support
+                p_max_mpa=self.p_max_mpa[0],
+                steps=steps,
+                faces=sides,
+                support=self.support,
+                spring_n_per_mm=self.spring_n_per_mm,
             )
 
     def draw(
@@ -74,7 +69,7 @@ class PressDraw:
         steps = int(self.steps[int(rng.integers(len(self.steps)))])
         radius, centers = None, None
         if self.patch_radius_mm is not None and rng.random() < self.patch_share:
-            radius = float(rng.uniform(*_range("patch_radius_mm", self.patch_radius_mm)))
+            radius = float(rng.uniform(*self.patch_radius_mm))
             count = int(rng.integers(self.patches[0], self.patches[1] + 1))
             margin = np.minimum(radius, (bounds[1] - bounds[0]) / 2)
             centers = rng.uniform(bounds[0] + margin, bounds[1] - margin, (count, 3)).tolist()
@@ -90,14 +85,5 @@ class PressDraw:
 
     def _highest(self, rng: np.random.Generator, youngs_mpa: float) -> float:
         if self.load is not None:
-            return youngs_mpa * float(np.exp(rng.uniform(*np.log(_range("load", self.load)))))
-        return float(rng.uniform(*_range("p_max_mpa", self.p_max_mpa)))
-
-
-def _range(name: str, pair: Sequence[Real]) -> tuple[float, float]:
-    if len(pair) != 2:
-        raise ConfigError(f"{name}={list(pair)}: give the lower and the upper end of a range.")
-    low, high = (positive(f"{name}[{i}]", value) for i, value in enumerate(pair))
-    if high < low:
-        raise ConfigError(f"{name}={list(pair)}: the upper end lies below the lower.")
-    return low, high
+            return youngs_mpa * float(np.exp(rng.uniform(*np.log(self.load))))
+        return float(rng.uniform(*self.p_max_mpa))

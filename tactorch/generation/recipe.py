@@ -1,19 +1,19 @@
 """What a dataset is made of: all that decides its samples."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, make_material
 from tactorch.generation.plans import PressDraw
 from tactorch.inverse import Settings
 from tactorch.inverse.settings import stored_settings
 from tactorch.mesh import TetMesh
-from tactorch.mesh.values import Real, positive
-from tactorch.phantoms import Phantom, RandomPhantom, draw_phantom
+from tactorch.phantoms import Phantom, RandomPhantom
+from tactorch.phantoms.families import FAMILIES
 from tactorch.plain import plain
 from tactorch.recording import MaterialSpec
 
@@ -21,22 +21,16 @@ LINEAR = "linear"
 
 
 @dataclass(frozen=True)
-class MeshSizes:
-    """How fine an object is meshed.
+class MeshSizes(Options):
+    """Sizes of the elements of random objects."""
 
-    Attributes:
-        relative_edge_length: Of the recording, as a share of the bounding box's diagonal.
-        fine_relative: Of the mesh that presses are solved on; None for the same mesh, an inverse
-            crime.
-    """
-
-    relative_edge_length: Real = 0.1
-    fine_relative: Real | None = 0.05
-
-    def __post_init__(self) -> None:
-        positive("relative_edge_length", self.relative_edge_length)
-        if self.fine_relative is not None:
-            positive("fine_relative", self.fine_relative)
+    section: ClassVar[str] = "dataset.mesh"
+    relative_edge_length: float = option(
+        0.1, "Edge length as a fraction of the bounding box's diagonal", gt=0
+    )
+    fine_relative: float | None = option(
+        0.05, "The same of the mesh to simulate on; null: the same mesh, an inverse crime", gt=0
+    )
 
     def meshes(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
         """Return the recording's mesh and the finer one; structured: the same every time.
@@ -52,57 +46,56 @@ class MeshSizes:
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """Decides every sample of a dataset, whoever makes it and in whatever order.
+class Recipe(Options):
+    """Everything that determines the samples of a dataset, whoever makes them and in any order.
 
     Attributes:
-        name: Of the dataset.
+        name: Name of the dataset.
         count: Number of samples.
-        family: Of objects, see `tactorch.phantoms.FAMILIES`.
-        options: Of the family.
-        seed: Of everything drawn.
-        views: Recordings of each object, with presses and noise of their own.
-        presses: What plans of presses are drawn from.
-        mesh: How fine objects are meshed.
-        material: The constitutive law but for Young's modulus.
+        family: Family of objects, of `tactorch.phantoms.FAMILIES`.
+        seed: Seed of all random draws.
+        views: Recordings of each object, with their own presses and noise.
+        presses: Distribution of the plans of presses.
+        mesh: Sizes of the elements.
         poisson: Range of Poisson's ratio, drawn for each object; None takes the material's.
-        samples: How elements get their modulus, see `Phantom.on_mesh`.
-        element: "tet4" or "tet10", of the simulation.
-        snr_db: Range of the signal-to-noise ratio; None for no noise.
-        inversion: How each recording is inverted; "linear" stores the linear image in place of a
-            reconstruction (see `tactorch.inverse.linear_image`), None nothing.
+        samples: Samples per edge that average the modulus, see `Phantom.on_mesh`.
+        snr_db: Range of the signal-to-noise ratio, dB; None for no noise.
         shard: Samples in a file.
+        material: Material, without Young's modulus.
+        element: Element type of the simulation, "tet4" or "tet10".
+        inversion: Settings of the inversion of each recording; "linear" stores the linear image in
+            place of a reconstruction (see `tactorch.inverse.linear_image`), None nothing.
 
     Raises:
-        ConfigError: A value cannot be used.
+        ConfigError: a value cannot be used.
     """
 
-    name: str
-    count: int
-    family: str = "inclusions"
-    options: Mapping[str, Any] = field(default_factory=dict)
-    seed: int = 0
-    views: int = 1
-    presses: PressDraw = field(default_factory=PressDraw)
-    mesh: MeshSizes = field(default_factory=MeshSizes)
+    section: ClassVar[str] = "dataset"
+    name: str = option(help="Name of the dataset")
+    count: int = option(help="Number of samples", ge=1)
+    family: Any = option("inclusions", "Family of objects", section="family")
+    seed: int = option(0, "Seed of all random draws", ge=0)
+    views: int = option(1, "Recordings of each object, with their own presses and noise", ge=1)
+    presses: PressDraw = option(factory=PressDraw, help="Distribution of the presses")
+    mesh: MeshSizes = option(factory=MeshSizes, help="Sizes of the elements")
+    poisson: tuple[float, float] | None = option(
+        None, "Range of Poisson's ratio; null: that of the material", ge=0, lt=0.5
+    )
+    samples: int = option(4, "Samples per edge that average the modulus over cut elements", ge=1)
+    snr_db: tuple[float, float] | None = option(
+        (40.0, 40.0), "Range of the signal-to-noise ratio; null: no noise", unit="dB"
+    )
+    shard: int = option(50, "Samples in a file", ge=1)
     material: MaterialSpec = field(default_factory=lambda: MaterialSpec("neo_hookean", 0.45))
-    poisson: Sequence[Real] | None = None
-    samples: int = 4
     element: str = "tet4"
-    snr_db: Sequence[Real] | None = (40.0, 40.0)
     inversion: Settings | str | None = None
-    shard: int = 50
 
     def __post_init__(self) -> None:
-        for name in ("count", "views", "shard", "samples"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name}={getattr(self, name)} must be at least 1.")
-        if self.seed < 0:
-            raise ConfigError(f"seed={self.seed} must not be negative.")
-        if self.snr_db is not None and (
-            len(self.snr_db) != 2 or not self.snr_db[0] <= self.snr_db[1]
-        ):
-            raise ConfigError(f"snr_db={self.snr_db}: give the lower and the upper end, in dB.")
+        super().__post_init__()
+        for name in ("snr_db", "poisson"):
+            pair = getattr(self, name)
+            if pair is not None and pair[0] > pair[1]:
+                raise ConfigError(f"dataset.{name}={list(pair)}: give the lower end first.")
         if isinstance(self.inversion, str) and self.inversion != LINEAR:
             raise ConfigError(f"inversion={self.inversion!r}: give settings, {LINEAR!r} or None.")
         if isinstance(self.inversion, Settings) and self.inversion.max_seconds is not None:
@@ -110,20 +103,16 @@ class Recipe:
                 "max_seconds would make samples depend on the machine; limit max_iterations."
             )
         # Refuse what no sample could be made of.
-        ELEMENTS[self.element]  # raises for an unknown name
-        if self.poisson is not None and (
-            len(self.poisson) != 2 or not 0.0 <= self.poisson[0] <= self.poisson[1] < 0.5
-        ):
-            raise ConfigError(
-                f"poisson={self.poisson}: give the lower and the upper end, from 0 to below 0.5."
-            )
+        if self.element not in ELEMENTS:
+            raise ConfigError(f"element={self.element!r}: choose one of {', '.join(ELEMENTS)}.")
         make_material(self.material.name, self.material.poisson, **self.material.parameters)
         self.mesh.meshes(self.drawn(0).phantom)
 
     def drawn(self, index: int) -> RandomPhantom:
         """Draw the object of a sample."""
         rng = np.random.default_rng([self.seed, 0, index // self.views])
-        return draw_phantom(self.family, rng, **self.options)
+        drawn: RandomPhantom = self.family.draw(rng)
+        return drawn
 
     def material_of(self, index: int) -> MaterialSpec:
         """Return the material of a sample's object."""
@@ -146,6 +135,7 @@ class Recipe:
         """Return all that decides the samples as plain values, to compare recipes by."""
         config = plain(self)
         assert isinstance(config, dict)
+        config["family"] = {"name": FAMILIES.name_of(type(self.family)), **to_mapping(self.family)}
         if isinstance(self.inversion, Settings):
             config["inversion"] = stored_settings(self.inversion)
         return config

@@ -33,7 +33,7 @@ MAX_SAMPLES = 10**8
 
 @dataclass(eq=False)
 class SampleSet:
-    """A finished dataset on disk. Shards are opened when first asked for, in each process anew.
+    """A finished dataset on disk. Each process opens a shard on first access.
 
     Attributes:
         folder: Where it lies.

@@ -1,5 +1,12 @@
-"""Readers of other people's data; each gives a `tactorch.recording.Recording`."""
+"""Readers of other formats; each returns a `tactorch.recording.Recording`."""
 
+from tactorch.config import Registry, options_from_arguments
 from tactorch.importers.published import import_published
 
-__all__ = ["import_published"]
+#: Formats by name; calling the settings of one with `folder=` reads a recording.
+FORMATS = Registry(
+    "format", {"published": "tactorch.importers:PublishedOptions"}, "formats of recordings"
+)
+PublishedOptions = options_from_arguments(import_published, "format", without=("folder",))
+
+__all__ = ["FORMATS", "import_published"]

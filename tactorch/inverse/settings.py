@@ -13,6 +13,7 @@ from tactorch.inverse.nuisance import NuisancePrior
 from tactorch.inverse.optimizers import GaussNewton, Optimizer
 from tactorch.inverse.parameterization import Bounds, Log, Parameterization
 from tactorch.inverse.regularization import Prior, TotalVariation
+from tactorch.linalg.solver import AutoSolver, SolverOptions
 from tactorch.plain import plain
 
 # What the correction for the mesh leaves of its error, measured with truth on cubes whose balls are
@@ -67,10 +68,10 @@ class Settings(Options):
         le=1,
     )
     element: Literal["tet4", "tet10"] = option("tet4", "Element type; tet10 is free of locking")
-    solver: Literal["auto", "pardiso", "superlu", "multigrid"] = option("auto", "Linear solver")
+    solver: SolverOptions = option(factory=AutoSolver, help="Linear solver", section="solver")
     newton: NewtonOptions = option(factory=NewtonOptions, help="Equilibrium search")
     nuisance: NuisancePrior = option(
-        factory=NuisancePrior, help="Nuisance parameters to be estimated"
+        factory=NuisancePrior, help="Nuisance parameters to be estimated", preset="none"
     )
     max_seconds: float | None = option(None, "Time limit; null: none", unit="s", gt=0)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 from zipfile import ZipFile
 
 import lightning
@@ -17,6 +17,7 @@ from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import atomic_path
 from tactorch.learning.order import SeededSteps
@@ -26,36 +27,30 @@ _Network = TypeVar("_Network", bound=lightning.LightningModule)
 
 
 @dataclass(frozen=True)
-class TrainerOptions:
-    """How to train.
+class TrainerOptions(Options):
+    """Settings of a training.
 
     Attributes:
-        max_epochs: Limit of epochs.
-        accelerator: "cpu", "gpu" or "auto".
-        devices: Number of devices, or "auto".
-        strategy: "auto", or "ddp" for several devices.
-        precision: Of the numbers, as Lightning names it.
-        patience: Epochs without a lower validation loss after which to stop; None never does.
-        gradient_clip: Largest norm of a gradient; None for any.
-        max_minutes: Time limit; None for none.
-        seed: Of weights, order, augmentation and dropout.
+        seed: Seed of weights, order, augmentation and dropout.
         show_progress: Whether to show Lightning's progress bar.
     """
 
-    max_epochs: int = 60
-    accelerator: str = "cpu"
-    devices: int | str = 1
-    strategy: str = "auto"
-    precision: str = "32-true"
-    patience: int | None = None
-    gradient_clip: float | None = 1.0
-    max_minutes: float | None = None
+    section: ClassVar[str] = "trainer"
+    accelerator: Literal["cpu", "gpu", "auto"] = option("cpu", "Kind of device")
+    devices: int | Literal["auto"] = option(1, "Number of devices", ge=1)
+    strategy: str = option("auto", "Strategy of Lightning; ddp: several devices")
+    precision: str = option("32-true", "Precision, as Lightning names it")
+    max_epochs: int = option(60, "Largest number of epochs", ge=1)
+    patience: int | None = option(
+        None, "Epochs without a lower validation loss before stopping; null: never", ge=1
+    )
+    gradient_clip: float | None = option(1.0, "Largest norm of a gradient; null: any", gt=0)
+    max_minutes: float | None = option(None, "Time limit; null: none", unit="min", gt=0)
     seed: int = 0
     show_progress: bool = False
 
     def __post_init__(self) -> None:
-        if self.max_epochs < 1:
-            raise ConfigError(f"trainer.max_epochs={self.max_epochs} must be at least 1.")
+        super().__post_init__()
         if self.accelerator == "gpu" and not torch.cuda.is_available():
             raise ConfigError("trainer=gpu needs a CUDA device, and torch sees none here.")
 
@@ -269,7 +264,7 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
 
 
 def rebuild(make: Callable[..., _Network], path: Path, kind: str, advice: str) -> _Network:
-    """Make a network anew from a checkpoint alone: its settings stand in it. Ready to answer.
+    """Load a network in evaluation mode from a checkpoint, which contains its settings.
 
     Args:
         make: The network's class.

@@ -3,6 +3,8 @@
 import contextlib
 import importlib
 import io
+import re
+import struct
 import warnings
 from collections.abc import Iterator, Mapping
 from itertools import groupby
@@ -175,6 +177,7 @@ def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
     with _meshio(f"'{path}' cannot be read as {name}", hint):
         import meshio
 
+        _check_header(path, name)
         if name == "obj":
             content = meshio.Mesh(*_read_obj(path))
         else:
@@ -184,6 +187,25 @@ def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
     if not len(content.points):
         raise FileError(f"'{path}' contains no points: it is empty, or not of the {name} format.")
     return content
+
+
+def _check_header(path: Path, name: str) -> None:
+    """Refuse damaged headers that meshio would read without end or with excessive memory."""
+    if name == "ply" and not re.search(rb"^end_header\s*?$", path.read_bytes(), re.MULTILINE):
+        raise ValueError("the header has no end")
+    if name == "gmsh":
+        content = path.read_bytes()
+        start = content.find(b"$Nodes\n") + len(b"$Nodes\n")
+        if not re.match(rb"\$MeshFormat\s+4\.1 1 8\s", content) or start < len(b"$Nodes\n"):
+            return
+        blocks, *_ = struct.unpack_from("=4Q", content, start)
+        start += 32
+        for _ in range(blocks):
+            (nodes,) = struct.unpack_from("=Q", content, start + 12)
+            tags = np.frombuffer(content, np.uint64, nodes, start + 20)
+            if tags.size and int(tags.max()) > len(content):  # meshio makes an array of this size
+                raise ValueError(f"there is no node {tags.max()}")
+            start += 20 + 32 * nodes
 
 
 def _write(path: Path, name: str, content: "meshio.Mesh") -> None:

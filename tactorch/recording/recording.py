@@ -113,7 +113,7 @@ class Recording:
         for index in indices:
             if not 0 <= index < len(self.presses):
                 raise RecordingError(
-                    f"press {index} was asked for, but the recording has {len(self.presses)}, "
+                    f"press {index} is requested, but the recording has {len(self.presses)}, "
                     f"numbered 0 to {len(self.presses) - 1}"
                 )
         chosen = tuple(self.presses[index] for index in indices)

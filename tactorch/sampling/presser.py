@@ -29,7 +29,7 @@ class Presser(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPresser:
-    """Presses a body of known moduli, on a mesh of its own.
+    """Presses a body of known moduli on a separate mesh.
 
     Attributes:
         body: What is pressed; best on a finer mesh than the inversion's.

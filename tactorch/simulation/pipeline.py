@@ -11,7 +11,7 @@ from jaxtyping import Float
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import STANDARD_GRAVITY, SoftBody, make_material
-from tactorch.linalg import map_cases
+from tactorch.linalg import SOLVERS, SolverOptions, map_cases
 from tactorch.mesh import TetMesh
 from tactorch.mesh.values import Real, Vector, positive, vector
 from tactorch.phantoms import Phantom
@@ -34,7 +34,7 @@ def simulate(
     fine_mesh: TetMesh | None = None,
     samples: int = 1,
     element: str = "tet4",
-    solver: str = "auto",
+    solver: str | SolverOptions = "auto",
     snr_db: Real | None = None,
     seed: int = 0,
     density: Real | None = None,
@@ -114,7 +114,12 @@ def simulate(
         _press(conditions, step, plan.pressures[step], u, snr_db, [seed, i])
         for i, (conditions, step, u) in enumerate(cases)
     ]
-    settings = {"element": element, "solver": solver, "samples": samples, "snr_db": snr_db}
+    settings = {
+        "element": element,
+        "solver": solver if isinstance(solver, str) else SOLVERS.name_of(type(solver)),
+        "samples": samples,
+        "snr_db": snr_db,
+    }
     return Recording(
         mesh,
         tuple(presses),

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from tactorch.cli import COMMANDS, GROUPS, VERBS
-from tactorch.cli.catalog import Catalog
 from tactorch.cli.completion import SHELLS, completed, script, typed
+from tactorch.cli.schema import load_schema
 
 
 def offered(line: str) -> list[str]:
@@ -48,13 +48,12 @@ def test_verbs_and_commands_of_groups() -> None:
 
 @pytest.mark.parametrize("verb", COMMANDS)
 def test_every_setting_can_be_reached(verb: str) -> None:
-    catalog = Catalog(verb)
-    words = offered(f"{verb} ")
-    top = [key for key, value in catalog.settings.items() if not isinstance(value, dict)]
-    assert {f"{key}=" for key in (*top, *catalog.defaults)} <= set(words)
-    for key in catalog.keys(catalog.choices(())):
+    schema = load_schema(verb)
+    top = [entry["name"] for entry in schema.settings if "." not in entry["name"]]
+    assert {f"{key}=" for key in (*top, *schema.defaults)} <= set(offered(f"{verb} "))
+    for key in schema.entries(schema.choices(())):
         table = key.rpartition(".")[0]
-        assert {f"{key}=", f"{key}."} & set(offered(f"{verb} {table + '.' if table else ''}"))
+        assert f"{key}=" in offered(f"{verb} {table + '.' if table else ''}")
 
 
 def test_settings_of_the_chosen_option_and_not_twice() -> None:
@@ -67,18 +66,18 @@ def test_settings_of_the_chosen_option_and_not_twice() -> None:
 
 def test_choices_of_groups_in_lists_and_sweeps_too() -> None:
     assert offered("invert optimizer=") == [
-        f"optimizer={name}" for name in Catalog("invert").options("optimizer")
+        f"optimizer={name}" for name in load_schema("invert").options("optimizer")
     ]
     assert offered("simulate phantom=cube_sp") == ["phantom=cube_sphere"]
     assert offered("invert -m optimizer=tnc,ne") == ["optimizer=tnc,newton_cg"]
     assert offered("train experiment=") == [
-        f"experiment={name}" for name in ("paper", "recognizer", "surrogate")
+        f"experiment={name}" for name in ("recognizer", "surrogate")
     ]
     about = completed(["invert", "optimizer=tnc"])[0].about
-    assert about == Catalog("invert").about("optimizer", "tnc")
+    assert about == load_schema("invert").options("optimizer")["tnc"]["help"]
 
 
-def test_values_that_the_comments_name() -> None:
+def test_values_of_settings_with_choices() -> None:
     assert offered("invert element=") == ["element=tet4", "element=tet10"]
     assert offered("invert misfit=") == ["misfit=squares", "misfit=huber", "misfit=adaptive"]
     assert offered("sensor record untouched=") == [

@@ -238,9 +238,9 @@ def test_path_with_odd_characters_can_be_given_in_quotes(
 
 
 def test_a_new_inversion_takes_away_what_was_made_of_the_old_one(tmp_path: Path) -> None:
-    from tactorch.cli.invert import _clear
+    from tactorch.cli.invert import _remove_results
 
     for name in ("finding.txt", "finding.json", "report.html", "summary.json", "mine.txt"):
         (tmp_path / name).write_text("old")
-    _clear(tmp_path, None)
+    _remove_results(tmp_path, None)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]

@@ -9,9 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tactorch.cli import COMMANDS, GROUPS, VERBS
-from tactorch.cli.catalog import Catalog, _parse, conf_folder
-from tactorch.cli.kinds import KINDS
-from tactorch.reproduce.studies import STUDIES
+from tactorch.cli.schema import EXPERIMENT, conf_folder, load_schema, read_yaml
 
 
 def test_usage_names_every_command(tactorch: Any) -> None:
@@ -44,11 +42,11 @@ def test_versions_are_told(tactorch: Any) -> None:
 def test_help_teaches(tactorch: Any, verb: str) -> None:
     done = tactorch(*verb.split(), "--help")
     assert done.status == 0
-    catalog = Catalog(verb)
-    for name in catalog.settings:
-        assert f"  {name}:" in done.out
-    for group, chosen in catalog.defaults.items():
-        for option in catalog.options(group):
+    schema = load_schema(verb)
+    for entry in schema.settings:
+        assert f"  {entry['name'].rpartition('.')[2]}: " in done.out
+    for group, chosen in schema.defaults.items():
+        for option in schema.options(group):
             assert f" {option}" in done.out
         assert chosen is None or f"* {chosen}" in done.out
     assert "hydra:" not in done.out
@@ -63,26 +61,15 @@ def test_help_follows_the_chosen_option(tactorch: Any) -> None:
 
 
 @pytest.mark.parametrize("verb", COMMANDS)
-def test_every_option_says_what_it_is(verb: str) -> None:
-    catalog = Catalog(verb)
-    for group in catalog.defaults:
-        for option in catalog.options(group):
-            assert len(catalog.about(group, option)) > 10, (group, option)
-
-
-@pytest.mark.parametrize("verb", COMMANDS)
-def test_kind_of_every_setting_is_known(verb: str) -> None:
-    catalog = Catalog(verb)
-    tables = {"bounds", "noise", "family", "presses", "sizes", "suggest"}
-    tables |= {*STUDIES, *catalog.defaults}
-    keys = set(catalog.settings)
-    for group in catalog.defaults:
-        for option in catalog.options(group):
-            keys |= set(catalog.keys({group: option}))
-    # What belongs to a name beside it is checked there.
-    keys = {k for k in keys if ".parameters." not in k and not k.startswith("dataset.family.")}
-    unknown = {key for key in keys if not {key, key.split(".")[-1]} & set(KINDS)}
-    assert {key.split(".")[-1] for key in unknown} <= tables
+def test_every_option_and_setting_has_help(verb: str) -> None:
+    schema = load_schema(verb)
+    for group in schema.defaults:
+        for option, described in schema.options(group).items():
+            assert len(described["help"]) > 10, (group, option)
+            settings = [] if group == EXPERIMENT else described["settings"]
+            for entry in (*settings, *schema.settings):
+                assert len(entry["help"]) > 3, (group, option, entry["name"])
+                assert not entry["help"].endswith("."), (group, option, entry["name"])
 
 
 def test_optimizer_of_the_paper_brings_its_own_choices(tactorch: Any) -> None:
@@ -114,12 +101,12 @@ def test_optimizer_of_the_paper_brings_its_own_choices(tactorch: Any) -> None:
         (("simulate", "phantom.raduis=1"), ("'phantom.raduis'", "Did you mean 'phantom.radius'?")),
         (("simulate", "steps=3"), ("'steps'", "Did you mean 'press.steps'?")),
         (("simulate", "+sed=3"), ("unknown setting 'sed'", "'seed'?")),
-        (("simulate", "phantom=cube_box", "phantom.depth=1"), ("cube_box: center, size",)),
+        (("simulate", "phantom=cube_box", "phantom.depth=1"), ("phantom=cube_box: side_mm,",)),
         (("simulate", "phantom=cube_spere"), ("cube_spere is unknown", "Did you mean 'cube_sphe")),
         (("simulate", "seed"), ("'seed' is not a setting", "KEY=VALUE")),
         (("simulate", "seed=1,2"), ("several values", "add -m")),
         (("simulate", "out=a (1).h5"), ("cannot be read", "\"out='a (1).h5'\"")),
-        (("simulate", "snr_db=${nothing}"), ("refers to what is not there", "nothing")),
+        (("simulate", "snr_db=${nothing}"), ("refers to a value that does not exist", "nothing")),
         (("simulate", "--config-name", "nothing"), ("nothing",)),
         (("invert", "-m", "resume=x"), ("leave out -m",)),
     ],
@@ -162,7 +149,7 @@ SETTINGS = ("hydra", "omegaconf", "antlr4")
         (("sensor", "force", "--help"), (*HEAVY, *SETTINGS)),
         (("completion", "bash"), (*HEAVY, *SETTINGS)),
         (("completion", "line", "tactorch invert optimizer.tol"), (*HEAVY, *SETTINGS)),
-        (("completion", "words", "train", "data.folder="), (*HEAVY, *SETTINGS)),
+        (("completion", "line", "tactorch train data.folder="), (*HEAVY, *SETTINGS)),
         (("invert", "recrding=x"), HEAVY),
         (("invert",), HEAVY),
         (("sensor", "force"), HEAVY),
@@ -172,6 +159,9 @@ SETTINGS = ("hydra", "omegaconf", "antlr4")
 def test_what_is_quick_loads_nothing_slow(
     typed: tuple[str, ...], unwanted: tuple[str, ...], tmp_path: Path
 ) -> None:
+    for command in COMMANDS:  # the first use of a command describes its components
+        if " ".join(typed).removeprefix("completion ").split("tactorch ")[-1].startswith(command):
+            load_schema(command)
     code = (
         "import sys\n"
         "from tactorch.cli import main\n"
@@ -197,11 +187,26 @@ def test_help_of_a_verb_may_be_asked_for_either_way(tactorch: Any) -> None:
     assert tactorch("help", "invrt").status == 2
 
 
-def test_settings_are_read_as_hydra_reads_them() -> None:
-    # The catalog has its own way, which is quicker.
+def test_presets_are_read_as_hydra_reads_them() -> None:
     for path in conf_folder().rglob("*.yaml"):
-        text = path.read_text(encoding="utf-8")
-        assert _parse(text) == OmegaConf.to_container(OmegaConf.create(text)), path
+        assert read_yaml(path) == OmegaConf.to_container(OmegaConf.load(path)), path
+
+
+def test_the_schema_is_stored_and_renewed_when_the_code_changes(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from tactorch.cli import schema
+
+    calls: list[str] = []
+    content = schema.describe_command("evaluate")
+    monkeypatch.setenv("TACTORCH_CACHE", str(tmp_path))
+    monkeypatch.setattr(schema, "describe_command", lambda c: calls.append(c) or content)
+    assert load_schema("evaluate").settings == load_schema("evaluate").settings
+    assert calls == ["evaluate"]
+    monkeypatch.setattr(schema, "_code_key", lambda: "0" * 16)
+    load_schema("evaluate")
+    assert calls == ["evaluate"] * 2
+    assert len(list((tmp_path / "schema").iterdir())) == 1
 
 
 def test_module_is_the_command(tmp_path: Path) -> None:

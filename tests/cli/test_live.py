@@ -86,7 +86,10 @@ def test_at_a_terminal_there_is_a_table(
         ((), "'recording' is missing"),
         (("recording=none",), "neither a folder nor a recording"),
         (("recording=a.h5", "poll_seconds=0"), "poll_seconds=0"),
-        (("recording=a.h5", "max_presses=1.5"), "max_presses=1.5: give a whole number, or null"),
+        (
+            ("recording=a.h5", "max_presses=1.5"),
+            "max_presses=1.5: give a whole number, at least 1, or null",
+        ),
         (("recording=a.h5", "idle_seconds=-2"), "idle_seconds=-2"),
         (("recording=a.h5", "pause_seconds=-2"), "pause_seconds=-2"),
         (("recording=a.h5", "suggest.rule=guess"), "rule=guess is unknown"),

@@ -52,7 +52,7 @@ def test_settings_of_a_prior_arrive(tactorch: Any, recording: Path) -> None:
     ("words", "answer"),
     [
         (("regularization=matern", "regularization.length_mm=far"), "give a number"),
-        (("regularization=binary_well", "regularization.levels_mpa=[1.0]"), "two moduli"),
+        (("regularization=binary_well", "regularization.levels_mpa=[1.0]"), "two numbers"),
         (
             ("regularization=composite", "+regularization.parts.ridge=1.0"),
             "regularization=ridge is unknown",

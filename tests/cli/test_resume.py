@@ -1,5 +1,6 @@
 """Going on where a run ended: by itself, by Ctrl-C, by its iteration limit."""
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -131,3 +132,78 @@ def test_demo_resumes_too(tactorch: Any, published: Path) -> None:
     done = tactorch("demo", "resume=run", "optimizer.max_iterations=2")
     assert done.status == 0, done.err
     assert load().iterations == 2
+
+
+ATTACK = "+hydra.callbacks.x._target_=numpy.savetxt"
+
+
+@pytest.mark.parametrize(
+    ("word", "reason"),
+    [
+        (ATTACK, "numpy.savetxt"),
+        ("hydra.run.dir=elsewhere", "unknown setting 'hydra.run.dir'"),
+        ("hydra/launcher=joblib", "unknown setting 'hydra/launcher'"),
+        ("+anything=1", "unknown setting 'anything'"),
+        ("~optimizer.tolerance", "would remove a setting"),
+        ("regularization.weight={_target_: os.system}", "no plain value"),
+        ("recording=${oc.env:HOME}", "no plain value"),
+        ("optimizer.max_iterations=1,2", "several values"),
+    ],
+)
+def test_a_run_folder_gives_plain_settings_only(
+    tactorch: Any, finished_run: Path, tmp_path: Path, word: str, reason: str
+) -> None:
+    run = Path(shutil.copytree(finished_run, tmp_path / "run"))
+    overrides = run / ".hydra" / "overrides.yaml"
+    overrides.write_text(f"{overrides.read_text()}- '{word}'\n")
+    done = tactorch("invert", f"resume={run}")
+    assert done.status == 2
+    assert "overrides.yaml' holds more than plain settings" in done.err
+    assert reason in done.err
+    assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("experiment/x.yaml", "hydra:\n  callbacks:\n    x:\n      _target_: numpy.savetxt\n"),
+        ("experiment/x.yaml", "defaults:\n  - override /hydra/launcher: joblib\n"),
+        ("regularization/x.yaml", "name: tikhonov\nweight:\n  _target_: os.system\n"),
+        ("hydra/callbacks/x.yaml", "y: 1\n"),
+    ],
+)
+def test_a_folder_of_settings_gives_plain_settings_only(
+    tactorch: Any, recording: Path, tmp_path: Path, name: str, text: str
+) -> None:
+    path = tmp_path / "own" / name
+    path.parent.mkdir(parents=True)
+    path.write_text(text)
+    done = tactorch(
+        "invert", f"recording={recording}", "--config-dir", tmp_path / "own", "experiment=x"
+    )
+    assert done.status == 2
+    assert "can run programs" in done.err
+    assert "--trust-config-dir" in done.err
+    assert not list(Path().iterdir())
+
+
+def test_presets_and_experiments_of_a_folder_are_used(
+    tactorch: Any, recording: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "own"
+    for folder in ("experiment", "regularization"):
+        (own / folder).mkdir(parents=True)
+    (own / "regularization" / "mine.yaml").write_text("name: matern\nlength_mm: 2.5\n")
+    (own / "experiment" / "mine.yaml").write_text(
+        "# @package _global_\ndefaults:\n  - override /regularization: mine\nplots: false\n"
+    )
+    command = ("invert", f"recording={recording}", "--config-dir", own)
+    out = tactorch(*command, "experiment=mine", "--cfg", "job").out
+    assert "name: matern" in out
+    assert "length_mm: 2.5" in out
+    assert "plots: false" in out
+    done = tactorch(*command, "regularization=mne")
+    assert "Did you mean 'mine'?" in done.err
+    (own / "regularization" / "mine.yaml").write_text("name: matern\nlenght_mm: 2.5\n")
+    assert "unknown setting 'lenght_mm'" in tactorch(*command).err
+    assert "not a folder" in tactorch("invert", "--config-dir", "nowhere").err

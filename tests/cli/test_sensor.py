@@ -386,7 +386,7 @@ ONE = HEADER + "press-0.png,75,60,13\n"
         (small, (), ("hold no press of the ball", "presses")),
         (None, ("images=nowhere",), ("folder of frames not found: 'nowhere'",)),
         (None, ("reference=nowhere.png",), ("nowhere.png",)),
-        (None, ("reference_frames=0",), ("reference_frames=0 must be at least 1",)),
+        (None, ("reference_frames=0",), ("reference_frames=0: give a whole number, at least 1",)),
         (None, ("sensor=mini",), ("'mini'", "gelsight_mini")),
         (None, ("ball_radius_mm=0.01",), ("radius_mm=0.01", "0.2 to 100")),
         (None, ("ball_radius_mm=big",), ("ball_radius_mm='big'", "a number")),

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tactorch.cli.logs import log, tell
+from tactorch.cli.logs import log, log_text
 from tactorch.cli.progress import progress
 from tactorch.cli.tables import Table, is_rich, show
 
@@ -117,7 +117,7 @@ def test_log_file_has_the_text_that_a_terminal_shows_drawn(
     handler = logging.FileHandler(path)
     logging.getLogger().addHandler(handler)
     try:
-        tell(f"\nfound:\n{TABLE.text()}\nand more", TABLE)
+        log_text(f"\nfound:\n{TABLE.text()}\nand more", TABLE)
     finally:
         logging.getLogger().removeHandler(handler)
         handler.close()

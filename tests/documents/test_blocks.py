@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from tactorch.cli.catalog import Catalog, app_name, conf_folder
-from tactorch.cli.kinds import check_settings
+from tactorch.cli.compose import compose_options
 from tactorch.cli.main import COMMANDS, VERBS
 from tactorch.cli.positional import named
 
@@ -110,10 +108,9 @@ def test_a_block_of_the_readme_runs_alone(index: int, folder: Path) -> None:
 
 @pytest.mark.parametrize("path", of_all("sh"), ids=label)
 def test_commands_can_be_given(path: Path) -> None:
-    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
-        for block in blocks(path, "sh"):
-            for words in commands(block):
-                check(words)
+    for block in blocks(path, "sh"):
+        for words in commands(block):
+            check(words)
 
 
 def check(words: list[str]) -> None:
@@ -142,11 +139,9 @@ def check_tactorch(words: list[str]) -> None:
     typed = named(verb, words[len(verb.split()) :])
     given = [word for word in typed if word not in ("-m", "--help")]
     for settings in zip(*combinations(given), strict=True):
-        cfg = compose(app_name(verb), list(settings))
-        if any(word.startswith("resume=") for word in settings):
-            cfg.recording = "of the run"
+        resumed = any(word.startswith("resume=") for word in settings) and verb == "invert"
         if "--help" not in words:
-            check_settings(cfg, Catalog(verb), list(settings))
+            compose_options(verb, [*settings, *(["recording=of_the_run"] if resumed else [])])
 
 
 def combinations(given: list[str]) -> list[list[str]]:

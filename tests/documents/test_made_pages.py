@@ -6,17 +6,14 @@ import inspect
 import re
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-from tactorch.cli.catalog import Catalog
 from tactorch.cli.main import COMMANDS
+from tactorch.cli.schema import load_schema
 
 from .blocks import DOCS, ROOT, pages
-
-CONF = sorted((ROOT / "conf").rglob("*.yaml"))
 
 
 @pytest.fixture(scope="module")
@@ -33,57 +30,17 @@ def configuration(hooks: dict[str, ModuleType]) -> str:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_setting_of_a_command_is_there(command: str, configuration: str) -> None:
-    catalog = Catalog(command)
-    for name in catalog.settings:
-        assert f"| `{name}" in configuration
-    for group in catalog.defaults:
+    schema = load_schema(command)
+    for entry in schema.settings:
+        assert f"| `{entry['name']}` |" in configuration
+    for group in schema.groups:
         assert f"\n### {group}\n" in configuration
-        for option in catalog.options(group):
+        for option, described in schema.options(group).items():
             assert f"\n#### {group}={option}" in configuration
-            for key in catalog.option_keys(group, option):
-                assert group == "experiment" or shown(f"{group}.{key}", configuration), key
-
-
-def shown(name: str, configuration: str) -> bool:
-    """Whether a setting has a line, or is in the default of the table that it belongs to."""
-    table, _, leaf = name.rpartition(".")
-    inside = rf"\| `{re.escape(table)}` \| `{{[^`]*\b{leaf}:"
-    return f"| `{name}" in configuration or re.search(inside, configuration) is not None
-
-
-@pytest.mark.parametrize("path", CONF, ids=lambda p: p.relative_to(ROOT / "conf").as_posix())
-def test_every_comment_is_there(path: Path, configuration: str) -> None:
-    text = html.unescape(configuration).replace("\\|", "|")
-    settings = path.read_text().split("\nhydra:")[0]
-    for line in settings.splitlines():
-        found = re.search(r"(?:^|\s)#\s*(.*)$", line)
-        about_all = line.startswith("#") and path.parent.name == "conf"  # its header says it
-        if found and not about_all and path.parent.name != "app" and "@package" not in line:
-            assert found[1].rstrip(":") in text, found[1]
-
-
-def test_settings_are_read_with_their_comments(hooks: dict[str, ModuleType]) -> None:
-    text = """\
-# What the file is.
-defaults:
-  - _self_
-first: 1.0e-3  # how much
-# Of the rest:
-second: null
-table:
-  # on a line of its own
-  inner: [a, 'b # c']
-  last:
-    - [1, 2]
-hydra: {}
-"""
-    found = hooks["configuration"].settings_of(text)
-    assert [(s.name, s.default, s.comment, s.heading) for s in found] == [
-        ("first", "1.0e-3", "how much", ""),
-        ("second", "null", "", "Of the rest"),
-        ("table.inner", "[a, 'b # c']", "on a line of its own", ""),
-        ("table.last", "[[1, 2]]", "", ""),
-    ]
+            assert html.escape(described["help"], False) in configuration
+            for entry in described["settings"]:
+                assert f"| `{group}.{entry['name']}` |" in configuration
+                assert html.escape(entry["help"], False).replace("|", "\\|") in configuration
 
 
 def test_every_package_is_on_one_page_of_the_api(hooks: dict[str, ModuleType]) -> None:

@@ -10,8 +10,7 @@ if __name__ == "__main__":
     recipe = Recipe(
         name="tiny",
         count=5,
-        family="inclusions",
-        options={"count": (1, 1), "shapes": ["ball", "box"]},
+        family={"name": "inclusions", "count": (1, 1), "shapes": ["ball", "box"]},
         presses=PressDraw(faces=(("z+",), ("z+", "x+")), steps=(1, 2)),
         mesh=MeshSizes(relative_edge_length=0.3, fine_relative=0.2),
         samples=1,

@@ -41,7 +41,13 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recipe = Recipe(
         name="balls",
         count=12,
-        options={"count": (1, 1), "shapes": ["ball"], "contrast": (4.0, 8.0), "size": (0.3, 0.35)},
+        family={
+            "name": "inclusions",
+            "count": (1, 1),
+            "shapes": ["ball"],
+            "contrast": (4.0, 8.0),
+            "size": (0.3, 0.35),
+        },
         presses=PressDraw(faces=(("z+",), ("z+", "x+", "y+")), load=(0.04, 0.05), steps=(1, 2)),
         mesh=MeshSizes(0.27, None),
         samples=1,
@@ -182,9 +188,9 @@ def test_an_inversion_starts_from_it(run: Path, recording: Recording) -> None:
 class Says(SurrogateStart):
     """A surrogate that foretells a given map."""
 
-    def __init__(self, youngs: np.ndarray) -> None:
-        super().__init__("none.ckpt")
-        self.youngs = youngs
+    def __init__(self, youngs: np.ndarray, **settings: object) -> None:
+        super().__init__(**settings)
+        vars(self)["youngs"] = youngs
 
     def predict(self, recording: Recording, **others: object) -> Prediction:
         return Prediction(self.youngs, np.ones_like(self.youngs))
@@ -204,14 +210,14 @@ def test_a_poor_map_is_refused(
     poor = Says(uniform**2 / truth if kind == "upside down" else 0.001 * truth)
     with caplog.at_level(logging.WARNING):
         taken = poor(problem, bounds)
-        settings = poor.as_prior_mean(Settings(), recording)
+        settings = poor.with_prior_mean(Settings(), recording)
     np.testing.assert_array_equal(taken, uniform)
     assert settings == Settings()
     reason = "its misfit" if kind == "upside down" else "the presses collapse it"
     assert caplog.text.count(f"surrogate's map is refused: {reason}") == 2
     good = Says(truth)
     np.testing.assert_array_equal(good(problem, bounds), truth)
-    about = good.as_prior_mean(Settings(), recording)
+    about = good.with_prior_mean(Settings(), recording)
     assert about == Settings(regularization=ShiftedPrior(mean_mpa=truth, share=0.5))
 
 
@@ -223,9 +229,9 @@ def test_only_a_map_that_explains_the_presses_is_trusted(
     uniform = homogeneous(InverseProblem(recording), Bounds())
     half = Says(np.sqrt(uniform * truth))  # better than uniform, but not as good as the noise
     with caplog.at_level(logging.INFO):
-        assert half.as_prior_mean(Settings(), recording) == Settings()
+        assert half.with_prior_mean(Settings(), recording) == Settings()
     assert "The prior is not about the surrogate's map, which leaves chi2" in caplog.text
-    forced = half.as_prior_mean(Settings(), recording, most_chi2=np.inf)
+    forced = Says(half.youngs, prior_mean=True).with_prior_mean(Settings(), recording)
     assert isinstance(forced.regularization, ShiftedPrior)
 
 
@@ -250,7 +256,7 @@ def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -
 )
 def test_priors_without_use_for_a_mean(recording: Recording, settings: Settings) -> None:
     with pytest.raises(ConfigError, match="cannot be the mean of"):
-        Says(np.ones(recording.mesh.n_tets)).as_prior_mean(settings, recording)
+        Says(np.ones(recording.mesh.n_tets)).with_prior_mean(settings, recording)
 
 
 def test_wrong_weights_are_named(run: Path, tmp_path: Path) -> None:

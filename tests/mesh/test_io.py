@@ -314,3 +314,24 @@ def test_published_meshes(shared_data: Path, case: str, nodes: int, tets: int) -
     np.testing.assert_array_equal(mesh.points, content.points * 1000.0)
     in_file = content.cells_dict["tetra"]
     np.testing.assert_array_equal(np.sort(mesh.tets, axis=1), np.sort(in_file, axis=1))
+
+
+def test_header_without_end_is_refused(tmp_path: Path) -> None:
+    """The reader of .ply waits for the end of the header for ever."""
+    path = tmp_path / "cut.ply"
+    write_surface(path, *box_surface(10.0))
+    path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(FileError, match="header has no end"):
+        read_surface(path)
+
+
+def test_absurd_node_tag_is_refused(tmp_path: Path) -> None:
+    """The reader of .msh makes an array as long as the largest tag."""
+    path = tmp_path / "flipped.msh"
+    write_mesh(path, box_mesh(10.0, 1))
+    content = bytearray(path.read_bytes())
+    tags = content.index(b"$Nodes\n") + 7 + 32 + 20
+    content[tags + 4] ^= 0x80  # 2^39
+    path.write_bytes(content)
+    with pytest.raises(FileError, match="there is no node 5497"):
+        read_mesh(path)

@@ -1,11 +1,9 @@
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
 
-from tactorch.cli.catalog import conf_folder
 from tactorch.errors import ConfigError
 from tactorch.mesh import Box, Sphere
-from tactorch.phantoms import HOLE_MPA, PHANTOMS, make_phantom
+from tactorch.phantoms import HOLE_MPA, make_phantom
 
 
 @pytest.mark.parametrize(
@@ -38,15 +36,6 @@ def test_changes_reach_the_phantom() -> None:
 def test_wrong_names_and_values_are_refused(name: str, changes: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make_phantom(name, **changes)
-
-
-@pytest.mark.parametrize(
-    "name", sorted({*PHANTOMS.names()} - {"cube_sphere"})
-)  # the demo's is less deep
-def test_each_has_a_configuration_with_its_own_defaults(name: str) -> None:
-    settings = OmegaConf.to_container(OmegaConf.load(conf_folder() / "phantom" / f"{name}.yaml"))
-    assert settings.pop("name") == name
-    assert make_phantom(name, **settings) == make_phantom(name)
 
 
 def test_two_tiers_are_one_above_the_other() -> None:

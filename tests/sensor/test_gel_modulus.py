@@ -120,11 +120,11 @@ def test_the_mesh_is_counted_once(model: GelModel, presses: list) -> None:
 @pytest.mark.parametrize(
     ("force", "message"),
     [
-        (0.0, "test: force_n is 0 N along z, which tells no modulus"),
+        (0.0, "test: force_n is 0 N along z, which does not determine"),
         (0.5, r"test: force_n is \+0.5 N along z, which pulls .* give -0.5"),
-        (np.nan, "N along z at least, and finite"),
-        (np.array([np.inf, 0.0, -1.0]), "N along z at least, and finite"),
-        (np.array([0.1, 0.0, np.nan]), "N along z at least, and finite"),
+        (np.nan, "give at least the z component, finite"),
+        (np.array([np.inf, 0.0, -1.0]), "give at least the z component, finite"),
+        (np.array([0.1, 0.0, np.nan]), "give at least the z component, finite"),
     ],
 )
 def test_loads_that_are_none_are_refused(
@@ -138,7 +138,7 @@ def test_wrong_input_is_refused(model: GelModel, presses: list) -> None:
     moved, force, touched = presses[0]
 
     def of(**changes: object) -> list[KnownLoad]:
-        fields = {"displacement": moved, "force_n": force, "deviation_n": 0.01, "touched": touched}
+        fields = {"displacement": moved, "force_n": force, "deviation_n": 0.01, "contact": touched}
         return [KnownLoad(**{**fields, **changes})]
 
     with pytest.raises(ConfigError, match="at least one press"):
@@ -159,7 +159,7 @@ def test_wrong_input_is_refused(model: GelModel, presses: list) -> None:
         calibrate_modulus(model, of(), 0.0)
     with pytest.raises(ConfigError, match="deviation_n"):
         of(deviation_n=0.0)
-    with pytest.raises(ConfigError, match="need smooth=True"):
+    with pytest.raises(ConfigError, match="needs smooth=True"):
         calibrate_modulus(model, of(), NOISE, smooth=False, free_plane=True)
     with pytest.raises(ConfigError, match="mesh_error"):
         calibrate_modulus(model, of(), NOISE, mesh_error=-0.1)

@@ -158,7 +158,7 @@ def test_direct_total_answers_to_noise_as_stated(model: GelModel, rng: np.random
         model._supports(np.nan_to_num(given), known),
     )  # fmt: skip
     ran = search.run().require()
-    rates = model._total_rates(_State(ran.displacement, search, ran), known)
+    rates = model._total_force_sensitivity(_State(ran.displacement, search, ran), known)
     np.testing.assert_allclose(rates @ step[known], apart / 2, rtol=2e-4, atol=1e-10)
     np.testing.assert_allclose(found.covariance, rates @ rates.T)
 

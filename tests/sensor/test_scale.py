@@ -229,7 +229,7 @@ def test_corners_that_tell_no_scale(rng: np.random.Generator) -> None:
     for outlines, message in (
         ([], "no image of a known shape"),
         ([six], "six.png: 6 corners, but a cuboid has 4"),
-        ([*good, other], r"images disagree: other.png tells 0.064 x 0.064 mm per px, the median"),
+        ([*good, other], r"images disagree: other.png gives 0.064 x 0.064 mm per px, the median"),
         ([*good, askew], r"askew.png: its corners are no cuboid of that size, but \d.* px off"),
         ([beside], r"beside.png: the corner at .* is outside the image of 320 x 240 px"),
         ([wide], "wide.png: a pixel would be .* check the sizes"),
@@ -242,11 +242,11 @@ def test_warps_that_cannot_be_found(rng: np.random.Generator) -> None:
     shape = cuboid(9.0, 6.0)
     one = Outline("a.png", corners_px(shape, (0.06, 0.06), rng))
     two = Outline("b.png", corners_px(cuboid(9.0, 9.0), (0.06, 0.06), rng))
-    with pytest.raises(ConfigError, match="a cuboid in 1 image tells too little"):
+    with pytest.raises(ConfigError, match="a cuboid in 1 image is not enough"):
         fit_warp([one], shape, TOLD)
     with pytest.raises(ConfigError, match="no image of a known shape"):
         fit_warp([], shape, TOLD)
-    with pytest.raises(ConfigError, match="its corners are no cuboid of that size, however"):
+    with pytest.raises(ConfigError, match="its corners are no cuboid of that size from any"):
         fit_warp([one, two], shape, TOLD)
     three = [Outline(f"{k}.png", corners_px(shape, (0.06, 0.06), rng)) for k in range(3)]
     with pytest.raises(ConfigError, match="'punched' has warp_corners_px or crop_px already"):

@@ -42,12 +42,11 @@ def look_at_places() -> Iterator[Finding]:
 
 
 def _conf() -> str:
-    from tactorch.cli.catalog import Catalog, conf_folder
     from tactorch.cli.main import COMMANDS
+    from tactorch.cli.schema import conf_folder, load_schema
 
-    for verb in COMMANDS:
-        catalog = Catalog(verb)
-        catalog.keys(catalog.choices(()))
+    for command in COMMANDS:
+        load_schema(command)
     return f"{conf_folder()}"
 
 

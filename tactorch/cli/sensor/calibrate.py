@@ -1,4 +1,13 @@
-"""`tactorch sensor calibrate`."""
+r"""`tactorch sensor calibrate`: fit the map from colours to slopes, from presses of a ball.
+
+    tactorch sensor calibrate sensor=gelsight_mini images=presses reference=still.png \
+      ball_radius_mm=2.35 out=calib.npz
+    tactorch sensor calibrate ... labels=contacts.csv held_out=6 map=mlp
+    tactorch sensor calibrate ... folds=6              few presses: cross-validation
+
+The run folder gets calib.npz, quality.json and .txt, circles.csv (the contacts found, to be
+corrected and given as labels=) and held_out.png: each held-out press and the ball.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -7,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import DictConfig
 
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
+from tactorch.cli.sensor.options import CalibrateSettings
 from tactorch.cli.sensor.presses import Pressed, presses_of
 from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
-from tactorch.cli.settings import folder, log
+from tactorch.cli.settings import log, run_folder
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import (
@@ -57,22 +66,23 @@ class Fitted:
     title: str
 
 
-def run(cfg: DictConfig) -> Path:
+def run(cfg: CalibrateSettings) -> Path:
     """Calibrate a sensor; returns the path of the calibration."""
-    place = folder()
-    out = place / "calib.npz" if cfg.out is None else Path(str(cfg.out))
+    place = run_folder()
+    out = place / "calib.npz" if cfg.out is None else cfg.out
     for name in RESULTS:
         (place / name).unlink(missing_ok=True)
     options = _options(cfg)
     sensor = sensor_of(cfg)
     x, y = map(float, sensor.mm_per_px)
-    ball, reference = Ball(float(cfg.ball_radius_mm), (x, y)), reference_of(cfg, sensor)
+    ball = Ball(cfg.ball_radius_mm, (x, y))
+    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
     look = look_of(sensor, cfg.marker_diameter_px)
     presses = presses_of(cfg, sensor, ball, reference, look)
     used, held = _parted(presses, cfg, options.seed)
     options, maps = _with_map(cfg.map, used, ball, options)
     fit = _in_folds if cfg.folds is not None else _held_out
-    found = fit(used, held, ball, options, cfg.folds)
+    found = fit(used, held, ball, options, cfg.folds or 0)
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,
@@ -96,7 +106,7 @@ def digest(pressed: Pressed) -> str:
     return sha256(np.ascontiguousarray(pressed.image).tobytes()).hexdigest()[:16]
 
 
-def _options(cfg: DictConfig) -> FitOptions:
+def _options(cfg: CalibrateSettings) -> FitOptions:
     names = (AUTO, *SENSOR_MAPS.names())
     if cfg.map not in names:
         raise ConfigError(f"map={cfg.map!r}: choose one of {', '.join(names)}.")
@@ -111,7 +121,7 @@ def _map_name(options: FitOptions) -> str:
 
 
 def _parted(
-    presses: list[Pressed], cfg: DictConfig, seed: int
+    presses: list[Pressed], cfg: CalibrateSettings, seed: int
 ) -> tuple[list[Pressed], list[Pressed]]:
     """Return presses to fit to, and those held out."""
     if cfg.folds is not None:

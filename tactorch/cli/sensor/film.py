@@ -7,13 +7,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from matplotlib.figure import Figure
-from omegaconf import DictConfig
 
 from tactorch.cli.outputs import write_json
 from tactorch.cli.progress import progress
+from tactorch.cli.sensor.options import PictureSettings
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.settings import log
-from tactorch.errors import ConfigError
 from tactorch.files import atomic_path
 from tactorch.sensor.frames import Frame
 from tactorch.viz.figure import save_figure
@@ -38,19 +37,13 @@ def clear(place: Path, stem: str, others: Sequence[str]) -> None:
             stale.unlink()
 
 
-def check_pictures(cfg: DictConfig) -> None:
-    """Refuse a number of pictures that is none, before anything long begins."""
-    if cfg.pictures < 0:
-        raise ConfigError(f"pictures={cfg.pictures} must not be negative.")
-
-
 def draw(
     place: Path,
     stem: str,
     view: View,
     frames: FrameSequence,
     show: Callable[[Frame], None],
-    cfg: DictConfig,
+    cfg: PictureSettings,
     known: Sequence[Frame],
     rate_hz: float,
 ) -> None:

@@ -1,4 +1,13 @@
-"""`tactorch sensor force`."""
+r"""`tactorch sensor force`: force on the gel in each frame: resultant and distribution.
+
+    tactorch sensor force sensor=gelsight_markers calibration=calib.npz frames=press.avi \
+      reference=still.png
+    tactorch sensor force ... element=tet4                          fast: forces too high
+
+The run folder gets forces.csv (of each frame, N, on the gel: z is out of the sensor, so a
+press is negative) and .npz (of each node), summary.json and .txt, over_time.png,
+force-NUMBER.png and force.mp4.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from omegaconf import DictConfig
 
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.inputs import calibrated, reference_of
+from tactorch.cli.sensor.options import ForceSettings
 from tactorch.cli.sensor.sequence import (
     FrameSequence,
     caption_of,
@@ -21,7 +30,7 @@ from tactorch.cli.sensor.sequence import (
     without_image,
 )
 from tactorch.cli.sensor.tables import write_arrays, write_table
-from tactorch.cli.settings import folder, log
+from tactorch.cli.settings import log, run_folder
 from tactorch.errors import ConvergenceError
 from tactorch.sensor.chain import ChainOptions, Measurement, SensorChain
 from tactorch.sensor.frames import Frame
@@ -55,14 +64,13 @@ class Felt(NamedTuple):
     depth_mm: float
 
 
-def run(cfg: DictConfig) -> Path:
+def run(cfg: ForceSettings) -> Path:
     """Tell forces; returns the path of the table."""
-    place = folder()
+    place = run_folder()
     film.clear(place, _STEM, (_TABLE, _ARRAYS))
-    film.check_pictures(cfg)
     options = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.min_depth_mm, cfg.steep)
     sensor, calibration = calibrated(cfg)
-    reference = reference_of(cfg, sensor)
+    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
     frames = FrameSequence(cfg, sensor, reference)
     model = GelModel(sensor.gel, cfg.edge_mm, cfg.layers, cfg.element)
     chain = SensorChain(sensor, calibration, reference, model, options)
@@ -157,7 +165,7 @@ def _write(
 
 def _draw(
     place: Path,
-    cfg: DictConfig,
+    cfg: ForceSettings,
     chain: SensorChain,
     triangles: Int[np.ndarray, "t 3"],
     frames: FrameSequence,

@@ -3,37 +3,25 @@
 from dataclasses import replace
 from pathlib import Path
 
-from omegaconf import DictConfig
-
-from tactorch.cli.settings import log, plain
+from tactorch.cli.sensor.options import CalibratedSettings, SensorSettings
+from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.description import SensorDescription, load_sensor
-from tactorch.sensor.frames import Image, Source, read_reference
+from tactorch.sensor.frames import Image, read_reference
 from tactorch.sensor.markers import MarkerAppearance
 
 
-def sensor_of(cfg: DictConfig) -> SensorDescription:
-    """Read the sensor's description, with the scale that is given in its place."""
+def sensor_of(cfg: SensorSettings) -> SensorDescription:
+    """Return the sensor's description, with the scale of the settings where they have one."""
     sensor = load_sensor(str(cfg.sensor))
-    scale = cfg.get("mm_per_px")
-    return sensor if scale is None else replace(sensor, mm_per_px=plain(scale))
+    scale = getattr(cfg, "mm_per_px", None)
+    return sensor if scale is None else replace(sensor, mm_per_px=scale)
 
 
-def source_of(value: str | float) -> Source:
-    """Return a source of frames: a whole number is a camera, all else a path."""
-    return value if isinstance(value, int) else Path(str(value))
-
-
-def reference_of(cfg: DictConfig, sensor: SensorDescription) -> Image:
-    """Read the gel without contact.
-
-    Raises:
-        ConfigError: No frame is asked for.
-    """
-    if cfg.reference_frames < 1:
-        raise ConfigError(f"reference_frames={cfg.reference_frames} must be at least 1.")
-    return read_reference(source_of(cfg.reference), sensor, cfg.reference_frames)
+def reference_of(reference: int | Path, frames: int, sensor: SensorDescription) -> Image:
+    """Return the image of the gel without contact, an average of so many frames."""
+    return read_reference(reference, sensor, frames)
 
 
 def look_of(sensor: SensorDescription, diameter_px: float | None = None) -> MarkerAppearance | None:
@@ -46,10 +34,10 @@ def look_of(sensor: SensorDescription, diameter_px: float | None = None) -> Mark
     return MarkerAppearance(float(sensor.markers.diameter_mm) / (x * y) ** 0.5)
 
 
-def calibrated(cfg: DictConfig) -> tuple[SensorDescription, Calibration]:
+def calibrated(cfg: CalibratedSettings) -> tuple[SensorDescription, Calibration]:
     """Read sensor and calibration; the scale is that of the calibration.
 
-    A calibration made without markers serves a gel with markers, which are then fill_masked in.
+    A calibration made without markers serves a gel with markers, which are then masked.
 
     Raises:
         ConfigError: The calibration is of images of another size.

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from omegaconf import DictConfig
 
-from tactorch.cli.sensor.inputs import source_of
+from tactorch.cli.sensor.options import BallSettings
 from tactorch.cli.settings import log
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
@@ -35,7 +34,7 @@ class Pressed(NamedTuple):
 
 
 def presses_of(
-    cfg: DictConfig,
+    cfg: BallSettings,
     sensor: SensorDescription,
     ball: Ball,
     reference: Image,
@@ -72,10 +71,10 @@ def write_circles(path: Path, circles: Mapping[str, Circle]) -> None:
             rows.writerow((name, *(f"{v:.2f}" for v in (*circle.center_px, circle.radius_px))))
 
 
-def _images(cfg: DictConfig, sensor: SensorDescription, reference: Image) -> list[Frame]:
+def _images(cfg: BallSettings, sensor: SensorDescription, reference: Image) -> list[Frame]:
     """Read the images that show a press: those that can be read, but for the reference."""
     kept, faulty = [], defaultdict(list)
-    for frame in read_frames(source_of(cfg.images), sensor, reference):
+    for frame in read_frames(cfg.images, sensor, reference):
         if frame.image is None or np.array_equal(frame.image, reference):
             reason = frame.fault or "it is the reference"
             log.info("%s is left out: %s", frame.name, reason)
@@ -90,7 +89,7 @@ def _images(cfg: DictConfig, sensor: SensorDescription, reference: Image) -> lis
     return kept
 
 
-def _check_labels(cfg: DictConfig, labels: Mapping[str, Circle], frames: Sequence[Frame]) -> None:
+def _check_labels(cfg: BallSettings, labels: Mapping[str, Circle], frames: Sequence[Frame]) -> None:
     absent = sorted(labels.keys() - {frame.name for frame in frames})
     if absent:
         more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""

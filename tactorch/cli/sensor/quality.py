@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tactorch.cli.logs import tell
+from tactorch.cli.logs import log_text
 from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.presses import Pressed, write_circles
 from tactorch.cli.settings import log
@@ -69,7 +69,7 @@ def write_report(
         temporary.write_text(text + "\n", encoding="utf-8")
     write_circles(folder / CIRCLES, circles)
     plot_ball_presses([_seen(one, ball) for one in judged], ball, title, folder / PICTURE)
-    tell(text, table)
+    log_text(text, table)
     log.info("pictures of them: %s", folder / PICTURE)
 
 

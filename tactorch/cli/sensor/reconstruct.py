@@ -1,4 +1,11 @@
-"""`tactorch sensor reconstruct`."""
+r"""`tactorch sensor reconstruct`: depth of the gel's surface in each frame.
+
+    tactorch sensor reconstruct sensor=gelsight_mini calibration=calib.npz frames=press.avi \
+      reference=still.png
+
+The run folder gets heights/NUMBER.npz (height_mm, negative where pressed in, and contact),
+depth.csv, summary.json and .txt, over_time.png, depth-NUMBER.png and depth.mp4.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from omegaconf import DictConfig
 
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.inputs import calibrated, reference_of
+from tactorch.cli.sensor.options import ReconstructSettings
 from tactorch.cli.sensor.sequence import (
     FrameSequence,
     caption_of,
@@ -21,8 +28,7 @@ from tactorch.cli.sensor.sequence import (
     without_image,
 )
 from tactorch.cli.sensor.tables import write_arrays, write_table
-from tactorch.cli.settings import folder, log
-from tactorch.mesh.values import positive
+from tactorch.cli.settings import log, run_folder
 from tactorch.sensor.calibration import Calibration
 from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.description import SensorDescription
@@ -50,14 +56,12 @@ class Measured(NamedTuple):
     contact_mm2: float
 
 
-def run(cfg: DictConfig) -> Path:
+def run(cfg: ReconstructSettings) -> Path:
     """Reconstruct depth; returns the folder of the maps."""
-    place = folder()
+    place = run_folder()
     film.clear(place, _STEM, (_TABLE, f"{_MAPS}/*.npz"))
-    film.check_pictures(cfg)
-    positive("min_depth_mm", cfg.min_depth_mm)
     sensor, calibration = calibrated(cfg)
-    reference = reference_of(cfg, sensor)
+    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
     frames = FrameSequence(cfg, sensor, reference)
     found = []
     with progress("reconstructing depth", "frames") as tell:
@@ -76,7 +80,7 @@ def _name(frame: Frame) -> str:
 
 
 def _measured(
-    frame: Frame, calibration: Calibration, reference: Image, path: Path, cfg: DictConfig
+    frame: Frame, calibration: Calibration, reference: Image, path: Path, cfg: ReconstructSettings
 ) -> Measured:
     """Reconstruct a frame and write its map."""
     if frame.image is None:
@@ -120,7 +124,7 @@ def _write(place: Path, found: Sequence[Measured]) -> None:
 
 def _draw(
     place: Path,
-    cfg: DictConfig,
+    cfg: ReconstructSettings,
     sensor: SensorDescription,
     frames: FrameSequence,
     found: Sequence[Measured],

@@ -1,4 +1,19 @@
-"""`tactorch sensor record`."""
+r"""`tactorch sensor record`: frames and poses of a session into a recording, to invert.
+
+    tactorch sensor record sensor=finger calibration=calib.npz frames=session.mp4 \
+      poses=poses.csv reference=still.png object.size_mm=[20,20,15]
+    tactorch sensor record ... object=mesh object.path=liver.vtu held_side=z-
+    tactorch sensor record ... object=virtual_cube object.side_mm=12
+    tactorch invert recording=outputs/sensor-record/RUN/recording.h5
+
+From a camera, with poses that a robot appends to a table, and the map at the same time:
+
+    tactorch sensor record ... frames=0 poses=poses.csv as_they_end=true out=session.h5
+    tactorch live recording=session.h5
+
+The run folder gets recording.h5, session.csv (each frame), summary.json and .txt,
+over_time.png (depth, contacts, frames kept) and presses.png (the contacts, on the object).
+"""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -6,15 +21,16 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from omegaconf import DictConfig
 
 from tactorch.cli.progress import ProgressCallback, progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.growing import grow
 from tactorch.cli.sensor.inputs import calibrated, reference_of
+from tactorch.cli.sensor.options import RecordSettings
 from tactorch.cli.sensor.sequence import FrameSequence
 from tactorch.cli.sensor.tables import write_table
-from tactorch.cli.settings import folder, log, material_of, plain
+from tactorch.cli.settings import log, material_spec, run_folder
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.mesh import TetMesh
@@ -23,7 +39,6 @@ from tactorch.sensor.contact import ContactOptions
 from tactorch.sensor.gel import GelModel
 from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.recorder import (
-    OBJECTS,
     Fixture,
     RecordOptions,
     SessionRecording,
@@ -35,24 +50,23 @@ from tactorch.viz.session import plot_presses, plot_session
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
 _STEM = "record"
-_CLOCKS = ("frames", "unix")
 _HEADER = ("frame", "time_s", "depth_mm", "contact", "kept", "fault")
 _LABELS = {"frames": "following the gel", "presses": "finding forces"}
 
 
-def run(cfg: DictConfig) -> Path:
+def run(cfg: RecordSettings) -> Path:
     """Record a session; returns the recording's path."""
-    place = folder()
+    place = run_folder()
     film.clear(place, _STEM, (_TABLE, _PRESSES))
-    out = place / _RECORDING if cfg.out is None else Path(str(cfg.out))
-    target, options, material = object_of(cfg), options_of(cfg), material_of(cfg)
+    out = place / _RECORDING if cfg.out is None else cfg.out
+    target, options, material = object_of(cfg), options_of(cfg), material_spec(cfg.material)
     sensor, calibration = calibrated(cfg)
-    reference = reference_of(cfg, sensor)
+    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
     frames = FrameSequence(cfg, sensor, reference, once=cfg.as_they_end)
     model = GelModel(sensor.gel, cfg.edge_mm, cfg.layers, cfg.element)
     limits = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.min_depth_mm, cfg.steep)
     chain = SensorChain(sensor, calibration, reference, model, limits)
-    facts = {"settings": plain(cfg), "calibration": calibration.facts}
+    facts = {"settings": to_mapping(cfg), "calibration": calibration.facts}
     poses = poses_of(cfg, frames)
     if cfg.as_they_end:
         return grow(
@@ -77,14 +91,12 @@ def run(cfg: DictConfig) -> Path:
     return out
 
 
-def poses_of(cfg: DictConfig, frames: FrameSequence) -> Callable[[], Poses]:
+def poses_of(cfg: RecordSettings, frames: FrameSequence) -> Callable[[], Poses]:
     """Return what reads the poses, on the frames' clock.
 
     Raises:
         ConfigError: Their clock is unknown, or that of no camera.
     """
-    if cfg.poses_clock not in _CLOCKS:
-        raise ConfigError(f"poses_clock={cfg.poses_clock}: choose one of {', '.join(_CLOCKS)}.")
     if cfg.poses_clock == "unix" and not frames.is_camera:
         raise ConfigError(
             f"poses_clock=unix, but frames={cfg.frames} is no camera: when its frames were taken is"
@@ -121,24 +133,24 @@ class _Stages:
         self._tell(done, total or self._frames.total)
 
 
-def object_of(cfg: DictConfig) -> TetMesh | VirtualCube:
+def object_of(cfg: RecordSettings) -> TetMesh | VirtualCube:
     """Return the mesh of the object at rest, or a virtual cube.
 
     Raises:
         ConfigError: A value cannot be used.
         FileError: The mesh cannot be read.
     """
-    target = OBJECTS.build(plain(cfg.object))
+    target = cfg.object
     return target if isinstance(target, VirtualCube) else target.mesh()
 
 
-def options_of(cfg: DictConfig) -> RecordOptions:
+def options_of(cfg: RecordSettings) -> RecordOptions:
     """Return how frames become presses.
 
     Raises:
         ConfigError: A value cannot be used.
     """
-    virtual = cfg.object.name == "virtual_cube"
+    virtual = isinstance(cfg.object, VirtualCube)
     untouched = ("sensor" if virtual else "unseen") if cfg.untouched == "auto" else cfg.untouched
     fixture = Fixture(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
     contact = ContactOptions(cfg.reach_mm, cast(Any, untouched))

@@ -7,9 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
-from omegaconf import DictConfig
 
-from tactorch.cli.sensor.inputs import source_of
+from tactorch.cli.sensor.options import SequenceSettings
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image, read_frames
@@ -35,14 +34,14 @@ class FrameSequence:
 
     def __init__(
         self,
-        cfg: DictConfig,
+        cfg: SequenceSettings,
         sensor: SensorDescription,
         reference: Image,
         *,
         once: bool = False,
     ) -> None:
         self._once = once
-        self.source, self.most = source_of(cfg.frames), cfg.max_frames
+        self.source, self.most = cfg.frames, cfg.max_frames
         self.sensor, self.reference = sensor, reference
         if self.most is not None and self.most < 1:
             raise ConfigError(f"max_frames={self.most} must be at least 1, or null.")
@@ -70,7 +69,7 @@ class FrameSequence:
         """How many frames there are, as far as is known before they are read."""
         found = 1
         if isinstance(self.source, int):
-            found = int(self.most)
+            found = int(self.most or 1)
         elif isinstance(self.source, Path) and self.source.is_dir():
             found = sum(p.suffix.lower() in IMAGE_SUFFIXES for p in self.source.iterdir())
         elif isinstance(self.source, Path) and self.source.suffix.lower() in VIDEO_SUFFIXES:

@@ -1,4 +1,12 @@
-"""`tactorch sensor track`."""
+"""`tactorch sensor track`: follow the markers through frames.
+
+    tactorch sensor track sensor=gelsight_markers frames=press.avi reference=still.png
+    tactorch sensor track ... reference=press.avi reference_frames=10 backward=true
+    tactorch sensor track ... frames=0 max_frames=300              a camera
+
+The run folder gets tracks.csv and .npz, summary.json and .txt (with the faulty frames),
+over_time.png, markers-NUMBER.png and markers.mp4.
+"""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -6,12 +14,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from omegaconf import DictConfig
 from scipy.spatial import cKDTree
 
 from tactorch.cli.progress import progress
 from tactorch.cli.sensor import film
 from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
+from tactorch.cli.sensor.options import TrackSettings
 from tactorch.cli.sensor.sequence import (
     FrameSequence,
     caption_of,
@@ -22,9 +30,8 @@ from tactorch.cli.sensor.sequence import (
     without_image,
 )
 from tactorch.cli.sensor.tables import write_arrays, write_table
-from tactorch.cli.settings import folder, log
+from tactorch.cli.settings import log, run_folder
 from tactorch.errors import ConfigError
-from tactorch.mesh.values import positive
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image
 from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, marker_displacements
@@ -40,12 +47,10 @@ _SAME_PX = 2.0  # between a marker followed there and the one found there
 Places = Float[np.ndarray, "f n 2"]
 
 
-def run(cfg: DictConfig) -> Path:
+def run(cfg: TrackSettings) -> Path:
     """Follow markers; returns the path of the table."""
-    place = folder()
+    place = run_folder()
     film.clear(place, _STEM, (_TABLE, _ARRAYS))
-    film.check_pictures(cfg)
-    positive("magnify", cfg.magnify)
     sensor = sensor_of(cfg)
     look = look_of(sensor, cfg.marker_diameter_px)
     if look is None:
@@ -53,7 +58,7 @@ def run(cfg: DictConfig) -> Path:
             f"sensor '{sensor.name}' has no markers; describe them in its file, or give"
             " marker_diameter_px."
         )
-    reference = reference_of(cfg, sensor)
+    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
     tracker, frames = MarkerTracker(reference, look), FrameSequence(cfg, sensor, reference)
     known, places = _followed(tracker, frames)
     moved = np.stack(
@@ -175,7 +180,7 @@ def _backward_told(values: dict[str, Any]) -> str:
 
 def _draw(
     place: Path,
-    cfg: DictConfig,
+    cfg: TrackSettings,
     sensor: SensorDescription,
     tracker: MarkerTracker,
     frames: FrameSequence,

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
+from typing import Literal
 
 import lightning
 import numpy as np
@@ -20,7 +21,7 @@ from tactorch.mesh import VoxelGrid
 
 
 class Turned(Dataset[tuple[Tensor, Tensor]]):
-    """SampleMaps, each seen through a symmetry and a factor drawn anew in each epoch.
+    """SampleMaps, each transformed by a random symmetry and factor in each epoch.
 
     Args:
         maps: (n, 1, v, v, v) log-modulus.
@@ -81,9 +82,9 @@ class RecognitionData(lightning.LightningDataModule):
         *,
         voxels: int = 24,
         batch: int = 16,
-        shares: Sequence[float] = (0.7, 0.1, 0.2),
+        shares: tuple[float, float, float] = (0.7, 0.1, 0.2),
         split: int = 0,
-        source: str = "reconstruction",
+        source: Literal["reconstruction", "truth"] = "reconstruction",
         augment: bool = True,
         brightness: float = 0.1,
         seed: int = 0,

@@ -1,4 +1,4 @@
-"""The surrogate: what the presses on an object foretell of its map, to start inversions from."""
+"""Surrogate: network that predicts the map of an object from its presses, for initializations."""
 
 from tactorch.learning.surrogate.predict import TRUSTED, Prediction, SurrogateStart
 

@@ -99,7 +99,7 @@ class SurrogateData(lightning.LightningDataModule):
         cells: int = 8,
         frames: int = 1,
         batch: int = 16,
-        shares: Sequence[float] = (0.9, 0.05, 0.05),
+        shares: tuple[float, float, float] = (0.9, 0.05, 0.05),
         split: int = 0,
         augment: bool = True,
         seed: int = 0,

@@ -4,11 +4,13 @@ import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
     BinaryWell,
@@ -46,26 +48,38 @@ class Prediction:
     deviation: Float[np.ndarray, " m"]
 
 
-class SurrogateStart:
-    """A start foretold by a surrogate; give it to `invert` as `start_mpa`.
+@dataclass(frozen=True, eq=False)
+class SurrogateStart(Options):
+    """From the map that a network predicts; refused where a uniform one fits better.
 
-    It is refused, with a message, where it fits the presses no better than the best uniform map,
-    which then is the start.
+    Give it to `invert` as `start_mpa`. Where the predicted map fits the presses no better than the
+    best uniform map, the latter is the start.
 
-    Args:
-        weights: A checkpoint of `tactorch train model=surrogate data=warmstart`; None for the
-            weights that come with tactorch. Read when first needed.
+    Attributes:
+        weights: Checkpoint of `tactorch train experiment=surrogate`; None for the weights that
+            tactorch includes. They are read when first needed.
+        prior_mean: Whether the predicted map is the mean of the prior too: "auto" where it explains
+            the presses but for some noise.
+        prior_share: Share of the prior that has this mean.
     """
 
-    def __init__(self, weights: str | Path | None = None) -> None:
-        self.weights = SHIPPED if weights is None else Path(weights)
-        self.__name__ = "surrogate"
-        self._last: tuple[Recording, NoiseModel | None, Bounds | None, Prediction] | None = None
+    section: ClassVar[str] = "initialization"
+    __name__: ClassVar[str] = "surrogate"
+    weights: Path | None = option(
+        None, "Checkpoint of tactorch train experiment=surrogate; null: the included one"
+    )
+    prior_mean: bool | Literal["auto"] = option(
+        "auto",
+        "Use the map as the mean of the prior too; auto: where it explains the presses",
+    )
+    prior_share: float = option(
+        HALF, "Share of the prior with this mean; at 0.5 the data decide", gt=0, le=1
+    )
 
     def fresh(self) -> "SurrogateStart":
-        """Return one of the same network that has foretold nothing yet, to be timed, say."""
-        other = SurrogateStart(self.weights)
-        other.network = self.network
+        """Return a start with the same network and no stored prediction."""
+        other = replace(self)
+        vars(other)["network"] = self.network
         return other
 
     @cached_property
@@ -75,7 +89,7 @@ class SurrogateStart:
         Raises:
             FileError: The weights are missing, damaged or of another model.
         """
-        return load_surrogate(self.weights)
+        return load_surrogate(self.weights or SHIPPED)
 
     def predict(
         self,
@@ -95,20 +109,26 @@ class SurrogateStart:
             ConvergenceError: No uniform modulus carries the presses.
             FileError: The weights are missing, damaged or of another model.
         """
-        asked = (recording, noise, bounds)
-        if self._last is not None and self._last[0] is recording and self._last[1:3] == asked[1:]:
-            return self._last[3]
+        key, last = (noise, bounds), self._last
+        if last and last[0] is recording and last[1] == key:
+            prediction: Prediction = last[2]
+            return prediction
         cells = self.network.cells
         seen = touch(recording, cells, self.network.frames, noise=noise, bounds=bounds)
         mean, deviation = answer(self.network, seen)
         grid, limits = VoxelGrid(recording.mesh, 2 * cells), bounds or Bounds()
         youngs = seen.youngs_mpa * np.exp(grid.at_elements(mean))
-        found = Prediction(
+        prediction = Prediction(
             np.clip(youngs, limits.lower, limits.upper),
             np.exp(grid.at_elements(np.log(deviation))),
         )
-        self._last = (*asked, found)
-        return found
+        self._last[:] = [recording, key, prediction]
+        return prediction
+
+    @cached_property
+    def _last(self) -> list[Any]:
+        """Recording, noise with bounds, and prediction of the last call."""
+        return []
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
         """Return the foretold map, or the best uniform one if that fits better.
@@ -121,36 +141,32 @@ class SurrogateStart:
         taken = fits_better_than_uniform(found, problem, bounds, "surrogate's")
         return found if taken else homogeneous(problem, bounds)
 
-    def as_prior_mean(
-        self,
-        settings: Settings,
-        recording: Recording,
-        *,
-        most_chi2: float = TRUSTED,
-        share: float = HALF,
-    ) -> Settings:
-        """Return settings of an inversion whose prior is about the foretold map.
+    def with_prior_mean(self, settings: Settings, recording: Recording) -> Settings:
+        """Return settings whose prior has the predicted map as its mean, where that is wanted.
 
-        What the presses leave open then stays as foretold, with what the network has learnt to
-        expect. On objects unlike those that it was trained on that would mislead; such maps do not
-        fit the presses, and then, as where the map is refused as a start, the settings stay as
-        they are. Where they do fit, the presses decide still: half of the prior is about the map
-        and half about nothing, so that total variation takes any map between a plain one and the
-        foretold for as likely.
+        Regions that the presses do not determine then keep the prediction. On objects unlike the
+        training data that would mislead; maps of such objects do not fit the presses, and then, as
+        where the map is refused as a start, the settings are returned unchanged. With a share of
+        0.5 the data still decide: total variation takes any map between a constant and the
+        prediction as equally likely.
 
         Args:
-            settings: Of the inversion.
+            settings: Settings of the inversion.
             recording: Presses on an object.
-            most_chi2: Mean squared residual of the map, in standard deviations, up to which it is
-                trusted; infinity trusts any that is not refused.
-            share: Of the prior that is about the map, above 0 to 1: with 1 the map stays wherever
-                the presses do not speak against it.
+
+        Returns:
+            The settings, with a `ShiftedPrior` where `prior_mean` is set and the map explains the
+            presses: any map that is not refused with True, maps with chi2 up to `TRUSTED` with
+            "auto".
 
         Raises:
-            ConfigError: The prior has no use for a mean, or refers to levels; or the share is none.
-            ConvergenceError: No uniform modulus carries the presses.
-            FileError: The weights are missing, damaged or of another model.
+            ConfigError: the prior has no mean, or refers to levels.
+            ConvergenceError: no uniform modulus carries the presses.
+            FileError: the weights are missing, damaged or of another model.
         """
+        if self.prior_mean is False:
+            return settings
+        max_chi2 = TRUSTED if self.prior_mean == "auto" else float("inf")
         prior, bounds = settings.regularization, settings.bounds
         if isinstance(prior, NoPrior | BinaryWell) or getattr(prior, "level_mpa", None) is not None:
             raise ConfigError(
@@ -162,15 +178,16 @@ class SurrogateStart:
         if not fits_better_than_uniform(found, problem, bounds, "surrogate's"):
             return settings
         chi2 = problem.evaluate(found).chi2
-        if chi2 > most_chi2:
+        if chi2 > max_chi2:
             _log.info(
                 "The prior is not about the surrogate's map, which leaves chi2 %.4g (trusted up to"
-                " %g).", chi2, most_chi2,
+                " %g).", chi2, max_chi2,
             )  # fmt: skip
             return settings
         _log.info("The prior is about the surrogate's map")
         return replace(
-            settings, regularization=ShiftedPrior(prior=prior, mean_mpa=found, share=share)
+            settings,
+            regularization=ShiftedPrior(prior=prior, mean_mpa=found, share=self.prior_share),
         )
 
 

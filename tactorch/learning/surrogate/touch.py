@@ -18,7 +18,7 @@ from tactorch.recording import Press, Recording
 
 #: Channels of each press; a vector field is named by its components.
 PRESS_CHANNELS = (
-    "excess_x", "excess_y", "excess_z",  # observed less foretold by the uniform map
+    "excess_x", "excess_y", "excess_z",  # observed minus predicted by the uniform map
     "moved_x", "moved_y", "moved_z",
     "traction_x", "traction_y", "traction_z",
     "valid", "held", "stretch", "noise",
@@ -131,9 +131,9 @@ def _press(
     press: Press, evaluation: Evaluation, i: int, deviation: float, grid: VoxelGrid
 ) -> Float[np.ndarray, "c v v v"]:
     data = press.data if press.weights is None else press.data & (press.weights > 0)
-    foretold = evaluation.reported[i]
+    predicted = evaluation.reported[i]
     # Components that were not observed moved as the uniform map has it, for all that is known.
-    seen = np.where(data, press.displacement, foretold)
+    seen = np.where(data, press.displacement, predicted)
     valid = np.asarray(data.any(axis=1))
     size = max(float(np.sqrt(np.mean(seen[data] ** 2))), deviation)
     weight = grid.splat(valid.astype(float)[:, None])[0]
@@ -148,7 +148,7 @@ def _press(
     at = valid[:, None] / size
     return np.concatenate(
         [
-            grid.splat((seen - foretold) * at) * share,
+            grid.splat((seen - predicted) * at) * share,
             grid.splat(seen * at) * share,
             grid.splat(press.forces) / area,
             np.stack([valid_, held.astype(float), stretch, noise]),

@@ -1,4 +1,4 @@
-"""Trained weights: those that come with tactorch, and those of one's own runs."""
+"""Trained weights: those of tactorch, and those of user-defined runs."""
 
 import io
 from pathlib import Path

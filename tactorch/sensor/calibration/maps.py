@@ -1,6 +1,6 @@
 """Maps from change of color and position to slope, and their registry.
 
-A further map is an `Options` class derived from `SensorMap` in a file of its own, and one line in
+A further map is an `Options` class derived from `SensorMap` in a separate file, and one line in
 `SENSOR_MAPS`; other packages add theirs by the entry point group `tactorch.sensor_map`.
 """
 
