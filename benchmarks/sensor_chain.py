@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def simulated(
     turn: np.ndarray, cell: float, depths: Sequence[float] = DEPTHS, element: str = "tet4"
 ) -> list[Scene]:
-    """Press the gel on the cube, rotate_vectors."""
+    """Press the gel on the cube, rotated."""
     cube = box_mesh(SIDE, round(SIDE / cell))
     gel = build_gel_mesh(GEL, cell, max(3, round(2.5 / cell)))
     first = looking_down(SIDE)
@@ -273,7 +273,7 @@ def recorded(place: Path) -> dict[tuple[str, float], Press]:
         "sensor", "record", f"sensor={place}/sensor.yaml", f"calibration={place}/calib.npz",
         f"frames={place}/frames", f"poses={place}/poses.csv", f"reference={place}/still.png",
         f"object.size_mm=[{SIDE},{SIDE},{SIDE}]", "object.edge_mm=1.25",
-        f"steps={len(DEPTHS)}", f"steep={MIN_SLOPE}", f"out={place}/recording.h5",
+        f"steps={len(DEPTHS)}", f"min_slope={MIN_SLOPE}", f"out={place}/recording.h5",
         f"run_dir={place}/record",
     )  # fmt: skip
     presses = Recording.load(place / "recording.h5").presses

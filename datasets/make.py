@@ -4,7 +4,7 @@
     python datasets/make.py warmstart           one
     python datasets/make.py recognition workers=8 out=/big/disk/recognition
 
-Stopped or killed, the same command goes on where it was. What is in each, and how long it takes,
+After an interruption the same command continues. What is in each, and how long it takes,
 is described in README.md in this folder; each dataset has a data card with pictures.
 """
 

@@ -15,7 +15,7 @@ BALL_MM = np.array([3.0, 3.0, 7.0])
 
 
 def main() -> dict[str, float]:
-    """Press three times, and tell how the map gets surer."""
+    """Press three times, and print the uncertainty of the map."""
     mesh = box_mesh(10.0, 4)  # mm
     bottom = mesh.points[:, 2] < 1e-6
     truth = np.where(np.linalg.norm(mesh.centroids - BALL_MM, axis=1) < 2.5, 0.5, 0.1)  # MPa

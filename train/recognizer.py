@@ -1,8 +1,8 @@
-"""The recognition study from scratch (Section V-B): data, ten trainings, judgement, harder data.
+"""The recognition study from scratch (Section V-B): data, ten trainings, evaluation, harder data.
 
     python train/recognizer.py [FOLDER]         data and runs go there; outputs/recognizer otherwise
 
-Stopped or killed, the same command goes on where it was.
+After an interruption the same command continues.
 """
 
 import sys
@@ -15,7 +15,7 @@ HARDER = ("recognition_noisy", "recognition_offcentre")
 
 
 def make(folder: Path) -> None:
-    """Make what is missing, and judge."""
+    """Make what is missing, and evaluate."""
     for name in ("recognition", *HARDER):
         main(["generate", f"dataset={name}", f"out={folder / name}"])
     run = folder / "run"
@@ -24,9 +24,9 @@ def make(folder: Path) -> None:
     else:
         own = folder / "recognition"
         main(["train", "experiment=recognizer", f"data.folder={own}", f"run_dir={run}"])
-    main(["evaluate-model", f"run={run}", f"run_dir={folder / 'judged'}"])
+    main(["evaluate-model", f"run={run}", f"run_dir={folder / 'evaluated'}"])
     for name in HARDER:
-        other = [f"folder={folder / name}", f"run_dir={folder / f'judged_{name}'}"]
+        other = [f"folder={folder / name}", f"run_dir={folder / f'evaluated_{name}'}"]
         main(["evaluate-model", f"run={run}", *other])
 
 

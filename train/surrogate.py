@@ -1,8 +1,8 @@
-"""Make the surrogate that ships with tactorch, from scratch: data, training, judgement, weights.
+"""Make the surrogate that ships with tactorch, from scratch: data, training, evaluation, weights.
 
     python train/surrogate.py [FOLDER]          data and run go there; outputs/surrogate otherwise
 
-Stopped or killed, the same command goes on where it was. The weights and the note of how they were
+After an interruption the same command continues. The weights and the note of how they were
 made are written to FOLDER as surrogate.pt and surrogate.json; to ship them, copy both to
 tactorch/learning/surrogate/.
 """
@@ -22,23 +22,25 @@ _PLACES = ("folder:", "run_dir:", "resume:")
 
 
 def make(folder: Path) -> None:
-    """Make what is missing of data, training, judgement and weights."""
-    data, run, judged = folder / "warmstart", folder / "run", folder / "judged"
+    """Make what is missing of data, training, evaluation and weights."""
+    data, run, evaluated = folder / "warmstart", folder / "run", folder / "evaluated"
     main(["generate", "dataset=warmstart", f"out={data}", f"run_dir={folder / 'generate'}"])
     if (run / LAST).is_file():
         main(["train", f"resume={run}"])
     else:
         main(["train", "experiment=surrogate", f"data.folder={data}", f"run_dir={run}"])
-    main(["evaluate-model", f"run={run}", f"run_dir={judged}"])
+    main(["evaluate-model", f"run={run}", f"run_dir={evaluated}"])
     export(run / BEST, folder / "surrogate.pt")
     with atomic_path(folder / "surrogate.json") as temporary:
-        temporary.write_text(json.dumps(note(data, run, judged), indent=1) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(note(data, run, evaluated), indent=1) + "\n", encoding="utf-8"
+        )
 
 
-def note(data: Path, run: Path, judged: Path) -> dict[str, Any]:
+def note(data: Path, run: Path, evaluated: Path) -> dict[str, Any]:
     """Return what the weights were made of."""
     manifest = SampleSet.open(data).manifest
-    scores = json.loads((judged / "scores.json").read_text(encoding="utf-8"))
+    scores = json.loads((evaluated / "scores.json").read_text(encoding="utf-8"))
     config = (run / ".hydra" / "config.yaml").read_text(encoding="utf-8").splitlines()
     return {
         "dataset": {

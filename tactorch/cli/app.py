@@ -29,6 +29,8 @@ def run_app(command: str, words: Sequence[str]) -> None:
     if wants_help(words):
         print(help_text(command, words))
         return
+    # A log file that cannot be written is no reason for a traceback among the messages.
+    logging.raiseExceptions = os.environ.get(_DEBUG) == "1"
     try:
         app = _prepare(command, words)
     except TactorchError as error:
@@ -50,19 +52,23 @@ def _prepare(command: str, words: Sequence[str]) -> "App":
         FileError: the folder of settings, or of the run to resume, cannot be read.
     """
     from tactorch.cli.foreign import add_folder
-    from tactorch.cli.overrides import check_overrides, check_required
+    from tactorch.cli.overrides import check_overrides, check_required, key_of
     from tactorch.cli.resume import with_resume
     from tactorch.cli.schema import load_schema
+    from tactorch.errors import ConfigError
 
     flags, settings = _read_flags(command, words)
     schema = load_schema(command)
-    if flags.config_dir and not flags.trust_config_dir:
+    if flags.config_dir and flags.trust_config_dir:  # whatever its files hold, Hydra composes it
+        if any(key_of(word) == "resume" for word in settings):
+            raise ConfigError("resume takes plain settings; leave out --trust-config-dir.")
+        return App(schema, flags, settings)
+    if flags.config_dir:
         add_folder(schema, Path(flags.config_dir))
-    if not (flags.config_dir and flags.trust_config_dir):
-        settings = check_overrides(schema, settings, multirun=flags.multirun)
-        settings = with_resume(schema, settings, multirun=flags.multirun)
-        if not (flags.cfg or flags.hydra_help or flags.info is not None):
-            check_required(schema, settings)
+    settings = check_overrides(schema, settings, multirun=flags.multirun)
+    settings = with_resume(schema, settings, multirun=flags.multirun)
+    if not (flags.cfg or flags.hydra_help or flags.info is not None):
+        check_required(schema, settings)
     return App(schema, flags, settings)
 
 
@@ -201,7 +207,7 @@ def _composition_error(error: Exception) -> str:
     from hydra.errors import HydraException
 
     if isinstance(error, OSError):
-        return f"the run folder cannot be made ({error}); choose another run_dir."
+        return f"the run folder cannot be made or written ({error}); choose another run_dir."
     cause = f" ({error.__cause__})" if error.__cause__ else ""
     kind = "" if isinstance(error, HydraException) else f"{type(error).__name__}: "
     return f"{kind}{error}{cause}"

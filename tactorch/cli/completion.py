@@ -165,7 +165,7 @@ def _sensors() -> list[str]:
 
 
 def run(words: Sequence[str]) -> None:
-    """Print a shell's script, or candidates: one a line, its description after a tab.
+    """Print a shell's script, or candidates: one per line, with its description after a tab.
 
     Raises:
         ConfigError: the shell is unknown.

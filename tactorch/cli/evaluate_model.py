@@ -39,10 +39,10 @@ def run(options: EvaluateModelOptions) -> dict[str, Any]:
     trained: TrainOptions = saved_options("train", place)
     results = [_load_split(trained, place, n, options) for n in range(trained.splits)]
     if model_name(trained) == "recognizer":
-        from tactorch.cli.judge_recognizer import judge
+        from tactorch.cli.evaluate_recognizer import evaluate
     else:
-        from tactorch.cli.judge_surrogate import judge
-    scores = judge(results, run_folder())
+        from tactorch.cli.evaluate_surrogate import evaluate
+    scores = evaluate(results, run_folder())
     write_json(run_folder() / "scores.json", scores)
     return scores
 

@@ -12,7 +12,7 @@ from tactorch.generation.sample import Sample
 from tactorch.generation.sampleset import SampleSet
 
 CARD, PICTURE = "card.md", "card.png"
-_LOOKED_AT = 500  # samples that the statistics are over
+_MAX_CARD_SAMPLES = 500
 
 
 def write_card(samples: SampleSet) -> Path:
@@ -29,7 +29,7 @@ def write_card(samples: SampleSet) -> Path:
 
 def looked_at(samples: SampleSet) -> list[Sample]:
     """Return the samples that the card's statistics are over, spread over the dataset."""
-    count = min(len(samples), _LOOKED_AT)
+    count = min(len(samples), _MAX_CARD_SAMPLES)
     places = np.linspace(0, len(samples) - 1, count).astype(int)
     return [samples[samples.indices[place]] for place in places]
 
@@ -112,7 +112,7 @@ def _failures(failed: dict[str, str]) -> list[str]:
 
 
 def _second_map(recipe: dict[str, Any]) -> str:
-    """What is beside the truth, to end the sentence."""
+    """Return the end of a sentence: the second map of a sample."""
     if recipe["inversion"] == "linear":
         return ", and its linear image from the presses, a stand-in for a reconstruction."
     return ", and a reconstruction from the presses alone." if recipe["inversion"] else "."

@@ -1,4 +1,4 @@
-"""Making a dataset, or what is missing of one."""
+"""Generation of a dataset, or of the samples that it lacks."""
 
 import fcntl
 import json
@@ -40,23 +40,23 @@ def generate(
     retry_failed: bool = False,
     progress: Callable[[int, int, int], None] | None = None,
 ) -> SampleSet:
-    """Make the samples of a recipe that a folder lacks, and its manifest.
+    """Make the samples of a recipe that a folder lacks, and the manifest.
 
-    May be killed at any time: finished samples stay, and the next call goes on where it stopped.
-    The files do not depend on how often that happened, nor on who made which sample.
+    May be killed at any time: finished samples are kept, and the next call continues. The files
+    depend neither on interruptions nor on the number of workers.
 
     Args:
-        recipe: What to make.
-        folder: Where; made if it is not there.
+        recipe: Recipe of the samples.
+        folder: Folder of the dataset; created if it does not exist.
         executor: "processes" on this machine, or "dask".
-        workers: Processes; as many as there are cores by default.
+        workers: Number of processes; None for the number of cores.
         scheduler: Address of the Dask scheduler.
-        retry_failed: Whether to try samples again that failed, in shards not yet whole.
-        progress: Called with the samples done, those that failed among them, and their total.
+        retry_failed: Whether to repeat failed samples of incomplete shards.
+        progress: Called with the number of finished samples, of failed ones among them, and of all.
 
     Raises:
-        ConfigError: The folder holds another recipe's samples or is at work already, or a setting
-            cannot be used.
+        ConfigError: The folder holds samples of another recipe or is in use by another process, or
+            a setting has an invalid value.
         FileError: The folder cannot be written.
     """
     check_executor(executor, scheduler)
@@ -69,21 +69,21 @@ def generate(
                 bad.unlink()
         missing = [i for i in range(recipe.count) if not _is_done(place, recipe, i)]
         done, failed = recipe.count - len(missing), len(_all_failures(place, recipe))
-        tell = progress or (lambda done, failed, total: None)
-        tell(done, failed, recipe.count)
+        report = progress or (lambda done, failed, total: None)
+        report(done, failed, recipe.count)
         _close_shards(place, recipe)
         if missing:
             for index, content, reason in outcomes(recipe, missing, executor, workers, scheduler):
                 _keep(place, index, content, reason)
                 done, failed = done + 1, failed + (content is None)
-                tell(done, failed, recipe.count)
+                report(done, failed, recipe.count)
                 _close_shard(place, recipe, index // recipe.shard)
         _write_manifest(place, recipe, known)
     return SampleSet.open(place)
 
 
 def _prepare(place: Path, recipe: Recipe) -> None:
-    """Make the folder, or make sure that it is this recipe's."""
+    """Create the folder, or check that it belongs to this recipe."""
     wanted = json.loads(json.dumps(recipe.to_config()))
     stored = place / RECIPE
     if not stored.is_file():
@@ -95,8 +95,7 @@ def _prepare(place: Path, recipe: Recipe) -> None:
     (place / PARTIAL).mkdir(exist_ok=True)
     for stray in [*place.glob(".*.part.*"), *(place / PARTIAL).glob(".*.part.*")]:
         stray.unlink()  # of a killed run
-    found = read_json(stored, "recipe", "choose another folder.")
-    differs = _first_difference(found, wanted)
+    differs = _first_difference(read_json(stored, "recipe", "choose another folder."), wanted)
     if differs:
         raise ConfigError(
             f"'{place}' holds samples of another recipe: {differs}. Choose another folder, or the"
@@ -105,7 +104,7 @@ def _prepare(place: Path, recipe: Recipe) -> None:
 
 
 def _first_difference(found: Any, wanted: Any, name: str = "") -> str:
-    """Say in which setting two recipes differ; nothing where they agree."""
+    """Return the first difference of two recipes in words; empty where they agree."""
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
         for key in sorted({*found, *wanted}):
             inner = f"{name}.{key}" if name else str(key)
@@ -120,7 +119,7 @@ def _first_difference(found: Any, wanted: Any, name: str = "") -> str:
 
 @contextmanager
 def _locked(place: Path) -> Iterator[None]:
-    """Keep a second run out of the folder; the lock ends with the process, however it ends."""
+    """Lock the folder against a second run until the process ends."""
     try:
         place.mkdir(parents=True, exist_ok=True)
         lock = open(place / ".lock", "w")  # noqa: SIM115
@@ -147,7 +146,7 @@ def _is_done(place: Path, recipe: Recipe, index: int) -> bool:
 
 
 def _keep(place: Path, index: int, content: bytes | None, reason: str) -> None:
-    """Store an outcome until its shard is whole."""
+    """Store a sample or its failure until its shard is complete."""
     name = sample_name(index)
     if content is None:
         _log.warning("sample %d failed: %s", index, reason)
@@ -163,7 +162,7 @@ def _close_shards(place: Path, recipe: Recipe) -> None:
 
 
 def _close_shard(place: Path, recipe: Recipe, shard: int) -> None:
-    """Gather a shard whose samples are all there; then their own files go."""
+    """Write a shard whose samples are complete, and remove their separate files."""
     target, partial = place / shard_name(shard), place / PARTIAL
     indices = recipe.indices(shard)
     files = {i: partial / f"{sample_name(i)}.h5" for i in indices}
@@ -184,12 +183,12 @@ def _reason(path: Path) -> str:
 
 
 def _all_failures(place: Path, recipe: Recipe) -> dict[int, str]:
-    found = {int(p.name[:6]): _reason(p) for p in (place / PARTIAL).glob(f"*{_BAD}")}
+    failures = {int(p.name[:6]): _reason(p) for p in (place / PARTIAL).glob(f"*{_BAD}")}
     for shard in range(recipe.shards):
         path = place / shard_name(shard)
         if path.is_file():
-            found |= failures_in(path)
-    return found
+            failures |= failures_in(path)
+    return failures
 
 
 def _known_checksums(place: Path) -> dict[str, str]:

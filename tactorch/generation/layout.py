@@ -1,11 +1,11 @@
-"""How samples lie on disk.
+"""Layout of a dataset on disk.
 
 A dataset is a folder:
 
 | file | what |
 |---|---|
-| recipe.json | all that decides the samples |
-| shard-00000.h5 ... | samples, some 50 a file, each file written whole or not at all |
+| recipe.json | all settings that determine the samples |
+| shard-00000.h5 ... | samples, about 50 per file; written whole or not at all |
 | manifest.json | written last: recipe, versions, checksums, failed samples |
 | card.md, card.png | for people |
 | partial/ | samples of unfinished shards, while generation runs |
@@ -16,7 +16,7 @@ In a shard (HDF5, text and arrays as in recordings):
 |---|---|
 | / `format`, `version` | attributes: "tactorch-samples", 1 |
 | / `failed` | attribute, JSON object: sample number to reason |
-| /samples/000012 | a recording (`tactorch.recording.schema`), and beside it: |
+| /samples/000012 | a recording (`tactorch.recording.schema`), and: |
 | /samples/000012 `index`, `object`, `label` | attributes |
 | /samples/000012 `facts`, `figures` | attributes, JSON objects |
 | /samples/000012/reconstruction | float64 (m,), MPa; absent where none was made |
@@ -79,7 +79,7 @@ def to_bytes(sample: Sample) -> bytes:
 
 
 def write_shard(path: Path, parts: Mapping[int, bytes], failed: Mapping[int, str]) -> None:
-    """Gather samples in a shard, in the order of their numbers; written whole or not at all.
+    """Write samples to a shard, in the order of their numbers; whole or not at all.
 
     Raises:
         FileError: The file cannot be written.
@@ -118,10 +118,10 @@ class SampleMaps:
     """Maps of Young's modulus of a sample, without its presses.
 
     Attributes:
-        index: Its number in the dataset.
+        index: Number in the dataset.
         object: Number of the object.
-        label: What a recognizer should call it.
-        mesh: Of the recording, m elements; shared by samples of one mesh.
+        label: Class of the object, for a recognizer.
+        mesh: Mesh of the recording, m elements; one object for all samples of the mesh.
         truth: (m,), MPa.
         reconstruction: (m,), MPa; None where none was made.
         pushes: Direction of each press; None where one is not known.

@@ -1,4 +1,4 @@
-"""One sample: an object, its presses, and perhaps its reconstruction."""
+"""One sample: an object, its presses, and optionally its reconstruction."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,13 +19,13 @@ class Sample:
     """One sample of a dataset.
 
     Attributes:
-        index: Its number in the dataset.
+        index: Number in the dataset.
         object: Number of the object that was pressed.
-        label: What a recognizer should call the object.
-        facts: What was drawn, as plain values.
+        label: Class of the object, for a recognizer.
+        facts: Random properties of the object, as plain values.
         recording: Presses, with the truth per element.
-        reconstruction: Moduli found from the presses, (m,), MPa; None where none was made.
-        figures: Of the reconstruction: iterations, chi2 and scores against the truth.
+        reconstruction: Moduli reconstructed from the presses, (m,), MPa; None where none was made.
+        figures: Iterations, chi2 and scores of the reconstruction against the truth.
     """
 
     index: int
@@ -45,12 +45,12 @@ class Sample:
     @property
     def largest_mm(self) -> float:
         """The largest observed component of a displacement, mm."""
-        seen = [press.displacement[press.observed] for press in self.recording.presses]
-        return float(np.abs(np.concatenate(seen)).max())
+        observed = [press.displacement[press.observed] for press in self.recording.presses]
+        return float(np.abs(np.concatenate(observed)).max())
 
 
 def make_sample(recipe: Recipe, index: int) -> Sample:
-    """Make a sample; the same one whenever and wherever.
+    """Make a sample; the result depends on recipe and index alone.
 
     Raises:
         TactorchError: The object cannot be drawn, meshed, pressed or reconstructed.
@@ -89,9 +89,9 @@ def _reconstructed(
         youngs = linear_map(recording)
         made = scores(recording.mesh, youngs, recording.truth)
         return youngs, {k: float(v) for k, v in made.items()}
-    found = invert(recording, recipe.inversion, show_progress=False)
+    result = invert(recording, recipe.inversion, show_progress=False)
     assert recording.truth is not None
-    last = found.history[-1]
-    figures = {"iterations": float(len(found.history) - 1), "chi2": float(last["chi2"])}
-    figures |= scores(recording.mesh, found.youngs, recording.truth)
-    return found.youngs, {k: float(v) for k, v in figures.items()}
+    last = result.history[-1]
+    figures = {"iterations": float(len(result.history) - 1), "chi2": float(last["chi2"])}
+    figures |= scores(recording.mesh, result.youngs, recording.truth)
+    return result.youngs, {k: float(v) for k, v in figures.items()}

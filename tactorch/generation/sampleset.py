@@ -33,12 +33,12 @@ MAX_SAMPLES = 10**8
 
 @dataclass(eq=False)
 class SampleSet:
-    """A finished dataset on disk. Each process opens a shard on first access.
+    """A finished dataset on disk. Each process opens a shard when it is first needed.
 
     Attributes:
-        folder: Where it lies.
-        manifest: What its manifest says.
-        indices: Numbers of the samples that are there, ascending: those that failed are not.
+        folder: Folder of the dataset.
+        manifest: Content of the manifest.
+        indices: Numbers of the samples, ascending, without the failed ones.
     """
 
     folder: Path
@@ -60,7 +60,7 @@ class SampleSet:
         if not (place / MANIFEST).is_file() and (place / RECIPE).is_file():
             raise FileError(
                 f"dataset '{place}' is unfinished: it has no {MANIFEST}; run the same `tactorch"
-                " generate` again, which goes on where it stopped."
+                " generate` again, which continues."
             )
         path = require_file(place / MANIFEST, "manifest of the dataset")
         manifest = _read_manifest(path)
@@ -83,7 +83,7 @@ class SampleSet:
         return self._reader(index).sample(index)
 
     def maps(self, index: int) -> SampleMaps:
-        """Return what the sample of a number shows, without its presses: much faster.
+        """Return the maps of a sample without its presses, which is much faster.
 
         Raises:
             FileError: There is none of that number, or its shard is missing or damaged.
@@ -128,7 +128,7 @@ class SampleSet:
         return self._files[path.name]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave open files behind: each worker process opens its own."""
+        """Leave out open files: each worker process opens its files itself."""
         return {**self.__dict__, "_files": {}}
 
 

@@ -24,13 +24,13 @@ def outcomes(
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> Iterator[Outcome]:
-    """Make samples and yield each as it is done, in whatever order.
+    """Make samples and yield each as it is finished, in any order.
 
     Args:
-        recipe: What to make.
-        indices: Numbers of the samples.
+        recipe: Recipe of the samples.
+        indices: Numbers of the samples to make.
         executor: "processes" on this machine, or "dask".
-        workers: Processes; as many as there are cores by default.
+        workers: Number of processes; None for the number of cores.
         scheduler: Address of the Dask scheduler.
 
     Raises:
@@ -44,10 +44,10 @@ def outcomes(
 
 
 def check_executor(executor: str, scheduler: str | None) -> None:
-    """Refuse an executor that is unknown, or that lacks its scheduler.
+    """Check the executor and its scheduler.
 
     Raises:
-        ConfigError: It is.
+        ConfigError: The executor is unknown, or lacks its scheduler.
     """
     if executor not in EXECUTORS:
         raise ConfigError(f"executor={executor!r}: choose one of {', '.join(EXECUTORS)}.")
@@ -59,7 +59,7 @@ def check_executor(executor: str, scheduler: str | None) -> None:
 
 
 def work(recipe: Recipe, index: int) -> Outcome:
-    """Make one sample; what goes wrong with it is its outcome."""
+    """Make one sample, or return the reason of its failure."""
     try:
         # A cluster may run several tasks in one process, whose thread counts are common to all.
         with _ONE_AT_A_TIME, single_thread():

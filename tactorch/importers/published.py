@@ -12,11 +12,11 @@ A folder holds (n nodes, m tetrahedra; degrees of freedom are x y z of node 0, o
 | youngs_true.txt | m true moduli, may be absent | Pa |
 | youngs_reference_result.txt | m reconstructed moduli of the authors, may be absent | Pa |
 
-Any number of presses, numbered in any way. What the files do not say, and a forward solve tells:
-the authors' solver got the mesh with six decimals of a metre (`round_rest_m`), halved the volume
-term of the paper's energy (`lame_factor`), and one case's truth is not what its presses were made
-with (`relabel_truth`). Equation (3) of the paper squares the stiffness of the springs if read
-literally; in the files the force is stiffness times displacement.
+Any number of presses, numbered in any way. Forward solves show what the files do not state: the
+authors' solver used the mesh with six decimals of a metre (`round_rest_m`), halved the volume term
+of the paper's energy (`lame_factor`), and the truth of one case is not that of its presses
+(`relabel_truth`). Equation (3) of the paper squares the stiffness of the springs if read literally;
+in the files the force is stiffness times displacement.
 """
 
 import re
@@ -81,7 +81,7 @@ def import_published(
     Raises:
         FileError: A file is missing or malformed; names file, line where it can, and remedy.
         MeshError: The mesh cannot be used.
-        RecordingError: The files are readable but do not make a sound recording.
+        RecordingError: The files are readable but do not make a valid recording.
     """
     root = require_folder(folder, "published case")
     mesh = _read_rest(root / "mesh.msh", round_rest_m, check_units)
@@ -110,7 +110,7 @@ def import_published(
 
 def _read_rest(path: Path, round_rest_m: float | None, check_units: bool) -> TetMesh:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # said below, and not only as a warning
+        warnings.simplefilter("ignore", UserWarning)  # reported below as an error
         mesh = read_mesh(require_file(path, "mesh of the published case"), unit="m")
     low, high = PLAUSIBLE_MM
     if check_units and not low <= mesh.diagonal <= high:
@@ -130,29 +130,29 @@ def _read_rest(path: Path, round_rest_m: float | None, check_units: bool) -> Tet
 def _press_files(folder: Path) -> dict[int, dict[str, Path]]:
     """Find the files of each press: number -> part -> path, in order of the numbers."""
     pattern = re.compile(rf"({'|'.join(_PARTS)})(\d+)\.txt")
-    found: dict[int, dict[str, Path]] = {}
+    presses: dict[int, dict[str, Path]] = {}
     for path in sorted(folder.iterdir()):
         match = pattern.fullmatch(path.name)
         if match is None:
             continue
-        files = found.setdefault(int(match[2]), {})
+        files = presses.setdefault(int(match[2]), {})
         if match[1] in files:
             raise FileError(
                 f"'{path}' and '{files[match[1]]}' have the same press number; remove one"
             )
         files[match[1]] = path
-    if not found:
+    if not presses:
         raise FileError(
             f"'{folder}' holds no press; files force1.txt, pnt1.txt, A-1.txt, B-1.txt are needed"
         )
-    for number, files in sorted(found.items()):
+    for number, files in sorted(presses.items()):
         for part, what in _PARTS.items():
             if part not in files:
                 raise FileError(
                     f"press {number} lacks '{folder / f'{part}{number}.txt'}' ({what}); "
                     f"add it, or remove the other files of press {number}"
                 )
-    return dict(sorted(found.items()))
+    return dict(sorted(presses.items()))
 
 
 def _read_press(

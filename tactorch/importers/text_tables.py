@@ -1,4 +1,4 @@
-"""Numbers in text files, read strictly: every complaint names file, line and what to do."""
+"""Numbers in text files, read strictly: errors name file, line and remedy."""
 
 import math
 from pathlib import Path
@@ -50,17 +50,17 @@ def read_diagonal(path: str | Path, what: str, size: int) -> Float[np.ndarray, "
     """
     source = require_file(path, what)
     diagonal = np.zeros(size)
-    seen: dict[int, int] = {}
+    line_of: dict[int, int] = {}
     for number, line in enumerate(_lines(source), start=1):
         if not line.strip():
             continue
         row, value = _entry(line, source, number, size)
-        if row in seen:
+        if row in line_of:
             raise FileError(
-                f"'{source}' line {number} repeats degree of freedom {row} of line {seen[row]}; "
+                f"'{source}' line {number} repeats degree of freedom {row} of line {line_of[row]}; "
                 "keep one of the two"
             )
-        seen[row] = number
+        line_of[row] = number
         diagonal[row] = value
     return diagonal
 

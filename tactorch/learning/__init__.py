@@ -1,1 +1,1 @@
-"""Networks that learn from simulated touch: which inclusion a map shows, and where to start."""
+"""Networks trained on simulated presses: a recognizer of inclusions and a surrogate for starts."""

@@ -1,6 +1,6 @@
-"""The order and the randomness of training, decided by seed, epoch and step alone.
+"""Order and randomness of training, determined by seed, epoch and step alone.
 
-So a training that was killed goes on from its last checkpoint as if nothing had happened.
+A training that is resumed from a checkpoint gives the same result as one without interruption.
 """
 
 import math
@@ -14,21 +14,21 @@ from torch.utils.data import Sampler
 
 
 class EpochSampler(Sampler[tuple[int, int]]):
-    """Every place once, in an order that depends on seed and epoch alone.
+    """Samples every place once, in an order that depends on seed and epoch alone.
 
     Yields pairs of epoch and place, for datasets whose augmentation depends on both. Lightning
-    tells the epoch.
+    sets the epoch.
 
     Args:
         count: Number of places.
-        seed: Of the orders.
+        seed: Seed of the orders.
     """
 
     def __init__(self, count: int, seed: int = 0) -> None:
         self.count, self.seed, self.epoch = count, seed, 0
 
     def set_epoch(self, epoch: int) -> None:
-        """Take the number of the epoch to come."""
+        """Set the number of the next epoch."""
         self.epoch = epoch
 
     def __len__(self) -> int:
@@ -40,7 +40,7 @@ class EpochSampler(Sampler[tuple[int, int]]):
 
 
 class SeededSteps(lightning.Callback):
-    """Seeds what a network draws (dropout, say) at each step, by seed and step alone."""
+    """Seeds the random numbers of a network (such as dropout) at each step."""
 
     def __init__(self, seed: int = 0) -> None:
         self.seed = seed
@@ -53,7 +53,7 @@ class SeededSteps(lightning.Callback):
 
 
 def seed_of(*words: int) -> int:
-    """Return one seed for several whole numbers, such as a seed, an epoch and a place."""
+    """Return a seed derived from several integers, such as seed, epoch and place."""
     return int(np.random.SeedSequence(list(words)).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 

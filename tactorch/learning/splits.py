@@ -1,4 +1,4 @@
-"""Fixed splits by object: recordings of one object never stand on both sides."""
+"""Fixed splits by object: all recordings of an object belong to one part."""
 
 from collections.abc import Mapping, Sequence
 
@@ -36,7 +36,7 @@ def split_objects(
     parts: dict[str, set[int]] = {name: set() for name in sizes}
     ordered = []
     for label in sorted(set(label_of.values())):
-        group = sorted(number for number, found in label_of.items() if found == label)
+        group = sorted(number for number, other in label_of.items() if other == label)
         shuffled = rng.permutation(group)
         # Even places in [0, 1) of each label: cuts at the shares then take their part of each.
         places = (np.arange(len(group)) + rng.random()) / len(group)

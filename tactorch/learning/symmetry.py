@@ -1,4 +1,4 @@
-"""Turning and mirroring samples as physics allows: the press setup must stay what it is."""
+"""Rotations and reflections of samples that keep the set of pressed sides."""
 
 from collections.abc import Sequence
 from itertools import permutations, product
@@ -21,13 +21,13 @@ def symmetries(directions: Float[np.ndarray, "k 3"]) -> list[Symmetry]:
     Args:
         directions: Unit vectors along the axes, each once or more.
     """
-    wanted = {tuple(np.round(d).astype(int).tolist()) for d in directions}
-    found: list[Symmetry] = []
+    pushed = {tuple(np.round(d).astype(int).tolist()) for d in directions}
+    allowed: list[Symmetry] = []
     for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
-        moved = {tuple(s * d[o] for o, s in zip(order, signs, strict=True)) for d in wanted}
-        if moved == wanted:
-            found.append((order, signs))  # type: ignore[arg-type]
-    return found
+        moved = {tuple(s * d[o] for o, s in zip(order, signs, strict=True)) for d in pushed}
+        if moved == pushed:
+            allowed.append((order, signs))  # type: ignore[arg-type]
+    return allowed
 
 
 def apply(symmetry: Symmetry, field: Tensor, vectors: Sequence[int] = ()) -> Tensor:

@@ -174,7 +174,7 @@ def _whole_image(reader: FileReader, version: int, press: Press | None = None) -
 
 
 def _write_at(path: Path, end: int, record: bytes) -> None:
-    """Write a record at the end of the whole ones; what a killed writer left there goes."""
+    """Write a record at the end of the whole ones; an incomplete record there is overwritten."""
     try:
         with open(path, "r+b", buffering=0) as file:
             file.truncate(end)

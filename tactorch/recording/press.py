@@ -152,8 +152,8 @@ class Press:
             raise RecordingError(f"{self._of('observed')} is empty; mark what was measured")
         if not self.data.any():
             raise RecordingError(
-                f"{self._of('observed')} names only degrees of freedom that are fixed, which tell "
-                "nothing of the inside; observe some that may move"
+                f"{self._of('observed')} names only degrees of freedom that are fixed, which carry "
+                "no information; observe some that may move"
             )
         seen = np.where(self.observed, self.displacement, 0.0)
         require_finite(seen, self._of("displacement (where observed)"))

@@ -87,7 +87,7 @@ class RecordingReader(Hdf5Reader):
             try:
                 self._mesh = TetMesh.create(points, tets, repair=False)
             except MeshError as error:
-                raise self.error(f"dataset 'mesh' is not a sound mesh: {error}") from error
+                raise self.error(f"dataset 'mesh' is not a valid mesh: {error}") from error
         return self._mesh
 
     def material(self) -> MaterialSpec:
@@ -98,7 +98,7 @@ class RecordingReader(Hdf5Reader):
         try:
             return MaterialSpec(name, poisson, self.parse_json("material/parameters", text))
         except RecordingError as error:
-            raise self.error(f"'material' is not sound: {error}") from error
+            raise self.error(f"'material' is not valid: {error}") from error
 
     def density(self) -> float | None:
         """Read the mass density, tonne/mm^3; None where weight is not modelled."""
@@ -147,4 +147,4 @@ def read_press(reader: Hdf5Reader, path: str, n_points: int) -> Press:
     try:
         return Press(**fields)
     except RecordingError as error:
-        raise reader.error(f"'{path}' is not sound: {error}") from error
+        raise reader.error(f"'{path}' is not valid: {error}") from error

@@ -1,4 +1,4 @@
-"""A recording: a soft object, the presses on it, and what is known beside them."""
+"""A recording: a soft object, the presses on it, and further known facts."""
 
 import json
 from collections.abc import Sequence
@@ -33,13 +33,13 @@ class Recording:
         presses: At least one press.
         material: The constitutive law with all but Young's modulus.
         truth: True Young's modulus per element, (m,), MPa, where it is known.
-        reference: Somebody else's reconstruction, (m,), MPa, to compare with; never used to solve.
+        reference: Another reconstruction, (m,), MPa, for comparison only.
         provenance: Where the data come from, as plain JSON values.
-        density: Mass density, tonne/mm^3; None where weight plays no part.
+        density: Mass density, tonne/mm^3; None where weight is not modelled.
         gravity: Acceleration of gravity, (3,), mm/s^2; default zero.
         unloaded: What the sensor reported while nothing was pressed, two frames or more,
-            (frames, n, 3), mm; NaN where nothing was observed. It tells the noise of presses that
-            do not state theirs.
+            (frames, n, 3), mm; NaN where nothing was observed. The noise of presses
+            that do not state theirs is estimated from it.
         check_units: Refuse magnitudes that suggest a wrong unit (`tactorch.recording.plausibility`
             lists the limits). Not stored.
 
@@ -113,7 +113,7 @@ class Recording:
         for index in indices:
             if not 0 <= index < len(self.presses):
                 raise RecordingError(
-                    f"press {index} is requested, but the recording has {len(self.presses)}, "
+                    f"press {index} does not exist: the recording has {len(self.presses)}, "
                     f"numbered 0 to {len(self.presses) - 1}"
                 )
         chosen = tuple(self.presses[index] for index in indices)

@@ -1,4 +1,4 @@
-"""Where a round sensor can press a curved surface: patches and their nodal forces."""
+"""Patches of a curved surface that a round sensor can press, and their nodal forces."""
 
 from dataclasses import dataclass
 
@@ -15,12 +15,12 @@ _CUTS = 8  # parts along a triangle's edge, each counted in or out of the patch
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A place to press, told without a mesh: the same on a coarse and on a fine one.
+    """Position of a press, independent of the mesh.
 
     Attributes:
-        center: On the surface, mm.
+        center: Point on the surface, mm.
         inward: Unit vector of the push.
-        radius_mm: Of the sensor.
+        radius_mm: Radius of the sensor, mm.
     """
 
     center: Float[np.ndarray, "3"]
@@ -30,9 +30,9 @@ class Patch:
     def forces(self, mesh: TetMesh) -> Float[np.ndarray, "n 3"]:
         """Return the nodal forces of a dead pressure of 1 MPa along `inward`, N.
 
-        It acts on the surface that faces the sensor within the cylinder along `inward` and within
-        one and a half radii of the centre. The total is 1 MPa times the sensor's area, on every
-        mesh; it is spread evenly over the sensor's face.
+        It acts on the surface that faces the sensor, within the cylinder along `inward` and within
+        one and a half radii of the centre. The total is 1 MPa times the sensor's area on every
+        mesh, distributed evenly over the sensor's face.
 
         Raises:
             ConfigError: the mesh has no such surface there.
@@ -50,7 +50,7 @@ class Patch:
         return scale * nodal[:, None] * self.inward
 
     def facing(self, mesh: TetMesh) -> float:
-        """Return how squarely the pressed surface faces the sensor: the mean cosine by area."""
+        """Return the area-weighted mean cosine between the pressed surface and the sensor."""
         inside = self._inside(mesh, _inner_points(_CUTS)).sum(axis=1) * mesh.surface.areas
         return float(inside @ self._facing(mesh) / max(inside.sum(), 1e-300))
 
@@ -64,7 +64,7 @@ class Patch:
         corners = mesh.points[mesh.surface.triangles]
         middles = corners.mean(axis=1)
         sizes = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
-        # Most triangles are too far off for any of their points to count.
+        # Most triangles are too far from the centre.
         gaps = np.linalg.norm(middles - self.center, axis=1)
         near = gaps <= np.hypot(self.radius_mm, reach) + sizes
         near &= self._facing(mesh) > 0
@@ -84,21 +84,23 @@ def candidate_patches(
     *,
     min_facing: float = 0.0,
 ) -> list[Patch]:
-    """Return places that the sensor can press, in farthest-point order from the first.
+    """Return patches that the sensor can press, in farthest-point order from the first.
 
-    Centres are surface vertices, pushed along their mean normal. Those whose patch would load a
-    held node are left out. The first is the one farthest from what is held.
+    Centres are surface vertices, pushed along their mean normal. Patches that load a fixed node
+    are excluded. The first is the one farthest from the fixed nodes.
 
     Args:
         mesh: The body, mm.
-        held: Which nodes are held.
-        radius_mm: Of the sensor.
-        count: How many at most; fewer where the surface has no more.
-        min_facing: How squarely the surface must face the sensor, as of `Patch.facing`: by 0.85
-            edges and corners of a cube are left out.
+        held: Mask of the fixed nodes.
+        radius_mm: Radius of the sensor, mm.
+        count: Largest number of patches.
+        min_facing: Smallest `Patch.facing`; 0.85 excludes edges and corners of a cube.
+
+    Returns:
+        The patches, fewer than `count` if the surface has no more.
 
     Raises:
-        ConfigError: radius or count cannot be used, no node is held, or no patch fits.
+        ConfigError: radius or count is out of range, no node is fixed, or no patch fits.
     """
     radius = positive("radius_mm", radius_mm)
     if count < 1:

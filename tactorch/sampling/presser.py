@@ -1,4 +1,4 @@
-"""Who carries out a press: a simulated body now, a robot as well."""
+"""Pressers carry out presses: robots, or simulated bodies."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,17 +29,17 @@ class Presser(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPresser:
-    """Presses a body of known moduli on a separate mesh.
+    """Simulated presses on a body of known moduli.
 
     Attributes:
-        body: What is pressed; best on a finer mesh than the inversion's.
-        youngs: Its true moduli, MPa.
-        held: Which nodes of the body's mesh are held.
-        mesh: Of the inversion.
-        mesh_held: Which of its nodes are held.
-        pressure_mpa: Of the sensor.
-        noise_mm: Standard deviation of the noise, the same for every press.
-        seed: Of the noise; the same patch pressed again has the same noise.
+        body: The body, preferably on a finer mesh than the inversion's.
+        youngs: True moduli, MPa.
+        held: Mask of the fixed nodes of the body's mesh.
+        mesh: Mesh of the inversion.
+        mesh_held: Mask of its fixed nodes.
+        pressure_mpa: Pressure of the sensor, MPa.
+        noise_mm: Standard deviation of the noise of every press, mm.
+        seed: Seed of the noise; a patch that is pressed again has the same noise.
     """
 
     body: SoftBody

@@ -27,15 +27,9 @@ _MAX_SCALE_ERROR = 0.02  # between calibration and description
 
 
 @dataclass(frozen=True)
-class ChainOptions(Options):
-    """Processing of frames to contacts."""
+class DepthOptions(Options):
+    """Detection of contact from depth."""
 
-    noise_mm: float = option(
-        0.01, "Standard deviation of the displacements from markers and depth", unit="mm", gt=0
-    )
-    margin_mm: float = option(
-        0.5, "Margin by which the contact region from depth is widened", unit="mm", gt=0
-    )
     min_depth_mm: float = option(
         0.03, "Depth below which a frame is without contact", unit="mm", gt=0
     )
@@ -43,6 +37,18 @@ class ChainOptions(Options):
         MIN_SLOPE,
         "Slope above which the face counts as deformed; smaller for wide, flat objects",
         gt=0,
+    )
+
+
+@dataclass(frozen=True)
+class ChainOptions(DepthOptions):
+    """Processing of frames to contacts."""
+
+    noise_mm: float = option(
+        0.01, "Standard deviation of the displacements from markers and depth", unit="mm", gt=0
+    )
+    margin_mm: float = option(
+        0.5, "Margin by which the contact region from depth is widened", unit="mm", gt=0
     )
     track: TrackOptions = option(factory=TrackOptions, help="Tolerances of marker tracking")
 

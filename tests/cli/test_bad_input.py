@@ -485,7 +485,7 @@ ONE = "presses/0000"
     ),
     Case(
         "run folder below a file",
-        ("run folder cannot be made", "choose another run_dir"),
+        ("run folder cannot be made or written", "choose another run_dir"),
         settings=("run_dir=CASE/run",),
     ),
 )

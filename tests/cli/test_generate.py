@@ -92,6 +92,29 @@ def test_train_learns_and_resumes(tactorch: Any, folder: Path, tmp_path: Path) -
     broken = tactorch("train", f"resume={run}", "trainer.max_epochs=5")
     assert broken.status == 2
     assert "is damaged or no checkpoint" in broken.err
+    for name, content in (
+        ("data.json", "{"), ("data.json", "[]"), ("data.json", "{}"),
+        ("data.json", '{"fingerprint": 0, "classes": 3}'),
+        (".hydra/config.yaml", "model: [\n"), (".hydra/config.yaml", "model: {name: recognizer}\n"),
+        (".hydra/config.yaml", "\0\1"),
+    ):  # fmt: skip
+        before = (run / name).read_bytes()
+        (run / name).write_text(content)
+        tampered = tactorch("evaluate-model", f"run={run}", f"run_dir={tmp_path / 'tampered'}")
+        assert tampered.status == 2
+        assert len(tampered.err.splitlines()) == 1
+        assert Path(name).name in tampered.err or "'data.folder' is missing" in tampered.err
+        (run / name).write_bytes(before)
+    shard = folder / "shard-00001.h5"
+    changed = bytearray(shard.read_bytes())
+    changed[len(changed) // 2] ^= 1
+    (tmp_path / "shard").write_bytes(shard.read_bytes())
+    shard.write_bytes(bytes(changed))
+    for arguments in (("train", f"resume={run}"), ("evaluate-model", f"run={run}")):
+        refused = tactorch(*arguments)
+        assert refused.status == 2
+        assert "shard-00001.h5' is damaged (its checksum" in refused.err
+    shard.write_bytes((tmp_path / "shard").read_bytes())
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def test_a_prior_about_a_surrogates_map_is_made_again(tactorch: Any, recording_f
         ((), "'run' is missing"),
         (("nowhere",), "run not found: 'nowhere'"),
         (("{run}", "{run}"), "named twice"),
-        (("{run}", "colours='jet'"), "colours=jet"),
+        (("{run}", "colours=jet"), "colours='jet'"),
         (("{run}", "uncertainty=perhaps"), "true or false"),
         (("{run}", "recording=gone.h5"), "gone.h5"),
     ],

@@ -121,7 +121,7 @@ def test_interruption_writes_the_best_map_and_says_so(
     monkeypatch.setattr(Monitor, "accept", interrupted)
     done = tactorch("invert", f"recording={recording}", *RUN)
     assert done.status == 130
-    assert "interrupted; go on with tactorch invert resume=run\n" in done.err
+    assert "interrupted; continue with tactorch invert resume=run\n" in done.err
     assert load().stop_reason == "interrupted"
     assert load().iterations == 1
 
@@ -207,3 +207,16 @@ def test_presets_and_experiments_of_a_folder_are_used(
     (own / "regularization" / "mine.yaml").write_text("name: matern\nlenght_mm: 2.5\n")
     assert "unknown setting 'lenght_mm'" in tactorch(*command).err
     assert "not a folder" in tactorch("invert", "--config-dir", "nowhere").err
+
+
+def test_a_trusted_folder_is_composed_by_hydra(
+    tactorch: Any, recording: Path, tmp_path: Path
+) -> None:
+    experiment = tmp_path / "own" / "experiment" / "x.yaml"
+    experiment.parent.mkdir(parents=True)
+    experiment.write_text("# @package _global_\nhydra:\n  job:\n    name: renamed\nplots: false\n")
+    trust = ("--config-dir", tmp_path / "own", "--trust-config-dir")
+    out = tactorch("invert", f"recording={recording}", *trust, "experiment=x", "--cfg", "all").out
+    assert "name: renamed" in out
+    assert "plots: false" in out
+    assert "leave out --trust-config-dir" in tactorch("invert", "resume=x", *trust).err

@@ -52,11 +52,11 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"flag": "yes"}, "flag='yes': give true or false or auto."),
         ({"counts": 1}, "unknown setting 'counts'. Did you mean 'count'?"),
         ({"qqq": 1}, "unknown setting 'qqq'. Settings of this group: recording, count,"),
-        ({"prior": {"name": "plain", "edge": 0}}, "priors.edge=0: give a number above 0."),
-        ({"prior": {"name": "plain", "share": 2}}, "priors.share=2: give a number above 0, up to"),
+        ({"prior": {"name": "plain", "edge": 0}}, "prior.edge=0: give a number above 0."),
+        ({"prior": {"name": "plain", "share": 2}}, "prior.share=2: give a number above 0, up to"),
         ({"prior": {"name": "plain", "weight": "x"}}, "give a number, at least 0, or null."),
-        ({"prior": {"edge": 1}}, "priors.name=None: choose one of plain."),
-        ({"prior": {"name": "plain", "egde": 1}}, "Did you mean 'priors.edge'"),
+        ({"prior": {"edge": 1}}, "prior.name=None: choose one of plain."),
+        ({"prior": {"name": "plain", "egde": 1}}, "Did you mean 'prior.edge'"),
     ],
 )
 def test_wrong_values_are_refused_by_name(values: dict[str, Any], message: str) -> None:

@@ -113,7 +113,7 @@ def test_what_was_worked_out_is_kept(dataset: Path, data: SurrogateData, monkeyp
     def never(*args: object) -> None:
         raise AssertionError("worked out again")
 
-    monkeypatch.setattr(touch_cache, "_work_out", never)
+    monkeypatch.setattr(touch_cache, "_compute_part", never)
     again = load_touches(dataset, 4)
     np.testing.assert_array_equal(again.presses, data.touches.presses)
     with pytest.raises(AssertionError):

@@ -173,7 +173,7 @@ def test_large_meshes_take_the_thrifty_way(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = touch(recording, COUNT).shared
-    monkeypatch.setattr(linear_image, "_MOST_ENTRIES", 1.0)
+    monkeypatch.setattr(linear_image, "_MAX_ENTRIES", 1.0)
     np.testing.assert_allclose(touch(recording, COUNT).shared, plain, atol=1e-8)
 
 

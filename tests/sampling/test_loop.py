@@ -115,6 +115,7 @@ def test_information_is_of_the_data_the_press_would_have(
 
     run(Watching(3), 3, settings=replace(SETTINGS, model_error=model_error))
     state = states[-1]
+    assert state.posterior is None  # a rule that uses none gets none, not one of zero covariance
     assert state.pressed == tuple(UniformGrid(3).places(patches)[:2])
     assert set(state.remaining) | set(state.pressed) == set(range(8))
     again = state.jacobians(state.pressed)

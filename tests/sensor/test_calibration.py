@@ -122,7 +122,7 @@ def test_the_same_seed_gives_the_same_map() -> None:
 
 
 def test_markers_do_not_count() -> None:
-    """What they hide is fill_masked in: the change is that of the gel beneath."""
+    """What they hide is filled in: the change is that of the gel beneath."""
     places, look = grid()[:20], MarkerAppearance(10.0)
     reference, plain = draw(places, noise=0.5), draw(np.zeros((0, 2)), noise=0.5)
     lit = np.clip(reference.astype(int) + 30, 0, 255).astype(np.uint8)
@@ -168,7 +168,7 @@ def test_what_cannot_be_calibrated_with_is_refused() -> None:
         find_circle(image_change(drawn.still(1), drawn.still()), BALL, "x.png")
     with pytest.raises(ConfigError, match="has shape"):
         image_change(drawn.still()[:-4], drawn.still())
-    with pytest.raises(ConfigError, match="sensor_map=forest is unknown; choose one of mlp"):
+    with pytest.raises(ConfigError, match="map=forest is unknown; choose one of mlp"):
         FitOptions("forest")
     with pytest.raises(ConfigError, match="radius_mm=6000"):
         Ball(6000.0, (0.05, 0.05))

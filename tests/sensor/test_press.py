@@ -41,7 +41,7 @@ def test_the_press_is_that_which_was_made(pair: Pair, contact: GelContact) -> No
 
 
 def test_frames_do_not_matter(pair: Pair, contact: GelContact) -> None:
-    """The whole scene rotate_vectors and moved: so are forces and displacements."""
+    """The whole scene rotated and moved: so are forces and displacements."""
     turn = np.eye(4)
     turn[:3, :3] = Rotation.from_euler("xyz", (30, -50, 110), degrees=True).as_matrix()
     turn[:3, 3] = (20.0, -7.0, 3.0)

@@ -11,18 +11,21 @@ corrected and given as labels=) and held_out.png: each held-out press and the ba
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tactorch.cli.progress import progress
-from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
+from tactorch.cli.sensor.inputs import load_reference, load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import CalibrateSettings
-from tactorch.cli.sensor.presses import Pressed, presses_of
-from tactorch.cli.sensor.quality import RESULTS, Judged, write_report
-from tactorch.cli.settings import log, run_folder
+from tactorch.cli.sensor.presses import (
+    EvaluatedPress,
+    PressImage,
+    prepare_folder,
+    read_presses,
+    write_report,
+)
+from tactorch.cli.settings import log
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import (
@@ -43,70 +46,63 @@ from tactorch.sensor.calibration import (
 )
 
 AUTO = "auto"
-_SHARE = 4  # one in so many presses is held out
-_CHOOSE = 3  # groups of presses left out to choose a map
+_HELD_OUT_FRACTION = 4  # one press in four is held out
+_SELECTION_GROUPS = 3  # of presses left out to select a map
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """A map, what it was fitted to, and how it does on presses that it was not.
+class _Evaluation:
+    """Fitted map, and its accuracy on presses that were held out.
 
     Attributes:
-        map: The map.
-        circles: Of the presses that it was fitted to.
-        judged: Presses with the circles and maps that they were judged with.
-        quality: Of those pool_quality.
-        title: What was judged on what.
+        map: Map.
+        circles: Contacts of the presses that it was fitted to.
+        presses: Evaluated presses, with the contacts and maps used for them.
+        quality: Accuracy on these presses together.
+        title: Description of the evaluation.
     """
 
     map: SlopeMap
     circles: Mapping[str, Circle]
-    judged: Sequence[Judged]
+    presses: Sequence[EvaluatedPress]
     quality: MapQuality
     title: str
 
 
 def run(cfg: CalibrateSettings) -> Path:
     """Calibrate a sensor; returns the path of the calibration."""
-    place = run_folder()
-    out = place / "calib.npz" if cfg.out is None else cfg.out
-    for name in RESULTS:
-        (place / name).unlink(missing_ok=True)
-    options = _options(cfg)
-    sensor = sensor_of(cfg)
+    folder = prepare_folder()
+    out = folder / "calib.npz" if cfg.out is None else cfg.out
+    options = _fit_options(cfg)
+    sensor = load_sensor_settings(cfg)
     x, y = map(float, sensor.mm_per_px)
     ball = Ball(cfg.ball_radius_mm, (x, y))
-    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
-    look = look_of(sensor, cfg.marker_diameter_px)
-    presses = presses_of(cfg, sensor, ball, reference, look)
-    used, held = _parted(presses, cfg, options.seed)
-    options, maps = _with_map(cfg.map, used, ball, options)
-    fit = _in_folds if cfg.folds is not None else _held_out
-    found = fit(used, held, ball, options, cfg.folds or 0)
+    reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
+    markers = marker_appearance(sensor, cfg.marker_diameter_px)
+    presses = read_presses(cfg, sensor, ball, reference, markers)
+    training, held_out = _split(presses, cfg, options.seed)
+    options, maps = _select_map(cfg.map, training, ball, options)
+    if cfg.folds is None:
+        result = _evaluate_held_out(training, held_out, ball, options)
+    else:
+        result = _cross_validate(training, ball, options, cfg.folds)
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,
         "fit": to_mapping(options),
         "maps": {name: asdict(quality) for name, quality in maps.items()},
-        "judged": found.title,
-        "quality": asdict(found.quality),
-        "fitted_to": {one.touch.name: digest(one) for one in used},
+        "judged": result.title,
+        "quality": asdict(result.quality),
+        "fitted_to": {press.name: press.digest for press in training},
     }
-    save_calibration(Calibration(found.map, reference, ball.mm_per_px, look, facts), out)
-    new = {one.pressed.touch.name: one.circle for one in found.judged}
-    write_report(
-        place, found.title, found.quality, found.judged, ball, {**new, **found.circles}, facts
-    )
+    save_calibration(Calibration(result.map, reference, ball.mm_per_px, markers, facts), out)
+    circles = {one.source.name: one.circle for one in result.presses} | dict(result.circles)
+    write_report(folder, result.title, result.quality, result.presses, ball, circles, facts)
     log.info("calibration: %s", out)
     return out
 
 
-def digest(pressed: Pressed) -> str:
-    """Return what tells an image from another."""
-    return sha256(np.ascontiguousarray(pressed.image).tobytes()).hexdigest()[:16]
-
-
-def _options(cfg: CalibrateSettings) -> FitOptions:
+def _fit_options(cfg: CalibrateSettings) -> FitOptions:
     names = (AUTO, *SENSOR_MAPS.names())
     if cfg.map not in names:
         raise ConfigError(f"map={cfg.map!r}: choose one of {', '.join(names)}.")
@@ -120,80 +116,83 @@ def _map_name(options: FitOptions) -> str:
     return SENSOR_MAPS.name_of(type(options.map))
 
 
-def _parted(
-    presses: list[Pressed], cfg: CalibrateSettings, seed: int
-) -> tuple[list[Pressed], list[Pressed]]:
-    """Return presses to fit to, and those held out."""
+def _split(
+    presses: list[PressImage], cfg: CalibrateSettings, seed: int
+) -> tuple[list[PressImage], list[PressImage]]:
+    """Return presses for the fit and held-out presses."""
     if cfg.folds is not None:
         if not 2 <= cfg.folds <= len(presses):
             raise ConfigError(f"folds={cfg.folds}: there are {len(presses)} presses; give 2 to it.")
         return presses, []
-    count = max(1, len(presses) // _SHARE) if cfg.held_out is None else cfg.held_out
+    default = max(1, len(presses) // _HELD_OUT_FRACTION)
+    count = default if cfg.held_out is None else cfg.held_out
     if not 0 <= count < len(presses):
         raise ConfigError(
             f"held_out={count} of {len(presses)} presses leaves none to fit to; add presses, or"
             " give held_out=0 to do without a judgement."
         )
     order = np.random.default_rng(seed).permutation(len(presses)).tolist()
-    held = set(order[:count])
-    return (
-        [one for k, one in enumerate(presses) if k not in held],
-        [presses[k] for k in sorted(held)],
-    )
+    held_out = set(order[:count])
+    training = [press for k, press in enumerate(presses) if k not in held_out]
+    return training, [presses[k] for k in sorted(held_out)]
 
 
-def _with_map(
-    name: str, used: list[Pressed], ball: Ball, options: FitOptions
+def _select_map(
+    name: str, training: list[PressImage], ball: Ball, options: FitOptions
 ) -> tuple[FitOptions, Mapping[str, MapQuality]]:
-    """Choose the map, on presses that may be fitted to."""
+    """Select the map by cross-validation on the presses for the fit."""
     if name != AUTO:
         return options, {}
-    if len(used) < 2:
+    if len(training) < 2:
         raise ConfigError("map=auto takes two presses or more to fit to; give map=mlp_colour.")
-    touches = [one.touch for one in used]
-    with progress("choosing a map", "maps") as tell:
-        chosen, maps = select_map(touches, ball, options, min(_CHOOSE, len(used)), tell)
+    presses = [one.press for one in training]
+    groups = min(_SELECTION_GROUPS, len(training))
+    with progress("choosing a map", "maps") as report:
+        selected, maps = select_map(presses, ball, options, groups, report)
     for each, quality in maps.items():
         log.info("%s: mean error of slopes %.4f / %.4f on presses left out", each, *quality.mae)
-    return replace(options, map=SENSOR_MAPS.build(chosen)), maps
+    return replace(options, map=SENSOR_MAPS.build(selected)), maps
 
 
-def _held_out(
-    used: list[Pressed], held: list[Pressed], ball: Ball, options: FitOptions, _: Any
-) -> Fitted:
-    found, circles = _fit(used, ball, options)
-    if held:
-        judged = [Judged(one, fit_new_circle(one.touch, found, ball), found) for one in held]
-        title = f"{_map_name(options)}, fitted to {len(used)} presses, on {len(held)} others"
+def _evaluate_held_out(
+    training: list[PressImage], held_out: list[PressImage], ball: Ball, options: FitOptions
+) -> _Evaluation:
+    slope_map, circles = _fit(training, ball, options)
+    name, count = _map_name(options), len(training)
+    if held_out:
+        presses = [
+            EvaluatedPress(one, fit_new_circle(one.press, slope_map, ball), slope_map)
+            for one in held_out
+        ]
+        title = f"{name}, fitted to {count} presses, on {len(held_out)} others"
     else:
-        judged = [Judged(one, circles[one.touch.name], found) for one in used]
-        title = (
-            f"{_map_name(options)}, on the {len(used)} presses it was fitted to: others do worse"
-        )
-    touches, own = [one.pressed.touch for one in judged], [one.circle for one in judged]
-    return Fitted(found, circles, judged, evaluate_map(found, touches, own, ball), title)
+        presses = [EvaluatedPress(one, circles[one.name], slope_map) for one in training]
+        title = f"{name}, on the {count} presses it was fitted to: others do worse"
+    sources, fitted = [one.source.press for one in presses], [one.circle for one in presses]
+    quality = evaluate_map(slope_map, sources, fitted, ball)
+    return _Evaluation(slope_map, circles, presses, quality, title)
 
 
-def _in_folds(
-    used: list[Pressed], _: list[Pressed], ball: Ball, options: FitOptions, folds: int
-) -> Fitted:
-    by_name = {one.touch.name: one for one in used}
-    judged, parts = [], []
-    with progress("judging", "groups left out") as tell:
-        for found, left, circles in validation_groups(
-            [p.touch for p in used], ball, options, folds
-        ):
-            parts.append(evaluate_map(found, left, circles, ball))
-            pairs = zip(left, circles, strict=True)
-            judged += [Judged(by_name[t.name], circle, found) for t, circle in pairs]
-            tell(len(parts), folds)
-    title = f"{_map_name(options)}, on {len(used)} presses, each left out once, in {folds} groups"
-    final, own = _fit(used, ball, options)
-    return Fitted(final, own, judged, pool_quality(parts), title)
+def _cross_validate(
+    training: list[PressImage], ball: Ball, options: FitOptions, folds: int
+) -> _Evaluation:
+    by_name = {one.name: one for one in training}
+    presses, parts = [], []
+    groups = validation_groups([one.press for one in training], ball, options, folds)
+    with progress("judging", "groups left out") as report:
+        for slope_map, left_out, circles in groups:
+            parts.append(evaluate_map(slope_map, left_out, circles, ball))
+            pairs = zip(left_out, circles, strict=True)
+            presses += [EvaluatedPress(by_name[p.name], c, slope_map) for p, c in pairs]
+            report(len(parts), folds)
+    count = len(training)
+    title = f"{_map_name(options)}, on {count} presses, each left out once, in {folds} groups"
+    final, fitted = _fit(training, ball, options)
+    return _Evaluation(final, fitted, presses, pool_quality(parts), title)
 
 
 def _fit(
-    used: list[Pressed], ball: Ball, options: FitOptions
+    training: list[PressImage], ball: Ball, options: FitOptions
 ) -> tuple[SlopeMap, Mapping[str, Circle]]:
-    with progress("fitting map and contacts", "rounds") as tell:
-        return fit_map([one.touch for one in used], ball, options, tell)
+    with progress("fitting map and contacts", "rounds") as report:
+        return fit_map([one.press for one in training], ball, options, report)

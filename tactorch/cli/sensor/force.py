@@ -9,186 +9,146 @@ press is negative) and .npz (of each node), summary.json and .txt, over_time.png
 force-NUMBER.png and force.mp4.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 
-from tactorch.cli.progress import progress
-from tactorch.cli.sensor import film
-from tactorch.cli.sensor.inputs import calibrated, reference_of
-from tactorch.cli.sensor.options import ForceSettings
-from tactorch.cli.sensor.sequence import (
+from tactorch.cli.sensor.frames import (
     FrameSequence,
-    caption_of,
-    faults_of,
-    faults_told,
-    rate_of,
-    times_of,
+    RunFiles,
+    caption,
+    frame_times,
     without_image,
 )
-from tactorch.cli.sensor.tables import write_arrays, write_table
-from tactorch.cli.settings import log, run_folder
+from tactorch.cli.sensor.inputs import build_chain, load_calibrated, load_reference
+from tactorch.cli.sensor.options import ForceSettings
+from tactorch.cli.settings import log
 from tactorch.errors import ConvergenceError
-from tactorch.sensor.chain import ChainOptions, Measurement, SensorChain
+from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.frames import Frame
-from tactorch.sensor.gel import GelModel
 from tactorch.viz.sensor_frames import ForceView, colour_limit, node_areas
-from tactorch.viz.session import plot_over_time
 
-_STEM = "force"
 _TABLE, _ARRAYS = "forces.csv", "forces.npz"
 _HEADER = (
     "frame", "time_s", "force_x_n", "force_y_n", "force_z_n", "contact_mm2", "depth_mm", "fault",
 )  # fmt: skip
-_LEAST_MPA = 1e-4  # upper end of the colours where nothing is pressed
+_MIN_LIMIT_MPA = 1e-4  # of the color scale, for frames without contact
 
 
-class Felt(NamedTuple):
-    """What is told of a frame.
+class _FrameForces(NamedTuple):
+    """Forces in a frame; NaN where unknown.
 
     Attributes:
-        frame: Without its image.
-        forces: On the gel at the nodes of its face, N; NaN where they are not known.
-        displacement: Of these nodes, mm; NaN likewise, 0 without contact.
-        touched: Nodes that are touched.
-        depth_mm: Of the deepest point; NaN where there is no image.
+        frame: Frame without its image.
+        forces: Forces on the gel at the nodes of its face, N.
+        displacement: Displacements of the nodes, mm; 0 without contact.
+        in_contact: Nodes in contact.
+        depth_mm: Depth of the deepest point.
     """
 
     frame: Frame
     forces: Float[np.ndarray, "k 3"]
     displacement: Float[np.ndarray, "k 3"]
-    touched: np.ndarray
+    in_contact: Bool[np.ndarray, " k"]
     depth_mm: float
+
+    @property
+    def total(self) -> Float[np.ndarray, "3"]:
+        return self.forces.sum(axis=0)
 
 
 def run(cfg: ForceSettings) -> Path:
-    """Tell forces; returns the path of the table."""
-    place = run_folder()
-    film.clear(place, _STEM, (_TABLE, _ARRAYS))
-    options = ChainOptions(cfg.noise_mm, cfg.around_mm, cfg.min_depth_mm, cfg.steep)
-    sensor, calibration = calibrated(cfg)
-    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
+    """Compute forces; returns the path of the table."""
+    files = RunFiles.prepare("force", _TABLE, _ARRAYS)
+    sensor, calibration = load_calibrated(cfg)
+    reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
     frames = FrameSequence(cfg, sensor, reference)
-    model = GelModel(sensor.gel, cfg.edge_mm, cfg.layers, cfg.element)
-    chain = SensorChain(sensor, calibration, reference, model, options)
-    found = []
-    with progress("finding forces", "frames") as tell:
-        for frame in frames:
-            found.append(_felt(chain, frame))
-            tell(len(found), frames.total)
-    triangles = face_triangles(model)
-    _write(place, model.points, triangles, found)
-    _draw(place, cfg, chain, triangles, frames, found)
-    log.info("forces: %s", place / _TABLE)
-    return place / _TABLE
+    chain = build_chain(cfg, sensor, calibration, reference)
+    results = frames.process("finding forces", lambda frame: _frame_forces(chain, frame))
+    _write(files, chain, results)
+    _draw(files, cfg, chain, frames, results)
+    log.info("forces: %s", files.folder / _TABLE)
+    return files.folder / _TABLE
 
 
-def face_triangles(model: GelModel) -> Int[np.ndarray, "t 3"]:
-    """Return the triangles of the gel's outer face, by the numbers of its nodes there."""
-    number = np.full(model.gel_mesh.mesh.n_points, -1)
-    number[model.gel_mesh.face] = np.arange(len(model.gel_mesh.face))
-    all_triangles = number[model.gel_mesh.mesh.surface.triangles]
-    return all_triangles[(all_triangles >= 0).all(axis=1)]
-
-
-def _felt(chain: SensorChain, frame: Frame) -> Felt:
-    """Tell the forces of a frame; a gel that would collapse is a fault of the frame."""
+def _frame_forces(chain: SensorChain, frame: Frame) -> _FrameForces:
+    """Compute the forces in a frame; a gel model that does not converge is a fault of the frame."""
     shape = chain.model.points.shape
+    none = np.zeros(shape[0], dtype=bool)
     try:
-        seen: Measurement | None = chain.measure(frame)
-        fault = ""
+        measurement = chain.measure(frame)
     except ConvergenceError as error:
-        seen, fault = None, f"no forces found: {error}"
-    depth = float("nan")
-    if seen is not None and seen.height is not None:
-        depth = seen.height.depth_mm
-    if seen is not None and seen.contact is not None:
-        contact = seen.contact
-        return Felt(
-            without_image(frame), contact.forces, contact.displacement, seen.in_contact, depth
-        )
-    free = np.full(shape, 0.0 if seen is not None and seen.height is not None else np.nan)
-    touched = np.zeros(shape[0], dtype=bool)
-    return Felt(without_image(frame, fault), free, free, touched, depth)
+        unknown = np.full(shape, np.nan)
+        faulty = without_image(frame, f"no forces found: {error}")
+        return _FrameForces(faulty, unknown, unknown, none, float("nan"))
+    stored, contact, height = without_image(frame), measurement.contact, measurement.height
+    depth = float("nan") if height is None else height.depth_mm
+    if contact is None:
+        free = np.full(shape, np.nan if height is None else 0.0)
+        return _FrameForces(stored, free, free, none, depth)
+    return _FrameForces(stored, contact.forces, contact.displacement, measurement.in_contact, depth)
 
 
-def _write(
-    place: Path,
-    points: Float[np.ndarray, "k 3"],
-    triangles: Int[np.ndarray, "t 3"],
-    found: Sequence[Felt],
-) -> None:
+def _write(files: RunFiles, chain: SensorChain, results: list[_FrameForces]) -> None:
+    points, triangles = chain.model.points, chain.model.gel_mesh.face_triangles
     area = node_areas(points, triangles)
-    known = [one.frame for one in found]
-    totals = np.stack([one.forces.sum(axis=0) for one in found])
-    contacts = [
-        float(area[one.touched].sum()) if np.isfinite(total).all() else float("nan")
-        for one, total in zip(found, totals, strict=True)
-    ]
+    frames = [result.frame for result in results]
+    totals = np.stack([result.total for result in results])
+    known = np.isfinite(totals).all(axis=1)
+    contacts = [float(area[result.in_contact].sum()) for result in results]
     rows = [
-        (one.frame.index, one.frame.time_s, *map(float, total), contact, one.depth_mm,
-         one.frame.fault)
-        for one, total, contact in zip(found, totals, contacts, strict=True)
+        (result.frame.index, result.frame.time_s, *map(float, result.total),
+         contact if valid else None, result.depth_mm, result.frame.fault)
+        for result, contact, valid in zip(results, contacts, known, strict=True)
     ]  # fmt: skip
-    write_table(place / _TABLE, _HEADER, rows)
-    write_arrays(
-        place / _ARRAYS,
+    files.write_table(_TABLE, _HEADER, rows)
+    files.write_arrays(
+        _ARRAYS,
         points_mm=points,
         triangles=triangles,
-        forces_n=np.stack([one.forces for one in found]),
-        displacement_mm=np.stack([one.displacement for one in found]),
-        touched=np.stack([one.touched for one in found]),
-        time_s=times_of(known),
-        fault=np.array([frame.fault for frame in known]),
+        forces_n=np.stack([result.forces for result in results]),
+        displacement_mm=np.stack([result.displacement for result in results]),
+        touched=np.stack([result.in_contact for result in results]),
+        time_s=frame_times(frames),
+        fault=np.array([frame.fault for frame in frames]),
     )
-    pressed = [one for one in found if one.touched.any()]
+    pressed = sum(bool(result.in_contact.any()) for result in results)
     size = np.linalg.norm(totals, axis=1)
-    told = np.isfinite(size)
-    most = int(np.nanargmax(size)) if told.any() else 0
-    values: dict[str, Any] = {
-        "frames": len(found),
-        "faulty": faults_of(known),
-        "in_contact": len(pressed),
-        "largest": {"frame": most, "force_on_gel_n": [float(v) for v in totals[most]]},
-    }
-    x, y, z = totals[most]
-    lines = [
-        f"{len(pressed)} of {len(found)} frames are in contact. The largest force on the gel is in"
-        f" frame {most}: x {x:+.3f}, y {y:+.3f}, z {z:+.3f} N.",
-        *faults_told(known),
-    ]
-    film.write_summary(place, values, lines)
+    largest = int(np.nanargmax(size)) if known.any() else 0
+    x, y, z = (float(v) for v in totals[largest])
+    files.write_frame_summary(
+        frames,
+        {"in_contact": pressed, "largest": {"frame": largest, "force_on_gel_n": [x, y, z]}},
+        [
+            f"{pressed} of {len(results)} frames are in contact. The largest force on the gel is in"
+            f" frame {largest}: x {x:+.3f}, y {y:+.3f}, z {z:+.3f} N."
+        ],
+    )
 
 
 def _draw(
-    place: Path,
+    files: RunFiles,
     cfg: ForceSettings,
     chain: SensorChain,
-    triangles: Int[np.ndarray, "t 3"],
     frames: FrameSequence,
-    found: Sequence[Felt],
+    results: list[_FrameForces],
 ) -> None:
-    points = chain.model.points
-    traction = np.stack([one.forces for one in found]) / node_areas(points, triangles)[:, None]
-    tops = (-traction[..., 2], np.linalg.norm(traction[..., :2], axis=-1))
-    pressure, shear = (colour_limit(top, _LEAST_MPA) for top in tops)
+    points, triangles = chain.model.points, chain.model.gel_mesh.face_triangles
+    traction = np.stack([result.forces for result in results])
+    traction = traction / node_areas(points, triangles)[:, None]
+    components = (-traction[..., 2], np.linalg.norm(traction[..., :2], axis=-1))
+    pressure, shear = (colour_limit(component, _MIN_LIMIT_MPA) for component in components)
     view = ForceView(chain.sensor, points, triangles, (pressure, shear))
-    totals = np.stack([one.forces.sum(axis=0) for one in found])
+    totals = np.stack([result.total for result in results])
 
     def show(frame: Frame) -> None:
-        one, (x, y, z) = found[frame.index], totals[frame.index]
-        told = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} N" if np.isfinite(z) else "not known"
-        caption = caption_of(one.frame, len(found), told)
-        view.show(frame.image, one.forces if np.isfinite(z) else None, caption)
+        result, (x, y, z) = results[frame.index], totals[frame.index]
+        text = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} N" if np.isfinite(z) else "not known"
+        forces = result.forces if np.isfinite(z) else None
+        view.show(frame.image, forces, caption(result.frame, len(results), text))
 
-    known = [one.frame for one in found]
-    film.draw(place, _STEM, view, frames, show, cfg, known, rate_of(known))
-    plot_over_time(
-        {"force on the gel, N": {name: totals[:, k] for k, name in enumerate("xyz")}},
-        times_of(known),
-        [frame.index for frame in known if frame.fault],
-        place / film.OVER_TIME,
-    )
+    series = {"force on the gel, N": {name: totals[:, k] for k, name in enumerate("xyz")}}
+    measured = [result.frame for result in results]
+    files.draw(view, frames, show, cfg, measured, series)

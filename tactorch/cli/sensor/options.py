@@ -7,6 +7,8 @@ from typing import Any, Literal
 from tactorch.cli.options import CommandOptions
 from tactorch.config import Options, option
 from tactorch.fem import MATERIALS  # noqa: F401  (registries of the sections)
+from tactorch.sensor.chain import ChainOptions, DepthOptions
+from tactorch.sensor.gel import GelOptions
 from tactorch.sensor.recorder import OBJECTS  # noqa: F401
 
 
@@ -42,34 +44,6 @@ class CalibratedSettings(SensorSettings):
     """A calibrated sensor."""
 
     calibration: Path = option(help="Result of tactorch sensor calibrate; its scale is used")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactSettings(CalibratedSettings):
-    """Detection of contact."""
-
-    min_depth_mm: float = option(0.03, "Smallest depth of a frame with contact", unit="mm", gt=0)
-    steep: float = option(
-        0.12, "Slope from which the surface counts as deformed; less for wide, flat objects", gt=0
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class GelSettings(Options):
-    """Model of the gel."""
-
-    edge_mm: float = option(1.0, "Edge length of the gel's cells on its surface", unit="mm", gt=0)
-    layers: int = option(4, "Layers of cells through the gel", ge=1)
-    element: Literal["tet10", "tet4"] = option(
-        "tet10", "Element type; tet4 is fast, but too stiff as Poisson's ratio nears 0.5"
-    )
-    noise_mm: float = option(
-        0.01, "Standard deviation of displacements; a larger one gives smoother forces",
-        unit="mm", gt=0,
-    )  # fmt: skip
-    around_mm: float = option(
-        0.5, "Margin of the contact region around the measured depth", unit="mm", ge=0
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,17 +113,19 @@ class TrackSettings(PictureSettings, SequenceSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReconstructSettings(ContactSettings, PictureSettings, SequenceSettings):
+class ReconstructSettings(DepthOptions, CalibratedSettings, PictureSettings, SequenceSettings):
     """Settings of `tactorch sensor reconstruct`."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ForceSettings(GelSettings, ContactSettings, PictureSettings, SequenceSettings):
+class ForceSettings(
+    GelOptions, ChainOptions, CalibratedSettings, PictureSettings, SequenceSettings
+):
     """Settings of `tactorch sensor force`."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordSettings(GelSettings, ContactSettings, SequenceSettings):
+class RecordSettings(GelOptions, ChainOptions, CalibratedSettings, SequenceSettings):
     """Settings of `tactorch sensor record`."""
 
     object: Any = option("box", "Object that is pressed", section="object")
@@ -164,11 +140,12 @@ class RecordSettings(GelSettings, ContactSettings, SequenceSettings):
     )
     steps: int = option(3, "Frames kept of each contact, evenly spaced in depth", ge=1)
     min_frames: int = option(1, "Fewest frames of a contact; shorter ones are skipped", ge=1)
-    first_touch: Literal["shape", "depth"] = option(
-        "shape", "First touch by the poses (where both shapes meet), or by the first frames' depth"
+    first_contact: Literal["shape", "depth"] = option(
+        "shape",
+        "First contact by the poses (where the shapes meet), or by the first frames' depth",
     )
     reach_mm: float = option(
-        3.0, "Distance from the gel at first touch up to which the object may be touched",
+        3.0, "Distance from the gel at first contact up to which the object may be touched",
         unit="mm", gt=0,
     )  # fmt: skip
     untouched: Literal["unseen", "sensor", "auto"] = option(

@@ -17,201 +17,182 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from tactorch.cli.progress import progress
-from tactorch.cli.sensor import film
-from tactorch.cli.sensor.inputs import look_of, reference_of, sensor_of
-from tactorch.cli.sensor.options import TrackSettings
-from tactorch.cli.sensor.sequence import (
+from tactorch.cli.sensor.frames import (
     FrameSequence,
-    caption_of,
-    faults_of,
-    faults_told,
-    rate_of,
-    times_of,
+    RunFiles,
+    caption,
+    frame_times,
     without_image,
 )
-from tactorch.cli.sensor.tables import write_arrays, write_table
-from tactorch.cli.settings import log, run_folder
+from tactorch.cli.sensor.inputs import load_reference, load_sensor_settings, marker_appearance
+from tactorch.cli.sensor.options import TrackSettings
+from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image
 from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, marker_displacements
 from tactorch.viz.sensor_frames import MarkerView, colour_limit
-from tactorch.viz.session import plot_over_time
 
-_STEM = "markers"
 _TABLE, _ARRAYS = "tracks.csv", "tracks.npz"
 _HEADER = ("frame", "time_s", "marker", "x_px", "y_px", "dx_mm", "dy_mm", "valid", "fault")
-_LEAST_MM = 0.05  # upper end of the colours where nothing moves
-_SAME_PX = 2.0  # between a marker followed there and the one found there
+_MIN_LIMIT_MM = 0.05  # of the color scale, for frames without motion
+_MATCH_PX = 2.0  # between a tracked marker and the marker detected in the last frame
 
-Places = Float[np.ndarray, "f n 2"]
+Positions = Float[np.ndarray, "f n 2"]
 
 
 def run(cfg: TrackSettings) -> Path:
-    """Follow markers; returns the path of the table."""
-    place = run_folder()
-    film.clear(place, _STEM, (_TABLE, _ARRAYS))
-    sensor = sensor_of(cfg)
-    look = look_of(sensor, cfg.marker_diameter_px)
-    if look is None:
+    """Track markers; returns the path of the table."""
+    files = RunFiles.prepare("markers", _TABLE, _ARRAYS)
+    sensor = load_sensor_settings(cfg)
+    appearance = marker_appearance(sensor, cfg.marker_diameter_px)
+    if appearance is None:
         raise ConfigError(
             f"sensor '{sensor.name}' has no markers; describe them in its file, or give"
             " marker_diameter_px."
         )
-    reference = reference_of(cfg.reference, cfg.reference_frames, sensor)
-    tracker, frames = MarkerTracker(reference, look), FrameSequence(cfg, sensor, reference)
-    known, places = _followed(tracker, frames)
-    moved = np.stack(
-        [marker_displacements(sensor, tracker.reference_px, one)[1][:, :2] for one in places]
+    reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
+    tracker, frames = MarkerTracker(reference, appearance), FrameSequence(cfg, sensor, reference)
+
+    def track(frame: Frame) -> tuple[Frame, Float[np.ndarray, "n 2"]]:
+        missing = np.full(tracker.reference_px.shape, np.nan)
+        return without_image(frame), missing if frame.image is None else tracker.track(frame.image)
+
+    results = frames.process("following markers", track)
+    measured, positions = [frame for frame, _ in results], np.stack([p for _, p in results])
+    displacements = np.stack(
+        [marker_displacements(sensor, tracker.reference_px, p)[1][:, :2] for p in positions]
     )
-    _write(place, tracker.reference_px, known, places, moved)
-    values, lines = _summary(known, places, moved)
+    _write(files, tracker.reference_px, measured, positions, displacements)
+    values, lines = _summarize(len(measured), positions, displacements)
     if cfg.backward:
-        values["backward"] = _backward(frames, places, look)
-        lines.append(_backward_told(values["backward"]))
-    film.write_summary(place, values, lines)
-    _draw(place, cfg, sensor, tracker, frames, known, places, moved)
-    log.info("tracks: %s", place / _TABLE)
-    return place / _TABLE
-
-
-def _followed(tracker: MarkerTracker, frames: FrameSequence) -> tuple[list[Frame], Places]:
-    known, places = [], []
-    with progress("following markers", "frames") as tell:
-        for frame in frames:
-            none = np.full(tracker.reference_px.shape, np.nan)
-            places.append(none if frame.image is None else tracker.track(frame.image))
-            known.append(without_image(frame))
-            tell(len(known), frames.total)
-    return known, np.stack(places)
+        values["backward"] = _track_back(frames, positions, appearance)
+        lines.append(_describe_backward(values["backward"]))
+    files.write_frame_summary(measured, values, lines)
+    _draw(files, cfg, sensor, tracker, frames, measured, positions, displacements)
+    log.info("tracks: %s", files.folder / _TABLE)
+    return files.folder / _TABLE
 
 
 def _write(
-    place: Path,
-    begin: Float[np.ndarray, "n 2"],
-    known: Sequence[Frame],
-    places: Places,
-    moved: Places,
+    files: RunFiles,
+    reference_px: Float[np.ndarray, "n 2"],
+    frames: Sequence[Frame],
+    positions: Positions,
+    displacements: Positions,
 ) -> None:
-    def rows() -> Iterator[tuple[Any, ...]]:
-        for frame, now, went in zip(known, places, moved, strict=True):
-            for marker in range(len(begin)):
-                valid = int(np.isfinite(now[marker, 0]))
-                numbers = [float(v) for v in (*now[marker], *went[marker])]
-                yield (frame.index, frame.time_s, marker, *numbers, valid, frame.fault)
+    valid = np.isfinite(positions[..., 0])
 
-    write_table(place / _TABLE, _HEADER, rows())
-    write_arrays(
-        place / _ARRAYS,
-        begin_px=begin,
-        places_px=places,
-        displacement_mm=moved,
-        valid=np.isfinite(places[..., 0]),
-        time_s=times_of(known),
-        fault=np.array([frame.fault for frame in known]),
+    def rows() -> Iterator[tuple[Any, ...]]:
+        for k, frame in enumerate(frames):
+            for marker in range(len(reference_px)):
+                numbers = [float(v) for v in (*positions[k, marker], *displacements[k, marker])]
+                flags = int(valid[k, marker]), frame.fault
+                yield (frame.index, frame.time_s, marker, *numbers, *flags)
+
+    files.write_table(_TABLE, _HEADER, rows())
+    files.write_arrays(
+        _ARRAYS,
+        begin_px=reference_px,
+        places_px=positions,
+        displacement_mm=displacements,
+        valid=valid,
+        time_s=frame_times(frames),
+        fault=np.array([frame.fault for frame in frames]),
     )
 
 
-def _summary(
-    known: Sequence[Frame], places: Places, moved: Places
+def _summarize(
+    n_frames: int, positions: Positions, displacements: Positions
 ) -> tuple[dict[str, Any], list[str]]:
-    seen, size = np.isfinite(places[..., 0]), np.linalg.norm(moved, axis=2)
-    readable = seen.any(axis=1)
-    always = int(seen[readable].all(axis=0).sum()) if readable.any() else 0
-    most = float(np.nanmax(size)) if seen.any() else float("nan")
+    valid, size = np.isfinite(positions[..., 0]), np.linalg.norm(displacements, axis=2)
+    readable = valid.any(axis=1)
+    always = int(valid[readable].all(axis=0).sum()) if readable.any() else 0
+    largest = float(np.nanmax(size)) if valid.any() else float("nan")
     values: dict[str, Any] = {
-        "frames": len(known),
-        "faulty": faults_of(known),
-        "markers": places.shape[1],
-        "seen_share": float(seen.mean()),
+        "markers": positions.shape[1],
+        "seen_share": float(valid.mean()),
         "seen_in_all_readable_frames": always,
-        "largest_displacement_mm": most,
+        "largest_displacement_mm": largest,
     }
-    lines = [
-        f"{places.shape[1]} markers in {len(known)} frames: seen in {seen.mean():.1%} of cases,"
-        f" {always} of them in every frame that can be read; largest displacement {most:.3g} mm.",
-        *faults_told(known),
+    return values, [
+        f"{positions.shape[1]} markers in {n_frames} frames: seen in {valid.mean():.1%} of cases,"
+        f" {always} of them in every frame that can be read; largest displacement {largest:.3g} mm."
     ]
-    return values, lines
 
 
-def _backward(frames: FrameSequence, places: Places, look: MarkerAppearance) -> dict[str, Any]:
-    """Follow the markers of the last frame back to the first; tell where they come out."""
-    pairs = [(k, frame.image) for k, frame in enumerate(frames) if frame.image is not None]
-    if len(pairs) < 2:
+def _track_back(
+    frames: FrameSequence, positions: Positions, appearance: MarkerAppearance
+) -> dict[str, Any]:
+    """Track the markers of the last frame back to the first, and compare with their start."""
+    readable = [(k, frame.image) for k, frame in enumerate(frames) if frame.image is not None]
+    if len(readable) < 2:
         return {"markers": 0}
-    numbers, images = [k for k, _ in pairs], [image for _, image in pairs]
-    tracker = MarkerTracker(images[-1], look)
-    found = _to_the_first(tracker, images)
-    first, last = places[numbers[0]], places[numbers[-1]]
-    ends = np.isfinite(first[:, 0]) & np.isfinite(last[:, 0])
-    distance, twin = cKDTree(tracker.reference_px).query(np.nan_to_num(last, nan=-1e6))
-    same = ends & (distance < _SAME_PX)
-    off = np.linalg.norm(found[twin[same]] - first[same], axis=1)
-    told = off[np.isfinite(off)]
+    numbers, images = [k for k, _ in readable], [image for _, image in readable]
+    tracker = MarkerTracker(images[-1], appearance)
+    ends = _track_to_first(tracker, images)
+    first, last = positions[numbers[0]], positions[numbers[-1]]
+    valid = np.isfinite(first[:, 0]) & np.isfinite(last[:, 0])
+    distance, match = cKDTree(tracker.reference_px).query(np.nan_to_num(last, nan=-1e6))
+    matched = valid & (distance < _MATCH_PX)
+    errors = np.linalg.norm(ends[match[matched]] - first[matched], axis=1)
+    errors = errors[np.isfinite(errors)]
     return {
-        "markers": len(told),
-        "seen_at_both_ends": int(ends.sum()),
-        "median_px": float(np.median(told)) if len(told) else None,
-        "largest_px": float(told.max()) if len(told) else None,
-        "under_half_px": float((told < 0.5).mean()) if len(told) else None,
+        "markers": len(errors),
+        "seen_at_both_ends": int(valid.sum()),
+        "median_px": float(np.median(errors)) if len(errors) else None,
+        "largest_px": float(errors.max()) if len(errors) else None,
+        "under_half_px": float((errors < 0.5).mean()) if len(errors) else None,
     }
 
 
-def _to_the_first(tracker: MarkerTracker, images: Sequence[Image]) -> Float[np.ndarray, "n 2"]:
-    places = tracker.reference_px
-    with progress("following them back", "frames") as tell:
+def _track_to_first(tracker: MarkerTracker, images: Sequence[Image]) -> Float[np.ndarray, "n 2"]:
+    positions = tracker.reference_px
+    with progress("following them back", "frames") as report:
         for done, image in enumerate(images[-2::-1], 1):
-            places = tracker.track(image)
-            tell(done, len(images) - 1)
-    return places
+            positions = tracker.track(image)
+            report(done, len(images) - 1)
+    return positions
 
 
-def _backward_told(values: dict[str, Any]) -> str:
+def _describe_backward(values: dict[str, Any]) -> str:
     if not values["markers"]:
-        return "Followed back, no marker came out in the first frame."
+        return "Tracked back, no marker is found in the first frame."
     return (
-        f"Followed back from the last frame, {values['markers']} of the"
-        f" {values['seen_at_both_ends']} markers seen at both ends come out in the first:"
-        f" {values['median_px']:.2f} px from where they began in the median,"
+        f"Tracked back from the last frame, {values['markers']} of the"
+        f" {values['seen_at_both_ends']} markers seen at both ends are found in the first:"
+        f" {values['median_px']:.2f} px from their start in the median,"
         f" {values['largest_px']:.2f} px at most, {values['under_half_px']:.1%} within 0.5 px."
     )
 
 
 def _draw(
-    place: Path,
+    files: RunFiles,
     cfg: TrackSettings,
     sensor: SensorDescription,
     tracker: MarkerTracker,
     frames: FrameSequence,
-    known: Sequence[Frame],
-    places: Places,
-    moved: Places,
+    measured: Sequence[Frame],
+    positions: Positions,
+    displacements: Positions,
 ) -> None:
-    size, seen = np.linalg.norm(moved, axis=2), np.isfinite(places[..., 0])
-    view = MarkerView(
-        sensor, tracker.reference_px, colour_limit(size, _LEAST_MM), float(cfg.magnify)
-    )
+    size, valid = np.linalg.norm(displacements, axis=2), np.isfinite(positions[..., 0])
+    view = MarkerView(sensor, tracker.reference_px, colour_limit(size, _MIN_LIMIT_MM), cfg.magnify)
 
     def show(frame: Frame) -> None:
         k = frame.index
-        told = f"{int(seen[k].sum())} of {seen.shape[1]} markers"
-        if seen[k].any():
-            told += f", up to {np.nanmax(size[k]):.2f} mm"
-        view.show(frame.image, places[k], caption_of(known[k], len(known), told))
+        text = f"{int(valid[k].sum())} of {valid.shape[1]} markers"
+        if valid[k].any():
+            text += f", up to {np.nanmax(size[k]):.2f} mm"
+        view.show(frame.image, positions[k], caption(measured[k], len(measured), text))
 
-    film.draw(place, _STEM, view, frames, show, cfg, known, rate_of(known))
-    some = [row[valid] for row, valid in zip(size, seen, strict=True)]
-    most, middle = (
-        np.array([float(of(row)) if len(row) else np.nan for row in some])
-        for of in (np.max, np.median)
+    tracked = [row[mask] for row, mask in zip(size, valid, strict=True)]
+    largest, median = (
+        np.array([float(statistic(row)) if len(row) else np.nan for row in tracked])
+        for statistic in (np.max, np.median)
     )
-    plot_over_time(
-        {
-            "displacement, mm": {"largest": most, "median": middle},
-            "markers seen": {"seen": seen.sum(axis=1).astype(float)},
-        },
-        times_of(known),
-        [frame.index for frame in known if frame.fault],
-        place / film.OVER_TIME,
-    )
+    series = {
+        "displacement, mm": {"largest": largest, "median": median},
+        "markers seen": {"seen": valid.sum(axis=1).astype(float)},
+    }
+    files.draw(view, frames, show, cfg, measured, series)

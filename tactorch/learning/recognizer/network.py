@@ -1,4 +1,4 @@
-"""The recognizer: which inclusion a map of Young's modulus shows (Section V-B)."""
+"""The recognizer: classifies the inclusion in a map of Young's modulus (Section V-B)."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,8 +16,8 @@ from tactorch.learning.order import scheduled_adam
 class FCN(nn.Module):
     """A 3-D fully convolutional network (Long et al., 2015) with one score per class and voxel.
 
-    The scores' mean over the voxels decides, so that grids of any size will do, down to 4 voxels
-    in each direction.
+    Scores are averaged over the voxels, so that grids of any size from 4 voxels in each direction
+    are accepted.
 
     Args:
         classes: Number of classes.
@@ -53,17 +53,17 @@ class FCN(nn.Module):
 
 
 class Recognizer(lightning.LightningModule):
-    """Learns to name inclusions from log-modulus on a grid.
+    """Classifies inclusions from log-modulus on a grid.
 
     Args:
-        classes: Their names.
-        mean: Of the training maps' log-modulus; a buffer among the weights.
-        deviation: Its standard deviation, likewise.
+        classes: Names of the classes.
+        mean: Mean log-modulus of the training maps; stored with the weights.
+        deviation: Standard deviation of the log-modulus; likewise.
         hidden: See `FCN`.
         layers: See `FCN`.
         dropout: See `FCN`.
-        learning_rate: Of Adam, at its highest.
-        weight_decay: Of Adam.
+        learning_rate: Largest learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
     """
 
     mean: Tensor
@@ -96,7 +96,7 @@ class Recognizer(lightning.LightningModule):
 
     def training_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
         """Return the cross-entropy of a batch."""
-        loss, _ = self._judge(batch)
+        loss, _ = self._loss_and_accuracy(batch)
         self.log("train/loss", loss, on_step=False, on_epoch=True, sync_dist=True)
         return loss
 
@@ -113,16 +113,16 @@ class Recognizer(lightning.LightningModule):
         return self(batch[0]).softmax(dim=1)
 
     def configure_optimizers(self) -> Any:
-        """AdamW, its rate rising shortly and then falling to nothing along half a cosine."""
+        """Return AdamW with a linear warm-up and cosine decay."""
         return scheduled_adam(self, self.learning_rate, self.weight_decay)
 
-    def _judge(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    def _loss_and_accuracy(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         maps, labels = batch
         logits = self(maps)
         right = (logits.argmax(dim=1) == labels).double().mean()
         return functional.cross_entropy(logits, labels), right
 
     def _log(self, part: str, batch: Sequence[Tensor]) -> None:
-        loss, right = self._judge(batch)
+        loss, right = self._loss_and_accuracy(batch)
         values = {f"{part}/loss": loss, f"{part}/accuracy": right}
         self.log_dict(values, batch_size=len(batch[1]), sync_dist=True)

@@ -1,4 +1,4 @@
-"""How good a classifier's probabilities are."""
+"""Scores of a classifier's probabilities."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,8 @@ class ClassScores:
     Attributes:
         confusion: (c, c) counts, a row per true class.
         accuracy: Share of right answers.
-        precision: Of each class, (c,); NaN where it was never named.
-        recall: Of each class, (c,); NaN where it never occurred.
+        precision: Precision of each class, (c,); NaN where it was never predicted.
+        recall: Recall of each class, (c,); NaN where it never occurred.
         f1: Harmonic mean of both.
         calibration_error: Mean gap between stated probability and share of right answers, by
             tenths of the probability (Guo et al., 2017).

@@ -1,4 +1,4 @@
-"""What the surrogate sees of a dataset, worked out once and kept beside its shards."""
+"""Input of the surrogate for a dataset, computed once and cached in the folder of the dataset."""
 
 import json
 import logging
@@ -29,7 +29,7 @@ FOLDER = "touch"
 
 @dataclass(frozen=True, eq=False)
 class Touches:
-    """Many objects as the surrogate sees them, in half precision.
+    """Input of the surrogate for many objects, in half precision.
 
     Attributes:
         index: Number of each sample.
@@ -57,8 +57,8 @@ class Touches:
         return len(self.index)
 
     @property
-    def sound(self) -> bool:
-        """Whether the parts fit each other."""
+    def is_consistent(self) -> bool:
+        """Whether the sizes of the arrays agree."""
         n = len(self.index)
         each = (self.object, self.label, self.youngs_mpa, self.shared, self.target, self.inside)
         fit = all(len(part) == n for part in each) and len(self.begins) == n + 1
@@ -76,39 +76,41 @@ class Touches:
 def load_touches(
     folder: str | Path, count: int = 8, frames: int = 1, workers: int | None = None
 ) -> Touches:
-    """Return a dataset as the surrogate sees it; what is not yet worked out is, and is kept.
+    """Return the input of the surrogate for a dataset; missing parts are computed and cached.
 
-    Objects whose presses no uniform modulus carries are left out, with a warning.
+    Objects whose presses have no equilibrium with a uniform modulus are left out, with a warning.
 
     Args:
         folder: Dataset.
         count: See `touch`; targets have twice as many voxels in each direction.
         frames: See `touch`.
-        workers: Processes; as many as there are cores by default.
+        workers: Number of processes; None for the number of cores.
 
     Raises:
         FileError: The dataset is missing or damaged, or no sample of it can be used.
     """
-    found = SampleSet.open(folder)
-    found.verify()
+    samples = SampleSet.open(folder)
+    samples.verify()
     parts = []
-    shards = found.manifest["shards"]
+    shards = samples.manifest["shards"]
     for number, shard in enumerate(shards):
-        path = found.folder / FOLDER / f"{number:05d}-{_key(shard['sha256'], count, frames)}.npz"
+        path = samples.folder / FOLDER / f"{number:05d}-{_key(shard['sha256'], count, frames)}.npz"
         part = _read(path)
         if part is None:
-            _log.info("shard %d of %d: what the surrogate sees", number + 1, len(shards))
+            _log.info("shard %d of %d: input of the surrogate", number + 1, len(shards))
             end = shard["first"] + shard["count"]
-            indices = [i for i in found.indices if shard["first"] <= i < end]
-            part = _work_out(found, indices, count, frames, workers)
+            indices = [i for i in samples.indices if shard["first"] <= i < end]
+            part = _compute_part(samples, indices, count, frames, workers)
             _write(path, part)
         parts.append(part)
     touches = Touches.joined(parts)
     if not len(touches):
-        raise FileError(f"dataset '{folder}' has no sample that a uniform modulus carries.")
-    lost = len(found) - len(touches)
+        raise FileError(f"dataset '{folder}' has no sample in equilibrium with a uniform modulus.")
+    lost = len(samples) - len(touches)
     if lost:
-        _log.warning("%d of %d samples left out: no uniform modulus carries them", lost, len(found))
+        _log.warning(
+            "%d of %d samples left out: no equilibrium with a uniform modulus", lost, len(samples)
+        )
     return touches
 
 
@@ -116,39 +118,39 @@ def _key(checksum: str, count: int, frames: int) -> str:
     return sha256(json.dumps([VERSION, checksum, count, frames]).encode()).hexdigest()[:16]
 
 
-def _work_out(
-    found: SampleSet, indices: Sequence[int], count: int, frames: int, workers: int | None
+def _compute_part(
+    samples: SampleSet, indices: Sequence[int], count: int, frames: int, workers: int | None
 ) -> Touches:
     from joblib import Parallel, delayed, parallel_config
 
     with parallel_config(backend="loky", inner_max_num_threads=1):
         rows = Parallel(n_jobs=workers or -1)(
-            delayed(_one)(found, index, count, frames) for index in indices
+            delayed(_compute_row)(samples, index, count, frames) for index in indices
         )
-    return _gathered([row for row in rows if row is not None], count)
+    return _stack_rows([row for row in rows if row is not None], count)
 
 
-def _one(found: SampleSet, index: int, count: int, frames: int) -> dict[str, Any] | None:
-    sample = found[index]
+def _compute_row(samples: SampleSet, index: int, count: int, frames: int) -> dict[str, Any] | None:
+    sample = samples[index]
     with single_thread():
         try:
-            seen = touch(sample.recording, count, frames)
+            features = touch(sample.recording, count, frames)
         except ConvergenceError:
             return None
-    target, inside = targets(sample.recording.mesh, sample.truth, seen.youngs_mpa, 2 * count)
+    target, inside = targets(sample.recording.mesh, sample.truth, features.youngs_mpa, 2 * count)
     return {
         "index": sample.index,
         "object": sample.object,
         "label": sample.label,
-        "youngs_mpa": seen.youngs_mpa,
-        "presses": seen.presses.astype(np.float16),
-        "shared": seen.shared.astype(np.float16),
+        "youngs_mpa": features.youngs_mpa,
+        "presses": features.presses.astype(np.float16),
+        "shared": features.shared.astype(np.float16),
         "target": target.astype(np.float16),
         "inside": inside,
     }
 
 
-def _gathered(rows: Sequence[dict[str, Any]], count: int) -> Touches:
+def _stack_rows(rows: Sequence[dict[str, Any]], count: int) -> Touches:
     coarse, fine = (count,) * 3, (2 * count,) * 3
     none = np.zeros((0, len(PRESS_CHANNELS), *coarse), np.float16)
 
@@ -171,14 +173,14 @@ def _gathered(rows: Sequence[dict[str, Any]], count: int) -> Touches:
 def _write(path: Path, part: Touches) -> None:
     try:
         write_arrays(path, vars(part), compressed=True)
-    except FileError as error:  # a dataset may lie where one may only read
-        _log.warning("What the surrogate sees is not kept: %s", error)
+    except FileError as error:  # a dataset may be read-only
+        _log.warning("The input of the surrogate is not cached: %s", error)
 
 
 def _read(path: Path) -> Touches | None:
-    """Read a part; None where there is none that is sound."""
+    """Return a cached part; None where it is missing or not valid."""
     try:
         part = Touches(**read_arrays(path, "cached features", "they are computed again."))
     except (FileError, TypeError):
         return None
-    return part if part.sound else None
+    return part if part.is_consistent else None

@@ -14,27 +14,27 @@ from tactorch.learning.order import scheduled_adam
 from tactorch.learning.surrogate.touch import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
 from tactorch.learning.surrogate.unet import PressUNet
 
-_LEAST, _MOST = -5.0, 1.0  # of the logarithm of the deviation
+_MIN_LOG, _MAX_LOG = -5.0, 1.0  # of the standard deviation
 _IMAGE = SHARED_CHANNELS.index("image")
 
 
 class Surrogate(lightning.LightningModule):
-    """Learns a normal distribution of each voxel's log-modulus over the best uniform one.
+    """Predicts a normal distribution of each voxel's log-modulus over the best uniform one.
 
-    Trained is on the negative log-likelihood, each voxel weighed by its (detached) deviation, which
-    keeps the mean from being neglected where the deviation is large (Seitzer et al., 2022). Epochs
-    are chosen by the negative log-likelihood as it is.
+    The loss is the negative log-likelihood, weighted per voxel by the (detached) deviation, so that
+    the mean is not neglected where the deviation is large (Seitzer et al., 2022). Epochs are
+    selected by the unweighted negative log-likelihood.
 
     Args:
         press_scale: Typical size of each of a press's channels; a buffer among the weights.
         shared_scale: The same of the object's channels.
         width: See `PressUNet`.
         encoded: See `PressUNet`.
-        learning_rate: Of Adam, at its highest.
-        weight_decay: Of Adam.
-        cells: Of what it sees, in each direction; noted for those who use the weights.
-        frames: Load steps of each place that it sees; likewise.
-        version: Of what it sees, likewise.
+        learning_rate: Largest learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        cells: Cells of its input in each direction; stored with the weights.
+        frames: Load steps of each place in its input; likewise.
+        version: Version of its input; likewise.
     """
 
     press_scale: Tensor
@@ -57,8 +57,8 @@ class Surrogate(lightning.LightningModule):
             raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
         if version != VERSION:
             raise ConfigError(
-                f"these weights are for version {version} of what a surrogate sees, and this"
-                f" tactorch shows it version {VERSION}; train it again."
+                f"these weights are for version {version} of a surrogate's input, and this tactorch"
+                f" has version {VERSION}; train it again."
             )
         self.save_hyperparameters()
         self.cells, self.frames = cells, frames
@@ -74,16 +74,16 @@ class Surrogate(lightning.LightningModule):
         shared: Float[Tensor, "b s v v v"],
     ) -> tuple[Float[Tensor, "b w w w"], Float[Tensor, "b w w w"]]:
         """Return mean and standard deviation of log E over the uniform modulus."""
-        seen = presses / self.press_scale[:, None, None, None]
+        scaled = presses / self.press_scale[:, None, None, None]
         mean, rough = self.network(
-            seen, there, shared / self.shared_scale[:, None, None, None]
+            scaled, there, shared / self.shared_scale[:, None, None, None]
         ).unbind(dim=1)
         image = functional.interpolate(shared, scale_factor=2, mode="trilinear")[:, _IMAGE]
-        middle, half = 0.5 * (_LEAST + _MOST), 0.5 * (_MOST - _LEAST)
+        middle, half = 0.5 * (_MIN_LOG + _MAX_LOG), 0.5 * (_MAX_LOG - _MIN_LOG)
         return mean + image, torch.exp(middle + half * torch.tanh(rough))
 
     def training_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
-        """Return the weighed loss of a batch."""
+        """Return the weighted loss of a batch."""
         each, deviation = self._log_likelihood(batch)
         values = {"train/loss": each.detach().mean()}
         self.log_dict(values, on_step=False, on_epoch=True, sync_dist=True)
@@ -104,7 +104,7 @@ class Surrogate(lightning.LightningModule):
         return mean, deviation
 
     def configure_optimizers(self) -> Any:
-        """AdamW, its rate rising shortly and then falling to nothing along half a cosine."""
+        """Return AdamW with a linear warm-up and cosine decay."""
         return scheduled_adam(self, self.learning_rate, self.weight_decay)
 
     def _log_likelihood(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
@@ -129,13 +129,13 @@ class Surrogate(lightning.LightningModule):
 
 
 def correlation(
-    found: Float[Tensor, "b w w w"],
+    predicted: Float[Tensor, "b w w w"],
     truth: Float[Tensor, "b w w w"],
     inside: Bool[Tensor, "b w w w"],
 ) -> Float[Tensor, " b"]:
     """Return Pearson's correlation of each object's voxels inside."""
     rows = []
-    for a, b, where in zip(found, truth, inside, strict=True):
+    for a, b, where in zip(predicted, truth, inside, strict=True):
         pair = torch.stack([a[where], b[where]]).double()
         rows.append(torch.corrcoef(pair)[0, 1])
     return torch.stack(rows).nan_to_num(0.0)

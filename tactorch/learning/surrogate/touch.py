@@ -1,7 +1,7 @@
-"""What a network sees of a recording: fields on a cubic grid over the object, free of units.
+"""Input of the surrogate: dimensionless fields on a cubic grid over the object.
 
-Displacements are shares of what the press moved, tractions are over the best uniform modulus, and
-lengths over the object's box. So an object twice as large or as stiff looks the same.
+Displacements are divided by their root mean square, tractions by the best uniform modulus, and
+lengths by the bounding box, so that the fields do not depend on size and stiffness.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from tactorch.recording import Press, Recording
 
 #: Channels of each press; a vector field is named by its components.
 PRESS_CHANNELS = (
-    "excess_x", "excess_y", "excess_z",  # observed minus predicted by the uniform map
+    "excess_x", "excess_y", "excess_z",  # observed less predicted by the uniform map
     "moved_x", "moved_y", "moved_z",
     "traction_x", "traction_y", "traction_z",
     "valid", "held", "stretch", "noise",
@@ -28,8 +28,8 @@ PRESS_VECTORS = (0, 3, 6)
 #: Channels of the object.
 SHARED_CHANNELS = ("occupancy", "image", "explained", "compressible")
 VERSION = 2
-_LEAST = 1e-3  # of 1 - 2 nu; below it a material keeps its volume, for all that one sees
-_ALIKE = 0.9  # cosine between loads that count as one way to press
+_MIN_COMPRESSIBILITY = 1e-3  # of 1 - 2 nu
+_MIN_COSINE = 0.9  # between loads of one way to press
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +55,12 @@ def touch(
     noise: NoiseModel | None = None,
     bounds: Bounds | None = None,
 ) -> Touch:
-    """Put a recording on a grid.
+    """Return the fields of a recording on a grid.
 
     Args:
         recording: Presses on an object; its truth is not read.
         count: Cells in each direction, even.
-        frames: Load steps of each place to look at, the strongest first; those below tell little
-            that it does not.
+        frames: Load steps of each place to use, the strongest first.
         noise: Standard deviations for presses that do not state theirs.
         bounds: Limits of the uniform modulus.
 
@@ -98,7 +97,7 @@ def strongest(recording: Recording, frames: int) -> list[int]:
     for i, press in enumerate(recording.presses):
         for group in groups:
             first = recording.presses[group[0]]
-            alike = float(loads[i] @ loads[group[0]]) >= _ALIKE * sizes[i] * sizes[group[0]]
+            alike = float(loads[i] @ loads[group[0]]) >= _MIN_COSINE * sizes[i] * sizes[group[0]]
             if alike and np.array_equal(press.held, first.held):
                 group.append(i)
                 break
@@ -110,11 +109,11 @@ def strongest(recording: Recording, frames: int) -> list[int]:
 
 def _compressible(recording: Recording) -> float:
     """1 - 2 nu: 0 of a material that keeps its volume."""
-    return max(_LEAST, 1.0 - 2.0 * recording.material.poisson)
+    return max(_MIN_COMPRESSIBILITY, 1.0 - 2.0 * recording.material.poisson)
 
 
 def _load(press: Press) -> Float[np.ndarray, " dofs"]:
-    """What a press does to the object: forces, or what it prescribes, or how the object moved."""
+    """Return the load of a press: forces, else prescribed or observed displacements."""
     for field in (press.forces, press.prescribed):
         if field.any():
             return field.ravel()
@@ -132,10 +131,10 @@ def _press(
 ) -> Float[np.ndarray, "c v v v"]:
     data = press.data if press.weights is None else press.data & (press.weights > 0)
     predicted = evaluation.reported[i]
-    # Components that were not observed moved as the uniform map has it, for all that is known.
-    seen = np.where(data, press.displacement, predicted)
+    # Components that were not observed take the displacement of the uniform map.
+    displacement = np.where(data, press.displacement, predicted)
     valid = np.asarray(data.any(axis=1))
-    size = max(float(np.sqrt(np.mean(seen[data] ** 2))), deviation)
+    size = max(float(np.sqrt(np.mean(displacement[data] ** 2))), deviation)
     weight = grid.splat(valid.astype(float)[:, None])[0]
     there = weight > 1e-6
     share = np.where(there, 1.0 / np.maximum(weight, 1e-6), 0.0)
@@ -148,8 +147,8 @@ def _press(
     at = valid[:, None] / size
     return np.concatenate(
         [
-            grid.splat((seen - predicted) * at) * share,
-            grid.splat(seen * at) * share,
+            grid.splat((displacement - predicted) * at) * share,
+            grid.splat(displacement * at) * share,
             grid.splat(press.forces) / area,
             np.stack([valid_, held.astype(float), stretch, noise]),
         ]

@@ -55,7 +55,7 @@ class PressUNet(nn.Module):
             nn.SiLU(),
             nn.Conv3d(fine, out_channels, 3, padding=1),
         )
-        # Channels last is how processors convolve fastest: three times as fast here.
+        # Channels last is three times as fast on a CPU.
         self.to(memory_format=_LAST)  # type: ignore[call-overload]
 
     def forward(
@@ -64,9 +64,9 @@ class PressUNet(nn.Module):
         there: Bool[Tensor, "b k"],
         shared: Float[Tensor, "b s v v v"],
     ) -> Float[Tensor, "b out w w w"]:
-        """Return the fields; `there` tells presses from padding."""
-        seen = torch.cat([self._pooled(presses, there, shared), shared], dim=1)
-        wide = self.enter(seen.contiguous(memory_format=_LAST))
+        """Return the fields; `there` marks presses, as opposed to padding."""
+        joined = torch.cat([self._pooled(presses, there, shared), shared], dim=1)
+        wide = self.enter(joined.contiguous(memory_format=_LAST))
         wide = self.first(wide)
         deep = self.middle(self.down(wide))
         back = self.up(functional.interpolate(deep, size=wide.shape[2:], mode="nearest"))
@@ -76,8 +76,8 @@ class PressUNet(nn.Module):
 
     def _pooled(self, presses: Tensor, there: Tensor, shared: Tensor) -> Tensor:
         places = there.nonzero(as_tuple=True)
-        seen = torch.cat([presses[places], shared[places[0]]], dim=1)
-        codes = self.encoder(seen.contiguous(memory_format=_LAST))
+        joined = torch.cat([presses[places], shared[places[0]]], dim=1)
+        codes = self.encoder(joined.contiguous(memory_format=_LAST))
         spread = codes.new_zeros((*there.shape, *codes.shape[1:]))
         spread[places] = codes
         mean = spread.sum(dim=1) / there.sum(dim=1)[:, None, None, None, None]
@@ -87,7 +87,7 @@ class PressUNet(nn.Module):
 
 
 class Residual(nn.Module):
-    """Two normalised convolutions beside the identity (He et al., 2016).
+    """Two normalised convolutions and the identity (He et al., 2016).
 
     Args:
         channels: In and out.

@@ -1,4 +1,4 @@
-"""Trained weights: those of tactorch, and those of user-defined runs."""
+"""Trained weights: those of tactorch and those of other runs."""
 
 import io
 from pathlib import Path
@@ -11,13 +11,13 @@ from tactorch.files import atomic_path
 from tactorch.learning.surrogate.network import Surrogate
 from tactorch.learning.training import read_checkpoint, rebuild
 
-#: The surrogate that comes with tactorch; the file beside it tells how it was made.
+#: The surrogate of tactorch; surrogate.json states how it was made.
 SHIPPED = Path(__file__).with_name("surrogate.pt")
-_KEPT = ("state_dict", "hyper_parameters")
+_EXPORTED = ("state_dict", "hyper_parameters")
 
 
 def load_surrogate(path: Path) -> Surrogate:
-    """Make a surrogate from a checkpoint, or from weights that `export` wrote; ready to answer.
+    """Make a surrogate from a checkpoint, or from weights that `export` wrote; in evaluation mode.
 
     Raises:
         FileError: The file is missing, damaged or of another model.
@@ -37,7 +37,9 @@ def export(checkpoint: Path, path: Path) -> None:
     Raises:
         FileError: The checkpoint is missing or damaged.
     """
-    content: dict[str, Any] = {k: v for k, v in read_checkpoint(checkpoint).items() if k in _KEPT}
+    content: dict[str, Any] = {
+        k: v for k, v in read_checkpoint(checkpoint).items() if k in _EXPORTED
+    }
     content["state_dict"] = {k: v.half() for k, v in content["state_dict"].items()}
     memory = io.BytesIO()
     torch.save(content, memory)

@@ -1,4 +1,4 @@
-"""How good a surrogate is."""
+"""Evaluation of a trained surrogate."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,9 +18,9 @@ from tactorch.viz.learning import plot_predictions
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 
 
-def judge(judged: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> dict[str, Any]:
-    """Judge the networks of all splits; writes calibration.png and examples.png."""
-    answers = [_answers(*one) for one in judged]
+def evaluate(splits: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> dict[str, Any]:
+    """Evaluate the networks of all splits; writes calibration.png and examples.png."""
+    answers = [_answers(*split) for split in splits]
     joined = {key: torch.cat([a[key] for a in answers]) for key in answers[0]}
     truth, mean, inside = joined["truth"], joined["mean"], joined["inside"]
     found = correlation(mean.exp(), truth.exp(), inside)
@@ -56,7 +56,7 @@ def judge(judged: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> 
 
 
 def _answers(model: Any, data: Any, part: str, known: dict[str, Any]) -> dict[str, torch.Tensor]:
-    """Return what one split's network foretells of a part, and the truth."""
+    """Return the predictions of one split's network for a part, and the truth."""
     rows = []
     image = SHARED_CHANNELS.index("image")
     with torch.inference_mode():

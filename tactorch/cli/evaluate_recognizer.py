@@ -1,4 +1,4 @@
-"""How good a recognizer is."""
+"""Evaluation of a trained recognizer."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,10 +17,10 @@ from tactorch.viz.learning import plot_confusion, plot_examples
 _BATCH = 32
 
 
-def judge(judged: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> dict[str, Any]:
-    """Judge the networks of all splits; writes confusion.png, calibration.png, examples.png."""
-    answers = [_answers(*one) for one in judged]
-    classes = judged[0][3]["classes"]
+def evaluate(splits: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> dict[str, Any]:
+    """Evaluate the networks of all splits; writes confusion.png, calibration.png, examples.png."""
+    answers = [_answers(*split) for split in splits]
+    classes = splits[0][3]["classes"]
     each = [class_scores(a["probabilities"], a["truth"]).accuracy for a in answers]
     probabilities = np.concatenate([a["probabilities"] for a in answers])
     truth = np.concatenate([a["truth"] for a in answers])
