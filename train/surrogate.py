@@ -15,7 +15,7 @@ from typing import Any
 from tactorch.cli import main
 from tactorch.files import atomic_path
 from tactorch.generation import SampleSet
-from tactorch.learning.surrogate.weights import export
+from tactorch.learning.surrogate.network import export_weights
 from tactorch.learning.training import BEST, LAST
 
 _PLACES = ("folder:", "run_dir:", "resume:")
@@ -30,7 +30,7 @@ def make(folder: Path) -> None:
     else:
         main(["train", "experiment=surrogate", f"data.folder={data}", f"run_dir={run}"])
     main(["evaluate-model", f"run={run}", f"run_dir={evaluated}"])
-    export(run / BEST, folder / "surrogate.pt")
+    export_weights(run / BEST, folder / "surrogate.pt")
     with atomic_path(folder / "surrogate.json") as temporary:
         temporary.write_text(
             json.dumps(note(data, run, evaluated), indent=1) + "\n", encoding="utf-8"

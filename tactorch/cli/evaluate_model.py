@@ -73,7 +73,7 @@ def _network(trained: TrainOptions, data: Any, facts: dict[str, Any], own: Path)
     from tactorch.learning.training import BEST, load_weights
 
     if model_name(trained) == "surrogate":  # refuses weights of an older version of its input
-        from tactorch.learning.surrogate.weights import load_surrogate
+        from tactorch.learning.surrogate.network import load_surrogate
 
         return load_surrogate(own / BEST)
     model = make_model(trained, data, facts)

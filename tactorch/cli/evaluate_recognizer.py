@@ -1,4 +1,4 @@
-"""Evaluation of a trained recognizer."""
+"""Evaluation of a recognizer."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,38 +18,45 @@ _BATCH = 32
 
 
 def evaluate(splits: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) -> dict[str, Any]:
-    """Evaluate the networks of all splits; writes confusion.png, calibration.png, examples.png."""
-    answers = [_answers(*split) for split in splits]
+    """Return the scores over all splits; writes confusion.png, calibration.png, examples.png.
+
+    Args:
+        splits: Network, data module, part, and stored facts of the data of each split.
+        out: Folder of the pictures.
+    """
+    predictions = [_predict(*split) for split in splits]
     classes = splits[0][3]["classes"]
-    each = [class_scores(a["probabilities"], a["truth"]).accuracy for a in answers]
-    probabilities = np.concatenate([a["probabilities"] for a in answers])
-    truth = np.concatenate([a["truth"] for a in answers])
-    found = class_scores(probabilities, truth)
-    plot_confusion(found.confusion, classes, out / "confusion.png")
-    plot_reliability(found.confidence, found.right, found.counts, out / "calibration.png")
-    named = probabilities.argmax(axis=1)
+    by_split = [class_scores(p["probabilities"], p["truth"]).accuracy for p in predictions]
+    probabilities, truth, maps = (
+        np.concatenate([p[key] for p in predictions]) for key in ("probabilities", "truth", "maps")
+    )
+    scores = class_scores(probabilities, truth)
+    plot_confusion(scores.confusion, classes, out / "confusion.png")
+    plot_reliability(
+        scores.bin_confidence, scores.bin_accuracy, scores.bin_counts, out / "calibration.png"
+    )
+    predicted = probabilities.argmax(axis=1)
     titles = [
         f"{classes[t]}: {classes[n]} {p:.0%}"
-        for t, n, p in zip(truth, named, probabilities.max(axis=1), strict=True)
+        for t, n, p in zip(truth, predicted, probabilities.max(axis=1), strict=True)
     ]
-    maps = np.concatenate([a["maps"] for a in answers])
-    plot_examples(maps, titles, (named == truth).tolist(), out / "examples.png")
+    plot_examples(maps, titles, (predicted == truth).tolist(), out / "examples.png")
     result = {
         "samples": len(truth),
-        "accuracy": found.accuracy,
-        "accuracy_by_split": each,
-        "accuracy_deviation": float(np.std(each, ddof=len(each) > 1)),
-        "calibration_error": found.calibration_error,
+        "accuracy": scores.accuracy,
+        "accuracy_by_split": by_split,
+        "accuracy_deviation": float(np.std(by_split, ddof=len(by_split) > 1)),
+        "calibration_error": scores.calibration_error,
         "classes": {
-            name: {"precision": found.precision[i], "recall": found.recall[i], "f1": found.f1[i]}
+            name: {"precision": scores.precision[i], "recall": scores.recall[i], "f1": scores.f1[i]}
             for i, name in enumerate(classes)
         },
-        "confusion": found.confusion.tolist(),
+        "confusion": scores.confusion.tolist(),
     }
     log.info(
-        "accuracy %.1f %% of %d answers (%d splits: %.1f +- %.1f %%), calibration error %.3f",
-        100 * found.accuracy, len(truth), len(each), 100 * np.mean(each),
-        100 * result["accuracy_deviation"], found.calibration_error,
+        "accuracy %.1f %% of %d predictions (%d splits: %.1f +- %.1f %%), calibration error %.3f",
+        100 * scores.accuracy, len(truth), len(by_split), 100 * np.mean(by_split),
+        100 * result["accuracy_deviation"], scores.calibration_error,
     )  # fmt: skip
     names = ("precision", "recall", "f1")
     rows = [
@@ -61,20 +68,20 @@ def evaluate(splits: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) 
     return result
 
 
-def _answers(model: Any, data: Any, part: str, known: dict[str, Any]) -> dict[str, Any]:
-    """Return probabilities for the samples of a part, by one split's network."""
-    strange = set(data.classes) - set(known["classes"])
-    if strange:
+def _predict(model: Any, data: Any, part: str, facts: dict[str, Any]) -> dict[str, Any]:
+    """Return the probabilities that the network of a split predicts for a part."""
+    unknown = set(data.classes) - set(facts["classes"])
+    if unknown:
         raise ConfigError(
-            f"the dataset shows {', '.join(sorted(strange))}, and the network knows"
-            f" {', '.join(known['classes'])} only."
+            f"the dataset contains {', '.join(sorted(unknown))}, and the network distinguishes"
+            f" {', '.join(facts['classes'])} only; evaluate it on a dataset of these."
         )
-    truth = np.array([known["classes"].index(name) for name in data.classes])
-    places = data.parts[part]
+    truth = np.array([facts["classes"].index(name) for name in data.classes])
+    rows = data.parts[part]
     with torch.inference_mode():
-        logits = torch.cat([model(maps) for maps in data.maps[places].split(_BATCH)])
+        logits = torch.cat([model(maps) for maps in data.maps[rows].split(_BATCH)])
     return {
         "probabilities": logits.softmax(dim=1).double().numpy(),
-        "truth": truth[data.labels[places].numpy()],
-        "maps": data.maps[places][:, 0].double().numpy(),
+        "truth": truth[data.labels[rows].numpy()],
+        "maps": data.maps[rows][:, 0].double().numpy(),
     }

@@ -27,7 +27,7 @@ from tactorch.cli.tables import Table
 from tactorch.config import option, to_mapping
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import read_json
-from tactorch.learning.training import EpochsTold, TrainerOptions, fit
+from tactorch.learning.training import EpochProgress, TrainerOptions, fit
 
 SCORES, DATA_FILE = "scores.json", "data.json"
 _REMEDY = "restore it, or train again."
@@ -88,7 +88,7 @@ def _train_split(options: TrainOptions, number: int, place: Path) -> dict[str, f
     label = f"split {number + 1}" if options.splits > 1 else "training"
     trainer = replace(options.trainer, seed=options.seed)
     with progress(label, "epochs") as update:
-        callbacks = [EpochsTold(update)]
+        callbacks = [EpochProgress(update)]
         scores = fit(make_model(options, data), data, place, trainer, callbacks)
     write_json(done, {"settings": _decisive(options), "scores": scores})
     return scores

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 
 from tactorch.learning.recognizer.network import Recognizer
-from tactorch.learning.training import BEST, rebuild
+from tactorch.learning.training import BEST, load_network
 from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.metrics.checks import check_on_mesh
 
@@ -25,7 +25,7 @@ def load_recognizer(path: str | Path) -> Recognizer:
         files = [checkpoint / BEST, *sorted(checkpoint.glob(f"split-*/{BEST}"))]
         checkpoint = next((file for file in files if file.is_file()), files[0])
     advice = "give the run of `tactorch train experiment=recognizer`"
-    return rebuild(Recognizer, checkpoint, "recognizer", advice)
+    return load_network(Recognizer, checkpoint, "recognizer", advice)
 
 
 def recognise(

@@ -12,41 +12,41 @@ IDENTITY: Symmetry = ((0, 1, 2), (1, 1, 1))
 
 
 def symmetries(directions: Float[np.ndarray, "k 3"]) -> list[Symmetry]:
-    """Return the cube's symmetries that keep a set of push directions as it is.
+    """Return the symmetries of the cube under which a set of push directions is invariant.
 
     A symmetry is an order of the axes and a sign of each: axis i of the image is axis `order[i]`
-    of the original, times `signs[i]`. An object seen through one is an object as likely, pressed
-    from the same sides.
+    of the original, times `signs[i]`. The transformed object is equally likely and pressed from
+    the same sides.
 
     Args:
-        directions: Unit vectors along the axes, each once or more.
+        directions: Unit vectors along the axes, (k, 3); duplicates are allowed.
     """
     pushed = {tuple(np.round(d).astype(int).tolist()) for d in directions}
     allowed: list[Symmetry] = []
     for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
-        moved = {tuple(s * d[o] for o, s in zip(order, signs, strict=True)) for d in pushed}
-        if moved == pushed:
+        image = {tuple(s * d[o] for o, s in zip(order, signs, strict=True)) for d in pushed}
+        if image == pushed:
             allowed.append((order, signs))  # type: ignore[arg-type]
     return allowed
 
 
-def apply(symmetry: Symmetry, field: Tensor, vectors: Sequence[int] = ()) -> Tensor:
-    """Return fields on a cubic grid as seen through a symmetry.
+def apply_symmetry(symmetry: Symmetry, field: Tensor, vectors: Sequence[int] = ()) -> Tensor:
+    """Return fields on a cubic grid, transformed by a symmetry.
 
     Args:
-        symmetry: See `symmetries`.
-        field: (..., channels, v, v, v).
-        vectors: First channels of the vector fields among them, whose components turn as well.
+        symmetry: Order and signs of the axes, see `symmetries`.
+        field: Fields, (..., channels, v, v, v).
+        vectors: First channels of the vector fields, whose components are transformed as well.
     """
     order, signs = symmetry
     lead = field.dim() - 3
-    moved = field.permute(*range(lead), *(lead + axis for axis in order))
+    image = field.permute(*range(lead), *(lead + axis for axis in order))
     flipped = [lead + axis for axis, sign in enumerate(signs) if sign < 0]
-    moved = moved.flip(flipped) if flipped else moved
+    image = image.flip(flipped) if flipped else image
     if not vectors:
-        return moved
-    turned = moved.clone()
+        return image
+    rotated = image.clone()
     for first in vectors:
         for axis, (source, sign) in enumerate(zip(order, signs, strict=True)):
-            turned[..., first + axis, :, :, :] = sign * moved[..., first + source, :, :, :]
-    return turned
+            rotated[..., first + axis, :, :, :] = sign * image[..., first + source, :, :, :]
+    return rotated

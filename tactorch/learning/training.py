@@ -1,7 +1,12 @@
-"""One training: from a data module and a module to weights, a curve and a summary."""
+"""Training of a network: settings, callbacks, checkpoints and the learning-rate schedule.
+
+The random numbers of a training depend only on seed, epoch and step, so that a training resumed
+from a checkpoint gives the same result as an uninterrupted one.
+"""
 
 import io
 import json
+import math
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +16,7 @@ from typing import Any, ClassVar, Literal, TypeVar
 from zipfile import ZipFile
 
 import lightning
+import numpy as np
 import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
@@ -20,7 +26,6 @@ from lightning.pytorch.plugins.io import TorchCheckpointIO
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import atomic_path
-from tactorch.learning.order import SeededSteps
 
 LAST, BEST, CURVE = "last.ckpt", "best.ckpt", "curve.json"
 _Network = TypeVar("_Network", bound=lightning.LightningModule)
@@ -56,23 +61,23 @@ class TrainerOptions(Options):
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Writes checkpoints whole or not at all."""
+    """Writes checkpoints atomically."""
 
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None
     ) -> None:
-        """Write a checkpoint; torch itself ends a process on a full disk."""
+        """Write a checkpoint; `torch.save` to a full disk would abort the process."""
         memory = io.BytesIO()
         torch.save(checkpoint, memory)
         with atomic_path(path) as temporary:
             temporary.write_bytes(memory.getvalue())
 
 
-class Curve(lightning.Callback):
-    """The losses of every epoch, kept in the checkpoint and written beside it.
+class LossHistory(lightning.Callback):
+    """Writes the losses of every epoch to a JSON file, and stores them in the checkpoint.
 
     Args:
-        path: Of the JSON file.
+        path: Path of the JSON file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -82,7 +87,7 @@ class Curve(lightning.Callback):
     def on_train_epoch_end(
         self, trainer: lightning.Trainer, module: lightning.LightningModule
     ) -> None:
-        """Note the losses of the epoch."""
+        """Record the losses of the epoch."""
         values = {k: float(v) for k, v in trainer.callback_metrics.items()}
         self.epochs = self.epochs[: trainer.current_epoch]
         self.epochs.append({"epoch": float(trainer.current_epoch), **values})
@@ -90,36 +95,82 @@ class Curve(lightning.Callback):
             temporary.write_text(json.dumps(self.epochs, indent=1) + "\n", encoding="utf-8")
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what the checkpoint keeps."""
+        """Return the state for the checkpoint."""
         return {"epochs": self.epochs}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint."""
+        """Restore the state of a checkpoint."""
         self.epochs = list(state["epochs"])
 
 
-class EpochsTold(lightning.Callback):
-    """Tells at the end of each epoch how many are done, of how many, and the losses.
+class EpochProgress(lightning.Callback):
+    """Reports the number of finished epochs and their losses.
 
     Args:
-        tell: Called with epochs done, their limit, and a note such as ", loss 0.1".
+        report: Called with the finished epochs, their limit, and a note such as ", loss 0.1".
     """
 
-    def __init__(self, tell: Callable[[int, int, str], None]) -> None:
-        self.tell = tell
+    def __init__(self, report: Callable[[int, int, str], None]) -> None:
+        self.report = report
 
     def on_train_epoch_end(
         self, trainer: lightning.Trainer, module: lightning.LightningModule
     ) -> None:
-        """Tell."""
+        """Report the epoch."""
         if not trainer.is_global_zero:
             return
-        names = {"train/loss": "loss", "val/loss": "validation"}
-        found = {told: trainer.callback_metrics.get(name) for name, told in names.items()}
-        note = "".join(
-            f", {told} {value:.4g}" for told, value in found.items() if value is not None
-        )
-        self.tell(trainer.current_epoch + 1, int(trainer.max_epochs or 0), note)
+        metrics, note = trainer.callback_metrics, ""
+        for label, name in (("loss", "train/loss"), ("validation", "val/loss")):
+            if name in metrics:
+                note += f", {label} {metrics[name]:.4g}"
+        self.report(trainer.current_epoch + 1, int(trainer.max_epochs or 0), note)
+
+
+class SeededSteps(lightning.Callback):
+    """Seeds the random numbers of a network (such as dropout) at each step."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.seed = seed
+
+    def on_train_batch_start(
+        self, trainer: lightning.Trainer, module: lightning.LightningModule, *others: Any
+    ) -> None:
+        """Seed the step."""
+        torch.manual_seed(derive_seed(self.seed, trainer.global_step))
+
+
+def derive_seed(*numbers: int) -> int:
+    """Return a seed derived from several integers, such as seed and step."""
+    sequence = np.random.SeedSequence(list(numbers))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def make_optimizer(
+    module: lightning.LightningModule, learning_rate: float, weight_decay: float
+) -> Any:
+    """Return AdamW with `warmup_cosine`, in the form of `configure_optimizers`."""
+    optimizer = torch.optim.AdamW(module.parameters(), lr=learning_rate, weight_decay=weight_decay)
+    factor = warmup_cosine(int(module.trainer.estimated_stepping_batches))
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, factor)
+    return [optimizer], [{"scheduler": schedule, "interval": "step"}]
+
+
+def warmup_cosine(steps: int, warmup: float = 0.1) -> Callable[[int], float]:
+    """Return the learning-rate factor by step: linear warm-up, then cosine decay to 0.
+
+    Args:
+        steps: Number of steps.
+        warmup: Fraction of the steps in the warm-up.
+    """
+    total = max(1, steps)
+    first = max(1, round(warmup * total))
+
+    def factor(step: int) -> float:
+        if step < first:
+            return (step + 1) / first
+        return 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - first) / max(1, total - first))))
+
+    return factor
 
 
 def fit(
@@ -129,35 +180,38 @@ def fit(
     options: TrainerOptions | None = None,
     callbacks: Sequence[lightning.Callback] = (),
 ) -> dict[str, float]:
-    """Train, or go on from the folder's last checkpoint; returns the scores on the test part.
+    """Train a network, from the last checkpoint of the folder if there is one.
 
     Args:
-        module: What to train; its weights are the best ones afterwards.
-        data: What to train on.
-        folder: Gets last.ckpt, best.ckpt, curve.json and TensorBoard's files.
-        options: How.
-        callbacks: Lightning's, beside our own.
+        module: Network; it has the best weights afterwards.
+        data: Data module.
+        folder: Folder for last.ckpt, best.ckpt, curve.json and the files of TensorBoard.
+        options: Settings of the training.
+        callbacks: Additional callbacks of Lightning.
+
+    Returns:
+        Scores on the test part by name.
 
     Raises:
         FileError: The checkpoint is damaged or of another model.
-        ConfigError: An option cannot be used.
-        KeyboardInterrupt: Ctrl-C ended the training; it goes on from its last epoch.
+        ConfigError: An option is not valid.
+        KeyboardInterrupt: Ctrl-C ended the training; the next call continues after its last epoch.
     """
     options = options or TrainerOptions()
     folder.mkdir(parents=True, exist_ok=True)
-    judged = _has_validation(data)
-    if options.patience is not None and not judged:
+    has_validation = _has_validation(data)
+    if options.patience is not None and not has_validation:
         raise ConfigError("trainer.patience needs a validation part; give it a share of the data.")
-    trainer = _trainer(folder, options, judged, callbacks)
+    trainer = _trainer(folder, options, has_validation, callbacks)
     last, best = folder / LAST, folder / BEST
     if last.is_file():
         check_checkpoint(last, module)
     on_interrupt = signal.getsignal(signal.SIGINT)
     try:
         trainer.fit(module, datamodule=data, ckpt_path=str(last) if last.is_file() else None)
-    except SystemExit as end:  # so Lightning ends a process on Ctrl-C, without a word
+    except SystemExit as end:  # Lightning exits on Ctrl-C without a message
         if trainer.interrupted:
-            signal.signal(signal.SIGINT, on_interrupt)  # which Lightning took away
+            signal.signal(signal.SIGINT, on_interrupt)  # Lightning removed it
             raise KeyboardInterrupt from end
         raise
     except OSError as error:
@@ -165,7 +219,7 @@ def fit(
             f"cannot write into '{folder}': {error}; check its permissions and the free space."
             " Training continues from its last checkpoint."
         ) from error
-    if not judged:  # there is nothing to choose by: the last is as good as any
+    if not has_validation:  # no loss to select an epoch by: take the last
         trainer.save_checkpoint(best)
     load_weights(module, best)
     scores = trainer.test(module, datamodule=data, verbose=False)
@@ -175,14 +229,18 @@ def fit(
 def _trainer(
     folder: Path,
     options: TrainerOptions,
-    judged: bool,
+    has_validation: bool,
     callbacks: Sequence[lightning.Callback],
 ) -> lightning.Trainer:
-    """Make Lightning's trainer; it keeps the last epoch, and the best where that can be told."""
-    kept = [ModelCheckpoint(folder, Path(LAST).stem, enable_version_counter=False)]
-    if judged:
+    """Return a trainer that saves the last epoch and, with validation data, the best one."""
+    checkpoints = [ModelCheckpoint(folder, Path(LAST).stem, enable_version_counter=False)]
+    if has_validation:
         name = Path(BEST).stem
-        kept.append(ModelCheckpoint(folder, name, monitor="val/loss", enable_version_counter=False))
+        checkpoints.append(
+            ModelCheckpoint(folder, name, monitor="val/loss", enable_version_counter=False)
+        )
+    if options.patience is not None:
+        callbacks = [EarlyStopping("val/loss", patience=options.patience), *callbacks]
     limit = None if options.max_minutes is None else timedelta(minutes=options.max_minutes)
     settings: dict[str, Any] = dict(
         accelerator=options.accelerator,
@@ -193,10 +251,9 @@ def _trainer(
         max_time=limit,
         gradient_clip_val=options.gradient_clip,
         callbacks=[
-            *kept,
-            Curve(folder / CURVE),
+            *checkpoints,
+            LossHistory(folder / CURVE),
             SeededSteps(options.seed),
-            *_patience(options.patience),
             *callbacks,
         ],
         logger=TensorBoardLogger(str(folder), name="", version="tensorboard"),
@@ -219,18 +276,18 @@ def _has_validation(data: lightning.LightningDataModule) -> bool:
 
 
 def check_checkpoint(path: Path, module: lightning.LightningModule) -> Mapping[str, Any]:
-    """Read a checkpoint, and make sure that its weights fit the module.
+    """Return the content of a checkpoint whose weights fit the module.
 
     Raises:
-        FileError: It is missing, damaged or of another model; says what differs.
+        FileError: The file is missing, damaged or of another model; the message names a difference.
     """
     content = read_checkpoint(path)
-    weights, wanted = content["state_dict"], module.state_dict()
-    for name in sorted({*weights, *wanted}):
-        have = tuple(weights[name].shape) if name in weights else None
-        want = tuple(wanted[name].shape) if name in wanted else None
-        if have != want:
-            there, here = ("missing" if shape is None else shape for shape in (have, want))
+    weights, expected = content["state_dict"], module.state_dict()
+    for name in sorted({*weights, *expected}):
+        there, here = (
+            tuple(part[name].shape) if name in part else "missing" for part in (weights, expected)
+        )
+        if there != here:
             raise FileError(
                 f"checkpoint '{path}' is of another model: {name} is {there} there and {here} here;"
                 " give the settings that it was trained with."
@@ -239,10 +296,10 @@ def check_checkpoint(path: Path, module: lightning.LightningModule) -> Mapping[s
 
 
 def read_checkpoint(path: Path) -> Mapping[str, Any]:
-    """Read a checkpoint; nothing in it is run.
+    """Return the content of a checkpoint, without executing code in it.
 
     Raises:
-        FileError: It is missing or damaged.
+        FileError: The file is missing or damaged.
     """
     try:
         with ZipFile(path) as archive:  # torch does not compare the checksums
@@ -253,7 +310,7 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
         content["state_dict"].items()
     except FileNotFoundError as error:
         raise FileError(f"checkpoint not found: '{path}'.") from error
-    except Exception as error:  # what a damaged archive raises has no common base
+    except Exception as error:  # errors of damaged archives have no common base class
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
         raise FileError(
             f"checkpoint '{path}' is damaged or no checkpoint ({reason}); train again, or give"
@@ -263,21 +320,23 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
     return content
 
 
-def rebuild(make: Callable[..., _Network], path: Path, kind: str, advice: str) -> _Network:
-    """Load a network in evaluation mode from a checkpoint, which contains its settings.
+def load_network(
+    network_class: Callable[..., _Network], path: Path, kind: str, advice: str
+) -> _Network:
+    """Return a network in evaluation mode, with the settings and weights of a checkpoint.
 
     Args:
-        make: The network's class.
-        path: The checkpoint.
-        kind: What messages call the network.
-        advice: What to do where the checkpoint is another network's.
+        network_class: Class of the network.
+        path: Path of the checkpoint.
+        kind: Name of the network in messages.
+        advice: Remedy in the message if the checkpoint is of another network.
 
     Raises:
         FileError: The file is missing, damaged or of another network.
     """
     content = read_checkpoint(path)
     try:
-        network = make(**content["hyper_parameters"])
+        network = network_class(**content["hyper_parameters"])
         network.load_state_dict({k: v.float() for k, v in content["state_dict"].items()})
     except ConfigError as error:
         raise FileError(f"weights '{path}': {error}") from error
@@ -288,13 +347,9 @@ def rebuild(make: Callable[..., _Network], path: Path, kind: str, advice: str) -
 
 
 def load_weights(module: lightning.LightningModule, path: Path) -> None:
-    """Take the weights of a checkpoint.
+    """Load the weights of a checkpoint into a network.
 
     Raises:
-        FileError: It is missing, damaged or of another model.
+        FileError: The file is missing, damaged or of another model.
     """
     module.load_state_dict(check_checkpoint(path, module)["state_dict"])
-
-
-def _patience(epochs: int | None) -> list[lightning.Callback]:
-    return [] if epochs is None else [EarlyStopping("val/loss", patience=epochs)]

@@ -52,7 +52,7 @@ def test_a_prior_about_a_surrogates_map_is_made_again(tactorch: Any, recording_f
     about = ("initialization=surrogate", "initialization.prior_mean=true")
     quick = ("plots=false", "optimizer.max_iterations=1", "run_dir=run")
     done = tactorch("invert", f"recording={recording_file}", *about, *quick)
-    assert "The prior is about the surrogate's map" in done.out
+    assert "The surrogate's map is the mean of the prior" in done.out
     assert tactorch("report", "run").status == 0
     page = Path("run/report.html").read_text(encoding="utf-8")
     assert "are left out" not in page

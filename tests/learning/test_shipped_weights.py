@@ -8,7 +8,7 @@ import pytest
 from tactorch.inverse import Bounds, InverseProblem
 from tactorch.inverse.starts import homogeneous
 from tactorch.learning.surrogate import Prediction, SurrogateStart
-from tactorch.learning.surrogate.weights import SHIPPED
+from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS
 from tactorch.mesh import Box, Sphere, box_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import Recording
@@ -21,8 +21,8 @@ def start() -> SurrogateStart:
 
 
 def test_they_are_small_and_say_what_they_were_made_of() -> None:
-    assert SHIPPED.stat().st_size < 5e6
-    note = json.loads(SHIPPED.with_suffix(".json").read_text())
+    assert INCLUDED_WEIGHTS.stat().st_size < 5e6
+    note = json.loads(INCLUDED_WEIGHTS.with_suffix(".json").read_text())
     recipe = note["dataset"]["recipe"]
     assert recipe["name"] == "warmstart"
     assert recipe["count"] == 3000

@@ -23,13 +23,12 @@ from tactorch.inverse.starts import fits_better_than_uniform, homogeneous
 from tactorch.inverse.uniform import uniform_fit
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.surrogate import Prediction, SurrogateStart
-from tactorch.learning.surrogate import cache as touch_cache
-from tactorch.learning.surrogate.cache import load_touches
-from tactorch.learning.surrogate.data import SurrogateData, Turned
-from tactorch.learning.surrogate.network import Surrogate
-from tactorch.learning.surrogate.touch import SHARED_CHANNELS
+from tactorch.learning.surrogate import cache as feature_cache
+from tactorch.learning.surrogate.cache import load_features
+from tactorch.learning.surrogate.data import AugmentedSamples, SurrogateData
+from tactorch.learning.surrogate.features import SHARED_CHANNELS
+from tactorch.learning.surrogate.network import Surrogate, export_weights, load_surrogate
 from tactorch.learning.surrogate.unet import PressUNet
-from tactorch.learning.surrogate.weights import export, load_surrogate
 from tactorch.learning.symmetry import symmetries
 from tactorch.learning.training import BEST, TrainerOptions, fit
 from tactorch.recording import Recording
@@ -58,7 +57,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(dataset: Path) -> SurrogateData:
-    load_touches(dataset, 4, workers=1)  # starting processes would take longer
+    load_features(dataset, 4, workers=1)  # starting processes would take longer
     return SurrogateData(dataset, cells=4, batch=4, shares=(0.5, 0.25, 0.25))
 
 
@@ -85,47 +84,47 @@ def test_number_and_order_of_presses_do_not_matter() -> None:
     torch.manual_seed(0)
     network = PressUNet(5, 3, 2, 8, 4).eval()
     presses, shared = torch.randn(2, 4, 5, 4, 4, 4), torch.randn(2, 3, 4, 4, 4)
-    there = torch.tensor([[True, True, False, False], [True, True, True, True]])
-    expected = network(presses, there, shared)
+    mask = torch.tensor([[True, True, False, False], [True, True, True, True]])
+    expected = network(presses, mask, shared)
     assert expected.shape == (2, 2, 8, 8, 8)
     order = torch.tensor([2, 0, 3, 1])
-    torch.testing.assert_close(network(presses[:, order], there[:, order], shared), expected)
-    alone = network(presses[:1, :2], there[:1, :2], shared[:1])
+    torch.testing.assert_close(network(presses[:, order], mask[:, order], shared), expected)
+    alone = network(presses[:1, :2], mask[:1, :2], shared[:1])
     torch.testing.assert_close(alone, expected[:1])
-    assert (network(presses[:1, :1], there[:1, :1], shared[:1]) - alone).abs().max() > 1e-4
+    assert (network(presses[:1, :1], mask[:1, :1], shared[:1]) - alone).abs().max() > 1e-4
 
 
 def test_each_object_has_its_own_presses(data: SurrogateData) -> None:
-    touches = data.touches
-    assert len(touches) == 12
-    assert set(np.diff(touches.begins)) == {1, 3}
-    presses, there, shared, target, inside = next(iter(data.test_dataloader()))
+    features = data.features
+    assert len(features) == 12
+    assert set(np.diff(features.begins)) == {1, 3}
+    presses, mask, shared, target, inside = next(iter(data.test_dataloader()))
     place = data.parts["test"][0]
-    begin, end = touches.begins[place : place + 2]
-    np.testing.assert_array_equal(there[0].sum(), end - begin)
-    np.testing.assert_array_equal(presses[0, : end - begin], touches.presses[begin:end])
-    np.testing.assert_array_equal(target[0], touches.target[place])
+    begin, end = features.begins[place : place + 2]
+    np.testing.assert_array_equal(mask[0].sum(), end - begin)
+    np.testing.assert_array_equal(presses[0, : end - begin], features.presses[begin:end])
+    np.testing.assert_array_equal(target[0], features.target[place])
     assert inside.all()
     assert shared.shape[1:] == (len(SHARED_CHANNELS), 4, 4, 4)
 
 
-def test_what_was_worked_out_is_kept(dataset: Path, data: SurrogateData, monkeypatch) -> None:
+def test_computed_features_are_cached(dataset: Path, data: SurrogateData, monkeypatch) -> None:
     def never(*args: object) -> None:
-        raise AssertionError("worked out again")
+        raise AssertionError("computed again")
 
-    monkeypatch.setattr(touch_cache, "_compute_part", never)
-    again = load_touches(dataset, 4)
-    np.testing.assert_array_equal(again.presses, data.touches.presses)
+    monkeypatch.setattr(feature_cache, "_compute_part", never)
+    again = load_features(dataset, 4)
+    np.testing.assert_array_equal(again.presses, data.features.presses)
     with pytest.raises(AssertionError):
-        load_touches(dataset, 4, frames=2)
+        load_features(dataset, 4, frames=2)
 
 
-def test_a_torn_file_is_worked_out_anew(dataset: Path, data: SurrogateData) -> None:
-    path = sorted((dataset / touch_cache.FOLDER).glob("*.npz"))[1]
+def test_damaged_files_are_computed_again(dataset: Path, data: SurrogateData) -> None:
+    path = sorted((dataset / feature_cache.FOLDER).glob("*.npz"))[1]
     path.write_bytes(path.read_bytes()[:1000])
-    again = load_touches(dataset, 4, workers=1)
-    np.testing.assert_array_equal(again.presses, data.touches.presses)
-    np.testing.assert_array_equal(again.target, data.touches.target)
+    again = load_features(dataset, 4, workers=1)
+    np.testing.assert_array_equal(again.presses, data.features.presses)
+    np.testing.assert_array_equal(again.target, data.features.target)
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
     for _ in range(40):
@@ -133,23 +132,23 @@ def test_a_torn_file_is_worked_out_anew(dataset: Path, data: SurrogateData) -> N
         for place in rng.integers(len(torn), size=3):
             torn[place] ^= 0xFF
         path.write_bytes(torn)
-        part = touch_cache._read(path)
-        assert part is None or part.sound
+        part = feature_cache._read(path)
+        assert part is None or part.is_consistent
     path.write_bytes(whole)
 
 
 def test_a_turned_object_keeps_its_truth(data: SurrogateData) -> None:
     """Presses, truth and outline turn together: the image stays as like the truth as it was."""
-    rows = Turned(data.touches, range(6), symmetries(np.zeros((0, 3))), seed=0)
+    rows = AugmentedSamples(data.features, range(6), symmetries(np.zeros((0, 3))), seed=0)
     for place in range(6):
-        touches = data.touches
+        features = data.features
         for epoch in range(3):
             presses, shared, target, _ = rows[epoch, place]
             fine = torch.nn.functional.interpolate(shared[None], scale_factor=2)[0, 1]
             turned = torch.corrcoef(torch.stack([fine.ravel(), target.ravel()]))[0, 1]
-            own = torch.from_numpy(touches.shared[place]).float()
+            own = torch.from_numpy(features.shared[place]).float()
             fine = torch.nn.functional.interpolate(own[None], scale_factor=2)[0, 1]
-            truth = torch.from_numpy(touches.target[place]).float()
+            truth = torch.from_numpy(features.target[place]).float()
             plain = torch.corrcoef(torch.stack([fine.ravel(), truth.ravel()]))[0, 1]
             torch.testing.assert_close(turned, plain, atol=1e-4, rtol=0.0)
             # Tractions push into the object, on whatever side.
@@ -162,7 +161,7 @@ def test_a_turned_object_keeps_its_truth(data: SurrogateData) -> None:
 
 def test_weights_travel(run: Path, tmp_path: Path, recording: Recording) -> None:
     """Half precision changes little, and the file is small."""
-    export(run / BEST, tmp_path / "small.pt")
+    export_weights(run / BEST, tmp_path / "small.pt")
     assert (tmp_path / "small.pt").stat().st_size < 0.3 * (run / BEST).stat().st_size
     whole, small = SurrogateStart(run / BEST), SurrogateStart(tmp_path / "small.pt")
     assert whole.network.cells == small.network.cells == 4
@@ -185,8 +184,8 @@ def test_an_inversion_starts_from_it(run: Path, recording: Recording) -> None:
     assert np.ptp(seen[0]) > 0
 
 
-class Says(SurrogateStart):
-    """A surrogate that foretells a given map."""
+class GivenMap(SurrogateStart):
+    """A surrogate that predicts a given map."""
 
     def __init__(self, youngs: np.ndarray, **settings: object) -> None:
         super().__init__(**settings)
@@ -207,7 +206,7 @@ def test_a_poor_map_is_refused(
     uniform = homogeneous(problem, bounds)
     truth = recording.truth
     assert truth is not None
-    poor = Says(uniform**2 / truth if kind == "upside down" else 0.001 * truth)
+    poor = GivenMap(uniform**2 / truth if kind == "upside down" else 0.001 * truth)
     with caplog.at_level(logging.WARNING):
         taken = poor(problem, bounds)
         settings = poor.with_prior_mean(Settings(), recording)
@@ -215,7 +214,7 @@ def test_a_poor_map_is_refused(
     assert settings == Settings()
     reason = "its misfit" if kind == "upside down" else "the presses collapse it"
     assert caplog.text.count(f"surrogate's map is refused: {reason}") == 2
-    good = Says(truth)
+    good = GivenMap(truth)
     np.testing.assert_array_equal(good(problem, bounds), truth)
     about = good.with_prior_mean(Settings(), recording)
     assert about == Settings(regularization=ShiftedPrior(mean_mpa=truth, share=0.5))
@@ -227,16 +226,16 @@ def test_only_a_map_that_explains_the_presses_is_trusted(
     truth = recording.truth
     assert truth is not None
     uniform = homogeneous(InverseProblem(recording), Bounds())
-    half = Says(np.sqrt(uniform * truth))  # better than uniform, but not as good as the noise
+    half = GivenMap(np.sqrt(uniform * truth))  # better than uniform, but not as good as the noise
     with caplog.at_level(logging.INFO):
         assert half.with_prior_mean(Settings(), recording) == Settings()
-    assert "The prior is not about the surrogate's map, which leaves chi2" in caplog.text
-    forced = Says(half.youngs, prior_mean=True).with_prior_mean(Settings(), recording)
+    assert "The surrogate's map is not used as the mean of the prior: its chi2" in caplog.text
+    forced = GivenMap(half.youngs, prior_mean=True).with_prior_mean(Settings(), recording)
     assert isinstance(forced.regularization, ShiftedPrior)
 
 
 def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -> None:
-    """Both maps are judged at the nuisance values from which inversions start."""
+    """Both maps are evaluated at the nuisance values from which inversions start."""
     free, bounds = NuisancePrior(rest_scale=0.1), Bounds()
     problem = InverseProblem(perturb_recording(recording, size=1.05), nuisance=free)
     plain = uniform_fit(problem, bounds).youngs_mpa
@@ -256,7 +255,7 @@ def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -
 )
 def test_priors_without_use_for_a_mean(recording: Recording, settings: Settings) -> None:
     with pytest.raises(ConfigError, match="cannot be the mean of"):
-        Says(np.ones(recording.mesh.n_tets)).with_prior_mean(settings, recording)
+        GivenMap(np.ones(recording.mesh.n_tets)).with_prior_mean(settings, recording)
 
 
 def test_wrong_weights_are_named(run: Path, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from tactorch.learning.symmetry import apply, symmetries
+from tactorch.learning.symmetry import apply_symmetry, symmetries
 from tactorch.mesh import VoxelGrid, box_mesh
 
 X, Y, Z = np.eye(3)
@@ -35,5 +35,5 @@ def test_a_field_is_seen_as_by_coordinates() -> None:
         Q[range(3), order] = signs
         back = points @ Q  # where an image point comes from
         expected = np.column_stack((scalar(back), vector(back) @ Q.T)).T.reshape(4, 6, 6, 6)
-        found = apply((order, signs), torch.from_numpy(values), vectors=(1,))
+        found = apply_symmetry((order, signs), torch.from_numpy(values), vectors=(1,))
         np.testing.assert_allclose(found.numpy(), expected, atol=1e-12)

@@ -13,18 +13,20 @@ import torch
 from torch.utils.data import DataLoader, TensorDataset
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.learning.order import EpochSampler, rise_and_fall, seed_of
-from tactorch.learning.recognizer.data import Turned
+from tactorch.learning.data import EpochSampler
+from tactorch.learning.recognizer.data import AugmentedMaps
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.symmetry import symmetries
 from tactorch.learning.training import (
     BEST,
     CURVE,
     LAST,
-    EpochsTold,
+    EpochProgress,
     TrainerOptions,
     check_checkpoint,
+    derive_seed,
     fit,
+    warmup_cosine,
 )
 
 
@@ -41,7 +43,7 @@ class Blobs(lightning.LightningDataModule):
         self.allowed = symmetries(np.array([[0.0, 0.0, -1.0]]))
 
     def train_dataloader(self) -> DataLoader:
-        data = Turned(self.maps, self.labels, self.allowed, 0.1, 3)
+        data = AugmentedMaps(self.maps, self.labels, self.allowed, 0.1, 3)
         return DataLoader(data, 5, sampler=EpochSampler(len(data), 3))
 
     def val_dataloader(self) -> DataLoader:
@@ -92,11 +94,11 @@ def test_ctrl_c_is_an_interruption_and_can_be_pressed_again(tmp_path: Path) -> N
     assert (tmp_path / LAST).is_file()
 
 
-def test_epochs_are_told_with_their_losses(tmp_path: Path) -> None:
-    told: list[tuple[int, int, str]] = []
-    curve = trained(tmp_path, (EpochsTold(lambda *what: told.append(what)),))
-    assert [what[:2] for what in told] == [(done, 4) for done in range(1, 5)]
-    for (*_, note), epoch in zip(told, curve, strict=True):
+def test_epochs_are_reported_with_their_losses(tmp_path: Path) -> None:
+    reports: list[tuple[int, int, str]] = []
+    curve = trained(tmp_path, (EpochProgress(lambda *report: reports.append(report)),))
+    assert [report[:2] for report in reports] == [(done, 4) for done in range(1, 5)]
+    for (*_, note), epoch in zip(reports, curve, strict=True):
         losses = f", loss {epoch['train/loss']:.4g}, validation {epoch['val/loss']:.4g}"
         assert note == losses
 
@@ -137,7 +139,7 @@ def test_the_last_epoch_is_kept_even_if_the_first_was_the_best(tmp_path: Path) -
     assert epochs == [3, 0]
 
 
-class Unjudged(Blobs):
+class WithoutValidation(Blobs):
     """Has no validation part."""
 
     def val_dataloader(self) -> DataLoader:
@@ -146,11 +148,11 @@ class Unjudged(Blobs):
 
 def test_without_validation_the_last_weights_are_the_result(tmp_path: Path) -> None:
     model = Recognizer(["a", "b"], hidden=4, layers=2)
-    fit(model, Unjudged(), tmp_path, TrainerOptions(max_epochs=2))
+    fit(model, WithoutValidation(), tmp_path, TrainerOptions(max_epochs=2))
     weights = [torch.load(tmp_path / name)["state_dict"] for name in (LAST, BEST)]
     torch.testing.assert_close(*weights)
     with pytest.raises(ConfigError, match="needs a validation part"):
-        fit(model, Unjudged(), tmp_path, TrainerOptions(patience=3))
+        fit(model, WithoutValidation(), tmp_path, TrainerOptions(patience=3))
     with pytest.raises(ConfigError, match="trainer: "):
         fit(model, Blobs(), tmp_path / "x", TrainerOptions(precision="7-bit"))
 
@@ -164,15 +166,15 @@ def test_order_and_augmentation_depend_on_seed_and_epoch_alone() -> None:
     assert [place for _, place in first] != [place for _, place in second]
     assert {epoch for epoch, _ in second} == {1}
     data = Blobs()
-    turned = Turned(data.maps, data.labels, data.allowed, 0.1, 3)
-    torch.testing.assert_close(turned[(2, 5)][0], turned[(2, 5)][0])
-    assert not torch.equal(turned[(2, 5)][0], turned[(3, 5)][0])
-    assert len({seed_of(1, 2), seed_of(2, 1), seed_of(1, 3)}) == 3
+    maps = AugmentedMaps(data.maps, data.labels, data.allowed, 0.1, 3)
+    torch.testing.assert_close(maps[(2, 5)][0], maps[(2, 5)][0])
+    assert not torch.equal(maps[(2, 5)][0], maps[(3, 5)][0])
+    assert len({derive_seed(1, 2), derive_seed(2, 1), derive_seed(1, 3)}) == 3
 
 
 def test_learning_rate_rises_and_falls_to_nothing() -> None:
-    share = rise_and_fall(100)
-    values = [share(step) for step in range(101)]
+    factor = warmup_cosine(100)
+    values = [factor(step) for step in range(101)]
     assert max(values) == values[9] == 1.0
     assert values[100] == pytest.approx(0.0, abs=1e-12)
     assert all(later <= former for former, later in pairwise(values[10:]))
@@ -190,7 +192,7 @@ def test_learning_rate_rises_and_falls_to_nothing() -> None:
         ),
     ],
 )
-def test_a_wrong_checkpoint_is_told(
+def test_a_wrong_checkpoint_is_refused(
     tmp_path: Path, spoil: Callable[[Path], object], message: str
 ) -> None:
     trained(tmp_path)
@@ -199,7 +201,7 @@ def test_a_wrong_checkpoint_is_told(
         check_checkpoint(tmp_path / LAST, Recognizer(["a", "b"], hidden=4, layers=2))
 
 
-def test_another_size_is_told_by_the_weights_name(tmp_path: Path) -> None:
+def test_the_message_names_a_weight_of_another_shape(tmp_path: Path) -> None:
     trained(tmp_path)
     with pytest.raises(FileError, match=r"hidden\.0\.weight is \(4, 1, 3, 3, 3\) there"):
         check_checkpoint(tmp_path / LAST, Recognizer(["a", "b"], hidden=8, layers=2))

@@ -1,4 +1,4 @@
-"""SampleMaps and labels to train a recognizer on."""
+"""Maps and labels for the training of a recognizer."""
 
 import json
 from collections.abc import Sequence
@@ -6,7 +6,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Literal
 
-import lightning
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,21 +13,20 @@ from torch.utils.data import DataLoader, Dataset, TensorDataset
 
 from tactorch.errors import ConfigError
 from tactorch.generation import SampleMaps, SampleSet
-from tactorch.learning.order import EpochSampler
-from tactorch.learning.splits import PARTS, split_objects
-from tactorch.learning.symmetry import IDENTITY, Symmetry, apply, symmetries
+from tactorch.learning.data import PARTS, EpochSampler, SplitData, split_objects
+from tactorch.learning.symmetry import IDENTITY, Symmetry, apply_symmetry, symmetries
 from tactorch.mesh import VoxelGrid
 
 
-class Turned(Dataset[tuple[Tensor, Tensor]]):
-    """SampleMaps, each transformed by a random symmetry and factor in each epoch.
+class AugmentedMaps(Dataset[tuple[Tensor, Tensor]]):
+    """Maps, each transformed by a random symmetry and factor in each epoch.
 
     Args:
-        maps: (n, 1, v, v, v) log-modulus.
-        labels: (n,).
-        allowed: Symmetries.
-        brightness: Standard deviation of what is added to the logarithm.
-        seed: Of the draws.
+        maps: Log-modulus, (n, 1, v, v, v).
+        labels: Labels, (n,).
+        allowed: Symmetries to draw from.
+        brightness: Standard deviation of the random offset of the logarithm.
+        seed: Seed of the draws.
     """
 
     def __init__(
@@ -45,35 +43,35 @@ class Turned(Dataset[tuple[Tensor, Tensor]]):
     def __len__(self) -> int:
         return len(self.maps)
 
-    def __getitem__(self, when: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        """Return a map and its label, for an epoch and a place."""
-        epoch, place = when
-        rng = np.random.default_rng([self.seed, epoch, place])
-        chosen = self.allowed[int(rng.integers(len(self.allowed)))]
-        factor = self.brightness * float(rng.standard_normal())
-        return apply(chosen, self.maps[place]) + factor, self.labels[place]
+    def __getitem__(self, item: tuple[int, int]) -> tuple[Tensor, Tensor]:
+        """Return a map and its label, by epoch and index."""
+        epoch, index = item
+        rng = np.random.default_rng([self.seed, epoch, index])
+        symmetry = self.allowed[int(rng.integers(len(self.allowed)))]
+        offset = self.brightness * float(rng.standard_normal())
+        return apply_symmetry(symmetry, self.maps[index]) + offset, self.labels[index]
 
 
-class RecognitionData(lightning.LightningDataModule):
-    """Log-modulus on a grid, and which inclusion it is.
+class RecognitionData(SplitData):
+    """Log-modulus on a grid and the class of the inclusion.
 
-    Its `fingerprint` tells data and split from others.
+    The attribute `fingerprint` identifies the data and the split.
 
     Args:
-        folder: Dataset, such as `tactorch generate dataset=recognition` makes.
-        voxels: In each direction.
-        batch: SampleMaps in a batch.
-        shares: Of the objects in training, validation and test.
+        folder: Dataset, such as of `tactorch generate dataset=recognition`.
+        voxels: Voxels in each direction.
+        batch: Maps per batch.
+        shares: Fractions of the objects in training, validation and test.
         split: Seed of the split.
-        source: "reconstruction" or "truth".
-        augment: Whether training maps are turned and mirrored as the presses allow, and made
-            stiffer or softer as a whole.
-        brightness: Standard deviation of that factor's logarithm.
-        seed: Of order and augmentation.
+        source: Maps to use, "reconstruction" or "truth".
+        augment: Whether to rotate and mirror training maps, as the presses allow, and to scale
+            their modulus.
+        brightness: Standard deviation of the logarithm of that scale.
+        seed: Seed of order and augmentation.
 
     Raises:
         FileError: The dataset is missing or damaged.
-        ConfigError: It has no reconstructions, or a setting cannot be used.
+        ConfigError: The dataset has no reconstructions, or a setting is not valid.
     """
 
     def __init__(
@@ -96,9 +94,9 @@ class RecognitionData(lightning.LightningDataModule):
             raise ConfigError("batch and voxels must be at least 1, split and seed at least 0.")
         self.voxels, self.batch, self.source = voxels, batch, source
         self.augment, self.brightness, self.seed = augment, brightness, seed
-        found = SampleSet.open(folder)
-        found.verify()
-        samples = [found.maps(index) for index in found.indices]
+        dataset = SampleSet.open(folder)
+        dataset.verify()
+        samples = [dataset.maps(index) for index in dataset.indices]
         if not samples:
             raise ConfigError(f"dataset '{folder}' is empty.")
         self.classes = sorted({sample.label for sample in samples})
@@ -113,45 +111,34 @@ class RecognitionData(lightning.LightningDataModule):
             split,
         )
         self.allowed = _common_symmetries(samples)
-        shards = [shard["sha256"] for shard in found.manifest["shards"]]
+        shards = [shard["sha256"] for shard in dataset.manifest["shards"]]
         self.fingerprint = sha256(json.dumps([shards, self.parts]).encode()).hexdigest()
 
     @property
     def mean(self) -> float:
-        """Of the training maps; 0 where there are none, for data that are only judged."""
+        """Mean of the training maps; 0 if there are none, as in data that are only evaluated."""
         maps = self.maps[self.parts["train"]]
         return float(maps.mean()) if len(maps) else 0.0
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the training maps; 1 where there are none."""
+        """Standard deviation of the training maps; 1 if there are none."""
         maps = self.maps[self.parts["train"]]
         return float(maps.std()) if len(maps) else 1.0
 
     def train_dataloader(self) -> DataLoader:
-        """Return shuffled batches, augmented."""
-        places = self.parts["train"]
+        """Return shuffled, augmented batches."""
+        part = self.parts["train"]
         allowed = self.allowed if self.augment else [IDENTITY]
         brightness = self.brightness if self.augment else 0.0
-        maps = Turned(self.maps[places], self.labels[places], allowed, brightness, self.seed)
+        maps = AugmentedMaps(self.maps[part], self.labels[part], allowed, brightness, self.seed)
         order = EpochSampler(len(maps), self.seed)
         return DataLoader(maps, self.batch, sampler=order, drop_last=len(maps) > self.batch)
 
-    def val_dataloader(self) -> DataLoader:
-        """Return the validation batches."""
-        return DataLoader(self._part("val"), self.batch)
-
-    def test_dataloader(self) -> DataLoader:
-        """Return the test batches."""
-        return DataLoader(self._part("test"), self.batch)
-
-    def predict_dataloader(self) -> DataLoader:
-        """Return the test batches."""
-        return self.test_dataloader()
-
-    def _part(self, name: str) -> TensorDataset:
-        places = self.parts[name]
-        return TensorDataset(self.maps[places], self.labels[places])
+    def loader(self, part: str) -> DataLoader:
+        """Return the batches of a part, in order and without augmentation."""
+        rows = self.parts[part]
+        return DataLoader(TensorDataset(self.maps[rows], self.labels[rows]), self.batch)
 
     def _map(self, sample: SampleMaps, grid: VoxelGrid) -> Tensor:
         youngs = sample.truth if self.source == "truth" else sample.reconstruction
@@ -164,8 +151,8 @@ class RecognitionData(lightning.LightningDataModule):
 
 
 def _common_symmetries(samples: Sequence[SampleMaps]) -> list[Symmetry]:
-    """What keeps the pressed sides of every sample as they are; at least: nothing."""
+    """Return the symmetries that keep the pressed sides of every sample."""
     if any(sample.pushes is None for sample in samples):
         return [IDENTITY]
     sets = [symmetries(sample.pushes) for sample in samples if sample.pushes is not None]
-    return [one for one in sets[0] if all(one in others for others in sets[1:])]
+    return [symmetry for symmetry in sets[0] if all(symmetry in other for other in sets[1:])]

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from tactorch.errors import ConfigError
-from tactorch.learning.order import scheduled_adam
+from tactorch.learning.training import make_optimizer
 
 
 class FCN(nn.Module):
@@ -21,9 +21,9 @@ class FCN(nn.Module):
 
     Args:
         classes: Number of classes.
-        hidden: Channels of the hidden layers; the paper has 64.
-        layers: Hidden layers; the first two halve the grid.
-        dropout: Share of channels dropped before the last layer, in training.
+        hidden: Channels of the hidden layers; 64 in the paper.
+        layers: Number of hidden layers; the first two halve the grid.
+        dropout: Fraction of channels dropped before the last layer, in training.
     """
 
     def __init__(
@@ -58,10 +58,10 @@ class Recognizer(lightning.LightningModule):
     Args:
         classes: Names of the classes.
         mean: Mean log-modulus of the training maps; stored with the weights.
-        deviation: Standard deviation of the log-modulus; likewise.
-        hidden: See `FCN`.
-        layers: See `FCN`.
-        dropout: See `FCN`.
+        deviation: Standard deviation of the log-modulus; stored with the weights.
+        hidden: Channels of the hidden layers.
+        layers: Number of hidden layers.
+        dropout: Fraction of channels dropped before the last layer, in training.
         learning_rate: Largest learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
     """
@@ -101,11 +101,11 @@ class Recognizer(lightning.LightningModule):
         return loss
 
     def validation_step(self, batch: Sequence[Tensor], index: int) -> None:
-        """Log the cross-entropy and the share of right answers."""
+        """Log the cross-entropy and the accuracy."""
         self._log("val", batch)
 
     def test_step(self, batch: Sequence[Tensor], index: int) -> None:
-        """Log the cross-entropy and the share of right answers."""
+        """Log the cross-entropy and the accuracy."""
         self._log("test", batch)
 
     def predict_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
@@ -114,15 +114,15 @@ class Recognizer(lightning.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """Return AdamW with a linear warm-up and cosine decay."""
-        return scheduled_adam(self, self.learning_rate, self.weight_decay)
+        return make_optimizer(self, self.learning_rate, self.weight_decay)
 
     def _loss_and_accuracy(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         maps, labels = batch
         logits = self(maps)
-        right = (logits.argmax(dim=1) == labels).double().mean()
-        return functional.cross_entropy(logits, labels), right
+        accuracy = (logits.argmax(dim=1) == labels).double().mean()
+        return functional.cross_entropy(logits, labels), accuracy
 
     def _log(self, part: str, batch: Sequence[Tensor]) -> None:
-        loss, right = self._loss_and_accuracy(batch)
-        values = {f"{part}/loss": loss, f"{part}/accuracy": right}
+        loss, accuracy = self._loss_and_accuracy(batch)
+        values = {f"{part}/loss": loss, f"{part}/accuracy": accuracy}
         self.log_dict(values, batch_size=len(batch[1]), sync_dist=True)

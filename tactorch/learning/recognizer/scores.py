@@ -10,19 +10,19 @@ from tactorch.errors import ConfigError
 
 @dataclass(frozen=True, eq=False)
 class ClassScores:
-    """Scores of n answers among c classes.
+    """Scores of n predictions of c classes.
 
     Attributes:
-        confusion: (c, c) counts, a row per true class.
-        accuracy: Share of right answers.
-        precision: Precision of each class, (c,); NaN where it was never predicted.
-        recall: Recall of each class, (c,); NaN where it never occurred.
-        f1: Harmonic mean of both.
-        calibration_error: Mean gap between stated probability and share of right answers, by
-            tenths of the probability (Guo et al., 2017).
-        confidence: Mean probability of the named class in each tenth, (10,); NaN in empty ones.
-        right: Share of right answers in each tenth, (10,).
-        counts: Answers in each tenth, (10,).
+        confusion: Counts by true (row) and predicted (column) class, (c, c).
+        accuracy: Fraction of correct predictions.
+        precision: Precision of each class, (c,); NaN if it was never predicted.
+        recall: Recall of each class, (c,); NaN if it never occurred.
+        f1: Harmonic mean of precision and recall, (c,).
+        calibration_error: Expected calibration error (Guo et al., 2017).
+        bin_confidence: Mean probability of the predicted class in each bin of the probability,
+            (b,); NaN in empty bins.
+        bin_accuracy: Fraction of correct predictions in each bin, (b,); NaN in empty bins.
+        bin_counts: Number of predictions in each bin, (b,).
     """
 
     confusion: Int[np.ndarray, "c c"]
@@ -31,36 +31,48 @@ class ClassScores:
     recall: Float[np.ndarray, " c"]
     f1: Float[np.ndarray, " c"]
     calibration_error: float
-    confidence: Float[np.ndarray, " b"]
-    right: Float[np.ndarray, " b"]
-    counts: Int[np.ndarray, " b"]
+    bin_confidence: Float[np.ndarray, " b"]
+    bin_accuracy: Float[np.ndarray, " b"]
+    bin_counts: Int[np.ndarray, " b"]
 
 
 def class_scores(
     probabilities: Float[np.ndarray, "n c"], truth: Int[np.ndarray, " n"], bins: int = 10
 ) -> ClassScores:
-    """Score probabilities against the true classes.
+    """Return scores of predicted probabilities.
+
+    Args:
+        probabilities: Predicted probabilities, (n, c).
+        truth: True classes, (n,).
+        bins: Number of bins of the probability.
 
     Raises:
-        ConfigError: There is nothing to score, or a class is out of range.
+        ConfigError: There are no predictions, or a class is out of range.
     """
     count, classes = probabilities.shape
     if count == 0 or truth.min() < 0 or truth.max() >= classes:
         raise ConfigError(f"{count} answers among {classes} classes do not fit the true classes.")
-    named = probabilities.argmax(axis=1)
+    predicted = probabilities.argmax(axis=1)
     confusion = np.zeros((classes, classes), dtype=np.int64)
-    np.add.at(confusion, (truth, named), 1)
+    np.add.at(confusion, (truth, predicted), 1)
     hits = np.diag(confusion).astype(float)
     with np.errstate(invalid="ignore", divide="ignore"):
         precision, recall = hits / confusion.sum(axis=0), hits / confusion.sum(axis=1)
         f1 = 2.0 * hits / (confusion.sum(axis=0) + confusion.sum(axis=1))
-        stated = probabilities.max(axis=1)
-        place = np.minimum((stated * bins).astype(int), bins - 1)
-        counts = np.bincount(place, minlength=bins)
-        confidence = np.bincount(place, stated, minlength=bins) / counts
-        right = np.bincount(place, named == truth, minlength=bins) / counts
-    gaps = np.nansum(counts * np.abs(confidence - right)) / count
-    accuracy = float(hits.sum() / count)
+        confidence = probabilities.max(axis=1)
+        index = np.minimum((confidence * bins).astype(int), bins - 1)
+        bin_counts = np.bincount(index, minlength=bins)
+        bin_confidence = np.bincount(index, confidence, minlength=bins) / bin_counts
+        bin_accuracy = np.bincount(index, predicted == truth, minlength=bins) / bin_counts
+    error = np.nansum(bin_counts * np.abs(bin_confidence - bin_accuracy)) / count
     return ClassScores(
-        confusion, accuracy, precision, recall, f1, float(gaps), confidence, right, counts
+        confusion,
+        float(hits.sum() / count),
+        precision,
+        recall,
+        f1,
+        float(error),
+        bin_confidence,
+        bin_accuracy,
+        bin_counts,
     )

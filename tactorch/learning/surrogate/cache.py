@@ -1,4 +1,4 @@
-"""Input of the surrogate for a dataset, computed once and cached in the folder of the dataset."""
+"""Features of a dataset, computed once and cached in its folder."""
 
 import json
 import logging
@@ -14,33 +14,33 @@ from jaxtyping import Bool, Float, Float16, Int, Shaped
 from tactorch.errors import ConvergenceError, FileError
 from tactorch.files import read_arrays, write_arrays
 from tactorch.generation import SampleSet
-from tactorch.learning.surrogate.touch import (
+from tactorch.learning.surrogate.features import (
     PRESS_CHANNELS,
     SHARED_CHANNELS,
     VERSION,
-    targets,
-    touch,
+    compute_features,
+    compute_targets,
 )
 from tactorch.processes import single_thread
 
 _log = logging.getLogger(__name__)
-FOLDER = "touch"
+FOLDER = "touch"  # name in existing datasets
 
 
 @dataclass(frozen=True, eq=False)
-class Touches:
-    """Input of the surrogate for many objects, in half precision.
+class FeatureSet:
+    """Features and targets of n samples, in half precision.
 
     Attributes:
-        index: Number of each sample.
-        object: Number of each object.
+        index: Index of each sample in the dataset.
+        object: Number of the object of each sample.
         label: Label of each sample.
-        youngs_mpa: Best uniform modulus of each, MPa.
-        presses: Of all, one after the other.
-        begins: Where the presses of each begin, and where the last ones end.
-        shared: Of each.
-        target: Log of the true modulus over the uniform one.
-        inside: Which voxels are in the body.
+        youngs_mpa: Best uniform modulus of each sample, MPa.
+        presses: Features of the presses of all samples, concatenated.
+        begins: Index of the first press of each sample, and the number of presses.
+        shared: Features of the object of each sample.
+        target: Logarithm of the true modulus relative to the uniform one.
+        inside: Whether a voxel is in the body.
     """
 
     index: Int[np.ndarray, " n"]
@@ -60,34 +60,34 @@ class Touches:
     def is_consistent(self) -> bool:
         """Whether the sizes of the arrays agree."""
         n = len(self.index)
-        each = (self.object, self.label, self.youngs_mpa, self.shared, self.target, self.inside)
-        fit = all(len(part) == n for part in each) and len(self.begins) == n + 1
+        parts = (self.object, self.label, self.youngs_mpa, self.shared, self.target, self.inside)
+        fit = all(len(part) == n for part in parts) and len(self.begins) == n + 1
         return fit and int(self.begins[-1]) == len(self.presses)
 
     @staticmethod
-    def joined(parts: Sequence["Touches"]) -> "Touches":
-        """Put parts in a row."""
+    def concatenate(parts: Sequence["FeatureSet"]) -> "FeatureSet":
+        """Return the samples of several sets as one."""
         names = ("index", "object", "label", "youngs_mpa", "presses", "shared", "target", "inside")
         fields = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         counts = np.concatenate([np.diff(part.begins) for part in parts])
-        return Touches(begins=np.concatenate([[0], np.cumsum(counts)]), **fields)
+        return FeatureSet(begins=np.concatenate([[0], np.cumsum(counts)]), **fields)
 
 
-def load_touches(
+def load_features(
     folder: str | Path, count: int = 8, frames: int = 1, workers: int | None = None
-) -> Touches:
-    """Return the input of the surrogate for a dataset; missing parts are computed and cached.
+) -> FeatureSet:
+    """Return the features of a dataset; missing ones are computed and cached.
 
-    Objects whose presses have no equilibrium with a uniform modulus are left out, with a warning.
+    Samples without an equilibrium at any uniform modulus are omitted with a warning.
 
     Args:
-        folder: Dataset.
-        count: See `touch`; targets have twice as many voxels in each direction.
-        frames: See `touch`.
+        folder: Folder of the dataset.
+        count: Cells in each direction; targets have twice as many.
+        frames: Load steps to use per press location.
         workers: Number of processes; None for the number of cores.
 
     Raises:
-        FileError: The dataset is missing or damaged, or no sample of it can be used.
+        FileError: The dataset is missing or damaged, or all samples were omitted.
     """
     samples = SampleSet.open(folder)
     samples.verify()
@@ -97,21 +97,22 @@ def load_touches(
         path = samples.folder / FOLDER / f"{number:05d}-{_key(shard['sha256'], count, frames)}.npz"
         part = _read(path)
         if part is None:
-            _log.info("shard %d of %d: input of the surrogate", number + 1, len(shards))
+            _log.info("shard %d of %d: computing features", number + 1, len(shards))
             end = shard["first"] + shard["count"]
             indices = [i for i in samples.indices if shard["first"] <= i < end]
             part = _compute_part(samples, indices, count, frames, workers)
             _write(path, part)
         parts.append(part)
-    touches = Touches.joined(parts)
-    if not len(touches):
+    features = FeatureSet.concatenate(parts)
+    if not len(features):
         raise FileError(f"dataset '{folder}' has no sample in equilibrium with a uniform modulus.")
-    lost = len(samples) - len(touches)
-    if lost:
+    omitted = len(samples) - len(features)
+    if omitted:
         _log.warning(
-            "%d of %d samples left out: no equilibrium with a uniform modulus", lost, len(samples)
-        )
-    return touches
+            "%d of %d samples omitted: no equilibrium with a uniform modulus",
+            omitted, len(samples),
+        )  # fmt: skip
+    return features
 
 
 def _key(checksum: str, count: int, frames: int) -> str:
@@ -120,7 +121,7 @@ def _key(checksum: str, count: int, frames: int) -> str:
 
 def _compute_part(
     samples: SampleSet, indices: Sequence[int], count: int, frames: int, workers: int | None
-) -> Touches:
+) -> FeatureSet:
     from joblib import Parallel, delayed, parallel_config
 
     with parallel_config(backend="loky", inner_max_num_threads=1):
@@ -134,10 +135,12 @@ def _compute_row(samples: SampleSet, index: int, count: int, frames: int) -> dic
     sample = samples[index]
     with single_thread():
         try:
-            features = touch(sample.recording, count, frames)
+            features = compute_features(sample.recording, count, frames)
         except ConvergenceError:
             return None
-    target, inside = targets(sample.recording.mesh, sample.truth, features.youngs_mpa, 2 * count)
+    target, inside = compute_targets(
+        sample.recording.mesh, sample.truth, features.youngs_mpa, 2 * count
+    )
     return {
         "index": sample.index,
         "object": sample.object,
@@ -150,14 +153,14 @@ def _compute_row(samples: SampleSet, index: int, count: int, frames: int) -> dic
     }
 
 
-def _stack_rows(rows: Sequence[dict[str, Any]], count: int) -> Touches:
+def _stack_rows(rows: Sequence[dict[str, Any]], count: int) -> FeatureSet:
     coarse, fine = (count,) * 3, (2 * count,) * 3
     none = np.zeros((0, len(PRESS_CHANNELS), *coarse), np.float16)
 
     def stacked(name: str, shape: tuple[int, ...], kind: Any) -> np.ndarray:
         return np.array([row[name] for row in rows], kind).reshape(len(rows), *shape)
 
-    return Touches(
+    return FeatureSet(
         stacked("index", (), np.int64),
         stacked("object", (), np.int64),
         np.array([row["label"] for row in rows], dtype=np.str_),
@@ -170,17 +173,17 @@ def _stack_rows(rows: Sequence[dict[str, Any]], count: int) -> Touches:
     )
 
 
-def _write(path: Path, part: Touches) -> None:
+def _write(path: Path, part: FeatureSet) -> None:
     try:
         write_arrays(path, vars(part), compressed=True)
     except FileError as error:  # a dataset may be read-only
-        _log.warning("The input of the surrogate is not cached: %s", error)
+        _log.warning("The features are not cached: %s", error)
 
 
-def _read(path: Path) -> Touches | None:
+def _read(path: Path) -> FeatureSet | None:
     """Return a cached part; None where it is missing or not valid."""
     try:
-        part = Touches(**read_arrays(path, "cached features", "they are computed again."))
+        part = FeatureSet(**read_arrays(path, "cached features", "they are computed again."))
     except (FileError, TypeError):
         return None
     return part if part.is_consistent else None

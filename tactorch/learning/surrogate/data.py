@@ -1,11 +1,10 @@
-"""Presses and truths to train a surrogate on."""
+"""Presses and true maps for the training of a surrogate."""
 
 import json
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 
-import lightning
 import numpy as np
 import torch
 from torch import Tensor
@@ -13,83 +12,82 @@ from torch.utils.data import DataLoader, Dataset
 
 from tactorch.errors import ConfigError
 from tactorch.generation import SampleSet
-from tactorch.learning.order import EpochSampler
-from tactorch.learning.splits import PARTS, split_objects
-from tactorch.learning.surrogate.cache import Touches, load_touches
-from tactorch.learning.surrogate.touch import PRESS_VECTORS, VERSION
-from tactorch.learning.symmetry import IDENTITY, Symmetry, apply, symmetries
+from tactorch.learning.data import PARTS, EpochSampler, SplitData, split_objects
+from tactorch.learning.surrogate.cache import FeatureSet, load_features
+from tactorch.learning.surrogate.features import PRESS_VECTORS, VERSION
+from tactorch.learning.symmetry import IDENTITY, Symmetry, apply_symmetry, symmetries
 
 Row = tuple[Tensor, Tensor, Tensor, Tensor]
 
 
-class Turned(Dataset[Row]):
-    """Objects and their presses, all seen through a symmetry of the cube drawn in each epoch.
+class AugmentedSamples(Dataset[Row]):
+    """Samples, each transformed by a random symmetry of the cube in each epoch.
 
-    A cube that is turned with all its presses is a cube as likely.
+    The transformed object with its transformed presses is equally likely.
 
     Args:
-        touches: All objects.
-        places: Those of this part.
-        allowed: Symmetries.
-        seed: Of the draws.
+        features: Features of all samples.
+        rows: Indices of the samples of this part.
+        allowed: Symmetries to draw from.
+        seed: Seed of the draws.
     """
 
     def __init__(
-        self, touches: Touches, places: Sequence[int], allowed: Sequence[Symmetry], seed: int
+        self, features: FeatureSet, rows: Sequence[int], allowed: Sequence[Symmetry], seed: int
     ) -> None:
-        self.touches, self.places = touches, list(places)
+        self.features, self.rows = features, list(rows)
         self.allowed, self.seed = allowed, seed
 
     def __len__(self) -> int:
-        return len(self.places)
+        return len(self.rows)
 
-    def __getitem__(self, when: tuple[int, int]) -> Row:
-        """Return presses, shared fields, target and inside, for an epoch and a place."""
-        epoch, place = when
-        rng = np.random.default_rng([self.seed, epoch, place])
+    def __getitem__(self, item: tuple[int, int]) -> Row:
+        """Return presses, fields of the object, target and mask, by epoch and index."""
+        epoch, index = item
+        rng = np.random.default_rng([self.seed, epoch, index])
         symmetry = self.allowed[int(rng.integers(len(self.allowed)))]
-        i = self.places[place]
-        begin, end = self.touches.begins[i : i + 2]
-        presses = torch.from_numpy(self.touches.presses[begin:end]).float()
+        features, i = self.features, self.rows[index]
+        begin, end = features.begins[i : i + 2]
+        presses = torch.from_numpy(features.presses[begin:end]).float()
         return (
-            apply(symmetry, presses, PRESS_VECTORS),
-            apply(symmetry, torch.from_numpy(self.touches.shared[i]).float()),
-            apply(symmetry, torch.from_numpy(self.touches.target[i]).float()),
-            apply(symmetry, torch.from_numpy(self.touches.inside[i])),
+            apply_symmetry(symmetry, presses, PRESS_VECTORS),
+            apply_symmetry(symmetry, torch.from_numpy(features.shared[i]).float()),
+            apply_symmetry(symmetry, torch.from_numpy(features.target[i]).float()),
+            apply_symmetry(symmetry, torch.from_numpy(features.inside[i])),
         )
 
 
-def batched(rows: Sequence[Row]) -> list[Tensor]:
-    """Return presses (padded with zeros), which are there, shared fields, targets, insides."""
-    most = max(len(presses) for presses, *_ in rows)
+def collate(rows: Sequence[Row]) -> list[Tensor]:
+    """Return presses (padded with zeros), their mask, fields of the objects, targets and masks."""
     counts = torch.tensor([len(presses) for presses, *_ in rows])
-    padded = rows[0][0].new_zeros((len(rows), most, *rows[0][0].shape[1:]))
+    largest = int(counts.max())
+    padded = rows[0][0].new_zeros((len(rows), largest, *rows[0][0].shape[1:]))
     for out, (presses, *_) in zip(padded, rows, strict=True):
         out[: len(presses)] = presses
-    there = torch.arange(most)[None] < counts[:, None]
+    mask = torch.arange(largest)[None] < counts[:, None]
     others = [torch.stack(parts) for parts in list(zip(*rows, strict=True))[1:]]
-    return [padded, there, *others]
+    return [padded, mask, *others]
 
 
-class SurrogateData(lightning.LightningDataModule):
+class SurrogateData(SplitData):
     """Presses and true log-moduli on a grid.
 
-    What the network sees of each sample is worked out once and kept in the dataset's folder. Its
-    `fingerprint` tells data and split from others.
+    The features are computed once and cached in the folder of the dataset. The attribute
+    `fingerprint` identifies the data and the split.
 
     Args:
-        folder: Dataset, such as `tactorch generate dataset=warmstart` makes.
-        cells: In each direction, of what is seen; targets have twice as many.
-        frames: Load steps of each place to look at.
-        batch: Objects in a batch.
-        shares: Of the objects in training, validation and test.
+        folder: Dataset, such as of `tactorch generate dataset=warmstart`.
+        cells: Cells of the features in each direction; targets have twice as many.
+        frames: Load steps to use per press location.
+        batch: Objects per batch.
+        shares: Fractions of the objects in training, validation and test.
         split: Seed of the split.
-        augment: Whether training objects are turned and mirrored with their presses.
-        seed: Of order and augmentation.
+        augment: Whether to rotate and mirror training objects with their presses.
+        seed: Seed of order and augmentation.
 
     Raises:
         FileError: The dataset is missing or damaged.
-        ConfigError: A setting cannot be used.
+        ConfigError: A setting is not valid.
     """
 
     def __init__(
@@ -111,59 +109,47 @@ class SurrogateData(lightning.LightningDataModule):
             raise ConfigError(f"cells={cells} must be even, and at least 4.")
         self.cells, self.frames, self.batch = cells, frames, batch
         self.augment, self.seed = augment, seed
-        self.touches = load_touches(folder, cells, frames)
-        objects, labels = self.touches.object.tolist(), self.touches.label.tolist()
+        self.features = load_features(folder, cells, frames)
+        objects, labels = self.features.object.tolist(), self.features.label.tolist()
         sizes = dict(zip(PARTS, shares, strict=True))
         self.parts = split_objects(objects, labels, sizes, split)
-        self.numbers = self.touches.index.tolist()
+        self.numbers = self.features.index.tolist()
         shards = [shard["sha256"] for shard in SampleSet.open(folder).manifest["shards"]]
         content = [shards, VERSION, cells, frames, self.numbers, self.parts]
         self.fingerprint = sha256(json.dumps(content).encode()).hexdigest()
 
     @property
     def press_scale(self) -> list[float]:
-        """Root mean square of each press channel where it is not zero, over the training part."""
-        part = self.parts["train"]
-        ranges = [range(*self.touches.begins[i : i + 2]) for i in part]
-        rows = np.array([place for one in ranges for place in one], dtype=np.int64)
-        return _sizes(self.touches.presses[rows])
+        """Root mean square of the nonzero values of each press channel, over the training part."""
+        begins = self.features.begins
+        ranges = [np.arange(begins[i], begins[i + 1]) for i in self.parts["train"]]
+        rows = np.concatenate([np.zeros(0, dtype=np.int64), *ranges])
+        return _rms_per_channel(self.features.presses[rows])
 
     @property
     def shared_scale(self) -> list[float]:
-        """The same of the object's channels."""
-        return _sizes(self.touches.shared[self.parts["train"]])
+        """Root mean square of the nonzero values of each channel of the object, likewise."""
+        return _rms_per_channel(self.features.shared[self.parts["train"]])
 
     def train_dataloader(self) -> DataLoader:
-        """Return shuffled batches, augmented."""
+        """Return shuffled, augmented batches."""
         allowed = symmetries(np.zeros((0, 3))) if self.augment else [IDENTITY]
-        rows = Turned(self.touches, self.parts["train"], allowed, self.seed)
+        rows = AugmentedSamples(self.features, self.parts["train"], allowed, self.seed)
         order = EpochSampler(len(rows), self.seed)
-        last = len(rows) > self.batch
-        return DataLoader(rows, self.batch, sampler=order, drop_last=last, collate_fn=batched)
-
-    def val_dataloader(self) -> DataLoader:
-        """Return the validation batches."""
-        return self.loader("val")
-
-    def test_dataloader(self) -> DataLoader:
-        """Return the test batches."""
-        return self.loader("test")
-
-    def predict_dataloader(self) -> DataLoader:
-        """Return the test batches."""
-        return self.loader("test")
+        drop = len(rows) > self.batch
+        return DataLoader(rows, self.batch, sampler=order, drop_last=drop, collate_fn=collate)
 
     def loader(self, part: str) -> DataLoader:
-        """Return the batches of a part as they are, in order."""
-        rows = Turned(self.touches, self.parts[part], [IDENTITY], self.seed)
-        order = [(0, place) for place in range(len(rows))]
-        return DataLoader(rows, self.batch, sampler=order, collate_fn=batched)
+        """Return the batches of a part, in order and without augmentation."""
+        rows = AugmentedSamples(self.features, self.parts[part], [IDENTITY], self.seed)
+        order = [(0, index) for index in range(len(rows))]
+        return DataLoader(rows, self.batch, sampler=order, collate_fn=collate)
 
 
-def _sizes(fields: np.ndarray) -> list[float]:
-    """Root mean square of each channel's values that are not zero; 1 where all are."""
-    found = []
+def _rms_per_channel(fields: np.ndarray) -> list[float]:
+    """Return the root mean square of the nonzero values of each channel; 1 if there are none."""
+    scales = []
     for channel in np.moveaxis(fields, 1, 0):
         values = channel[channel != 0].astype(np.float64)
-        found.append(float(np.sqrt(np.mean(values**2))) if len(values) else 1.0)
-    return found
+        scales.append(float(np.sqrt(np.mean(values**2))) if len(values) else 1.0)
+    return scales

@@ -1,6 +1,8 @@
-"""The surrogate: from presses on a grid to log Young's modulus and how sure it is (Section VII)."""
+"""Surrogate: predicts mean and deviation of log-modulus from presses (Section VII)."""
 
+import io
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import lightning
@@ -9,32 +11,36 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from tactorch.errors import ConfigError
-from tactorch.learning.order import scheduled_adam
-from tactorch.learning.surrogate.touch import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
+from tactorch.errors import ConfigError, FileError
+from tactorch.files import atomic_path
+from tactorch.learning.surrogate.features import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
 from tactorch.learning.surrogate.unet import PressUNet
+from tactorch.learning.training import load_network, make_optimizer, read_checkpoint
 
-_MIN_LOG, _MAX_LOG = -5.0, 1.0  # of the standard deviation
+#: Weights of tactorch; surrogate.json states the data and settings of their training.
+INCLUDED_WEIGHTS = Path(__file__).with_name("surrogate.pt")
+
+_MIN_LOG, _MAX_LOG = -5.0, 1.0  # limits of the logarithm of the deviation
 _IMAGE = SHARED_CHANNELS.index("image")
 
 
 class Surrogate(lightning.LightningModule):
-    """Predicts a normal distribution of each voxel's log-modulus over the best uniform one.
+    """Predicts a normal distribution of log-modulus per voxel, relative to the best uniform one.
 
     The loss is the negative log-likelihood, weighted per voxel by the (detached) deviation, so that
     the mean is not neglected where the deviation is large (Seitzer et al., 2022). Epochs are
     selected by the unweighted negative log-likelihood.
 
     Args:
-        press_scale: Typical size of each of a press's channels; a buffer among the weights.
-        shared_scale: The same of the object's channels.
-        width: See `PressUNet`.
-        encoded: See `PressUNet`.
+        press_scale: Scale of each channel of a press; a buffer of the module.
+        shared_scale: Scale of each channel of the object; a buffer of the module.
+        width: Channels of the widest layers of full resolution.
+        encoded: Channels of an encoded press.
         learning_rate: Largest learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
-        cells: Cells of its input in each direction; stored with the weights.
-        frames: Load steps of each place in its input; likewise.
-        version: Version of its input; likewise.
+        cells: Cells of the input in each direction; stored with the weights.
+        frames: Load steps per press location in the input; stored with the weights.
+        version: Version of the input; stored with the weights.
     """
 
     press_scale: Tensor
@@ -57,8 +63,8 @@ class Surrogate(lightning.LightningModule):
             raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
         if version != VERSION:
             raise ConfigError(
-                f"these weights are for version {version} of a surrogate's input, and this tactorch"
-                f" has version {VERSION}; train it again."
+                f"the weights are for version {version} of the input, and this tactorch has version"
+                f" {VERSION}; train again."
             )
         self.save_hyperparameters()
         self.cells, self.frames = cells, frames
@@ -70,24 +76,29 @@ class Surrogate(lightning.LightningModule):
     def forward(
         self,
         presses: Float[Tensor, "b k c v v v"],
-        there: Bool[Tensor, "b k"],
+        mask: Bool[Tensor, "b k"],
         shared: Float[Tensor, "b s v v v"],
     ) -> tuple[Float[Tensor, "b w w w"], Float[Tensor, "b w w w"]]:
-        """Return mean and standard deviation of log E over the uniform modulus."""
+        """Return mean and standard deviation of log E relative to the uniform modulus.
+
+        Args:
+            presses: Features of the presses.
+            mask: Whether a press exists, False for padding.
+            shared: Features of the object.
+        """
         scaled = presses / self.press_scale[:, None, None, None]
-        mean, rough = self.network(
-            scaled, there, shared / self.shared_scale[:, None, None, None]
+        mean, raw = self.network(
+            scaled, mask, shared / self.shared_scale[:, None, None, None]
         ).unbind(dim=1)
         image = functional.interpolate(shared, scale_factor=2, mode="trilinear")[:, _IMAGE]
         middle, half = 0.5 * (_MIN_LOG + _MAX_LOG), 0.5 * (_MAX_LOG - _MIN_LOG)
-        return mean + image, torch.exp(middle + half * torch.tanh(rough))
+        return mean + image, torch.exp(middle + half * torch.tanh(raw))
 
     def training_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
         """Return the weighted loss of a batch."""
-        each, deviation = self._log_likelihood(batch)
-        values = {"train/loss": each.detach().mean()}
-        self.log_dict(values, on_step=False, on_epoch=True, sync_dist=True)
-        return (deviation.detach() * each).mean()
+        loss, deviation = self._log_likelihood(batch)
+        self.log("train/loss", loss.detach().mean(), on_step=False, on_epoch=True, sync_dist=True)
+        return (deviation.detach() * loss).mean()
 
     def validation_step(self, batch: Sequence[Tensor], index: int) -> None:
         """Log the loss and the correlation with the truth."""
@@ -99,31 +110,29 @@ class Surrogate(lightning.LightningModule):
 
     def predict_step(self, batch: Sequence[Tensor], index: int) -> tuple[Tensor, Tensor]:
         """Return mean and deviation."""
-        presses, there, shared, *_ = batch
-        mean, deviation = self(presses, there, shared)
+        mean, deviation = self(*batch[:3])
         return mean, deviation
 
     def configure_optimizers(self) -> Any:
         """Return AdamW with a linear warm-up and cosine decay."""
-        return scheduled_adam(self, self.learning_rate, self.weight_decay)
+        return make_optimizer(self, self.learning_rate, self.weight_decay)
 
     def _log_likelihood(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-        """Of each voxel inside, negative and but for a constant; and the deviations there."""
-        presses, there, shared, target, inside = batch
-        mean, deviation = self(presses, there, shared)
-        off = (target - mean) / deviation
-        return (0.5 * off * off + deviation.log())[inside], deviation[inside]
+        """Return negative log-likelihood (up to a constant) and deviation of the voxels inside."""
+        *features, target, inside = batch
+        mean, deviation = self(*features)
+        residual = (target - mean) / deviation
+        return (0.5 * residual * residual + deviation.log())[inside], deviation[inside]
 
     def _log(self, part: str, batch: Sequence[Tensor]) -> None:
-        presses, there, shared, target, inside = batch
-        mean, deviation = self(presses, there, shared)
-        off = (target - mean)[inside]
-        wide = deviation[inside]
+        *features, target, inside = batch
+        mean, deviation = self(*features)
+        error, sigma = (target - mean)[inside], deviation[inside]
         values = {
-            f"{part}/loss": (0.5 * (off / wide).square() + wide.log()).mean(),
+            f"{part}/loss": (0.5 * (error / sigma).square() + sigma.log()).mean(),
             f"{part}/correlation": correlation(mean.exp(), target.exp(), inside).mean(),
-            f"{part}/rms_log": off.square().mean().sqrt(),
-            f"{part}/covered_90": (off.abs() < 1.6449 * wide).double().mean(),
+            f"{part}/rms_log": error.square().mean().sqrt(),
+            f"{part}/covered_90": (error.abs() < 1.6449 * sigma).double().mean(),
         }
         self.log_dict(values, batch_size=len(target), sync_dist=True)
 
@@ -133,9 +142,48 @@ def correlation(
     truth: Float[Tensor, "b w w w"],
     inside: Bool[Tensor, "b w w w"],
 ) -> Float[Tensor, " b"]:
-    """Return Pearson's correlation of each object's voxels inside."""
+    """Return Pearson's correlation over the voxels inside of each object."""
     rows = []
-    for a, b, where in zip(predicted, truth, inside, strict=True):
-        pair = torch.stack([a[where], b[where]]).double()
+    for a, b, mask in zip(predicted, truth, inside, strict=True):
+        pair = torch.stack([a[mask], b[mask]]).double()
         rows.append(torch.corrcoef(pair)[0, 1])
     return torch.stack(rows).nan_to_num(0.0)
+
+
+def load_surrogate(path: Path = INCLUDED_WEIGHTS) -> Surrogate:
+    """Return a surrogate in evaluation mode.
+
+    Args:
+        path: Checkpoint, or file of `export_weights`.
+
+    Raises:
+        FileError: The file is missing, damaged or of another model.
+    """
+    if path == INCLUDED_WEIGHTS and not path.is_file():
+        raise FileError(
+            f"the surrogate's weights are missing from this installation ('{path}'); reinstall"
+            " tactorch, or make them with train/surrogate.py and give initialization.weights=FILE."
+        )
+    advice = "give the best.ckpt of a run of `tactorch train model=surrogate data=warmstart`"
+    return load_network(Surrogate, path, "surrogate", advice)
+
+
+def export_weights(checkpoint: Path, path: Path) -> None:
+    """Write the weights of a checkpoint in half precision: about a fifth of its size.
+
+    Args:
+        checkpoint: Checkpoint of a training.
+        path: Path of the file to write.
+
+    Raises:
+        FileError: The checkpoint is missing or damaged.
+    """
+    stored = read_checkpoint(checkpoint)
+    content = {
+        "state_dict": {name: values.half() for name, values in stored["state_dict"].items()},
+        "hyper_parameters": stored["hyper_parameters"],
+    }
+    memory = io.BytesIO()
+    torch.save(content, memory)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(memory.getvalue())

@@ -1,4 +1,4 @@
-"""A trained surrogate at work: it foretells the map of a recording, to start an inversion from."""
+"""Initialization of an inversion by the map that a trained surrogate predicts."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -24,24 +24,22 @@ from tactorch.inverse import (
 )
 from tactorch.inverse.invert import make_objective
 from tactorch.inverse.starts import fits_better_than_uniform
-from tactorch.learning.surrogate.network import Surrogate
-from tactorch.learning.surrogate.touch import Touch, touch
-from tactorch.learning.surrogate.weights import SHIPPED, load_surrogate
+from tactorch.learning.surrogate.features import Features, compute_features
+from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS, Surrogate, load_surrogate
 from tactorch.mesh import VoxelGrid
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
-TRUSTED = 10.0  # mean squared residual of a map that explains the presses but for some noise
-HALF = 0.5  # of the prior: then the presses decide what of the map they take
+MAX_TRUSTED_CHI2 = 10.0  # of maps that explain the presses up to the noise
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a surrogate says of an object.
+    """Map predicted by a surrogate.
 
     Attributes:
-        youngs: The likeliest modulus of each element, (m,), MPa.
-        deviation: Standard deviation of its logarithm, (m,).
+        youngs: Predicted Young's modulus of each element, (m,), MPa.
+        deviation: Standard deviation of the log-modulus, (m,).
     """
 
     youngs: Float[np.ndarray, " m"]
@@ -50,17 +48,17 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class SurrogateStart(Options):
-    """From the map that a network predicts; refused where a uniform one fits better.
+    """Start from the map that a network predicts, unless a uniform map fits better.
 
-    Give it to `invert` as `start_mpa`. Where the predicted map fits the presses no better than the
+    The value of `start_mpa` of `invert`. If the predicted map fits the presses no better than the
     best uniform map, the latter is the start.
 
     Attributes:
         weights: Checkpoint of `tactorch train experiment=surrogate`; None for the weights that
             tactorch includes. They are read when first needed.
-        prior_mean: Whether the predicted map is the mean of the prior too: "auto" where it explains
-            the presses but for some noise.
-        prior_share: Share of the prior that has this mean.
+        prior_mean: Whether the predicted map is also the mean of the prior; "auto": if it explains
+            the presses up to the noise.
+        prior_share: Fraction of the prior with this mean.
     """
 
     section: ClassVar[str] = "initialization"
@@ -70,26 +68,26 @@ class SurrogateStart(Options):
     )
     prior_mean: bool | Literal["auto"] = option(
         "auto",
-        "Use the map as the mean of the prior too; auto: where it explains the presses",
+        "Use the map also as the mean of the prior; auto: if it explains the presses",
     )
     prior_share: float = option(
-        HALF, "Share of the prior with this mean; at 0.5 the data decide", gt=0, le=1
+        0.5, "Share of the prior with this mean; at 0.5 the data decide", gt=0, le=1
     )
 
     def fresh(self) -> "SurrogateStart":
-        """Return a start with the same network and no stored prediction."""
+        """Return a start with the same network and without the cached prediction."""
         other = replace(self)
         vars(other)["network"] = self.network
         return other
 
     @cached_property
     def network(self) -> Surrogate:
-        """The network.
+        """Trained network.
 
         Raises:
             FileError: The weights are missing, damaged or of another model.
         """
-        return load_surrogate(self.weights or SHIPPED)
+        return load_surrogate(self.weights or INCLUDED_WEIGHTS)
 
     def predict(
         self,
@@ -98,7 +96,7 @@ class SurrogateStart(Options):
         noise: NoiseModel | None = None,
         bounds: Bounds | None = None,
     ) -> Prediction:
-        """Foretell the map; the truth is not read, and the map's own misfit not looked at.
+        """Return the predicted map of a recording; the truth is not used.
 
         Args:
             recording: Presses on an object.
@@ -114,10 +112,11 @@ class SurrogateStart(Options):
             prediction: Prediction = last[2]
             return prediction
         cells = self.network.cells
-        seen = touch(recording, cells, self.network.frames, noise=noise, bounds=bounds)
-        mean, deviation = answer(self.network, seen)
+        frames = self.network.frames
+        features = compute_features(recording, cells, frames, noise=noise, bounds=bounds)
+        mean, deviation = evaluate_network(self.network, features)
         grid, limits = VoxelGrid(recording.mesh, 2 * cells), bounds or Bounds()
-        youngs = seen.youngs_mpa * np.exp(grid.at_elements(mean))
+        youngs = features.youngs_mpa * np.exp(grid.at_elements(mean))
         prediction = Prediction(
             np.clip(youngs, limits.lower, limits.upper),
             np.exp(grid.at_elements(np.log(deviation))),
@@ -131,42 +130,42 @@ class SurrogateStart(Options):
         return []
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
-        """Return the foretold map, or the best uniform one if that fits better.
+        """Return the predicted map, or the best uniform one if that fits better, MPa.
 
         Raises:
             ConvergenceError: No uniform modulus carries the presses.
             FileError: The weights are missing, damaged or of another model.
         """
-        found = self.predict(problem.recording, noise=problem.noise, bounds=bounds).youngs
-        taken = fits_better_than_uniform(found, problem, bounds, "surrogate's")
-        return found if taken else homogeneous(problem, bounds)
+        predicted = self.predict(problem.recording, noise=problem.noise, bounds=bounds).youngs
+        if fits_better_than_uniform(predicted, problem, bounds, "surrogate's"):
+            return predicted
+        return homogeneous(problem, bounds)
 
     def with_prior_mean(self, settings: Settings, recording: Recording) -> Settings:
-        """Return settings whose prior has the predicted map as its mean, where that is wanted.
+        """Return settings whose prior has the predicted map as its mean.
 
-        Regions that the presses do not determine then keep the prediction. On objects unlike the
-        training data that would mislead; maps of such objects do not fit the presses, and then, as
-        where the map is refused as a start, the settings are returned unchanged. With a share of
-        0.5 the data still decide: total variation takes any map between a constant and the
-        prediction as equally likely.
+        Regions that the presses do not determine then keep the prediction. The settings are
+        returned unchanged if the map is rejected as a start or does not explain the presses, as
+        for objects unlike the training data. With a share of 0.5, total variation gives the same
+        probability to all maps between a constant and the prediction.
 
         Args:
             settings: Settings of the inversion.
             recording: Presses on an object.
 
         Returns:
-            The settings, with a `ShiftedPrior` where `prior_mean` is set and the map explains the
-            presses: any map that is not refused with True, maps with chi2 up to `TRUSTED` with
+            The settings, with a `ShiftedPrior` if the map is accepted: any map that fits better
+            than a uniform one with `prior_mean=True`, maps of chi2 up to `MAX_TRUSTED_CHI2` with
             "auto".
 
         Raises:
-            ConfigError: the prior has no mean, or refers to levels.
-            ConvergenceError: no uniform modulus carries the presses.
-            FileError: the weights are missing, damaged or of another model.
+            ConfigError: The prior has no mean, or refers to levels.
+            ConvergenceError: No uniform modulus carries the presses.
+            FileError: The weights are missing, damaged or of another model.
         """
         if self.prior_mean is False:
             return settings
-        max_chi2 = TRUSTED if self.prior_mean == "auto" else float("inf")
+        max_chi2 = MAX_TRUSTED_CHI2 if self.prior_mean == "auto" else float("inf")
         prior, bounds = settings.regularization, settings.bounds
         if isinstance(prior, NoPrior | BinaryWell) or getattr(prior, "level_mpa", None) is not None:
             raise ConfigError(
@@ -174,29 +173,29 @@ class SurrogateStart(Options):
                 "total_variation, without a level."
             )
         problem = make_objective(recording, settings).problem
-        found = self.predict(recording, noise=settings.noise, bounds=bounds).youngs
-        if not fits_better_than_uniform(found, problem, bounds, "surrogate's"):
+        predicted = self.predict(recording, noise=settings.noise, bounds=bounds).youngs
+        if not fits_better_than_uniform(predicted, problem, bounds, "surrogate's"):
             return settings
-        chi2 = problem.evaluate(found).chi2
+        chi2 = problem.evaluate(predicted).chi2
         if chi2 > max_chi2:
             _log.info(
-                "The prior is not about the surrogate's map, which leaves chi2 %.4g (trusted up to"
+                "The surrogate's map is not used as the mean of the prior: its chi2 is %.4g (limit"
                 " %g).", chi2, max_chi2,
             )  # fmt: skip
             return settings
-        _log.info("The prior is about the surrogate's map")
+        _log.info("The surrogate's map is the mean of the prior")
         return replace(
             settings,
-            regularization=ShiftedPrior(prior=prior, mean_mpa=found, share=self.prior_share),
+            regularization=ShiftedPrior(prior=prior, mean_mpa=predicted, share=self.prior_share),
         )
 
 
-def answer(
-    network: Surrogate, seen: Touch
+def evaluate_network(
+    network: Surrogate, features: Features
 ) -> tuple[Float[np.ndarray, "w w w"], Float[np.ndarray, "w w w"]]:
-    """Return mean and deviation of log E over the uniform modulus, on the grid."""
-    presses = torch.from_numpy(seen.presses).float()[None]
-    there = torch.ones((1, len(seen.presses)), dtype=torch.bool)
+    """Return mean and deviation of log E relative to the uniform modulus, on the grid."""
+    presses = torch.from_numpy(features.presses).float()[None]
+    mask = torch.ones(presses.shape[:2], dtype=torch.bool)
     with torch.inference_mode():
-        mean, deviation = network(presses, there, torch.from_numpy(seen.shared).float()[None])
+        mean, deviation = network(presses, mask, torch.from_numpy(features.shared).float()[None])
     return mean[0].double().numpy(), deviation[0].double().numpy()

@@ -1,4 +1,4 @@
-"""A 3-D U-Net (Ronneberger et al., 2015) behind an encoder that any number of presses share."""
+"""3-D U-Net (Ronneberger et al., 2015) with a shared encoder of the presses."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -11,16 +11,16 @@ _LAST = torch.channels_last_3d
 
 
 class PressUNet(nn.Module):
-    """From fields of presses and of the object on a grid to fields on one twice as fine.
+    """Maps fields of the presses and the object to fields on a grid twice as fine.
 
     Presses are encoded one by one with the same weights and pooled by mean and maximum (Zaheer et
     al., 2017), so their number and order do not matter.
 
     Args:
-        press_channels: Of each press.
-        shared_channels: Of the object.
-        out_channels: Of the result.
-        width: Channels of the widest full-size layers.
+        press_channels: Channels of a press.
+        shared_channels: Channels of the object.
+        out_channels: Channels of the result.
+        width: Channels of the widest layers of full resolution.
         encoded: Channels of an encoded press.
     """
 
@@ -34,7 +34,9 @@ class PressUNet(nn.Module):
     ) -> None:
         super().__init__()
         if min(width, encoded) < 2 or width % 2:
-            raise ConfigError(f"width={width} must be even, and width and encoded={encoded} 2 up.")
+            raise ConfigError(
+                f"width={width} must be even, and width and encoded={encoded} at least 2."
+            )
         fine = width // 2
         self.encoder = nn.Sequential(
             nn.Conv3d(press_channels + shared_channels, encoded, 3, padding=1),
@@ -61,36 +63,35 @@ class PressUNet(nn.Module):
     def forward(
         self,
         presses: Float[Tensor, "b k c v v v"],
-        there: Bool[Tensor, "b k"],
+        mask: Bool[Tensor, "b k"],
         shared: Float[Tensor, "b s v v v"],
     ) -> Float[Tensor, "b out w w w"]:
-        """Return the fields; `there` marks presses, as opposed to padding."""
-        joined = torch.cat([self._pooled(presses, there, shared), shared], dim=1)
-        wide = self.enter(joined.contiguous(memory_format=_LAST))
-        wide = self.first(wide)
+        """Return the fields; `mask` is False for padding."""
+        joined = torch.cat([self._pooled(presses, mask, shared), shared], dim=1)
+        wide = self.first(self.enter(joined.contiguous(memory_format=_LAST)))
         deep = self.middle(self.down(wide))
         back = self.up(functional.interpolate(deep, size=wide.shape[2:], mode="nearest"))
         wide = self.second(self.join(torch.cat([wide, back], dim=1)))
-        fine = _finer(self.refine(wide))
-        return self.last(torch.cat([fine, _finer(shared)], dim=1))
+        fine = _upsample(self.refine(wide))
+        return self.last(torch.cat([fine, _upsample(shared)], dim=1))
 
-    def _pooled(self, presses: Tensor, there: Tensor, shared: Tensor) -> Tensor:
-        places = there.nonzero(as_tuple=True)
-        joined = torch.cat([presses[places], shared[places[0]]], dim=1)
+    def _pooled(self, presses: Tensor, mask: Tensor, shared: Tensor) -> Tensor:
+        indices = mask.nonzero(as_tuple=True)
+        joined = torch.cat([presses[indices], shared[indices[0]]], dim=1)
         codes = self.encoder(joined.contiguous(memory_format=_LAST))
-        spread = codes.new_zeros((*there.shape, *codes.shape[1:]))
-        spread[places] = codes
-        mean = spread.sum(dim=1) / there.sum(dim=1)[:, None, None, None, None]
-        lowest = torch.finfo(spread.dtype).min
-        away = ~there[:, :, None, None, None, None]
-        return torch.cat([mean, spread.masked_fill(away, lowest).amax(dim=1)], dim=1)
+        padded = codes.new_zeros((*mask.shape, *codes.shape[1:]))
+        padded[indices] = codes
+        mean = padded.sum(dim=1) / mask.sum(dim=1)[:, None, None, None, None]
+        lowest = torch.finfo(padded.dtype).min
+        padding = ~mask[:, :, None, None, None, None]
+        return torch.cat([mean, padded.masked_fill(padding, lowest).amax(dim=1)], dim=1)
 
 
 class Residual(nn.Module):
-    """Two normalised convolutions and the identity (He et al., 2016).
+    """Residual block of two normalised convolutions (He et al., 2016).
 
     Args:
-        channels: In and out.
+        channels: Channels of input and output.
     """
 
     def __init__(self, channels: int) -> None:
@@ -106,9 +107,9 @@ class Residual(nn.Module):
         )
 
     def forward(self, field: Tensor) -> Tensor:
-        """Return the field, changed."""
+        """Return the output, of the shape of the input."""
         return field + self.body(field)
 
 
-def _finer(field: Tensor) -> Tensor:
+def _upsample(field: Tensor) -> Tensor:
     return functional.interpolate(field, scale_factor=2, mode="trilinear", align_corners=False)

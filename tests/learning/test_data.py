@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
-from tactorch.learning.splits import split_objects
+from tactorch.learning.data import split_objects
 
 SHARES = {"train": 0.7, "val": 0.1, "test": 0.2}
 

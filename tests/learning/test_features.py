@@ -1,4 +1,4 @@
-"""What a network sees: the same whatever the units, turned as the object is, and nothing lost."""
+"""Features: independent of units, covariant under rotations, and conserving sums."""
 
 from dataclasses import replace
 
@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Bounds, NoiseModel, linear_image
-from tactorch.learning.surrogate.touch import (
+from tactorch.learning.surrogate.features import (
     PRESS_CHANNELS,
     PRESS_VECTORS,
-    strongest,
-    targets,
-    touch,
+    compute_features,
+    compute_targets,
+    select_strongest,
 )
-from tactorch.learning.symmetry import apply
+from tactorch.learning.symmetry import apply_symmetry
 from tactorch.mesh import TetMesh, VoxelGrid, box_mesh
 from tactorch.recording import Press, Recording
 
@@ -43,8 +43,8 @@ def changed(recording: Recording, length: float, stiffness: float) -> Recording:
 
 @pytest.mark.parametrize(("length", "stiffness"), [(2.5, 1.0), (1.0, 4.0), (0.3, 0.2)])
 def test_units_do_not_matter(recording: Recording, length: float, stiffness: float) -> None:
-    seen = touch(recording, COUNT)
-    other = touch(changed(recording, length, stiffness), COUNT)
+    seen = compute_features(recording, COUNT)
+    other = compute_features(changed(recording, length, stiffness), COUNT)
     assert other.youngs_mpa == pytest.approx(stiffness * seen.youngs_mpa, rel=1e-4)
     np.testing.assert_allclose(other.presses, seen.presses, atol=1e-4)
     np.testing.assert_allclose(other.shared, seen.shared, atol=1e-3)
@@ -79,46 +79,49 @@ def turned(recording: Recording, order: tuple[int, ...], signs: tuple[int, ...])
     ("order", "signs"), [((1, 2, 0), (1, 1, 1)), ((0, 1, 2), (-1, 1, 1)), ((2, 1, 0), (1, -1, -1))]
 )
 def test_a_turned_object_looks_turned(recording: Recording, order: tuple, signs: tuple) -> None:
-    seen, other = touch(recording, COUNT), touch(turned(recording, order, signs), COUNT)
-    presses = apply((order, signs), torch.from_numpy(seen.presses), PRESS_VECTORS)
-    shared = apply((order, signs), torch.from_numpy(seen.shared))
+    seen, other = (
+        compute_features(recording, COUNT),
+        compute_features(turned(recording, order, signs), COUNT),
+    )
+    presses = apply_symmetry((order, signs), torch.from_numpy(seen.presses), PRESS_VECTORS)
+    shared = apply_symmetry((order, signs), torch.from_numpy(seen.shared))
     np.testing.assert_allclose(other.presses, presses.numpy(), atol=1e-5)
     np.testing.assert_allclose(other.shared, shared.numpy(), atol=1e-5)
 
 
-def test_what_the_channels_say(recording: Recording) -> None:
-    seen = touch(recording, COUNT)
+def test_the_channels_have_their_meaning(recording: Recording) -> None:
+    seen = compute_features(recording, COUNT)
     assert seen.presses.shape == (2, len(PRESS_CHANNELS), COUNT, COUNT, COUNT)
     top = dict(zip(PRESS_CHANNELS, seen.presses[0], strict=True))
-    assert (top["valid"] == 1.0).sum() == COUNT**2
-    assert (top["valid"][:, :, -1] == 1.0).all()  # z+ is seen
-    assert (top["held"][:, :, 0] == 1.0).all()
-    assert top["held"].sum() == COUNT**2
-    assert (top["moved_z"][:, :, -1] < 0).all()
+    assert (top["observed"] == 1.0).sum() == COUNT**2
+    assert (top["observed"][:, :, -1] == 1.0).all()  # z+ is seen
+    assert (top["supported"][:, :, 0] == 1.0).all()
+    assert top["supported"].sum() == COUNT**2
+    assert (top["displacement_z"][:, :, -1] < 0).all()
     pressure = recording.presses[1].total_force[2] / 100.0 / seen.youngs_mpa
     np.testing.assert_allclose(top["traction_z"].sum() / COUNT**2, pressure, rtol=1e-12)
     assert (seen.shared[0] == 1.0).all()
 
 
-def test_the_strongest_press_of_each_place_is_looked_at(recording: Recording) -> None:
-    assert strongest(recording, 1) == [1, 3]
-    assert strongest(recording, 2) == [0, 1, 2, 3]
+def test_the_strongest_press_of_each_location_is_selected(recording: Recording) -> None:
+    assert select_strongest(recording, 1) == [1, 3]
+    assert select_strongest(recording, 2) == [0, 1, 2, 3]
     mirrored = replace(recording.presses[0], forces=-recording.presses[0].forces)
     pulled = replace(recording, presses=(*recording.presses, mirrored))
-    assert strongest(pulled, 1) == [1, 3, 4]
+    assert select_strongest(pulled, 1) == [1, 3, 4]
 
 
-def test_ways_to_press_are_told_by_their_loads(recording: Recording) -> None:
-    """Not by what is seen, which changes from frame to frame; nor by the total force alone."""
+def test_press_locations_are_distinguished_by_their_loads(recording: Recording) -> None:
+    """Not by the observed nodes, which vary between frames; nor by the total force alone."""
     light, heavy = recording.presses[:2]
     holed = light.observed.copy()
     holed[np.flatnonzero(light.observed.any(axis=1))[:3]] = False
     seen = replace(light, observed=holed)
-    assert strongest(replace(recording, presses=(seen, heavy)), 1) == [1]
+    assert select_strongest(replace(recording, presses=(seen, heavy)), 1) == [1]
     pressed = np.flatnonzero(heavy.forces.any(axis=1))
     half = np.isin(np.arange(heavy.n_points), pressed[: len(pressed) // 2])[:, None]
     parts = [replace(heavy, forces=np.where(part, heavy.forces, 0.0)) for part in (half, ~half)]
-    assert strongest(replace(recording, presses=tuple(parts)), 1) == [0, 1]
+    assert select_strongest(replace(recording, presses=tuple(parts)), 1) == [0, 1]
     gone = replace(light, springs=0 * light.springs, fixed=light.springs > 0)
     bottom = np.zeros_like(light.prescribed)
     bottom[gone.fixed.any(axis=1), 2] = 0.1
@@ -126,65 +129,69 @@ def test_ways_to_press_are_told_by_their_loads(recording: Recording) -> None:
         replace(gone, forces=0 * light.forces, prescribed=f * bottom, direction=None)
         for f in (1.0, 3.0, 2.0)
     ]
-    assert strongest(replace(recording, presses=tuple(pushed)), 1) == [1]
+    assert select_strongest(replace(recording, presses=tuple(pushed)), 1) == [1]
 
 
-def test_what_has_no_weight_is_not_seen(recording: Recording) -> None:
+def test_values_without_weight_have_no_effect(recording: Recording) -> None:
     press = recording.presses[1]
     node = int(np.flatnonzero(press.observed.any(axis=1))[5])
     weights = np.ones_like(press.forces)
     weights[node] = 0.0
-    astray = press.displacement.copy()
-    astray[node] += 3.0
+    wrong = press.displacement.copy()
+    wrong[node] += 3.0
     plain = replace(recording, presses=(replace(press, weights=weights),))
-    bad = replace(recording, presses=(replace(press, weights=weights, displacement=astray),))
-    np.testing.assert_array_equal(touch(bad, COUNT).presses, touch(plain, COUNT).presses)
+    bad = replace(recording, presses=(replace(press, weights=weights, displacement=wrong),))
+    np.testing.assert_array_equal(
+        compute_features(bad, COUNT).presses, compute_features(plain, COUNT).presses
+    )
 
 
-def test_components_that_are_not_observed_moved_as_foretold(recording: Recording) -> None:
+def test_components_that_are_not_observed_take_the_prediction(recording: Recording) -> None:
     press = recording.presses[1]
     only = press.observed & np.array([False, False, True])
-    seen = touch(replace(recording, presses=(replace(press, observed=only),)), COUNT)
+    seen = compute_features(replace(recording, presses=(replace(press, observed=only),)), COUNT)
     top = dict(zip(PRESS_CHANNELS, seen.presses[0], strict=True))
-    assert (top["excess_x"] == 0).all()
-    assert (top["excess_z"] != 0).any()
-    assert np.abs(top["moved_x"]).max() > 0.01
+    assert (top["residual_x"] == 0).all()
+    assert (top["residual_z"] != 0).any()
+    assert np.abs(top["displacement_x"]).max() > 0.01
 
 
 def test_a_press_that_moved_nothing(recording: Recording) -> None:
     still = replace(recording.presses[3], displacement=0 * recording.presses[3].displacement)
-    seen = touch(replace(recording, presses=(recording.presses[1], still)), COUNT)
+    seen = compute_features(replace(recording, presses=(recording.presses[1], still)), COUNT)
     assert np.isfinite(seen.presses).all()
     assert np.isfinite(seen.shared).all()
 
 
-def test_bounds_and_noise_are_those_asked_for(recording: Recording) -> None:
+def test_bounds_and_noise_are_those_given(recording: Recording) -> None:
     unsaid = tuple(replace(press, noise_mm=None) for press in recording.presses)
     unsure = replace(recording, presses=unsaid)
     noise = PRESS_CHANNELS.index("noise")
-    low, high = (touch(unsure, COUNT, noise=NoiseModel(mm=mm)).presses for mm in (0.001, 0.01))
+    low, high = (
+        compute_features(unsure, COUNT, noise=NoiseModel(mm=mm)).presses for mm in (0.001, 0.01)
+    )
     there = low[:, noise] != 0
     np.testing.assert_allclose((high - low)[:, noise][there], 1.0, atol=1e-3)
-    bounded = touch(recording, COUNT, bounds=Bounds(0.001, 0.21))
+    bounded = compute_features(recording, COUNT, bounds=Bounds(0.001, 0.21))
     assert bounded.youngs_mpa == pytest.approx(0.21)
 
 
 def test_large_meshes_take_the_thrifty_way(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain = touch(recording, COUNT).shared
+    plain = compute_features(recording, COUNT).shared
     monkeypatch.setattr(linear_image, "_MAX_ENTRIES", 1.0)
-    np.testing.assert_allclose(touch(recording, COUNT).shared, plain, atol=1e-8)
+    np.testing.assert_allclose(compute_features(recording, COUNT).shared, plain, atol=1e-8)
 
 
 @pytest.mark.parametrize(("count", "frames"), [(3, 1), (0, 1), (4, 0)])
 def test_grids_that_cannot_be(recording: Recording, count: int, frames: int) -> None:
     with pytest.raises(ConfigError, match="must be even"):
-        touch(recording, count, frames)
+        compute_features(recording, count, frames)
 
 
 def test_targets_are_over_the_uniform_modulus(recording: Recording) -> None:
-    target, inside = targets(recording.mesh, recording.truth, 0.25, 8)
+    target, inside = compute_targets(recording.mesh, recording.truth, 0.25, 8)
     assert inside.all()
     np.testing.assert_allclose(0.25 * np.exp(target).max(), recording.truth.max())
     np.testing.assert_allclose(0.25 * np.exp(target).min(), recording.truth.min())
@@ -216,4 +223,4 @@ def test_a_node_between_two_voxels_goes_to_both() -> None:
 def test_poissons_ratio_is_seen(recording: Recording, poisson: float, seen: float) -> None:
     material = replace(recording.material, poisson=poisson)
     other = Recording(recording.mesh, recording.presses, material)
-    np.testing.assert_allclose(touch(other, COUNT).shared[3], seen, atol=1e-5)
+    np.testing.assert_allclose(compute_features(other, COUNT).shared[3], seen, atol=1e-5)
