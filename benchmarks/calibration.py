@@ -1,21 +1,21 @@
-"""Do the stated intervals of Young's modulus cover the truth as often as they say?
+"""Coverage of the stated intervals of Young's modulus.
 
     python benchmarks/calibration.py [--objects 60] [--divisions 4] [--seed N] [--out FOLDER]
 
-Objects of three kinds, each simulated, inverted without its truth, and judged by it:
+Objects of three kinds are simulated, inverted without their truth, and compared with it:
 
-- `gaussian`: log-moduli drawn from a normal prior with correlation along the mesh, inverted with
-  that very prior: here the Laplace posterior must be right, so this checks its code;
+- `gaussian`: log-moduli drawn from a normal prior with spatial correlation and inverted with the
+  same prior. The Laplace posterior is then correct, so this verifies its implementation;
 - `same mesh`: cubes of 10 mm of unknown modulus (0.1 to 0.4 MPa) with none, one or two balls or
   boxes of a third to six times that, pressed on one to three sides in three steps, with white
   noise of 25 to 50 dB; inverted by `tactorch.inverse.invert` with its default settings, from the
   best uniform modulus, on the mesh of the simulation;
-- `other mesh`: the same, but simulated on a mesh twice as fine: no inverse crime. An element's
-  truth is its mean modulus. This is the figure that counts.
+- `other mesh`: the same, but simulated on a mesh twice as fine, without inverse crime. The truth of
+  an element is its mean modulus. This is the decisive figure.
 
-Two posteriors are judged: `laplace` (total variation's curvature at the map, at the weight where
-the inversion stopped) and `variational` (`tactorch.uncertainty.variational_posterior`, whose
-weight and jumps come from the data). Neither has a factor that was fitted to anything.
+Two posteriors are evaluated: `laplace` (curvature of total variation at the map, with the final
+weight of the inversion) and `variational` (`tactorch.uncertainty.variational_posterior`, whose
+weight and jumps are estimated from the data). Neither has a fitted factor.
 
 The last line printed is one JSON object; its first figures are those of `other mesh` and
 `variational`.
@@ -83,7 +83,7 @@ def _judged(outcomes: list[Outcome], name: str) -> list[tuple[np.ndarray, np.nda
 
 
 def summary(outcomes: list[Outcome], name: str) -> dict[str, Any]:
-    """Count how often the intervals of one posterior hold, in all and apart."""
+    """Return the coverage of the intervals of one posterior, in total and by group."""
     judged = _judged(outcomes, name)
     found = coverage(judged, LEVEL)
     by_count = {}

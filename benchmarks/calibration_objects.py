@@ -1,4 +1,4 @@
-"""Objects for `calibration.py`: drawn, pressed, inverted without their truth, and judged by it."""
+"""Random objects of `calibration.py`: simulation, inversion and comparison with the truth."""
 
 import time
 from collections.abc import Callable
@@ -35,7 +35,7 @@ _SMOOTH, _MASS = 20.0, 0.3  # weights of the normal prior: correlated over some 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One object and what was pressed."""
+    """An object and its presses."""
 
     phantom: Phantom
     plan: PressPlan
@@ -44,7 +44,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One object judged: log-moduli, and what the posteriors say of them, by name."""
+    """True log-moduli of an object, and mean and deviation of each posterior by name."""
 
     truth: np.ndarray
     volumes: np.ndarray
@@ -77,7 +77,7 @@ class NormalPrior(Quadratic):
 
 
 def draw_case(rng: np.random.Generator) -> Case:
-    """Draw an object and its presses; how hard is a share of its stiffness, as a robot would."""
+    """Draw an object and its presses; pressures are relative to its stiffness."""
     youngs = float(np.exp(rng.uniform(np.log(0.1), np.log(0.4))))
     inclusions: list[tuple[Shape, float]] = []
     for _ in range(rng.integers(0, 3)):

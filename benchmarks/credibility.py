@@ -3,17 +3,19 @@
     python benchmarks/credibility.py [--divisions 10] [--layers 10] [--side-mm 1] [--out FOLDER]
 
 The paper's object: a homogeneous unit cube of 5, 7.5 and 10 MPa, its top under 0.06, 0.10 and 0.14
-MPa (strains of 0.6 to 3 %). The paper gives the unit neither of length nor of support: here it is
-1 mm, on springs of 1 N/mm a node as elsewhere in the paper, Poisson's ratio 0.45. Held fast, a
-cube of another size has the same curves, scaled. On springs it has not: those of a cube of 10 mm
-(`--side-mm 10`) are as soft as the cube itself, and the lowest of its layers, bending on them,
-counts a little more than the one above. All three displacements of the top's nodes are observed.
+MPa (strains of 0.6 to 3 %). The paper states neither the unit of length nor the support: here the
+side is 1 mm, on springs of 1 N/mm per node as elsewhere in the paper, and Poisson's ratio is 0.45.
+With a rigid support the curves scale with the size of the cube. On springs they do not: the springs
+of a cube of 10 mm (`--side-mm 10`) are as soft as the cube, and its lowest layer, which bends on
+them, has a slightly larger metric than the layer above. All three displacement components of the
+top nodes are observed.
 
-L(j) = max_i |du_i / de_j| is the metric of an element; a layer's integral is the sum of L over its
-elements, those on a border shared out. Three questions, answered by numbers and not by a test:
-does it fall with depth, does it rise with pressure, does it rise with softness? Beside the paper's
-metric by MPa stands the relative one, E L: the displacement by the change of log E. By
-MPa the stiffer object loses twice, once for deforming less and once for a MPa being less to it.
+L(j) = max_i |du_i / de_j| is the metric of an element. The integral of a layer is the sum of L over
+its elements; elements on a border are divided between the layers. The figures state whether the
+integral decreases with depth, increases with pressure and increases with softness. Besides the
+metric per MPa of the paper, the relative metric E L is given: the displacement per change of log E.
+Per MPa, a stiffer object has a smaller metric for two reasons: it deforms less, and 1 MPa is a
+smaller relative change.
 
 `reach` is the depth (in sides) down to which a layer has at least the integral that the middle
 layer has at the middle pressure and stiffness.
@@ -65,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def trends(profiles: dict[Key, np.ndarray]) -> dict[str, Any]:
-    """State how the profiles change with depth, pressure and stiffness."""
+    """Return how the profiles change with depth, pressure and stiffness."""
     ordered = sorted(profiles)
     falls = {_name(key): bool(np.all(np.diff(profiles[key]) < 0)) for key in ordered}
     drop = {_name(key): float(profiles[key][0] / profiles[key][-1]) for key in ordered}
@@ -131,7 +133,7 @@ def across(mesh: TetMesh, maps: dict[Key, np.ndarray]) -> dict[str, float]:
 
 
 def table(profiles: dict[Key, np.ndarray], reaches: dict[str, float]) -> list[str]:
-    """One row a depth, one column a stiffness and pressure, and the reach below."""
+    """Return a Markdown table: a row per depth, a column per stiffness and pressure."""
     keys = sorted(profiles)
     head = ["depth (sides)", *[_name(key) for key in keys]]
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]

@@ -1,9 +1,9 @@
-"""Design factors (Section IV-B, Table II): how hard, how often, from how many sides, how noisy.
+"""Design factors (Section IV-B, Table II): pressure, number of steps and sides, noise.
 
     python benchmarks/design_factors.py [--only CELL ...] [--out FOLDER] [--regularization NAME]
 
-The cells are those of `tactorch.reproduce.design`, which tells what they are; `tactorch reproduce
-table2` makes the table from them with default settings. Here other priors can be tried.
+The cells are those of `tactorch.reproduce.design`, which describes them; `tactorch reproduce
+table2` makes the table with default settings. This script also takes other priors.
 
 `same mesh` inverts on the mesh that the presses were simulated on, as the paper does: an inverse
 crime. `other mesh` simulates on a mesh twice as fine. The last line printed is one

@@ -1,25 +1,25 @@
-"""Forward solve and gradient, side by side with torch-fem in one process.
+"""Time of the forward solution and the gradient, compared with torch-fem in one process.
 
 A cube of plain tetrahedra, clamped at the bottom, under a compressive dead traction of 0.1 MPa
 on top: E = 1 MPa, Poisson's ratio 0.45, the paper's Neo-Hookean energy (eq. 2). The gradient is
-that of the mean vertical displacement of the top with respect to every element's modulus, timed
-apart from the forward solve that precedes it.
+that of the mean vertical displacement of the top with respect to the modulus of each element, timed
+separately from the forward solution.
 
     python benchmarks/forward_gradient.py [--small-only] [--repeats 7] [--out FOLDER]
 
-How it is kept fair: models are built, and everything compiled, before the clock starts; both
-solve to the same relative residual in one load increment with the same exact boundary conditions
-and the same nodal forces; torch-fem runs with each of its linear solvers (direct, which is
-PARDISO, and conjugate gradients with algebraic multigrid) and the faster one counts, for each
-figure apart; the two packages take turns, so that other work on the machine hits both.
+Models are built and compiled before the time is measured. Both packages solve to the same relative
+residual in one load increment with the same exact boundary conditions and nodal forces. torch-fem
+runs with each of its linear solvers (PARDISO, and conjugate gradients with algebraic multigrid);
+each figure is compared with the faster one. The packages alternate, so that other processes on the
+machine affect both.
 
-tactorch factors the tangent at the equilibrium within its forward solve when a gradient is
-requested, so its gradient is one solve: the sum of both times is shown as well. Medians are
-compared; best times, which are least affected by other processes, are given as well, with the
-share of the cores that other processes took.
+tactorch factors the tangent at the equilibrium in its forward solution when a gradient is
+requested, so the gradient costs one solve: the sum of both times is also given. Medians are
+compared; the best times, which other processes affect least, and the share of the cores that other
+processes used are given as well.
 
-The table goes to the terminal and, with the machine's description, to a Markdown and a JSON
-file; the last line printed is one JSON object with the figures.
+The table is printed and written, with the description of the machine, to a Markdown and a JSON
+file. The last line printed is one JSON object with the figures.
 """
 
 import argparse
@@ -58,7 +58,7 @@ Solve = Callable[[Tensor], Tensor]
 
 @dataclass
 class Contestant:
-    """One package with one linear solver: its solve, its times and its answers."""
+    """A package with a linear solver, its times and results."""
 
     name: str
     solve: Solve
@@ -69,7 +69,7 @@ class Contestant:
     slope: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def run(self, count: int, top: Tensor, keep: bool) -> None:
-        """Solve, then solve and differentiate, on `count` elements; record times if `keep`."""
+        """Solve without, then with a gradient, on `count` elements; record times if `keep`."""
         youngs = torch.ones(count, dtype=torch.float64)
         start = time.perf_counter()
         self.solve(youngs)
@@ -89,7 +89,7 @@ class Contestant:
             self.gradient.append(end - middle)
 
     def seconds(self) -> dict[str, float]:
-        """Median and best time of the forward solve, the gradient, both, and forward alone."""
+        """Return medians and best times."""
         times = {"forward": self.forward, "gradient": self.gradient, "alone": self.alone}
         times["both"] = [f + g for f, g in zip(self.forward, self.gradient, strict=True)]
         return {k: median(t) for k, t in times.items()} | {
@@ -128,7 +128,7 @@ def neo_hookean(F: Tensor, params: Tensor) -> Tensor:
 
 
 def compare(divisions: int, repeats: int) -> dict[str, Any]:
-    """Run one cube; print a table and return its figures."""
+    """Compare on one cube; print a table and return the figures."""
     mesh = box_mesh(SIZE_MM, divisions, tets_per_cell=5)
     top = torch.from_numpy(face_nodes(mesh, "z+"))
     fixed = np.zeros((mesh.n_points, 3), dtype=bool)
@@ -152,7 +152,7 @@ def compare(divisions: int, repeats: int) -> dict[str, Any]:
 
 
 def summarise(mesh: TetMesh, ours: Contestant, theirs: list[Contestant]) -> dict[str, Any]:
-    """Return times, ratios to the faster of `theirs`, and differences of the answers."""
+    """Return times, ratios to the faster of `theirs`, and differences of the results."""
     seconds = {c.name: c.seconds() for c in (ours, *theirs)}
     ratios = {
         f"{kind}_ratio": min(seconds[c.name][kind] for c in theirs) / seconds[ours.name][kind]
@@ -172,7 +172,7 @@ def summarise(mesh: TetMesh, ours: Contestant, theirs: list[Contestant]) -> dict
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Largest difference, relative to the largest value."""
+    """Return the largest difference, relative to the largest value."""
     return float(np.abs(a - b).max() / np.abs(b).max())
 
 
@@ -182,7 +182,7 @@ def table(figures: dict[str, Any]) -> str:
         f"### {figures['elements']:,} tetrahedra, {figures['nodes']:,} nodes "
         f"({figures['repeats']} repeats)",
         "",
-        "| seconds: median (best) | forward | gradient | both | forward, no gradient asked |",
+        "| seconds: median (best) | forward | gradient | both | forward, no gradient |",
         "|---|---:|---:|---:|---:|",
     ]
     for name, s in figures["seconds"].items():
@@ -193,7 +193,7 @@ def table(figures: dict[str, Any]) -> str:
     lines += [
         f"| **times faster** | {' | '.join(cells)} |",
         "",
-        f"Largest relative difference of the answers: displacement "
+        f"Largest relative difference of the results: displacement "
         f"{figures['displacement_difference']:.1e}, gradient "
         f"{figures['gradient_difference']:.1e}."
         + ("" if share is None else f" Other processes took {share:.0%} of the cores meanwhile."),
@@ -203,7 +203,7 @@ def table(figures: dict[str, Any]) -> str:
 
 
 def headline(cubes: dict[str, dict[str, Any]]) -> dict[str, float]:
-    """Return the figures of the last line."""
+    """Return the figures of the JSON line."""
     out = {
         f"{kind}_ratio_{size}": round(figures[f"{kind}_ratio"], 2)
         for size, figures in cubes.items()
@@ -224,8 +224,8 @@ def write(
     folder.mkdir(parents=True, exist_ok=True)
     record = {"machine": machine, "cubes": cubes, "figures": figures}
     (folder / "forward_gradient.json").write_text(json.dumps(record, indent=2) + "\n")
-    text = ["# Forward solve and gradient, side by side with torch-fem", ""]
-    text += ["`python benchmarks/forward_gradient.py`; what is solved stands at its top.", ""]
+    text = ["# Forward solution and gradient, compared with torch-fem", ""]
+    text += ["`python benchmarks/forward_gradient.py`; its docstring describes the problem.", ""]
     text += [table(f) for f in cubes.values()]
     text += ["## Machine", "", *(f"- {key}: {value}" for key, value in machine.items()), ""]
     (folder / "forward_gradient.md").write_text("\n".join(text))
@@ -234,9 +234,13 @@ def write(
 def main() -> None:
     """Run the comparison."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--small-only", action="store_true", help="leave the large cube out")
-    parser.add_argument("--repeats", type=int, default=7, help="of the small cube (default 7)")
-    parser.add_argument("--large-repeats", type=int, default=2, help="default 2")
+    parser.add_argument("--small-only", action="store_true", help="omit the large cube")
+    parser.add_argument(
+        "--repeats", type=int, default=7, help="repeats of the small cube (default 7)"
+    )
+    parser.add_argument(
+        "--large-repeats", type=int, default=2, help="repeats of the large cube (default 2)"
+    )
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
     options = parser.parse_args()
     torch.set_default_dtype(torch.float64)  # torch-fem makes its arrays in the default type

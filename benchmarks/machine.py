@@ -1,4 +1,4 @@
-"""What a benchmark ran on, in words that fit any machine, and what else ran there meanwhile."""
+"""Description of the machine of a benchmark, and the load by other processes."""
 
 import json
 import os
@@ -61,14 +61,14 @@ def _version(package: str) -> str:
 
 
 class OtherWork:
-    """Meter of the processor time that others take, from its construction on."""
+    """Meter of the processor time of other processes, from its construction on."""
 
     def __init__(self) -> None:
         """Start."""
         self._began = time.perf_counter(), _busy_seconds(), _stolen_seconds(), time.process_time()
 
     def share(self) -> float | None:
-        """Share of all cores that other processes have taken; None where it cannot be told."""
+        """Return the share of all cores that other processes used; None where unknown."""
         _, busy, _, own = self._began
         now = _busy_seconds()
         if busy is None or now is None:

@@ -4,18 +4,18 @@
 
 The shallow cube of Table II (10 mm, 0.2 MPa, a ball of 1 MPa; Poisson's ratio 0.45) pressed from
 three sides in four steps up to 20 kPa, with white noise; once simulated on the mesh that it is
-inverted on, as in the paper (an inverse crime), and once on a mesh twice as fine. Each case is
+inverted on, as in the paper (inverse crime), and once on a mesh twice as fine. Each case is
 inverted three times:
 
-- `right`: with the right assumptions, the map alone unknown;
-- `wrong`: with a wrong assumption, the map alone unknown, as in Fig. 9 of the paper;
+- `right`: with correct assumptions; only the map is estimated;
+- `wrong`: with a wrong assumption; only the map is estimated, as in Fig. 9 of the paper;
 - `joint`: with the same wrong assumption, the nuisance parameter estimated with the map; its prior
   deviation is the size of the errors studied here: 0.02 in Poisson's ratio, 20 % in force, 10 % in
   size.
 
-A case holds when the error of `joint` is within twice that of `right`. Sizes are assumed wrong
-about what holds the object, so that displacements have the difference of the shapes in them. The
-last line printed is one JSON object with all figures.
+A case passes if the error of `joint` is at most twice that of `right`. A wrong size is relative to
+the support of the object, so that the displacements contain the difference of the shapes. The last
+line printed is one JSON object with all figures.
 """
 
 import argparse

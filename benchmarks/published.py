@@ -1,17 +1,17 @@
-"""Published cases: Gauss-Newton beside the paper's truncated Newton and the authors' own maps.
+"""Published cases: Gauss-Newton, the truncated Newton of the paper, and the maps of its authors.
 
     python benchmarks/published.py FOLDER... [--tnc-evaluations 500] [--repeats 1] [--out FOLDER]
 
 Each FOLDER holds a case in the published text format. Both optimizers start from 0.2 MPa
-everywhere and have the settings that tactorch has by default: the same for all cases, none of
-them chosen with the truth. The noise of these files is not stated, so the default (1e-4 of the
-signal) is assumed. The truth is read to score maps, and for one check: where the forward solve at
-the stated truth does not reproduce the presses, but does with other moduli at the same elements,
-the labels of the truth are wrong; the moduli that the presses obey then replace them, for
-scoring, and a line says so. (The published box-torus says 3.0 MPa where its presses have 1.5.)
+everywhere and have the default settings of tactorch, the same for all cases and chosen without the
+truth. The files do not state their noise, so the default (1e-4 of the signal) is assumed. The truth
+is used for the scores and for one check: if the forward solution at the stated truth does not
+reproduce the presses, but does with other moduli at the same elements, the labels of the truth are
+wrong. The moduli fitted to the presses then replace them in the scores, and a note is printed (the
+published box-torus states 3.0 MPa, its presses were computed with 1.5 MPa).
 
-`seconds to reference` is when a map first had both the correlation and the error of the authors'
-reconstruction, or better. The last line printed is one JSON object, by case.
+`seconds to reference` is the time of the first map whose correlation and error are at least as good
+as those of the authors' reconstruction. The last line printed is one JSON object, by case.
 """
 
 import argparse

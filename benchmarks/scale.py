@@ -1,16 +1,16 @@
-"""How time and memory of an inversion grow with the mesh, and a real anatomy (DigiBreast).
+"""Time and memory of an inversion by mesh size, and a real anatomy (DigiBreast).
 
     python benchmarks/scale.py [--sizes N ...] [--without-breast] [--only-breast] [--out FOLDER]
 
-Cubes of 10 mm and 0.2 MPa with a ball of 1 MPa (radius 2 mm, 3 mm below the top), twelve presses:
-three sides at 5, 10, 15 and 20 kPa, noise of 40 dB, meshed with five tetrahedra a cell to about
-the requested sizes. Each is inverted with matrix-free Newton-CG from 0.2 MPa everywhere, in a
-separate process, whose largest resident memory and processor time (start-up included; the figure
-that other work on the machine disturbs least) are read when it ends. The presses are computed,
-in another process, on the mesh that is inverted: an inverse crime, which changes neither time nor
-memory of the inversion but flatters its correlation with the truth.
+The objects are cubes of 10 mm and 0.2 MPa with a ball of 1 MPa (radius 2 mm, centre 3 mm below the
+top), meshed with five tetrahedra per cell to about the requested sizes. There are twelve presses on
+three sides at 5, 10, 15 and 20 kPa, with noise of 40 dB. Each cube is inverted with matrix-free
+Newton-CG from a uniform 0.2 MPa in a separate process, whose peak resident memory and processor
+time (including start-up; least affected by other processes) are read at its end. Another process
+computes the presses on the mesh of the inversion. This inverse crime affects neither time nor
+memory, but raises the correlation with the truth.
 
-The breast (`breast.py`) commits none. The last line printed is one JSON object with all figures.
+The breast (`breast.py`) is without inverse crime. The last line printed is one JSON object.
 """
 
 import argparse
@@ -84,12 +84,12 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def cells(size: int) -> int:
-    """Cells along an edge of the cube for about `size` tetrahedra."""
+    """Return the number of cells along an edge for about `size` tetrahedra."""
     return max(1, round((size / _TETS_PER_CELL) ** (1.0 / 3.0)))
 
 
 def record(size: int) -> Recording:
-    """Press the cube of about `size` tetrahedra twelve times."""
+    """Simulate the presses on a cube of about `size` tetrahedra."""
     mesh = box_mesh(10.0, cells(size), tets_per_cell=_TETS_PER_CELL)
     plan = PressPlan(("z+", "x+", "y+"), (0.005, 0.01, 0.015, 0.02))
     return simulate(
@@ -98,7 +98,7 @@ def record(size: int) -> Recording:
 
 
 def run_size(size: int, max_seconds: float | None) -> dict[str, Any]:
-    """Simulate in one process, invert in another; returns the figures."""
+    """Simulate in one process and invert in another; return the figures."""
     began = time.perf_counter()
     box_mesh(10.0, cells(size), tets_per_cell=_TETS_PER_CELL)
     meshing = time.perf_counter() - began
@@ -119,25 +119,25 @@ def child(*arguments: str) -> str:
 
 
 def inverted(recording: Recording, max_seconds: float | None = None) -> dict[str, Any]:
-    """Invert from 0.2 MPa; returns the figures, this process's largest memory among them."""
+    """Invert from 0.2 MPa; return the figures, with the peak memory of this process."""
     settings = Settings(optimizer=NewtonCG(), max_seconds=max_seconds)
-    found = invert(recording, settings, start_mpa=_START_MPA, show_progress=False)
+    result = invert(recording, settings, start_mpa=_START_MPA, show_progress=False)
     figures: dict[str, Any] = {
         "elements": recording.mesh.n_tets,
         "unknowns": 3 * recording.mesh.n_points,
         "presses": len(recording.presses),
-        "seconds": found.seconds,
+        "seconds": result.seconds,
         "cpu_seconds": time.process_time(),
         "peak_gib": peak_gib(),
-        "iterations": found.iterations,
-        "products": sum(entry["products"] for entry in found.history),
-        "chi2": found.history[-1]["chi2"],
-        "stop_reason": found.stop_reason,
+        "iterations": result.iterations,
+        "products": sum(entry["products"] for entry in result.history),
+        "chi2": result.history[-1]["chi2"],
+        "stop_reason": result.stop_reason,
     }
     if recording.truth is not None:
-        figures["pearson"] = scores(recording.mesh, found.youngs, recording.truth)["pearson"]
+        figures["pearson"] = scores(recording.mesh, result.youngs, recording.truth)["pearson"]
         figures["position_error_mm"] = position_error_mm(
-            recording.mesh, found.youngs, recording.truth
+            recording.mesh, result.youngs, recording.truth
         )
     return figures
 
@@ -147,7 +147,7 @@ def _breast(out: Path | None, max_seconds: float | None) -> dict[str, Any] | Non
 
     folder = breast.folder()
     if folder is None:
-        print(f"\nDigiBreast: left out, {breast.WHERE} is not there.")
+        print(f"\nDigiBreast is omitted: {breast.WHERE} does not exist.")
         return None
     figures = breast.run(folder, out, max_seconds)
     print("\n" + breast.table(figures), flush=True)

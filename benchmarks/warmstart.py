@@ -1,24 +1,23 @@
-"""Gauss-Newton from a surrogate's map against from a uniform one (Section VII).
+"""Gauss-Newton initialized by a surrogate, compared with a uniform initialization (Section VII).
 
     python benchmarks/warmstart.py [--count 50] [--weights FILE] [--published FOLDER ...]
         [--out FOLDER]
 
-Held-out objects: those of `tactorch generate dataset=warmstart` with another seed (3003), so none
-was seen in training, nor its presses or noise; nor were they looked at when settings were chosen
-(maps are trusted up to chi2 = 10, not 3, by objects of seed 1001 of an earlier, narrower recipe;
-half of the prior is about them, not all, by twenty objects of seed 1001 of this one).
-Each is inverted three times in the same process:
+The objects are held out: those of `tactorch generate dataset=warmstart` with another seed (3003)
+than that of the training data. They were not used to choose settings either: the limit of chi2 = 10
+was chosen on objects of seed 1001 of an earlier, narrower recipe, and the share of 0.5 on twenty
+objects of seed 1001 of this recipe. Each object is inverted three times in the same process:
 
 - `uniform`: from the best uniform modulus, with total variation;
 - `surrogate`: from the surrogate's map, with the same settings
   (`initialization=surrogate initialization.prior_mean=false`);
-- `about`: from the surrogate's map, with half of the total variation that of the distance from it,
-  where that map explains the presses (`initialization=surrogate`, as it comes).
+- `about`: from the surrogate's map, which is also the mean of half of the prior if it explains the
+  presses (`initialization=surrogate` with default settings).
 
-Nothing reads the truth but the scores. The misfit to reach is, for each object, the larger of its
-noise (chi2 = 1) and what the runs end with; counted is the first iteration there (0: the start
-itself fits), and the seconds up to it, the making of the start included. The last line printed is
-one JSON object.
+Only the scores use the truth. The target misfit of an object is the larger of its noise level
+(chi2 = 1) and the final misfits of the runs. The table has the first iteration that reaches it (0:
+the initialization itself does) and the seconds up to it, including the computation of the
+initialization. The last line printed is one JSON object.
 """
 
 import argparse
@@ -42,7 +41,7 @@ from tactorch.recording import Recording
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl", "lightning")
 SEED = 3003
 KINDS = ("uniform", "surrogate", "about")
-_SAME = 1.02  # of the misfit to reach
+_TOLERANCE = 1.02  # factor on the target misfit
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -50,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--weights", type=Path, help="a checkpoint; those that ship otherwise")
+    parser.add_argument("--weights", type=Path, help="checkpoint; default: the included weights")
     parser.add_argument("--published", type=Path, nargs="*", default=[])
     parser.add_argument("--out", type=Path, help="folder for warmstart.json and .md")
     options = parser.parse_args(arguments)
@@ -66,8 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines += [row(one) for one in published]
     print("\n".join(row(one) for one in published))
     result = {"objects": summary(rows), "published": {one["name"]: one for one in published}}
-    lines += ["", *told(result["objects"])]
-    print("\n".join(["", *told(result["objects"])]))
+    lines += ["", *format_summary(result["objects"])]
+    print("\n".join(["", *format_summary(result["objects"])]))
     print(f"Other processes took {meter.share() or 0:.0%} of the cores meanwhile.\n")
     if options.out is not None:
         whole = {**result, "each": rows}
@@ -76,13 +75,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def held_out(seed: int, index: int) -> Sample:
-    """Make an object and its presses, of the warm-start family."""
+    """Return a held-out object and its presses."""
     options = compose_options("generate", ["dataset=warmstart", f"dataset.seed={seed}"])
     return make_sample(make_recipe(options), index)
 
 
 def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str, Any]:
-    """Invert from both starts; figures of both, and of the surrogate's map itself."""
+    """Return the figures of all inversions of an object, and of the surrogate's map itself."""
     truth = recording.truth
     assert truth is not None
     predicted = scores(recording.mesh, start.predict(recording).youngs, truth)
@@ -92,38 +91,38 @@ def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str,
         "surrogate": (start.fresh(), Settings()),
         "about": (start.fresh(), about),
     }
-    found = {
+    results = {
         kind: invert(recording, settings, start_mpa=first, show_progress=False)
         for kind, (first, settings) in runs.items()
     }
-    target = _SAME * max(1.0, *(one.history[-1]["chi2"] for one in found.values()))
+    target = _TOLERANCE * max(1.0, *(one.history[-1]["chi2"] for one in results.values()))
     return {
         "name": name,
         "presses": len(recording.presses),
         "predicted": {"pearson": predicted["pearson"], "ssim": predicted["ssim"]},
         "target_chi2": target,
-        **{kind: figures(one, recording, target) for kind, one in found.items()},
+        **{kind: figures(one, recording, target) for kind, one in results.items()},
     }
 
 
-def figures(found: Reconstruction, recording: Recording, target: float) -> dict[str, float]:
-    """Of one inversion."""
+def figures(result: Reconstruction, recording: Recording, target: float) -> dict[str, float]:
+    """Return the figures of one inversion."""
     assert recording.truth is not None
-    got = scores(recording.mesh, found.youngs, recording.truth)
-    there = next(one for one in found.history if one["chi2"] <= target)
+    quality = scores(recording.mesh, result.youngs, recording.truth)
+    reached = next(entry for entry in result.history if entry["chi2"] <= target)
     return {
-        "first_chi2": found.history[0]["chi2"],
-        "iterations_to_misfit": there["iteration"],
-        "seconds_to_misfit": there["seconds"],
-        "iterations": found.iterations,
-        "seconds": found.seconds,
-        "pearson": got["pearson"],
-        "ssim": got["ssim"],
+        "first_chi2": result.history[0]["chi2"],
+        "iterations_to_misfit": reached["iteration"],
+        "seconds_to_misfit": reached["seconds"],
+        "iterations": result.iterations,
+        "seconds": result.seconds,
+        "pearson": quality["pearson"],
+        "ssim": quality["ssim"],
     }
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Means over the objects, and how often the surrogate did better."""
+    """Return means over the objects, and losses relative to the uniform initialization."""
 
     def mean(kind: str, key: str) -> float:
         return float(np.mean([one[kind][key] for one in rows]))
@@ -138,7 +137,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _losses(rows: list[dict[str, Any]], kind: str) -> dict[str, float]:
-    """How much worse than from uniform the final SSIM is, and how often by more than 0.01."""
+    """Return the largest loss of SSIM relative to uniform, and the number of losses above 0.01."""
     gain = np.array([one[kind]["ssim"] - one["uniform"]["ssim"] for one in rows])
     return {
         "worst_ssim_loss": float(max(0.0, -gain.min())),
@@ -146,19 +145,19 @@ def _losses(rows: list[dict[str, Any]], kind: str) -> dict[str, float]:
     }
 
 
-def told(found: dict[str, Any]) -> list[str]:
-    """The summary in words."""
+def format_summary(means: dict[str, Any]) -> list[str]:
+    """Return the summary as Markdown."""
     lines = [
-        f"The surrogate alone: r {found['predicted_pearson']:.3f}, "
-        f"SSIM {found['predicted_ssim']:.3f}"
-        f" over {found['objects']} objects.",
+        f"The surrogate alone: r {means['predicted_pearson']:.3f}, "
+        f"SSIM {means['predicted_ssim']:.3f}"
+        f" over {means['objects']} objects.",
         "",
         "| means over the objects | iterations to misfit | s | iterations to the end | s | SSIM |"
         " r | worse than from uniform by > 0.01 | at most by |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for kind in KINDS:
-        one = found[kind]
+        one = means[kind]
         lines.append(
             f"| {kind} | {one['iterations_to_misfit']:.2f} | {one['seconds_to_misfit']:.2f}"
             f" | {one['iterations']:.1f} | {one['seconds']:.2f} | {one['ssim']:.3f}"
@@ -176,7 +175,7 @@ HEADER = (
 
 
 def row(one: dict[str, Any]) -> str:
-    """A line of the table."""
+    """Return a row of the table."""
 
     def three(key: str, form: str) -> str:
         return " / ".join(format(one[kind][key], form) for kind in KINDS)

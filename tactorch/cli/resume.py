@@ -37,11 +37,11 @@ def with_resume(schema: Schema, words: list[str], *, multirun: bool = False) -> 
     Args:
         schema: Schema of the command.
         words: Settings as Hydra takes them.
-        multirun: Whether several runs are asked for.
+        multirun: Whether several runs are requested.
 
     Raises:
         FileError: the folder is no run folder, or its settings are damaged.
-        ConfigError: the run is of another command, several runs are asked for, or the folder holds
+        ConfigError: the run is of another command, several runs are requested, or the folder has
             settings that are not plain ones of the command.
     """
     chosen = [word.split("=", 1)[1] for word in words if key_of(word) == "resume"]

@@ -47,7 +47,7 @@ class MeshSizes(Options):
 
 @dataclass(frozen=True)
 class Recipe(Options):
-    """Everything that determines the samples of a dataset, whoever makes them and in any order.
+    """Settings that determine the samples of a dataset, in any order of their computation.
 
     Attributes:
         name: Name of the dataset.

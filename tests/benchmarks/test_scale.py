@@ -49,7 +49,7 @@ def test_the_breast_is_left_out_with_a_reason(
     monkeypatch.setattr(benchmark, "run_size", lambda size, _: rows[size])
     benchmark.main(["--sizes", "1000", "3000", "--out", str(tmp_path / "out")])
     printed = capsys.readouterr().out.splitlines()
-    assert any("DigiBreast: left out" in line for line in printed)
+    assert any("DigiBreast is omitted" in line for line in printed)
     results = json.loads(printed[-1])
     assert results["breast"] is None
     assert [row["elements"] for row in results["sizes"]] == [1000, 3000]

@@ -116,7 +116,7 @@ def _patience() -> Iterator[None]:
         from rich.console import Console
         from rich.live import Live
         from rich.spinner import Spinner
-    except ImportError:  # which will be told
+    except ImportError:  # reported among the packages
         yield
         return
     if not is_rich(sys.stderr):

@@ -8,16 +8,16 @@ from tactorch.errors import TactorchError
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """Result of one check of the installation.
 
     Attributes:
-        part: What it belongs to, such as "packages".
-        name: Of the thing.
-        works: Whether it does; None where there is nothing to judge, only to tell.
-        told: Its version, place or size; or what is wrong with it.
-        feature: What does not work without it.
-        remedy: The command, or what else to do, where it does not work.
-        core: Whether nothing works without it.
+        part: Group of the check, such as "packages".
+        name: Name of the checked item.
+        works: Whether the item works; None for information only.
+        message: Version, path or size of the item, or the reason of the failure.
+        feature: Feature that needs the item.
+        remedy: Command or action if the item does not work.
+        core: Whether tactorch needs the item for everything.
     """
 
     part: str

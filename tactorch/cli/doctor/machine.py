@@ -71,11 +71,11 @@ def _of_container(name: str) -> list[str]:
 
 
 def _gpu() -> Finding:
-    """Look at the GPU; that there is none is told, not judged."""
+    """Return the finding on the GPU; its absence is reported, but is no failure."""
     feature = "solver=torch_cg, trainer=gpu"
     try:
         reason = _why_none()
-    except Exception as error:  # a broken torch, told among the packages
+    except Exception as error:  # a broken torch, reported among the packages
         reason = reason_of(error)
     if reason:
         return Finding(PART, "GPU", None, f"none: {reason}", feature)

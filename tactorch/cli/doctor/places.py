@@ -22,7 +22,7 @@ def look_at_places() -> Iterator[Finding]:
         "pip install --force-reinstall tactorch", core=True,
     )  # fmt: skip
     yield looked_at(
-        FILES, "cache of meshes", _cache, "keeping meshes: they are made anew each time",
+        FILES, "cache of meshes", _cache, "caching meshes: they are made again each time",
         "set TACTORCH_CACHE to a folder that can be written",
     )  # fmt: skip
     yield looked_at(
@@ -71,7 +71,7 @@ def _writable(folder: Path) -> str:
 
 
 def _shared_data() -> Finding:
-    """Data of others: `$TACTORCH_SHARED`, or `shared` beside the project's folder."""
+    """Return the finding on published data, `$TACTORCH_SHARED` or `shared` next to the project."""
     chosen = os.environ.get("TACTORCH_SHARED")
     place = Path(chosen) if chosen else Path(__file__).resolve().parents[4] / "shared"
     feature = "what is computed from published data (make external)"
@@ -79,7 +79,7 @@ def _shared_data() -> Finding:
         return Finding(FILES, "shared data", True, str(place), feature)
     message = f"none: '{place / 'data'}' is not a folder"
     remedy = "set TACTORCH_SHARED to the folder that holds data/"
-    # Only a folder that was asked for is missed.
+    # A folder is required only if the variable names it.
     return Finding(FILES, "shared data", False if chosen else None, message, feature, remedy)
 
 
