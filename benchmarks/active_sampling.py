@@ -6,24 +6,25 @@
 A hemisphere of 10 mm radius, 0.1 MPa, held at its flat side, with two balls of 0.5 MPa at unequal
 depths and sides, drawn for each seed. It is pressed by a round sensor of 3 mm radius, normal
 to the surface, at 12 kPa; noise is 1 % of the typical displacement under the sensor. The inversion
-has its default settings, but stops at a fall of one part in a hundred or after 25 iterations. No
-rule sees the truth.
+has default settings, but stops at a relative decrease below 1 % or after 25 iterations. No rule
+uses the truth.
 
-Twice: on the same mesh, where presses and inversion share the model, the inverse crime, as in the
-paper; and without it, where the presses are computed with quadratic elements on a finer mesh and
-the inversion corrects for what its own linear elements get wrong, which is more than the noise.
+There are two variants: presses computed on the mesh of the inversion (inverse crime, as in the
+paper), and presses computed with quadratic elements on a finer mesh. In the second variant the
+inversion corrects for the error of its linear elements, which exceeds the noise.
 
-Uniform grids are laid out for 4, 6, 9 and 12 presses, each for its own number (farthest points,
-evened out). Rules: random places, the paper's (largest uncertainty), and ours: the largest
-expected information, and the largest expected fall of the mean squared error, of log-moduli ("log
-error") and of moduli ("error"). All but the random one begin at the top. Ours was chosen on the
-objects of seeds 0 to 5; those reported are others.
+A separate uniform grid is computed for each of 4, 6, 9 and 12 presses (farthest points, evenly
+distributed). The rules are random locations, the largest uncertainty (as in the paper), the largest
+expected information, and the largest expected decrease of the mean squared error of log-moduli
+("log error") or of moduli ("error"). All except random start at the top. The default rule was
+chosen on the objects of seeds 0 to 5; the reported objects are others.
 
-The error is the root mean square of log E by volume; Pearson's r is by volume as well. The given
-errors are those of the grids after their last press. The presses that a rule needs are those after
-which its lowest error so far is no larger, for the grid too, which may be there early; a rule that
-is never there counts as one press more than it made. `presses` counts on the mean curve over
-seeds, `presses_by_seed` on each seed's against that seed's grid; ratios are to what the grid needs.
+The error is the root mean square error of log E by volume; Pearson's r is by volume as well. The
+target errors are those of the grids after their last press. A rule needs the number of presses
+after which its lowest error so far is at most the target; a grid may need fewer than its number,
+and a rule that never reaches the target counts as one press more than it made. `presses` refers to
+the mean curve over seeds, `presses_by_seed` to each seed and its grid; ratios are relative to the
+grid.
 
 The last line printed is one JSON object.
 """
@@ -84,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=6)
     parser.add_argument("--first-seed", type=int, default=10, help="0 to 5: rules were chosen on")
     parser.add_argument("--grids", type=int, nargs="+", default=(4, 6, 9, 12))
-    parser.add_argument("--workers", type=int, default=1, help="objects side by side")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--candidates", type=int, default=80)
     parser.add_argument("--cells", type=int, nargs=2, default=(7, 4), help="across and up")
     parser.add_argument("--finer", type=int, nargs=2, default=(10, 5), help="of the presses")
@@ -117,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def gather(
     work: Callable[[int], dict[str, "Run"]], seeds: Sequence[int], workers: int
 ) -> dict[str, list["Run"]]:
-    """Run the seeds, side by side where there is more than one worker; return runs by rule."""
+    """Run the seeds, in parallel with more than one worker; return runs by rule."""
     if workers == 1:
         found = [work(seed) for seed in seeds]
     else:

@@ -1,6 +1,6 @@
 """A simulated stiff lesion in the anatomy of a breast, for `scale.py`: the fine DigiBreast mesh.
 
-A breast (Deng et al., 2015) as it lies compressed for mammography, 226 x 131 x 31 mm. Young's
+The breast (Deng et al., 2015) is compressed for mammography, 226 x 131 x 31 mm. Young's
 modulus goes from 0.02 (fat) to 0.05 MPa (gland) with the glandularity of the data set, and is 0.3
 MPa in a ball of 8 mm radius about the data set's fibroglandular lesion centroid, 15 mm below the
 upper face; the figures are those of Krouskop et al. (1998) for tissue under 20 % compression,
@@ -11,13 +11,13 @@ with 1 % noise.
 No inverse crime: the presses are computed with quadratic elements (eight times the unknowns) on
 another mesh of the same surface, the data set's with its interior nodes moved at random by about a
 quarter of an edge, whose elements sample ball and glandularity on their own; the inversion has
-linear elements on the data set's mesh, corrects for what these get wrong on a homogeneous breast
-(`model_error`, which knows nothing of the other mesh), and starts from the uniform modulus that
+linear elements on the data set's mesh, corrects for their error on a homogeneous breast
+(`model_error`, which does not use the other mesh), and starts from the uniform modulus that
 fits best. Of that error 0.07 stays as uncertainty: so much is left, on average over the presses, by
 balls drawn at random, not by the truth; it is 0.00 to 0.03 at most presses and 0.6 with a ball
 under the finger (`python benchmarks/breast.py --left RECORDING`). The lesion is the largest
 connected region past half way from the map's median to its extreme
-(`tactorch.metrics.find_inclusion`): the truth has no say in where it is.
+(`tactorch.metrics.find_inclusion`), without use of the truth.
 """
 
 import argparse
@@ -341,7 +341,7 @@ def table(figures: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Do one half of a run, for `run`, or tell what the correction of a recording leaves."""
+    """Simulate or invert for `run`, or print the remaining model error of a recording."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--simulate", type=Path)
     parser.add_argument("--data", type=Path)

@@ -1,16 +1,17 @@
-"""Total contact force on a gel: exact solutions, fine simulations, and what `GelModel` tells.
+"""Total contact force on a gel: exact solutions, fine simulations and `GelModel`.
 
     python benchmarks/gel_contact.py [--quick] [--gel-mesh FOLDER] [--out FOLDER]
 
-A rigid punch and a rigid sphere are pressed without friction on gels: the published GelSight Mini's
-outline and material, a thick gel, the paper's finger. Small presses are held against the exact
-solution for a bonded layer of that thickness, and against the half space (Hertz) on a gel so thick
-that it is one; a deep press without slip has a fine simulation alone. How the fine simulation's
-face moved, between its nodes, goes to `GelModel` on another, coarser mesh: as it is, and with noise
-of 1 % of its largest displacement (ten seeds on the mini's usual mesh, three elsewhere). Then the
-gel's modulus is found from the fine simulations' forces. --gel-mesh names a folder with the
-published mesh of the GelSight Mini's gel, which is curved and rounded, to be pressed as the fine
-simulation where `GelModel` takes it for flat. The last line printed is one JSON object.
+A rigid punch and a rigid sphere are pressed without friction on gels: one with the published
+outline and material of the GelSight Mini, a thick gel, and the paper's finger. Small presses are
+compared with the exact solution for a bonded layer of the same thickness, and with the half space
+(Hertz) on a very thick gel; a deep press without slip has only a fine simulation. The displacement
+of the face in the fine simulation is interpolated and given to `GelModel` on another, coarser mesh:
+without noise, and with noise of 1 % of its largest value (ten seeds on the usual mesh of the Mini,
+three elsewhere). Then the modulus of the gel is estimated from the forces of the fine simulations.
+--gel-mesh names a folder with the published mesh of the GelSight Mini's gel, which is curved and
+rounded: it is used in the fine simulation, and `GelModel` assumes a flat gel. The last line printed
+is one JSON object.
 """
 
 import argparse
@@ -34,7 +35,7 @@ MINI, FINGER = load_sensor("gelsight_mini").gel, load_sensor("finger").gel
 DEEP = GelLayer(100.0, 0.435, 0.45, size_mm=(250.0, 250.0))  # a half space to 2.5 mm
 THICK = GelLayer(20.0, 0.435, 0.45, size_mm=(60.0, 60.0))
 NOISE = 0.01  # of the largest displacement
-AROUND_MM = 0.7  # by how much the touched region is taken wider than it is
+AROUND_MM = 0.7  # margin of the assumed contact region
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,13 @@ class Case:
     """A press.
 
     Attributes:
-        name: Of the gel.
+        name: Name of the gel.
         gel: The gel.
-        indenter: What presses.
-        depth_mm: How deep.
-        slips: Whether without friction.
-        cells: Edge (mm) and layers of the model's cells; None where only the simulation is judged.
-        exact: Whether the exact solution is for such small a press.
+        indenter: Rigid indenter.
+        depth_mm: Depth of the press.
+        slips: Whether the contact is without friction.
+        cells: Edge (mm) and layers of the cells of the model; None to evaluate only the simulation.
+        exact: Whether the press is small enough for the exact solution.
     """
 
     name: str
@@ -123,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         gel = published_gel(options.gel_mesh, float(MINI.youngs_mpa), float(MINI.poisson))
         rows.append(judged(case, pressed_on(gel, case), models, few))
     result = {"cases": rows, "modulus": calibrated(loads, models)}
-    lines = told(result)
+    lines = format_tables(result)
     print("\n".join(lines))
     print(f"Other processes took {meter.share() or 0:.0%} of the cores meanwhile.\n")
     if options.out is not None:
@@ -241,7 +242,7 @@ def calibrated(
     }
 
 
-def told(result: dict[str, Any]) -> list[str]:
+def format_tables(result: dict[str, Any]) -> list[str]:
     """The tables."""
     lines = [
         "| gel | indenter | half space | exact | fine simulation | model, direct | with noise |"

@@ -1,8 +1,9 @@
-"""Rigid indenters pressed on a gel without friction, or without slip, on a fine mesh.
+"""Indentation of a gel by rigid indenters, without friction or without slip, on a fine mesh.
 
-A flat gel is meshed in rings about the indenter's axis that end where a punch's edge is, a quarter
-of it, with symmetry; elements shrink toward the contact. Which nodes touch is found by turns: those
-that would be pulled are let go, those that went into the indenter are put on it.
+A quarter of a flat gel is meshed, with symmetry, in rings about the axis of the indenter; one ring
+is at the edge of a punch, and elements are smaller near the contact. The nodes in contact are found
+by an active-set iteration: nodes under tension are released, and nodes inside the indenter are
+placed on it.
 """
 
 from dataclasses import dataclass

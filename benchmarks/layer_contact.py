@@ -1,14 +1,15 @@
 """Rigid indenters on a bonded elastic layer, without friction: the exact solution at small strain.
 
 A layer of thickness h is bonded to a rigid base. Under a pressure whose Hankel transform is P(k)
-its surface sinks by the inverse transform of 2 (1 - nu^2) / (E k) L(k h) P(k), with
+the displacement of its surface is the inverse transform of 2 (1 - nu^2) / (E k) L(k h) P(k), with
 
     L(x) = (2 q sinh 2x - 4x) / (2 q cosh 2x + 4x^2 + 1 + q^2),   q = 3 - 4 nu
 
 (Vorovich, Aleksandrov and Babeshko, 1974). With P(k) = int_0^a phi(t) cos(k t) dt the pressure is
 zero beyond the radius a, and an indenter's shape leads to a Fredholm equation of the second kind
 (Lebedev and Ufliand, 1958; Hayes, Keer, Herrmann and Mockros, 1972), solved here by Gauss-Legendre
-quadrature. For h much larger than a the punch's 2 E a d / (1 - nu^2) and Hertz's sphere come out.
+quadrature. For h much larger than a, the limits are 2 E a d / (1 - nu^2) (punch) and Hertz
+(sphere).
 """
 
 from dataclasses import dataclass

@@ -1,22 +1,23 @@
-"""`tactorch live`: seconds from a press to the map, and whether the map is as good as at once.
+"""`tactorch live`: time from a press to the map, compared with an inversion of all presses.
 
     python benchmarks/live.py [--session sides] [--rule auto] [--out FOLDER]
 
 Two sessions of twelve presses on a cube of 10 mm with a stiff ball, 2,058 elements, simulated on a
 finer mesh of quadratic elements with 40 dB of noise:
 
-- `sides`: whole sides, in turn from three directions with rising pressure (192 data a press);
-- `patches`: a round sensor of 3 mm radius at four places of each of three sides (33 data a press).
+- `sides`: whole sides, alternating between three directions with increasing pressure (192 data per
+  press);
+- `patches`: a round sensor of 3 mm radius at four places on each of three sides (33 data per
+  press).
 
-A press is appended to the recording when the run waits for one. Counted from there: `map` until
-the map is there, saved and told (`processor`: the time of this process alone, on all cores, which
-other work on the machine lengthens less; `host`: what a virtual machine's host meanwhile gave to
-others, of all cores; a dash where that cannot be told); `picture` until live.png and live.html show
-it; `next` until the next place is known and shown too. An update has a limit of time; a row
-`at rest` is of the converged map, while no other press waits. Below, the map after the last
-press beside a whole inversion of the same recording from 0.2 MPa (`invert`), and what `invert`
-takes from the last map: without what is kept from press to press. Nothing reads the truth but the
-scores. The last line printed is one JSON object.
+A press is appended to the recording when the run waits for one. The table has the seconds from then
+on: `map` until the map is saved and logged, `picture` until live.png and live.html show it, `next`
+until the next location is suggested and shown. `processor` is the processor time of this process on
+all cores, which other processes affect less; `host` is the share of all cores that the host of a
+virtual machine gave to other guests (a dash where unknown). Updates have a time limit; a row `at
+rest` is of the converged map, while no press waits. The last rows compare the map after the last
+press with an inversion of the complete recording from 0.2 MPa (`invert`), and with `invert` started
+from the last map. Only the scores use the truth. The last line printed is one JSON object.
 """
 
 import argparse

@@ -1,20 +1,20 @@
-"""From camera images alone to a map of Young's modulus, without inverse crime (Section VI).
+"""From camera images to a map of Young's modulus, without inverse crime (Section VI).
 
     python benchmarks/sensor_chain.py [--cell 0.5] [--element tet4] [--keep FOLDER] [--out FOLDER]
 
 A cube of 10 mm with a stiff ball is pressed on three sides, to two depths each, by a gel of 16 mm
 that is wider than it, both in one finite element simulation that shares the nodes where they touch
-(contact without slip). The gel's face is drawn as its camera would see it. From there on nothing
-but images, poses and what is known of sensor and object goes in, by the commands that users have:
+(contact without slip). The gel's face is rendered as its camera would see it. The further input is
+images, poses and the descriptions of sensor and object only, by the commands of tactorch:
 
     tactorch sensor calibrate   from drawn presses of a ball
     tactorch sensor record      markers, depth, forces on a gel mesh twice as coarse, presses on a
                                 cube mesh of another size
     tactorch invert
 
-The error of each stage is stated against the simulation, whose linear elements are some 5 % too
-stiff themselves. On cells of 1 mm they are so by a tenth; --element tet10 takes quadratic ones. The
-last line printed is one JSON object.
+The error of each stage is relative to the simulation, whose linear elements are about 5 % too stiff
+(10 % on cells of 1 mm); --element tet10 uses quadratic elements. The last line printed is one JSON
+object.
 """
 
 import argparse
@@ -114,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ]  # fmt: skip
         located = inverted(place)
     result = {"calibration": quality, "presses": rows, "map": located}
-    lines = told(result)
+    lines = format_tables(result)
     print("\n".join(lines))
     print(f"Other processes took {meter.share() or 0:.0%} of the cores meanwhile.\n")
     if options.out is not None:
@@ -295,7 +295,7 @@ def ball_image(center: np.ndarray, contact_px: float, seed: int) -> Image:
 
 
 class Stages:
-    """What each stage makes of a frame, and what it gets wrong."""
+    """Results and errors of each stage for a frame."""
 
     def __init__(self, place: Path) -> None:
         self.calibration: Calibration = load_calibration(place / "calib.npz")
@@ -341,7 +341,7 @@ class Stages:
 
 
 def on_object(press: Press, scene: Scene, turn: np.ndarray) -> dict[str, float]:
-    """What a recorded press says of the cube, against the simulation."""
+    """Return the errors of a recorded press on the cube, relative to the simulation."""
     truth = cube_moved(scene, turn, inversion_mesh().points)
     on = press.observed.all(axis=1)
     return {
@@ -373,7 +373,7 @@ def inversion_mesh() -> TetMesh:
 
 
 def inverted(place: Path) -> dict[str, float]:
-    """Invert, and tell where the ball is: the centre of what is stiffer than half way."""
+    """Invert and locate the ball: the weighted centre of the moduli above half of the contrast."""
     tactorch("invert", f"recording={place}/recording.h5", f"run_dir={place}/invert")
     found = Reconstruction.load(place / "invert" / "reconstruction.h5")
     mesh = found.mesh
@@ -396,8 +396,8 @@ def inverted(place: Path) -> dict[str, float]:
     }
 
 
-def told(result: dict[str, Any]) -> list[str]:
-    """The tables."""
+def format_tables(result: dict[str, Any]) -> list[str]:
+    """Return the tables as Markdown."""
     q, m = result["calibration"], result["map"]
     lines = [
         "| side | pressed by | slopes, rms | depth | markers | gel | force | object |",
