@@ -14,12 +14,13 @@ from tactorch.inverse import (
     Log,
     Monitor,
     Objective,
+    Quadratic,
     Settings,
+    Smoothness,
     homogeneous,
     invert,
     make_objective,
 )
-from tactorch.inverse.regularization import Smoothness
 from tactorch.mesh import Box, Shape, Sphere, TetMesh, box_mesh
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import Recording
@@ -53,29 +54,15 @@ class Outcome:
     seconds: float
 
 
-class NormalPrior:
-    """Half the square of the departure from a mean, weighted by a sparse precision."""
-
-    name = "normal"
+class NormalPrior(Quadratic):
+    """Half the squared difference from a mean, weighted by a sparse precision."""
 
     def __init__(self, mesh: TetMesh, mean: float) -> None:
-        """Take smoothness and a mass term (a Matern field, in finite volumes)."""
+        """Combine smoothness and a mass term (a Matern field, in finite volumes)."""
         relative = mesh.volumes / mesh.volumes.mean()
-        smooth = Smoothness(mesh).curvature(np.zeros(mesh.n_tets))
+        smooth = Smoothness().on(mesh).curvature(np.zeros(mesh.n_tets))
         self.precision = sp.csr_matrix(_SMOOTH * smooth + _MASS * sp.diags(relative))
-        self.mean = mean
-
-    def value(self, field: np.ndarray) -> float:
-        """Return the penalty."""
-        return 0.5 * float((field - self.mean) @ self.gradient(field))
-
-    def gradient(self, field: np.ndarray) -> np.ndarray:
-        """Return its gradient."""
-        return self.precision @ (field - self.mean)
-
-    def curvature(self, field: np.ndarray) -> sp.csr_matrix:
-        """Return its Hessian."""
-        return self.precision
+        super().__init__(self.precision, mean)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a field."""

@@ -96,7 +96,8 @@ def checkpoint(path: Path) -> Kind:
 
 def dataset(path: Path) -> Path:
     recipe = Recipe(
-        "tiny", 2, options={"count": (1, 1), "shapes": ["ball"]}, mesh=MeshSizes(0.5, None),
+        name="tiny", count=2, mesh=MeshSizes(0.5, None),
+        family={"name": "inclusions", "count": (1, 1), "shapes": ["ball"]},
         presses=PressDraw(steps=(1,), faces=(("z+",),)), samples=1,
     )  # fmt: skip
     return generate(recipe, path / "tiny", workers=1).folder

@@ -123,8 +123,10 @@ def load_schema(command: str) -> Schema:
     """Return the schema of a command, from the cache where it is up to date."""
     path = cache_folder() / "schema" / f"{app_name(command)}-{_code_key()}.json"
     with suppress(OSError, ValueError, KeyError):
-        return Schema(json.loads(path.read_text(encoding="utf-8")))
-    content = describe_command(command)
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if all(_file_key(file) == key.encode() for file, key in content["extensions"].items()):
+            return Schema(content)
+    content = {**describe_command(command), "extensions": _extension_keys()}
     with suppress(FileError, OSError):
         for outdated in path.parent.glob(f"{app_name(command)}-*.json"):
             if len(outdated.name) == len(path.name):
@@ -145,9 +147,18 @@ def _code_key() -> str:
                 if name.endswith((".py", ".yaml")):
                     digest.update(_file_key(os.path.join(folder, name)))
     for place in sys.path:  # installing a package, and with it an entry point, changes its folder
-        if place.endswith("-packages") and os.path.isdir(place):
+        if os.path.isdir(place):
             digest.update(_file_key(place))
     return digest.hexdigest()[:16]
+
+
+def _extension_keys() -> dict[str, str]:
+    """Return the key of each file that declares a component of another package."""
+    from tactorch.config import REGISTRIES
+
+    modules = {path.partition(":")[0] for r in REGISTRIES.values() for path in r.extensions()}
+    loaded = (getattr(sys.modules.get(module), "__file__", None) for module in modules)
+    return {file: _file_key(file).decode() for file in loaded if file}
 
 
 def _file_key(path: str) -> bytes:

@@ -46,6 +46,10 @@ class Registry:
         others = sorted({*self._plugins(), *self._added} - set(self._paths))
         return (*self._paths, *others)
 
+    def extensions(self) -> tuple[str, ...]:
+        """Return the import path "module:attribute" of each component of another package."""
+        return tuple(entry.value for entry in self._plugins().values())
+
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
         return iter(self.names())

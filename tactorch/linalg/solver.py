@@ -1,5 +1,6 @@
 """The protocol of sparse solvers, and the choice of one by name or by size."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -104,7 +105,7 @@ class IterativeSolver:
 
 
 @dataclass(frozen=True)
-class SolverOptions(Options):
+class SolverOptions(Options, ABC):
     """Settings of a linear solver.
 
     Attributes:
@@ -135,6 +136,7 @@ class SolverOptions(Options):
             )
         return self
 
+    @abstractmethod
     def analyse(
         self,
         pattern: SymmetricPattern,
@@ -151,7 +153,6 @@ class SolverOptions(Options):
         Returns:
             A solver, ready to factor matrices of this pattern.
         """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -165,6 +166,16 @@ class AutoSolver(SolverOptions):
         if size > (_MAX_PARDISO_SIZE if installed else _MAX_SUPERLU_SIZE):
             return SOLVERS["multigrid"]()
         return pardiso if installed else SOLVERS["superlu"]()
+
+    def analyse(
+        self,
+        pattern: SymmetricPattern,
+        near_nullspace: Float[np.ndarray, "size modes"] | None = None,
+        single_precision: bool = False,
+    ) -> Solver:
+        """Analyse a sparsity pattern with the solver that suits its size."""
+        solver = self.resolve(pattern.size)
+        return solver.analyse(pattern, near_nullspace, single_precision)
 
 
 def available_solvers() -> tuple[str, ...]:

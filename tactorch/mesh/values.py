@@ -47,7 +47,8 @@ def unit_vector(name: str, value: Vector) -> tuple[float, float, float]:
     length = float(np.linalg.norm(array))
     if length < 1e-12:
         raise ConfigError(f"{name}={value!r} has no direction; give a non-zero vector.")
-    return vector(name, array / length)
+    # A unit vector is not scaled again, so that stored shapes are read back as they were.
+    return vector(name, array if abs(length - 1.0) < 1e-14 else array / length)
 
 
 def checked(check: Callable[[str, Any], Any], default: Any = MISSING) -> Any:

@@ -4,6 +4,7 @@ One corner is at the origin; the top (z+) is pressed. Positions and sizes of inc
 fractions of the cube's side.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,12 +64,12 @@ class UniformCube(Options):
 
 
 @dataclass(frozen=True)
-class _CubeWithInclusion(UniformCube):
+class _CubeWithInclusion(UniformCube, ABC):
     inclusion_mpa: float = option(_HARD, "Young's modulus of the inclusion", unit="MPa", gt=0)
 
+    @abstractmethod
     def shape(self) -> Shape:
         """Return the inclusion's shape, mm."""
-        raise NotImplementedError
 
     def inclusions(self) -> list[tuple[Shape, float]]:
         return [(self.shape(), self.inclusion_mpa)]

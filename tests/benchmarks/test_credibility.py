@@ -12,12 +12,12 @@ NAME = "credibility"
 
 def test_profiles_run_from_the_top_and_keep_the_sum(benchmark: ModuleType):
     mesh = box_mesh(1.0, 3, tets_per_cell=5)
-    values = benchmark.metric(mesh, 5.0, 0.1)
-    found = benchmark.profile(mesh, values, 3)
+    values = benchmark.compute_metric(mesh, 5.0, 0.1)
+    found = benchmark.layer_sums(mesh, values, 3)
     assert found.sum() == pytest.approx(values.sum())
     assert found[0] > found[1] > found[2]
-    harder = benchmark.profile(mesh, benchmark.metric(mesh, 5.0, 0.14), 3)
-    stiffer = benchmark.profile(mesh, benchmark.metric(mesh, 10.0, 0.1), 3)
+    harder = benchmark.layer_sums(mesh, benchmark.compute_metric(mesh, 5.0, 0.14), 3)
+    stiffer = benchmark.layer_sums(mesh, benchmark.compute_metric(mesh, 10.0, 0.1), 3)
     assert np.all(harder > found)
     assert np.all(found > stiffer)
     assert benchmark.across(mesh, {(7.5, 0.1): values})["top_sides_over_middle"] > 0

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
@@ -14,6 +14,7 @@ quick = settings(deadline=None, max_examples=15)
 @pytest.mark.parametrize("family", ["recognition", "inclusions"])
 @quick
 @given(seed=SEEDS)
+@example(seed=2234)  # an axis that scaling to length 1 changes a second time
 def test_objects_are_sound_and_repeatable(family: str, seed: int) -> None:
     """Inclusions lie inside and apart, and the same generator draws the same object."""
     drawn = draw_phantom(family, np.random.default_rng(seed))

@@ -9,6 +9,7 @@ A new material is a subclass of `IsotropicMaterial` with a strain energy of the 
 Closed forms of the derivatives are an optional acceleration.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -58,7 +59,7 @@ class VolumetricDerivatives(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Material(Options):
+class Material(Options, ABC):
     """A hyperelastic material, given by its energy density per unit Young's modulus.
 
     A subclass defines `energy` in torch operations. Its further fields, declared by
@@ -79,6 +80,7 @@ class Material(Options):
         0.45, "Poisson's ratio; soft tissue and silicone have 0.45 to 0.499", gt=-1.0, lt=0.5
     )
 
+    @abstractmethod
     def energy(self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars) -> Float[Tensor, "*batch"]:
         """Return the energy density per unit modulus (dimensionless).
 
@@ -86,7 +88,6 @@ class Material(Options):
             F: Deformation gradient.
             poisson: Poisson's ratio, one for all or one each.
         """
-        raise NotImplementedError(f"{type(self).__name__} defines no energy")
 
     def stress(
         self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
@@ -113,11 +114,11 @@ class IsotropicMaterial(Material):
     volume change do so with this part.
     """
 
+    @abstractmethod
     def strain_energy(
         self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
     ) -> Scalars:
         """Return the energy density per unit modulus, without `volumetric_energy`."""
-        raise NotImplementedError(f"{type(self).__name__} defines no strain_energy")
 
     def volumetric_energy(self, j: Scalars, log_j: Scalars, poisson: Scalars) -> Scalars:
         """Return the part of the energy density that depends on J only; zero by default."""

@@ -4,6 +4,7 @@ A further map is an `Options` class derived from `SensorMap` in a separate file,
 `SENSOR_MAPS`; other packages add theirs by the entry point group `tactorch.sensor_map`.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -58,18 +59,18 @@ class SlopeMap(Protocol):
 
 
 @dataclass(frozen=True)
-class SensorMap(Options):
+class SensorMap(Options, ABC):
     """Settings of a map; `create` returns the map, to be fitted."""
 
     section: ClassVar[str] = "sensor_map"
 
+    @abstractmethod
     def create(self, seed: int) -> SlopeMap:
         """Return a map that is not fitted.
 
         Args:
             seed: Seed of the initial parameters.
         """
-        raise NotImplementedError(f"{type(self).__name__} has no create().")
 
 
 def map_slopes(
