@@ -97,7 +97,7 @@ def read_settings(run: Path) -> "DictConfig":
     """Return the settings that a run folder holds.
 
     Raises:
-        FileError: there are none, or they are damaged.
+        FileError: there are none, they are damaged, or they hold more than plain values.
     """
     from omegaconf import OmegaConf
 
@@ -105,8 +105,13 @@ def read_settings(run: Path) -> "DictConfig":
     content = _load(path)
     if not isinstance(content, dict):
         raise FileError(f"'{path}' does not hold a run's settings; start the run again.")
-    cfg = OmegaConf.create(content)
-    return cfg
+    reference = PROGRAM.search(path.read_text(encoding="utf-8"))
+    if reference is not None:
+        raise FileError(
+            f"'{path}' holds '{reference[0]}', which is no plain value; remove it, or start the run "
+            "again."
+        )
+    return OmegaConf.create(content)
 
 
 def _load(path: Path) -> Any:

@@ -223,3 +223,20 @@ def test_a_trusted_folder_is_composed_by_hydra(
     assert "name: renamed" in out
     assert "plots: false" in out
     assert "leave out --trust-config-dir" in tactorch("invert", "resume=x", *trust).err
+
+
+def test_settings_of_a_run_are_plain_values(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A report or an evaluation of a foreign run does not show the reader's environment."""
+    from tactorch.cli.resume import read_settings
+    from tactorch.errors import FileError
+
+    monkeypatch.setenv("A_SECRET", "do not show")
+    (tmp_path / ".hydra").mkdir()
+    file = tmp_path / ".hydra" / "config.yaml"
+    file.write_text("seed: 3\nrun_dir: runs/${now:%Y}\n")
+    assert read_settings(tmp_path).seed == 3
+    file.write_text("recording: ${oc.env:A_SECRET}\n")
+    with pytest.raises(FileError, match="no plain value"):
+        read_settings(tmp_path)
