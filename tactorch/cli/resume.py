@@ -108,8 +108,8 @@ def read_settings(run: Path) -> "DictConfig":
     reference = PROGRAM.search(path.read_text(encoding="utf-8"))
     if reference is not None:
         raise FileError(
-            f"'{path}' holds '{reference[0]}', which is no plain value; remove it, or start the run "
-            "again."
+            f"'{path}' holds '{reference[0]}', which is no plain value; remove it, or start the "
+            "run again."
         )
     return OmegaConf.create(content)
 
