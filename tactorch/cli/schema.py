@@ -146,9 +146,10 @@ def _code_key() -> str:
             for name in sorted(files):
                 if name.endswith((".py", ".yaml")):
                     digest.update(_file_key(os.path.join(folder, name)))
-    for place in sys.path:  # installing a package, and with it an entry point, changes its folder
-        if os.path.isdir(place):
-            digest.update(_file_key(place))
+    for place in sys.path:  # an installed package may add components by entry points
+        with suppress(OSError):
+            for name in sorted(n for n in os.listdir(place or ".") if n.endswith(".dist-info")):
+                digest.update(_file_key(os.path.join(place, name)))
     return digest.hexdigest()[:16]
 
 
