@@ -67,7 +67,17 @@ assert not [p for p in folder.iterdir() if ".part" in p.name or p.suffix == ".ck
 @pytest.mark.parametrize("what", ["save", "append", "reconstruction", "arrays", "train"])
 def test_a_full_disk_is_one_error(what: str, tmp_path: Path) -> None:
     learning = Path(__file__).parent / "learning"
-    command = [sys.executable, "-W", "ignore", "-c", SCRIPT, str(tmp_path), what, str(learning)]
+    command = [
+        sys.executable,
+        "-B",
+        "-W",
+        "ignore",
+        "-c",
+        SCRIPT,
+        str(tmp_path),
+        what,
+        str(learning),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1].startswith("refused: cannot write")
@@ -101,7 +111,7 @@ def run_command(folder: Path, *words: str, limit: int | None = None) -> Any:
         if limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    command = [sys.executable, "-m", "tactorch", *words]
+    command = [sys.executable, "-B", "-m", "tactorch", *words]  # -B: no truncated bytecode
     return subprocess.run(
         command, capture_output=True, text=True, timeout=120, cwd=folder, preexec_fn=full_disk
     )

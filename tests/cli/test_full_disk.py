@@ -38,7 +38,7 @@ def test_a_full_disk_gets_one_line(
     log.write_bytes(b"x" * (limit - 100))  # the log is full, too
     words = [word.format(recording=recording) for word in settings]
     done = subprocess.run(
-        [sys.executable, "-c", CODE, str(limit), command, *words, "run_dir=run"],
+        [sys.executable, "-B", "-c", CODE, str(limit), command, *words, "run_dir=run"],
         capture_output=True, text=True, timeout=120, cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 2, done.stdout + done.stderr
