@@ -42,9 +42,9 @@ def predict_jacobians(
     """
     scales = np.concatenate([data.scale for data in point.objective.problem.data.observations])
     noise = float(1.0 / np.median(scales))
-    # Presses without any displacement are refused as data.
-    placeholder = np.full(presses[0].forces.shape, noise)
-    planned = [replace(press, displacement=placeholder, noise_mm=noise) for press in presses]
+    # The Jacobian does not depend on the measured displacement, but presses with none are refused.
+    nonzero = np.full(presses[0].forces.shape, noise)
+    planned = [replace(press, displacement=nonzero, noise_mm=noise) for press in presses]
     try:
         return list(_jacobians(planned, point, settings))
     except ConvergenceError:
@@ -60,7 +60,7 @@ def _jacobian_or_none(press: Press, point: Point, settings: Settings) -> np.ndar
 
 def _jacobians(presses: Sequence[Press], point: Point, settings: Settings) -> list[np.ndarray]:
     current = point.objective.problem
-    # Placeholder displacements carry no unit.
+    # Planned displacements are no measurements, so their magnitude is not checked.
     recording = replace(current.recording, presses=tuple(presses), check_units=False)
     problem = InverseProblem(recording, newton=settings.newton, body=current.body)
     slope = point.objective.parameterization.slope(point.elements)
