@@ -11,8 +11,8 @@ from tactorch.cli.logs import log, log_text
 from tactorch.cli.tables import Table
 from tactorch.errors import ConfigError
 from tactorch.learning.recognizer.scores import class_scores
-from tactorch.viz.calibration import plot_reliability
-from tactorch.viz.learning import plot_confusion, plot_examples
+from tactorch.viz import save_figure
+from tactorch.viz.learning import confusion_figure, examples_figure, reliability_figure
 
 _BATCH = 32
 
@@ -31,16 +31,16 @@ def evaluate(splits: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) 
         np.concatenate([p[key] for p in predictions]) for key in ("probabilities", "truth", "maps")
     )
     scores = class_scores(probabilities, truth)
-    plot_confusion(scores.confusion, classes, out / "confusion.png")
-    plot_reliability(
-        scores.bin_confidence, scores.bin_accuracy, scores.bin_counts, out / "calibration.png"
-    )
+    save_figure(confusion_figure(scores.confusion, classes), out / "confusion.png")
+    reliability = reliability_figure(scores.bin_confidence, scores.bin_accuracy, scores.bin_counts)
+    save_figure(reliability, out / "calibration.png")
     predicted = probabilities.argmax(axis=1)
     titles = [
         f"{classes[t]}: {classes[n]} {p:.0%}"
         for t, n, p in zip(truth, predicted, probabilities.max(axis=1), strict=True)
     ]
-    plot_examples(maps, titles, (predicted == truth).tolist(), out / "examples.png")
+    examples = examples_figure(maps, titles, (predicted == truth).tolist())
+    save_figure(examples, out / "examples.png")
     result = {
         "samples": len(truth),
         "accuracy": scores.accuracy,

@@ -12,8 +12,8 @@ from torch.nn import functional
 from tactorch.cli.logs import log
 from tactorch.learning.surrogate.features import SHARED_CHANNELS
 from tactorch.learning.surrogate.network import correlation
-from tactorch.viz.calibration import plot_coverage
-from tactorch.viz.learning import plot_predictions
+from tactorch.viz import save_figure
+from tactorch.viz.learning import coverage_figure, predictions_figure
 
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 
@@ -32,12 +32,10 @@ def evaluate(splits: Sequence[tuple[Any, Any, str, dict[str, Any]]], out: Path) 
     of_image = correlation(joined["image"].exp(), truth.exp(), inside)
     errors = ((truth - mean).abs() / joined["deviation"])[inside]
     covered = [float((errors < ndtri(0.5 + 0.5 * level)).double().mean()) for level in _LEVELS]
-    plot_coverage(_LEVELS, covered, out / "calibration.png")
-    plot_predictions(
-        truth.double().numpy(), joined["image"].double().numpy(), mean.double().numpy(),
-        joined["deviation"].double().numpy(), inside.numpy(), correlations.tolist(),
-        out / "examples.png",
-    )  # fmt: skip
+    save_figure(coverage_figure(_LEVELS, covered), out / "calibration.png")
+    fields = {name: values.double().numpy() for name, values in joined.items() if name != "inside"}
+    examples = predictions_figure(fields, inside.numpy(), correlations.tolist())
+    save_figure(examples, out / "examples.png")
     result = {
         "samples": len(truth),
         "correlation": float(correlations.mean()),

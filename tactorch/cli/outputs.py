@@ -205,20 +205,22 @@ def draw(
     others: Mapping[str, History],
 ) -> list[Path]:
     """Draw slices of the map and the convergence."""
-    from tactorch.viz import plot_convergence, plot_slices
+    from tactorch.viz import convergence_figure, save_figure, slice_figure
     from tactorch.viz.contact import total_forces
 
     name = reconstruction.config["optimizer"]["name"]
     histories = {name: reconstruction.history, **others}
-    slices = plot_slices(
+    slices = slice_figure(
         recording.mesh,
         reconstruction.youngs,
-        out / "slices.png",
         truth=recording.truth,
         pressed=total_forces(recording.presses),
         title="Young's modulus, reconstructed",
     )
-    return [slices, plot_convergence(histories, out / "convergence.png")]
+    return [
+        save_figure(slices, out / "slices.png"),
+        save_figure(convergence_figure(histories), out / "convergence.png"),
+    ]
 
 
 def _label(found: Reconstruction, path: Path, taken: Collection[str]) -> str:

@@ -15,8 +15,7 @@ from tactorch.report.content import RunReport, press_label
 from tactorch.report.encode import indices, packed, quantised, rows
 from tactorch.report.runs import Run
 from tactorch.viz.contact import contact_patches, total_forces
-from tactorch.viz.outline import Outline
-from tactorch.viz.slicing import colour_scale
+from tactorch.viz.slicing import OUTLINE_LEVEL, colour_scale, departure_from_background
 
 #: Title, unit and description of each field.
 FIELDS: dict[str, tuple[str, str, str]] = {
@@ -130,8 +129,8 @@ def _fields(run: Run, uncertainty: UncertaintySummary | None) -> dict[str, np.nd
 def _true_inclusion(mesh: TetMesh, recording: Recording | None) -> Bool[np.ndarray, " m"] | None:
     if recording is None or recording.truth is None:
         return None
-    outline = Outline.of(mesh, recording.truth)
-    return None if outline is None else outline.inside
+    departure = departure_from_background(mesh, recording.truth)
+    return None if departure is None else departure > OUTLINE_LEVEL
 
 
 def _boundary(mesh: TetMesh, elements: Bool[np.ndarray, " m"] | None) -> dict[str, Any] | None:

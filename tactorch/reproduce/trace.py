@@ -4,41 +4,37 @@ import json
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tactorch.inverse import InverseProblem, Reconstruction, Settings, StopReason, invert
 from tactorch.metrics import ssim
 from tactorch.recording import Recording
-from tactorch.reproduce.objects import START_MPA
+from tactorch.reproduce.paper import START_MPA
 
 _MIN_EVALUATIONS = 0.98  # fraction of a number of evaluations that counts as reached
 
 
-@dataclass(frozen=True)
-class TracePoint:
+class TracePoint(NamedTuple):
     """State of an inversion after an iteration.
 
     Attributes:
         evaluations: Number of solves of all presses, called iterations of TNC in the paper.
         seconds: Time since the start without scoring, s.
         ssim: Structural similarity of the map to the truth.
+        scoring: Time of scoring since the start, s.
     """
 
     evaluations: int
     seconds: float
     ssim: float
+    scoring: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class TracedRun:
-    """Inversion with the trace of its iterations.
-
-    Attributes:
-        result: Result of the inversion.
-        trace: States of all iterations.
-    """
+    """Result of an inversion with the states of all its iterations."""
 
     result: Reconstruction
     trace: list[TracePoint]
@@ -55,12 +51,9 @@ class TracedRun:
         return self.result.stop_reason in limits
 
     def ssim_after(self, evaluations: int) -> float | None:
-        """Return the similarity after a number of evaluations.
+        """Return the similarity after a number of evaluations; None if a limit stopped it before.
 
         An iteration takes several evaluations, so that a limit is reached before its exact number.
-
-        Returns:
-            The similarity; None if a limit stopped the inversion before.
         """
         points = [point for point in self.trace if point.evaluations <= evaluations]
         short = self.trace[-1].evaluations < _MIN_EVALUATIONS * evaluations
@@ -82,41 +75,27 @@ def warm_up(recording: Recording) -> None:
 def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> TracedRun:
     """Invert from the start of the paper and score the map of each iteration.
 
-    The recording is inverted without its truth. A killed call continues from its checkpoint.
-
-    Args:
-        recording: Recording with a truth.
-        settings: Settings of the inversion.
-        scratch: Folder of the checkpoint and the trace.
-
-    Returns:
-        The result with its trace.
+    The recording is inverted without its truth. A killed call continues from its checkpoint and
+    its trace, which are in the folder `scratch`.
     """
     truth = recording.truth
     assert truth is not None
     scratch.mkdir(parents=True, exist_ok=True)
     checkpoint, file = scratch / "checkpoint.h5", scratch / "trace.jsonl"
     resumed = checkpoint.is_file() and file.is_file()
-    lines = _read_lines(file) if resumed else []
-    file.unlink(missing_ok=True)
-    scoring = lines[-1]["scoring"] if lines else 0.0
+    trace = _read_trace(file) if resumed else []
+    file.write_text("".join(map(_line, trace)))
 
     def add_point(record: dict[str, Any], youngs: np.ndarray) -> None:
-        nonlocal scoring
         start = time.perf_counter()
-        lines.append(
-            {
-                "evaluations": record["evaluations"],
-                "seconds": record["seconds"] - scoring,
-                "ssim": ssim(recording.mesh, youngs, truth),
-            }
-        )
+        scoring = trace[-1].scoring if trace else 0.0
+        similarity = ssim(recording.mesh, youngs, truth)
+        seconds = record["seconds"] - scoring
         scoring += time.perf_counter() - start
-        lines[-1]["scoring"] = scoring
+        trace.append(TracePoint(record["evaluations"], seconds, similarity, scoring))
         with open(file, "a") as stream:
-            stream.write(json.dumps(lines[-1]) + "\n")
+            stream.write(_line(trace[-1]))
 
-    file.write_text("".join(json.dumps(line) + "\n" for line in lines))
     result = invert(
         replace(recording, truth=None),
         settings,
@@ -126,16 +105,19 @@ def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> T
         show_progress=False,
         on_iteration=add_point,
     )
-    trace = [TracePoint(line["evaluations"], line["seconds"], line["ssim"]) for line in lines]
     return TracedRun(result, trace)
 
 
-def _read_lines(file: Path) -> list[dict[str, Any]]:
-    """Return the lines of an earlier call up to the first truncated one."""
-    lines = []
+def _line(point: TracePoint) -> str:
+    return json.dumps(point._asdict()) + "\n"
+
+
+def _read_trace(file: Path) -> list[TracePoint]:
+    """Return the states of an earlier call up to the first truncated line."""
+    trace = []
     for line in file.read_text().splitlines():
         try:
-            lines.append(json.loads(line))
+            trace.append(TracePoint(**json.loads(line)))
         except ValueError:
             break
-    return lines
+    return trace

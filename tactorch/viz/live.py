@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from tactorch.mesh import TetMesh
 from tactorch.viz.contact import contact_patches
 from tactorch.viz.figure import CONTACT, MODULUS_LABEL, new_figure
-from tactorch.viz.slices import draw_contact, draw_cut
+from tactorch.viz.slices import draw_body, draw_contact
 from tactorch.viz.slicing import AXES, IN_PLANE, Slice, colour_scale, slices_at
 
 _PIXELS = 90
@@ -19,16 +19,16 @@ _ARROW = 0.2  # length of the arrow, as a fraction of the longest side
 
 def live_figure(
     mesh: TetMesh,
-    youngs: Float[np.ndarray, " _"],
+    youngs: Float[np.ndarray, " m"],
     *,
-    pressed: Float[np.ndarray, "_ 3"],
+    pressed: Float[np.ndarray, "n 3"],
     inclusion_mm: Float[np.ndarray, "3"] | None = None,
     next_mm: Float[np.ndarray, "3"] | None = None,
     inward: Float[np.ndarray, "3"] | None = None,
     radius_mm: float = 0.0,
     title: str = "",
 ) -> Figure:
-    """Draw three slices through the inclusion, and three through the next press.
+    """Return a figure of three slices through the inclusion, and three through the next press.
 
     Args:
         mesh: Mesh of the body, mm.
@@ -39,14 +39,9 @@ def live_figure(
         inward: Unit vector of the next press, (3,).
         radius_mm: Radius of the sensor, mm.
         title: Title of the figure.
-
-    Returns:
-        The figure.
     """
-    centre = mesh.bounds.mean(axis=0) if inclusion_mm is None else inclusion_mm
     name = "the middle of the object" if inclusion_mm is None else "the inclusion"
-    rows = [(f"through {name}", centre)]
-    following = next_mm is not None and inward is not None
+    rows = [(f"through {name}", mesh.bounds.mean(axis=0) if inclusion_mm is None else inclusion_mm)]
     if next_mm is not None and inward is not None:
         rows.append(("through the next press", next_mm + 0.5 * radius_mm * inward))
     figure = new_figure(10.0, 3.1 * len(rows) + 0.9)
@@ -56,7 +51,7 @@ def live_figure(
     for axes_row, (label, point) in zip(panels, rows, strict=True):
         for axes, piece in zip(axes_row, slices_at(mesh, point, _PIXELS), strict=True):
             piece.draw(axes, youngs, cmap="viridis", norm=norm)
-            draw_cut(axes, mesh, mesh.surface.triangles, piece, colors="0.4", linewidths=0.6)
+            draw_body(axes, mesh, piece)
             for patch in patches:
                 draw_contact(axes, mesh, patch, piece)
             if inclusion_mm is not None and point is inclusion_mm:
@@ -67,7 +62,14 @@ def live_figure(
             _label(axes, mesh, piece)
         axes_row[0].set_ylabel(f"{label}\n{axes_row[0].get_ylabel()}", fontsize=9)
     figure.colorbar(panels[0, 0].images[0], ax=panels, label=MODULUS_LABEL, aspect=30, pad=0.02)
-    _legend(figure, inclusion_mm is not None, following)
+    handles = [Line2D([], [], color=CONTACT, linewidth=2.5, label="contact of the presses so far")]
+    if inclusion_mm is not None:
+        cross = Line2D([], [], color=_CENTRE, marker="P", ls="", mec="0.3", markersize=8)
+        cross.set_label("centre of the inclusion")
+        handles.append(cross)
+    if len(rows) > 1:
+        handles.append(Line2D([], [], color=_NEXT, linewidth=2.4, marker=">", label="next press"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     if title:
         figure.suptitle(title, fontsize=11)
     return figure
@@ -83,8 +85,7 @@ def _label(axes: Axes, mesh: TetMesh, piece: Slice) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     half = (0.5 + _ARROW + 0.06) * float(np.ptp(mesh.bounds, axis=0).max())
     x, y = mesh.bounds.mean(axis=0)[list(IN_PLANE[piece.axis])]
-    axes.set_xlim(x - half, x + half)
-    axes.set_ylim(y - half, y + half)
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
 
 
 def _draw_next_press(
@@ -107,23 +108,6 @@ def _draw_next_press(
         axes.plot([tip[0]], [tip[1]], "o", color=_NEXT, markersize=4)
         return
     length = _ARROW * float(np.ptp(mesh.bounds, axis=0).max())
-    axes.annotate(
-        "",
-        xy=tuple(tip),
-        xytext=tuple(tip - length * along / np.linalg.norm(along)),
-        arrowprops={"arrowstyle": "-|>", "color": _NEXT, "linewidth": 2.4, "mutation_scale": 16},
-        zorder=5,
-    )
-
-
-def _legend(figure: Figure, inclusion: bool, following: bool) -> None:
-    handles = [Line2D([], [], color=CONTACT, linewidth=2.5)]
-    labels = ["contact of the presses so far"]
-    if inclusion:
-        style = {"marker": "P", "linestyle": "", "markeredgecolor": "0.3", "markersize": 8}
-        handles.append(Line2D([], [], color=_CENTRE, **style))  # type: ignore[arg-type]
-        labels.append("centre of the inclusion")
-    if following:
-        handles.append(Line2D([], [], color=_NEXT, linewidth=2.4, marker=">"))
-        labels.append("next press")
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    start = tuple(tip - length * along / np.linalg.norm(along))
+    style = {"arrowstyle": "-|>", "color": _NEXT, "linewidth": 2.4, "mutation_scale": 16}
+    axes.annotate("", xy=tuple(tip), xytext=start, arrowprops=style, zorder=5)

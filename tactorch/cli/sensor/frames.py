@@ -23,7 +23,7 @@ from tactorch.sensor.frames import Frame, Image, read_frames
 from tactorch.sensor.frames.sources import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_video, video_length
 from tactorch.viz.figure import save_figure
 from tactorch.viz.sensor_frames import DPI, render
-from tactorch.viz.session import plot_over_time
+from tactorch.viz.session import over_time_figure
 from tactorch.viz.video import video_suffix, writing_video
 
 _T = TypeVar("_T")
@@ -255,7 +255,7 @@ class RunFiles:
                 report(number + 1, total)
         log.info("pictures%s: %s", " and video" if suffix else "", self.folder)
         faulty = [frame.index for frame in measured if frame.fault]
-        plot_over_time(series, times, faulty, self.folder / OVER_TIME)
+        save_figure(over_time_figure(series, times, faulty), self.folder / OVER_TIME)
 
 
 def _frame_rate(times: Float[np.ndarray, " f"] | None) -> float:

@@ -34,8 +34,9 @@ from tactorch.sensor.depth import integrate_slopes
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image, read_frames
 from tactorch.sensor.markers import MarkerAppearance
+from tactorch.viz import save_figure
 from tactorch.viz.sensor_calibration import BallPress as PlottedPress
-from tactorch.viz.sensor_calibration import plot_ball_presses
+from tactorch.viz.sensor_calibration import ball_press_figure
 
 _REPORT, _TEXT, _CIRCLES, _PICTURE = "quality.json", "quality.txt", "circles.csv", "held_out.png"
 
@@ -183,7 +184,8 @@ def write_report(
     with atomic_path(folder / _TEXT) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
     _write_circles(folder / _CIRCLES, circles)
-    plot_ball_presses([_plotted(one, ball) for one in evaluated], ball, title, folder / _PICTURE)
+    figure = ball_press_figure([_plotted(one, ball) for one in evaluated], title)
+    save_figure(figure, folder / _PICTURE)
     log_text(text, table)
     log.info("pictures of them: %s", folder / _PICTURE)
 
@@ -214,5 +216,5 @@ def _plotted(one: EvaluatedPress, ball: Ball) -> PlottedPress:
     slopes = map_slopes(one.map, press.change)
     height = integrate_slopes(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
     return PlottedPress(
-        press.name, one.source.image, press.circle, one.circle, press.known, slopes, height
+        press.name, one.source.image, press.circle, one.circle, ball, press.known, slopes, height
     )
