@@ -1,6 +1,6 @@
 """Scores of a classifier's probabilities."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -8,8 +8,7 @@ from jaxtyping import Float, Int
 from tactorch.errors import ConfigError
 
 
-@dataclass(frozen=True, eq=False)
-class ClassScores:
+class ClassScores(NamedTuple):
     """Scores of n predictions of c classes.
 
     Attributes:
@@ -39,12 +38,7 @@ class ClassScores:
 def class_scores(
     probabilities: Float[np.ndarray, "n c"], truth: Int[np.ndarray, " n"], bins: int = 10
 ) -> ClassScores:
-    """Return scores of predicted probabilities.
-
-    Args:
-        probabilities: Predicted probabilities, (n, c).
-        truth: True classes, (n,).
-        bins: Number of bins of the probability.
+    """Return scores of predicted probabilities, binned for the calibration.
 
     Raises:
         ConfigError: There are no predictions, or a class is out of range.
@@ -65,14 +59,5 @@ def class_scores(
         bin_confidence = np.bincount(index, confidence, minlength=bins) / bin_counts
         bin_accuracy = np.bincount(index, predicted == truth, minlength=bins) / bin_counts
     error = np.nansum(bin_counts * np.abs(bin_confidence - bin_accuracy)) / count
-    return ClassScores(
-        confusion,
-        float(hits.sum() / count),
-        precision,
-        recall,
-        f1,
-        float(error),
-        bin_confidence,
-        bin_accuracy,
-        bin_counts,
-    )
+    accuracy, in_bins = float(hits.sum() / count), (bin_confidence, bin_accuracy, bin_counts)
+    return ClassScores(confusion, accuracy, precision, recall, f1, float(error), *in_bins)

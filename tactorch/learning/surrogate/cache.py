@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float16, Int, Shaped
@@ -65,6 +64,23 @@ class FeatureSet:
         return fit and int(self.begins[-1]) == len(self.presses)
 
     @staticmethod
+    def empty(count: int) -> "FeatureSet":
+        """Return a set of no samples on grids of `count` cells."""
+        coarse, fine = (count,) * 3, (0, *(2 * count,) * 3)
+        integers = np.zeros(0, np.int64)
+        return FeatureSet(
+            integers,
+            integers,
+            np.zeros(0, np.str_),
+            np.zeros(0),
+            np.zeros((0, len(PRESS_CHANNELS), *coarse), np.float16),
+            np.zeros(1, np.int64),
+            np.zeros((0, len(SHARED_CHANNELS), *coarse), np.float16),
+            np.zeros(fine, np.float16),
+            np.zeros(fine, np.bool_),
+        )
+
+    @staticmethod
     def concatenate(parts: Sequence["FeatureSet"]) -> "FeatureSet":
         """Return the samples of several sets as one."""
         names = ("index", "object", "label", "youngs_mpa", "presses", "shared", "target", "inside")
@@ -80,11 +96,8 @@ def load_features(
 
     Samples without an equilibrium at any uniform modulus are omitted with a warning.
 
-    Args:
-        folder: Folder of the dataset.
-        count: Cells in each direction; targets have twice as many.
-        frames: Load steps to use per press location.
-        workers: Number of processes; None for the number of cores.
+    Features have `count` cells in each direction, targets twice as many; `frames` are the load
+    steps to use per press location.
 
     Raises:
         FileError: The dataset is missing or damaged, or all samples were omitted.
@@ -108,10 +121,8 @@ def load_features(
         raise FileError(f"dataset '{folder}' has no sample in equilibrium with a uniform modulus.")
     omitted = len(samples) - len(features)
     if omitted:
-        _log.warning(
-            "%d of %d samples omitted: no equilibrium with a uniform modulus",
-            omitted, len(samples),
-        )  # fmt: skip
+        text = "%d of %d samples omitted: no equilibrium with a uniform modulus"
+        _log.warning(text, omitted, len(samples))
     return features
 
 
@@ -128,48 +139,29 @@ def _compute_part(
         rows = Parallel(n_jobs=workers or -1)(
             delayed(_compute_row)(samples, index, count, frames) for index in indices
         )
-    return _stack_rows([row for row in rows if row is not None], count)
+    return FeatureSet.concatenate([FeatureSet.empty(count), *(row for row in rows if row)])
 
 
-def _compute_row(samples: SampleSet, index: int, count: int, frames: int) -> dict[str, Any] | None:
+def _compute_row(samples: SampleSet, index: int, count: int, frames: int) -> FeatureSet | None:
+    """Return the features of one sample; None without an equilibrium at any uniform modulus."""
     sample = samples[index]
     with single_thread():
         try:
             features = compute_features(sample.recording, count, frames)
         except ConvergenceError:
             return None
-    target, inside = compute_targets(
-        sample.recording.mesh, sample.truth, features.youngs_mpa, 2 * count
-    )
-    return {
-        "index": sample.index,
-        "object": sample.object,
-        "label": sample.label,
-        "youngs_mpa": features.youngs_mpa,
-        "presses": features.presses.astype(np.float16),
-        "shared": features.shared.astype(np.float16),
-        "target": target.astype(np.float16),
-        "inside": inside,
-    }
-
-
-def _stack_rows(rows: Sequence[dict[str, Any]], count: int) -> FeatureSet:
-    coarse, fine = (count,) * 3, (2 * count,) * 3
-    none = np.zeros((0, len(PRESS_CHANNELS), *coarse), np.float16)
-
-    def stacked(name: str, shape: tuple[int, ...], kind: Any) -> np.ndarray:
-        return np.array([row[name] for row in rows], kind).reshape(len(rows), *shape)
-
+    mesh, youngs_mpa = sample.recording.mesh, features.youngs_mpa
+    target, inside = compute_targets(mesh, sample.truth, youngs_mpa, 2 * count)
     return FeatureSet(
-        stacked("index", (), np.int64),
-        stacked("object", (), np.int64),
-        np.array([row["label"] for row in rows], dtype=np.str_),
-        stacked("youngs_mpa", (), np.float64),
-        np.concatenate([none, *(row["presses"] for row in rows)]),
-        np.cumsum([0, *(len(row["presses"]) for row in rows)]),
-        stacked("shared", (len(SHARED_CHANNELS), *coarse), np.float16),
-        stacked("target", fine, np.float16),
-        stacked("inside", fine, np.bool_),
+        np.array([sample.index]),
+        np.array([sample.object]),
+        np.array([sample.label]),
+        np.array([youngs_mpa]),
+        features.presses.astype(np.float16),
+        np.array([0, len(features.presses)]),
+        features.shared.astype(np.float16)[None],
+        target.astype(np.float16)[None],
+        inside[None],
     )
 
 

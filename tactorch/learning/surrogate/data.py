@@ -1,8 +1,6 @@
 """Presses and true maps for the training of a surrogate."""
 
-import json
 from collections.abc import Sequence
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +10,27 @@ from torch.utils.data import DataLoader, Dataset
 
 from tactorch.errors import ConfigError
 from tactorch.generation import SampleSet
-from tactorch.learning.data import PARTS, EpochSampler, SplitData, split_objects
+from tactorch.learning.data import (
+    IDENTITY,
+    PARTS,
+    EpochSampler,
+    SplitData,
+    Symmetry,
+    apply_symmetry,
+    draw_symmetry,
+    split_objects,
+    symmetries,
+)
 from tactorch.learning.surrogate.cache import FeatureSet, load_features
 from tactorch.learning.surrogate.features import PRESS_VECTORS, VERSION
-from tactorch.learning.symmetry import IDENTITY, Symmetry, apply_symmetry, symmetries
 
 Row = tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 class AugmentedSamples(Dataset[Row]):
-    """Samples, each transformed by a random symmetry of the cube in each epoch.
+    """Samples in `rows`, each transformed by a random symmetry of the cube in each epoch.
 
     The transformed object with its transformed presses is equally likely.
-
-    Args:
-        features: Features of all samples.
-        rows: Indices of the samples of this part.
-        allowed: Symmetries to draw from.
-        seed: Seed of the draws.
     """
 
     def __init__(
@@ -44,17 +45,16 @@ class AugmentedSamples(Dataset[Row]):
     def __getitem__(self, item: tuple[int, int]) -> Row:
         """Return presses, fields of the object, target and mask, by epoch and index."""
         epoch, index = item
-        rng = np.random.default_rng([self.seed, epoch, index])
-        symmetry = self.allowed[int(rng.integers(len(self.allowed)))]
+        symmetry, _ = draw_symmetry(self.allowed, self.seed, epoch, index)
         features, i = self.features, self.rows[index]
         begin, end = features.begins[i : i + 2]
         presses = torch.from_numpy(features.presses[begin:end]).float()
-        return (
-            apply_symmetry(symmetry, presses, PRESS_VECTORS),
-            apply_symmetry(symmetry, torch.from_numpy(features.shared[i]).float()),
-            apply_symmetry(symmetry, torch.from_numpy(features.target[i]).float()),
-            apply_symmetry(symmetry, torch.from_numpy(features.inside[i])),
+        shared, target = (
+            torch.from_numpy(f[i]).float() for f in (features.shared, features.target)
         )
+        fields = (shared, target, torch.from_numpy(features.inside[i]))
+        image = [apply_symmetry(symmetry, field) for field in fields]
+        return apply_symmetry(symmetry, presses, PRESS_VECTORS), image[0], image[1], image[2]
 
 
 def collate(rows: Sequence[Row]) -> list[Tensor]:
@@ -102,21 +102,17 @@ class SurrogateData(SplitData):
         augment: bool = True,
         seed: int = 0,
     ) -> None:
-        super().__init__()
         if batch < 1 or split < 0 or seed < 0:
             raise ConfigError("batch must be at least 1, split and seed at least 0.")
         if cells < 4 or cells % 2:
             raise ConfigError(f"cells={cells} must be even, and at least 4.")
-        self.cells, self.frames, self.batch = cells, frames, batch
-        self.augment, self.seed = augment, seed
-        self.features = load_features(folder, cells, frames)
-        objects, labels = self.features.object.tolist(), self.features.label.tolist()
+        features = load_features(folder, cells, frames)
         sizes = dict(zip(PARTS, shares, strict=True))
-        self.parts = split_objects(objects, labels, sizes, split)
-        self.numbers = self.features.index.tolist()
-        shards = [shard["sha256"] for shard in SampleSet.open(folder).manifest["shards"]]
-        content = [shards, VERSION, cells, frames, self.numbers, self.parts]
-        self.fingerprint = sha256(json.dumps(content).encode()).hexdigest()
+        parts = split_objects(features.object.tolist(), features.label.tolist(), sizes, split)
+        settings = (VERSION, cells, frames, features.index.tolist())
+        super().__init__(SampleSet.open(folder).manifest, parts, settings)
+        self.features, self.cells, self.frames = features, cells, frames
+        self.batch, self.augment, self.seed = batch, augment, seed
 
     @property
     def press_scale(self) -> list[float]:

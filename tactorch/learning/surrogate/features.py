@@ -4,7 +4,7 @@ Displacements are divided by their root mean square, tractions by the best unifo
 lengths by the bounding box, so that the features do not depend on size and stiffness.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -33,14 +33,11 @@ _MIN_COSINE = 0.9  # between loads of the same press location
 _MIN_WEIGHT = 1e-6  # of the nodes in a cell
 
 
-@dataclass(frozen=True, eq=False)
-class Features:
+class Features(NamedTuple):
     """Features of an object and its presses, on a grid over its bounding box.
 
-    Attributes:
-        youngs_mpa: The uniform modulus that fits best, MPa.
-        presses: `PRESS_CHANNELS` of each press, (k, c, v, v, v).
-        shared: `SHARED_CHANNELS`, (s, v, v, v).
+    `youngs_mpa` is the uniform modulus that fits best; `presses` are the `PRESS_CHANNELS` of each
+    press, `shared` the `SHARED_CHANNELS`.
     """
 
     youngs_mpa: float
@@ -58,12 +55,8 @@ def compute_features(
 ) -> Features:
     """Return the features of a recording.
 
-    Args:
-        recording: Presses on an object; its truth is not used.
-        count: Cells in each direction, even.
-        frames: Load steps to use per press location, those of the largest loads.
-        noise: Standard deviations for presses that do not state theirs.
-        bounds: Limits of the uniform modulus.
+    Its truth is not used. The grid has `count` cells in each direction; of each press location,
+    the `frames` load steps of largest load are used.
 
     Raises:
         ConfigError: `count` is odd or below 2, or `frames` below 1.
@@ -89,17 +82,10 @@ def compute_features(
 
 
 def select_strongest(recording: Recording, frames: int) -> list[int]:
-    """Return the presses with the largest loads at each press location, ascending.
+    """Return the indices of the `frames` presses of largest load at each location, ascending.
 
     Presses have the same location if their loads are proportional (cosine of at least 0.9 over all
     nodes) and their supports are the same.
-
-    Args:
-        recording: Presses on an object.
-        frames: Number of presses per location.
-
-    Returns:
-        Indices of the presses.
     """
     loads = [_load(press) for press in recording.presses]
     norms = [float(np.linalg.norm(load)) for load in loads]
@@ -153,14 +139,10 @@ def _press_features(
     strain = scale / (float(np.mean(grid.size_mm)) * grid.count)
     noise = np.log10(max(deviation / scale, 1e-6))
     factor = observed[:, None] / scale
-    return np.concatenate(
-        [
-            grid.splat((displacement - predicted) * factor) * normalization,
-            grid.splat(displacement * factor) * normalization,
-            grid.splat(press.forces) / force,
-            np.stack([mask * 1.0, supported.astype(float), mask * strain, mask * noise]),
-        ]
-    )
+    residual = grid.splat((displacement - predicted) * factor) * normalization
+    scaled = grid.splat(displacement * factor) * normalization
+    scalars = np.stack([mask * 1.0, supported.astype(float), mask * strain, mask * noise])
+    return np.concatenate([residual, scaled, grid.splat(press.forces) / force, scalars])
 
 
 def compute_targets(
