@@ -49,12 +49,10 @@ class AugmentedSamples(Dataset[Row]):
         features, i = self.features, self.rows[index]
         begin, end = features.begins[i : i + 2]
         presses = torch.from_numpy(features.presses[begin:end]).float()
-        shared, target = (
-            torch.from_numpy(f[i]).float() for f in (features.shared, features.target)
-        )
-        fields = (shared, target, torch.from_numpy(features.inside[i]))
-        image = [apply_symmetry(symmetry, field) for field in fields]
-        return apply_symmetry(symmetry, presses, PRESS_VECTORS), image[0], image[1], image[2]
+        others = (features.shared[i], features.target[i], features.inside[i])
+        shared, target, inside = (apply_symmetry(symmetry, torch.from_numpy(f)) for f in others)
+        presses = apply_symmetry(symmetry, presses, PRESS_VECTORS)
+        return presses, shared.float(), target.float(), inside
 
 
 def collate(rows: Sequence[Row]) -> list[Tensor]:
