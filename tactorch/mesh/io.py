@@ -52,27 +52,24 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
     Raises:
         FileError: The file is missing, damaged or of an unknown format.
         MeshError: The file contains no linear tetrahedra, other solid elements, unreferenced
-            nodes, or an invalid mesh. Every message names the file.
-        ConfigError: The unit is unknown.
+            nodes, or an invalid mesh.
 
     Warns:
         UserWarning: The object is implausibly small or large; the likely unit is named.
     """
-    scale = _mm_per(unit)
-    source = require_file(path, "Mesh")
+    scale, source = _mm_per(unit), require_file(path, "Mesh")
     content = _read(source, _MESH_FORMATS)
     with _naming(source):
         points = as_points(content.points) * scale
         tets = as_cells(_solid_cells(content), 4, len(points))
         unused = unreferenced(len(points), tets)
-        if unused.size and not drop_unreferenced:
+        if unused.any() and not drop_unreferenced:
             raise MeshError(
-                f"no tetrahedron uses {listing(unused, len(points), 'nodes')}."
+                f"no tetrahedron uses {listing(unused, 'nodes')}."
                 " Remove them from the file, or read it with drop_unreferenced=True, which"
                 " renumbers the others."
             )
-        if unused.size:
-            points, tets, _ = compact(points, tets)
+        points, tets, _ = compact(points, tets)
         mesh = TetMesh.create(points, tets)
     _warn_of_unit(f"Mesh '{source}'", mesh.diagonal, unit)
     return mesh
@@ -96,21 +93,13 @@ def write_mesh(
         FileError: The format is unknown, cannot hold data, or the file cannot be written.
         MeshError: A field does not fit the mesh.
     """
-    target = Path(path)
     cells = _fields("cell_data", cell_data, mesh.n_tets)
     nodes = _fields("point_data", point_data, mesh.n_points)
-    name = _format(target, _MESH_FORMATS)
-    if name == "abaqus" and (cells or nodes):
-        raise FileError(f"'{target}': .inp files cannot hold fields; write .vtu or .msh instead.")
-    import meshio
-
-    content = meshio.Mesh(
-        np.array(mesh.points),
-        [("tetra", np.array(mesh.tets))],
-        point_data=nodes,
-        cell_data={key: [values] for key, values in cells.items()},
-    )
-    _write(target, name, content)
+    if _format(path, _MESH_FORMATS) == "abaqus" and (cells or nodes):
+        raise FileError(f"'{path}': .inp files cannot hold fields; write .vtu or .msh instead.")
+    blocks = [("tetra", np.array(mesh.tets))]
+    data = {key: [values] for key, values in cells.items()}
+    _write(path, _MESH_FORMATS, np.array(mesh.points), blocks, point_data=nodes, cell_data=data)
 
 
 def read_surface(
@@ -131,39 +120,31 @@ def read_surface(
     Raises:
         FileError: The file is missing, damaged or of an unknown format.
         MeshError: The file contains no triangles, polygons of more than four sides, or
-            non-finite coordinates. Every message names the file.
-        ConfigError: The unit is unknown.
+            non-finite coordinates.
 
     Warns:
         UserWarning: The object is implausibly small or large; the likely unit is named.
     """
-    scale = _mm_per(unit)
-    source = require_file(path, "Surface")
+    scale, source = _mm_per(unit), require_file(path, "Surface")
     content = _read(source, _SURFACE_FORMATS)
     with _naming(source):
-        vertices, triangles = _merged(as_points(content.points, "vertices"), _triangles(content))
+        vertices = as_points(content.points, "vertices")
+        faces = as_cells(_triangles(content), 3, len(vertices), "triangles")
+        _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+        vertices, triangles, _ = compact(vertices, first[same.reshape(-1)][faces])
     _warn_of_unit(f"Surface '{source}'", bounding_diagonal(vertices) * scale, unit)
     return vertices * scale, triangles
 
 
 def write_surface(path: str | Path, vertices: Rows, triangles: Rows) -> None:
-    """Write a triangle surface, in mm, to .stl, .obj or .ply; the file is replaced atomically.
-
-    Raises:
-        FileError: The format is unknown or the file cannot be written.
-        MeshError: The arrays are not a surface.
-    """
-    target = Path(path)
-    name = _format(target, _SURFACE_FORMATS)
+    """Write a triangle surface, in mm, to .stl, .obj or .ply; the file is replaced atomically."""
     points = as_points(vertices, "vertices")
-    faces = as_cells(triangles, 3, len(points), "triangles")
-    import meshio
-
-    _write(target, name, meshio.Mesh(points, [("triangle", faces.astype(np.int32))]))
+    faces = as_cells(triangles, 3, len(points), "triangles").astype(np.int32)
+    _write(path, _SURFACE_FORMATS, points, [("triangle", faces)])
 
 
-def _format(path: Path, formats: Mapping[str, str]) -> str:
-    suffix = path.suffix.lower()
+def _format(path: str | Path, formats: Mapping[str, str]) -> str:
+    suffix = Path(path).suffix.lower()
     if suffix not in formats:
         raise FileError(
             f"'{path}' has the unknown suffix '{suffix}'; use one of {', '.join(formats)}."
@@ -181,8 +162,6 @@ def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
         if name == "obj":
             content = meshio.Mesh(*_read_obj(path))
         else:
-            if name == "ply" and b"\nend_header" not in path.read_bytes():
-                raise ValueError("its header has no end")  # meshio reads on forever
             content = importlib.import_module(f"meshio.{name}").read(str(path))
     if not len(content.points):
         raise FileError(f"'{path}' contains no points: it is empty, or not of the {name} format.")
@@ -208,11 +187,20 @@ def _check_header(path: Path, name: str) -> None:
             start += 20 + 32 * nodes
 
 
-def _write(path: Path, name: str, content: "meshio.Mesh") -> None:
+def _write(
+    path: str | Path,
+    formats: Mapping[str, str],
+    points: NDArray,
+    blocks: list[tuple[str, NDArray]],
+    **data: Any,
+) -> None:
+    import meshio
+
+    name = _format(path, formats)
     options = {"binary": True} if name == "stl" else {}
     writer = importlib.import_module(f"meshio.{name}")
     with _meshio(f"'{path}' cannot be written as {name}"), atomic_path(path) as temporary:
-        writer.write(str(temporary), content, **options)
+        writer.write(str(temporary), meshio.Mesh(points, blocks, **data), **options)
 
 
 @contextlib.contextmanager
@@ -248,10 +236,11 @@ def _naming(path: Path) -> Iterator[None]:
 
 def _solid_cells(content: "meshio.Mesh") -> NDArray:
     tets = [block.data for block in content.cells if block.type == "tetra" and len(block.data)]
-    solid = {b.type for b in content.cells if b.dim == 3 and b.type != "tetra"}
-    others = ", ".join(sorted(solid))
-    if others:
-        raise MeshError(f"it contains solid elements other than 4-node tetrahedra: {others}.")
+    solid = sorted({b.type for b in content.cells if b.dim == 3 and b.type != "tetra"})
+    if solid:
+        raise MeshError(
+            f"it contains solid elements other than 4-node tetrahedra: {', '.join(solid)}."
+        )
     if not tets:
         types = ", ".join(sorted({b.type for b in content.cells})) or "no cells"
         raise MeshError(
@@ -276,16 +265,6 @@ def _triangles(content: "meshio.Mesh") -> NDArray:
     if not triangles:
         raise MeshError("it contains no triangles.")
     return np.concatenate(triangles)
-
-
-def _merged(
-    vertices: Float[np.ndarray, "n 3"], triangles: NDArray
-) -> tuple[Float[np.ndarray, "r 3"], Int[np.ndarray, "k 3"]]:
-    """Merge vertices of equal coordinates, and drop those that no triangle uses."""
-    faces = as_cells(triangles, 3, len(vertices), "triangles")
-    _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    points, cells, _ = compact(vertices, first[same.reshape(-1)][faces])
-    return points, cells
 
 
 def _fields(what: str, data: Mapping[str, Rows] | None, rows: int) -> dict[str, NDArray]:
@@ -325,17 +304,10 @@ def _warn_of_unit(what: str, diagonal_mm: float, unit: str) -> None:
 
 
 def _read_obj(path: Path) -> tuple[Float[np.ndarray, "n 3"], list[tuple[str, NDArray]]]:
-    """Read vertices and faces of a Wavefront .obj file; other content is ignored.
+    """Read vertices and runs of faces of one kind of a Wavefront .obj file, in its order.
 
     meshio refuses files whose texture or normal lists differ in length from the vertex list, which
     is most files that have any.
-
-    Returns:
-        Vertices, and runs of faces of one kind in the order of the file: "triangle", "quad" or
-        "polygon", with indices from 0.
-
-    Raises:
-        ValueError: A line is invalid; the message gives its number.
     """
     vertices: list[list[float]] = []
     faces: list[list[int]] = []

@@ -2,20 +2,23 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError, MeshError
-from tactorch.mesh import Shape, TetMesh
+from tactorch.mesh import Box, Cylinder, Hemisphere, Hyperboloid, Lathe, Shape, TetMesh
+from tactorch.mesh.meshing import mesh_shape
 from tactorch.mesh.quadrature import element_means
 from tactorch.mesh.values import Real, positive
 from tactorch.phantoms.background import Background
 from tactorch.phantoms.config import as_mapping, from_config, refuse_unknown, to_config
-from tactorch.phantoms.meshing import BODIES, mesh_body
 from tactorch.phantoms.overlap import protrusion
 
+#: Bodies: each can have a flat side for supports.
+BODIES = (Box, Cylinder, Hemisphere, Hyperboloid, Lathe)
 #: Young's modulus of a hole: the lower bound of the paper's inversions (Section IV-A), MPa.
 HOLE_MPA = 1e-3
 #: Maximum difference of a mesh's bounding box from the body's, as a fraction of its diagonal.
@@ -123,7 +126,7 @@ class Phantom:
             MeshError: Meshing failed.
         """
         inner = [shape for shape, _ in self.inclusions] if conforming else []
-        return mesh_body(self.body, edge_length_mm, relative_edge_length, generator, cache, inner)
+        return mesh_shape(self.body, edge_length_mm, relative_edge_length, generator, inner, cache)
 
     def check_mesh(self, mesh: TetMesh) -> None:
         """Refuse a mesh whose bounding box is not that of the body.
@@ -189,6 +192,50 @@ class Phantom:
                 f" ({self.body}); move or shrink it."
             )
         return Inclusion(shape, modulus)
+
+
+@dataclass(frozen=True)
+class MeshSize(Options):
+    """Edge lengths of the recording's mesh and of the mesh that presses are solved on."""
+
+    section = "mesh"
+    edge_length_mm: float | None = option(
+        None, "Edge length of the recording's mesh; null: relative_edge_length", unit="mm", gt=0
+    )
+    relative_edge_length: float = option(
+        0.1, "Edge length as a fraction of the bounding box's diagonal", gt=0
+    )
+    fine_edge_length_mm: float | None = option(
+        None, "Edge length of the simulation's mesh; null: fine_relative", unit="mm", gt=0
+    )
+    fine_relative: float | None = option(
+        0.05,
+        "Edge length of the simulation's mesh as a fraction of the diagonal; null: the recording's "
+        "mesh (an inverse crime)",
+        gt=0,
+    )
+    generator: Literal["auto", "structured", "tetwild"] = option(
+        "auto", "Mesh generator; auto: structured for boxes, tetwild for other bodies"
+    )
+
+    def build(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
+        """Mesh a phantom.
+
+        Returns:
+            The recording's mesh, and the mesh to solve on; None where it is the same.
+
+        Raises:
+            ConfigError: The generator cannot mesh the body, or pytetwild is not installed.
+            MeshError: Meshing failed.
+        """
+
+        def mesh(edge_mm: float | None, relative: float) -> TetMesh:
+            return phantom.mesh(edge_mm, relative_edge_length=relative, generator=self.generator)
+
+        coarse = mesh(self.edge_length_mm, self.relative_edge_length)
+        if self.fine_edge_length_mm is None and self.fine_relative is None:
+            return coarse, None
+        return coarse, mesh(self.fine_edge_length_mm, self.fine_relative or 0.1)
 
 
 def _entry(entry: Any, index: int) -> tuple[Shape, float]:
