@@ -7,13 +7,11 @@ from tactorch.mesh.revolved import Cone, Cylinder, Hemisphere, Hyperboloid, Lath
 from tactorch.mesh.shapes import Box, Ellipsoid, Rotated, Shape, Sphere, Union
 from tactorch.mesh.structured import box_mesh
 from tactorch.mesh.tetmesh import FACE_NAMES, TetMesh, compact, face_nodes, select_face
-from tactorch.mesh.topology import LOCAL_EDGES, LOCAL_FACES, Adjacency, Surface
+from tactorch.mesh.topology import Adjacency, Surface
 from tactorch.mesh.voxels import VoxelGrid
 
 __all__ = [
     "FACE_NAMES",
-    "LOCAL_EDGES",
-    "LOCAL_FACES",
     "Adjacency",
     "Box",
     "Cone",

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from tactorch.errors import ConfigError, FileError, MeshError
@@ -20,7 +19,7 @@ from tactorch.files import atomic_path, require_file
 from tactorch.mesh.checks import as_cells, as_points, listing, unreferenced
 from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.tetmesh import TetMesh, compact
-from tactorch.mesh.values import Rows
+from tactorch.mesh.values import Points, Rows, Triangles
 
 if TYPE_CHECKING:
     import meshio
@@ -38,7 +37,8 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
     """Read a tetrahedral mesh from .msh (gmsh), .vtu or .inp (Abaqus, CalculiX).
 
     Nodes and tetrahedra keep the order of the file, because other files refer to them by index.
-    Points, lines and surface cells are ignored; inverted tetrahedra are reoriented.
+    Points, lines and surface cells are ignored; inverted tetrahedra are reoriented. A warning names
+    the likely unit of an object that is implausibly small or large.
 
     Args:
         path: Path of the file.
@@ -53,9 +53,6 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
         FileError: The file is missing, damaged or of an unknown format.
         MeshError: The file contains no linear tetrahedra, other solid elements, unreferenced
             nodes, or an invalid mesh.
-
-    Warns:
-        UserWarning: The object is implausibly small or large; the likely unit is named.
     """
     scale, source = _mm_per(unit), require_file(path, "Mesh")
     content = _read(source, _MESH_FORMATS)
@@ -88,10 +85,6 @@ def write_mesh(
         mesh: Mesh to write.
         cell_data: Fields of m values or m rows, such as Young's modulus; not for .inp.
         point_data: Fields of n values or n rows, such as displacement; not for .inp.
-
-    Raises:
-        FileError: The format is unknown, cannot hold data, or the file cannot be written.
-        MeshError: A field does not fit the mesh.
     """
     cells = _fields("cell_data", cell_data, mesh.n_tets)
     nodes = _fields("point_data", point_data, mesh.n_points)
@@ -102,17 +95,12 @@ def write_mesh(
     _write(path, _MESH_FORMATS, np.array(mesh.points), blocks, point_data=nodes, cell_data=data)
 
 
-def read_surface(
-    path: str | Path, unit: str = "mm"
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "k 3"]]:
+def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]:
     """Read a triangle surface from .stl, .obj or .ply.
 
     Vertices with equal coordinates are merged, as STL stores the vertices of each triangle
-    separately; quadrangles are halved. Vertices keep the order of the file.
-
-    Args:
-        path: Path of the file.
-        unit: Length unit of the file: "mm", "cm" or "m".
+    separately; quadrangles are halved. Vertices keep the order of the file. See `read_mesh` for the
+    unit.
 
     Returns:
         Vertices in mm and triangles, ready for `tetrahedralize`.
@@ -121,9 +109,6 @@ def read_surface(
         FileError: The file is missing, damaged or of an unknown format.
         MeshError: The file contains no triangles, polygons of more than four sides, or
             non-finite coordinates.
-
-    Warns:
-        UserWarning: The object is implausibly small or large; the likely unit is named.
     """
     scale, source = _mm_per(unit), require_file(path, "Surface")
     content = _read(source, _SURFACE_FORMATS)
@@ -303,7 +288,7 @@ def _warn_of_unit(what: str, diagonal_mm: float, unit: str) -> None:
     )
 
 
-def _read_obj(path: Path) -> tuple[Float[np.ndarray, "n 3"], list[tuple[str, NDArray]]]:
+def _read_obj(path: Path) -> tuple[Points, list[tuple[str, NDArray]]]:
     """Read vertices and runs of faces of one kind of a Wavefront .obj file, in its order.
 
     meshio refuses files whose texture or normal lists differ in length from the vertex list, which
@@ -320,17 +305,14 @@ def _read_obj(path: Path) -> tuple[Float[np.ndarray, "n 3"], list[tuple[str, NDA
                         raise ValueError(f"a vertex needs three coordinates, not {len(fields)}")
                     vertices.append([float(field) for field in fields[:3]])
                 elif key == "f":
-                    faces.append([_obj_index(field, len(vertices)) for field in fields])
+                    # Vertices count from 1, or back from the latest from -1.
+                    indices = [int(field.split("/")[0]) for field in fields]
+                    for index in indices:
+                        if index == 0 or index < -len(vertices):
+                            raise ValueError(f"there is no vertex {index}")
+                    faces.append([i - 1 if i > 0 else len(vertices) + i for i in indices])
             except ValueError as error:
                 raise ValueError(f"line {number}: {error}") from error
     kinds = {3: "triangle", 4: "quad"}
     runs = [(kinds.get(n, "polygon"), np.array(list(run))) for n, run in groupby(faces, key=len)]
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), runs
-
-
-def _obj_index(field: str, count: int) -> int:
-    """Read `vertex/texture/normal`; vertices count from 1, or back from the latest from -1."""
-    index = int(field.split("/")[0])
-    if index == 0 or index < -count:
-        raise ValueError(f"there is no vertex {index}")
-    return index - 1 if index > 0 else count + index

@@ -48,8 +48,7 @@ def mesh_shape(
     """Mesh a shape, conforming to the surfaces of `inner` shapes; see `Phantom.mesh`."""
     if generator not in GENERATORS:
         raise ConfigError(f"generator={generator!r}: choose one of {', '.join(GENERATORS)}.")
-    low, high = shape.bounds()
-    diagonal = float(np.linalg.norm(high - low))
+    diagonal = bounding_diagonal(shape.bounds())
     length = _edge_length(edge_length_mm, relative_edge_length, diagonal)
     if generator == "structured" and inner:
         raise ConfigError("generator='structured' cannot follow inclusions; use 'tetwild'.")

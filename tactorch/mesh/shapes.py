@@ -104,9 +104,9 @@ class Sphere(CenteredShape):
 
 @dataclass(frozen=True)
 class Box(CenteredShape):
-    """Axis-aligned cuboid of centre `center_mm` and edge lengths `size_mm`."""
+    """Axis-aligned cuboid of centre `center_mm` and edge lengths `size_mm`, three or one."""
 
-    size_mm: Vector = checked(sizes, (1.0, 1.0, 1.0))
+    size_mm: Vector | Real = checked(sizes, (1.0, 1.0, 1.0))
 
     def signed_distance(self, points: Points) -> Distances:
         excess = np.abs(points - np.array(self.center_mm)) - np.array(self.size_mm) / 2

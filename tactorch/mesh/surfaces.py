@@ -54,7 +54,7 @@ def half_circle(segments: int) -> Profile:
     return arc
 
 
-def coarsened(profile: Profile, segments: int) -> Profile:
+def coarsened(profile: Profile, segments: int) -> Float[np.ndarray, "q 2"]:
     """Drop points of a fine profile, so that its edges are about as long as a ring's.
 
     Ends and corners of more than 15 degrees are kept.

@@ -55,16 +55,10 @@ class TetMesh:
 
     @classmethod
     def create(cls, points: Rows, tets: Rows, repair: bool = True) -> "TetMesh":
-        """Build a mesh from array-likes.
+        """Build a mesh from array-likes of shape (n, 3) and (m, 4).
 
-        Args:
-            points: (n, 3) node positions, mm.
-            tets: (m, 4) node indices.
-            repair: Whether to swap the last two vertices of inverted elements rather than
-                refuse them. The order of nodes and elements is kept.
-
-        Returns:
-            The mesh.
+        `repair` swaps the last two vertices of inverted elements rather than refusing them. The
+        order of nodes and elements is kept.
         """
         nodes = as_points(points)
         cells = as_cells(tets, 4, len(nodes))
@@ -196,7 +190,6 @@ def select_face(mesh: TetMesh, name: str, tolerance: Real = 2e-3) -> Int[np.ndar
         Ascending indices into `mesh.surface.triangles`; at least one.
 
     Raises:
-        ConfigError: The name or the tolerance is invalid.
         MeshError: No triangle is on that side: the object is round there.
     """
     if name not in FACE_NAMES:

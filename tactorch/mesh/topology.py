@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tactorch.mesh.geometry import frozen
-from tactorch.mesh.values import Tets
+from tactorch.mesh.values import Tets, Triangles
 
 #: Face `i` is opposite vertex `i`; counter-clockwise from outside a positive tetrahedron.
 LOCAL_FACES = frozen(np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]))
@@ -26,7 +26,7 @@ class Surface:
         owners: Index of the tetrahedron that each triangle belongs to.
     """
 
-    triangles: Int[np.ndarray, "k 3"]
+    triangles: Triangles
     normals: Float[np.ndarray, "k 3"]
     areas: Float[np.ndarray, " k"]
     owners: Int[np.ndarray, " k"]

@@ -1,6 +1,6 @@
 """Shapes and backgrounds as plain dictionaries, for configuration files and provenance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -39,9 +39,9 @@ def from_config(key: str, config: Any, where: str) -> Any:
     """
     values = as_mapping(config, where)
     name, classes = values.pop(key, None), CLASSES[key]
-    if name not in classes:
+    if not isinstance(name, str) or name not in classes:
         raise ConfigError(f"{where}: {key} is {name!r}; choose one of {', '.join(classes)}.")
-    refuse_unknown(values, {field.name for field in fields(classes[name])}, where)
+    values = as_mapping(values, where, {field.name for field in fields(classes[name])})
     arguments = {k: _nested(key, value, f"{where}.{k}") for k, value in values.items()}
     try:
         return classes[name](**arguments)
@@ -66,17 +66,13 @@ def _nested(key: str, value: Any, where: str) -> Any:
     return value
 
 
-def as_mapping(config: Any, where: str) -> dict[str, Any]:
-    """Return a copy as a dictionary, or raise `ConfigError`."""
+def as_mapping(config: Any, where: str, known: Collection[str] = ()) -> dict[str, Any]:
+    """Return a copy as a dictionary, or raise `ConfigError`; `known` are the accepted keys."""
     if not isinstance(config, Mapping):
         raise ConfigError(f"{where} is {config!r}; give a dictionary.")
-    return dict(config)
-
-
-def refuse_unknown(values: Mapping[str, Any], known: set[str], where: str) -> None:
-    """Raise `ConfigError` for unknown keys, such as misspelt ones."""
-    unknown = sorted(str(key) for key in values if key not in known)
+    unknown = sorted(str(key) for key in config if known and key not in known)
     if unknown:
         raise ConfigError(
             f"{where}: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}."
         )
+    return dict(config)
