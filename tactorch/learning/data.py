@@ -2,7 +2,7 @@
 
 import json
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from hashlib import sha256
 from itertools import permutations, product
 from typing import Any
@@ -11,7 +11,7 @@ import lightning
 import numpy as np
 from jaxtyping import Float
 from torch import Tensor
-from torch.utils.data import DataLoader, Sampler
+from torch.utils.data import DataLoader, Dataset, Sampler
 
 from tactorch.errors import ConfigError
 
@@ -22,26 +22,48 @@ IDENTITY: Symmetry = ((0, 1, 2), (1, 1, 1))
 
 
 class SplitData(lightning.LightningDataModule):
-    """Data module whose parts are loaded by `loader`, in order and without augmentation.
+    """Data module of a dataset whose samples are split by object.
 
-    Args:
-        manifest: Manifest of the dataset.
-        parts: Indices of the samples of each part.
-        settings: Plain values that determine the samples besides the dataset and the parts.
+    `settings` are plain values that determine the samples besides the dataset and the parts. The
+    attribute `fingerprint` identifies the data and the split.
     """
 
+    #: Function that makes a batch of samples; torch's if None.
+    collate: Callable[[Any], Any] | None = None
+
     def __init__(
-        self, manifest: Mapping[str, Any], parts: dict[str, list[int]], settings: Sequence[Any] = ()
+        self,
+        manifest: Mapping[str, Any],
+        parts: dict[str, list[int]],
+        settings: Sequence[Any] = (),
+        *,
+        batch: int,
+        augment: bool,
+        seed: int,
     ) -> None:
         super().__init__()
-        self.parts = parts
+        self.parts, self.batch, self.augment, self.seed = parts, batch, augment, seed
         shards = [shard["sha256"] for shard in manifest["shards"]]
         content = json.dumps([shards, *settings, parts])
         self.fingerprint = sha256(content.encode()).hexdigest()
 
     @abstractmethod
+    def dataset(self, rows: Sequence[int], augment: bool) -> Dataset:
+        """Return samples, by epoch and position in `rows`."""
+
     def loader(self, part: str) -> DataLoader:
         """Return the batches of a part, in order and without augmentation."""
+        rows = self.parts[part]
+        order = [(0, position) for position in range(len(rows))]
+        data = self.dataset(rows, augment=False)
+        return DataLoader(data, self.batch, sampler=order, collate_fn=self.collate)
+
+    def train_dataloader(self) -> DataLoader:
+        """Return shuffled batches, augmented if this is set."""
+        rows = self.parts["train"]
+        order, drop = EpochSampler(len(rows), self.seed), len(rows) > self.batch
+        data = self.dataset(rows, self.augment)
+        return DataLoader(data, self.batch, sampler=order, drop_last=drop, collate_fn=self.collate)
 
     def val_dataloader(self) -> DataLoader:
         """Return the validation batches."""

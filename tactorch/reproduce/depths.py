@@ -10,18 +10,17 @@ The paper defines neither the presses nor the noise, nor the reference of its re
 `of the side` and `of the depth` are given.
 """
 
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from tactorch.findings import find_lumps
-from tactorch.inverse import homogeneous, invert
+from tactorch.inverse import homogeneous
 from tactorch.phantoms import make_phantom
 from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
-from tactorch.reproduce.paper import MATERIAL, paper
-from tactorch.simulation import PressPlan, simulate
+from tactorch.reproduce.paper import invert_blindly, paper, press_finely
+from tactorch.simulation import PressPlan
 from tactorch.viz.paper import boxes_figure
 
 DEPTHS_MM = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
@@ -54,20 +53,10 @@ def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     """Simulate and invert presses, and detect the ball."""
     depth, offset = settings["depth_mm"] / SIDE_MM, tuple(settings["offset"])
     phantom = make_phantom("depth_cube", depth=depth, offset=offset)
-    edge = settings["relative_edge_length"]
-    plan = {key: settings[key] for key in ("p_max_mpa", "steps", "faces", "support")}
-    recording = simulate(
-        phantom,
-        PressPlan(**plan),
-        material=MATERIAL,
-        mesh=phantom.mesh(relative_edge_length=edge),
-        fine_mesh=phantom.mesh(relative_edge_length=edge / 2),
-        snr_db=settings["snr_db"],
-        seed=settings["noise_seed"],
-    )
-    reconstruction = invert(
-        replace(recording, truth=None), start_mpa=homogeneous, show_progress=False
-    )
+    edge, snr_db = settings["relative_edge_length"], settings["snr_db"]
+    plan = PressPlan(**{key: settings[key] for key in ("p_max_mpa", "steps", "faces", "support")})
+    recording = press_finely(phantom, plan, edge, snr_db=snr_db, seed=settings["noise_seed"])
+    reconstruction = invert_blindly(recording, start=homogeneous)
     lumps = find_lumps(recording.mesh, reconstruction.youngs, max_lumps=1, side="stiff")
     (ball, _), *_ = phantom.inclusions
     true = np.array(ball.bounds()).mean(axis=0)

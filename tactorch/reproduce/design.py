@@ -21,20 +21,19 @@ as in the paper. This is the true modulus outside the inclusion: the protocol of
 to the inversion, in both columns.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactorch.inverse import invert
 from tactorch.mesh import VoxelGrid
 from tactorch.metrics import scores
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
 from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
-from tactorch.reproduce.paper import MATERIAL, SIDES, START_MPA, paper
+from tactorch.reproduce.paper import MATERIAL, SIDES, invert_blindly, paper, press_finely
 from tactorch.simulation import PressPlan, simulate
 from tactorch.viz.paper import Panel, curves_figure, panels_figure
 
@@ -42,7 +41,6 @@ MODELS = {"model1": "cube_shallow_sphere", "model2": "cube_deep_sphere"}
 METRICS = {"s": "normalised_correlation", "ssim": "ssim", "psnr": "psnr", "rmse_mpa": "rmse_mpa"}
 _KPA = 1e-3  # MPa
 _LIMITS = (0.2, 1.0)  # colour scale, MPa: the two moduli
-_REFINEMENT = 0.5
 #: Cells of the panels of Fig. 8.
 _GROUPS = {
     "maximum pressure": ("p1", "p2", "p3", "p4"),
@@ -91,17 +89,11 @@ def simulate_cell(
 ) -> Recording:
     """Simulate the presses of one cell."""
     phantom = make_phantom(MODELS[model])
-    fine = _REFINEMENT * relative_edge_length
-    return simulate(
-        phantom,
-        make_plan(cell),
-        material=MATERIAL,
-        mesh=phantom.mesh(relative_edge_length=relative_edge_length),
-        fine_mesh=None if same_mesh else phantom.mesh(relative_edge_length=fine),
-        samples=1 if same_mesh else 4,
-        snr_db=cell.snr_db,
-        seed=0,
-    )
+    options: dict[str, Any] = {"snr_db": cell.snr_db, "seed": 0}
+    if not same_mesh:
+        return press_finely(phantom, make_plan(cell), relative_edge_length, samples=4, **options)
+    mesh = phantom.mesh(relative_edge_length=relative_edge_length)
+    return simulate(phantom, make_plan(cell), material=MATERIAL, mesh=mesh, **options)
 
 
 def cases(options: CaseSettings) -> dict[str, CaseSettings]:
@@ -130,8 +122,7 @@ def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     )
     truth = recording.truth
     assert truth is not None
-    blind = replace(recording, truth=None)
-    reconstruction = invert(blind, start_mpa=START_MPA, show_progress=False)
+    reconstruction = invert_blindly(recording)
     figures = {
         "scores": scores(recording.mesh, reconstruction.youngs, truth),
         "seconds": reconstruction.seconds,

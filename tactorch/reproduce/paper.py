@@ -14,8 +14,10 @@ import numpy as np
 import yaml
 
 from tactorch.fem import SoftBody, make_material
+from tactorch.inverse import Reconstruction, Settings, invert
+from tactorch.inverse.starts import Start
 from tactorch.mesh import Box, TetMesh, face_nodes
-from tactorch.phantoms import make_phantom
+from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import MaterialSpec, Recording
 from tactorch.sampling import Patch, SimulatedPresser, candidate_patches
 from tactorch.simulation import PressPlan, simulate
@@ -39,6 +41,18 @@ def row(table: str, key: str) -> dict[str, Any]:
     content = paper()[table]
     row_values = next(values for values in content["rows"] if values[0] == key)
     return dict(zip(content["columns"], row_values, strict=True))
+
+
+def press_finely(phantom: Phantom, plan: PressPlan, edge: float, **noise: Any) -> Recording:
+    """Simulate noisy presses on a mesh of half the relative edge length of the recording's."""
+    return simulate(
+        phantom,
+        plan,
+        material=MATERIAL,
+        mesh=phantom.mesh(relative_edge_length=edge),
+        fine_mesh=phantom.mesh(relative_edge_length=edge / 2),
+        **noise,
+    )
 
 
 def press_object(settings: Mapping[str, Any]) -> Recording:
@@ -74,6 +88,14 @@ def make_presser(
     fixed = lower_nodes(mesh)
     body = SoftBody(mesh, make_material(MATERIAL.name, POISSON))
     return SimulatedPresser(body, truth, fixed, mesh, fixed, pressure_mpa, noise_mm)
+
+
+def invert_blindly(
+    recording: Recording, settings: Settings | None = None, start: Start = START_MPA
+) -> Reconstruction:
+    """Invert a recording without its truth, from the start of the paper by default."""
+    blind = replace(recording, truth=None)
+    return invert(blind, settings, start_mpa=start, show_progress=False)
 
 
 def lower_nodes(mesh: TetMesh) -> np.ndarray:

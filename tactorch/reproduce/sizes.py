@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from tactorch.findings import find_lumps
-from tactorch.inverse import NuisancePrior, Settings, invert
+from tactorch.inverse import NuisancePrior, Settings
 from tactorch.metrics import pearson
 from tactorch.phantoms import make_phantom
 from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
-from tactorch.reproduce.paper import MATERIAL, SIDES, START_MPA
-from tactorch.simulation import PressPlan, perturb_recording, simulate
+from tactorch.reproduce.paper import SIDES, invert_blindly, press_finely
+from tactorch.simulation import PressPlan, perturb_recording
 from tactorch.viz.paper import Panel, panels_figure
 
 SIZES = {
@@ -58,15 +58,8 @@ def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     """Simulate presses and invert them with a wrong size."""
     phantom = make_phantom("cube_sphere", depth=0.4)
     edge, method = settings["relative_edge_length"], settings["method"]
-    exact = simulate(
-        phantom,
-        PressPlan(p_max_mpa=0.02, steps=settings["steps"], faces=SIDES),
-        material=MATERIAL,
-        mesh=phantom.mesh(relative_edge_length=edge),
-        fine_mesh=phantom.mesh(relative_edge_length=edge / 2),
-        snr_db=settings["snr_db"],
-        seed=0,
-    )
+    plan = PressPlan(p_max_mpa=0.02, steps=settings["steps"], faces=SIDES)
+    exact = press_finely(phantom, plan, edge, snr_db=settings["snr_db"], seed=0)
     truth = exact.truth
     assert truth is not None
     wrong = perturb_recording(replace(exact, truth=None), size=settings["size"])
@@ -76,8 +69,7 @@ def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
         wrong = replace(wrong, presses=presses)
     estimated = NuisancePrior(rest_scale=_SIZE_DEVIATION)
     nuisance = estimated if method == "estimated" else NuisancePrior()
-    inversion = Settings(nuisance=nuisance)
-    reconstruction = invert(wrong, inversion, start_mpa=START_MPA, show_progress=False)
+    reconstruction = invert_blindly(wrong, Settings(nuisance=nuisance))
     lumps = find_lumps(wrong.mesh, reconstruction.youngs, max_lumps=1)
     center = lumps[0].center_mm / settings["size"] if lumps else np.full(3, np.nan)
     true = find_lumps(exact.mesh, truth, max_lumps=1)[0].center_mm

@@ -7,14 +7,13 @@ from typing import Literal
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, TensorDataset
+from torch.utils.data import Dataset
 
 from tactorch.errors import ConfigError
 from tactorch.generation import SampleMaps, SampleSet
 from tactorch.learning.data import (
     IDENTITY,
     PARTS,
-    EpochSampler,
     SplitData,
     Symmetry,
     apply_symmetry,
@@ -55,8 +54,6 @@ class AugmentedMaps(Dataset[tuple[Tensor, Tensor]]):
 
 class RecognitionData(SplitData):
     """Log-modulus on a grid and the class of the inclusion.
-
-    The attribute `fingerprint` identifies the data and the split.
 
     Args:
         folder: Dataset, such as of `tactorch generate dataset=recognition`.
@@ -101,9 +98,9 @@ class RecognitionData(SplitData):
         sizes = dict(zip(PARTS, shares, strict=True))
         grids = {sample.mesh: VoxelGrid(sample.mesh, voxels) for sample in samples}
         maps = [_log_map(sample, source, grids[sample.mesh]) for sample in samples]
-        super().__init__(dataset.manifest, split_objects(objects, labels, sizes, split))
-        self.batch, self.augment, self.brightness, self.seed = batch, augment, brightness, seed
-        self.maps = torch.stack(maps)
+        parts = split_objects(objects, labels, sizes, split)
+        super().__init__(dataset.manifest, parts, batch=batch, augment=augment, seed=seed)
+        self.maps, self.brightness = torch.stack(maps), brightness
         self.classes = sorted(set(labels))
         self.labels = torch.tensor([self.classes.index(label) for label in labels])
         self.allowed = _common_symmetries(samples)
@@ -120,19 +117,10 @@ class RecognitionData(SplitData):
         maps = self.maps[self.parts["train"]]
         return float(maps.std()) if len(maps) else 1.0
 
-    def train_dataloader(self) -> DataLoader:
-        """Return shuffled, augmented batches."""
-        part = self.parts["train"]
-        allowed = self.allowed if self.augment else [IDENTITY]
-        brightness = self.brightness if self.augment else 0.0
-        maps = AugmentedMaps(self.maps[part], self.labels[part], allowed, brightness, self.seed)
-        order = EpochSampler(len(maps), self.seed)
-        return DataLoader(maps, self.batch, sampler=order, drop_last=len(maps) > self.batch)
-
-    def loader(self, part: str) -> DataLoader:
-        """Return the batches of a part, in order and without augmentation."""
-        rows = self.parts[part]
-        return DataLoader(TensorDataset(self.maps[rows], self.labels[rows]), self.batch)
+    def dataset(self, rows: Sequence[int], augment: bool) -> AugmentedMaps:
+        """Return maps and labels, by epoch and position in `rows`."""
+        allowed, brightness = (self.allowed, self.brightness) if augment else ([IDENTITY], 0.0)
+        return AugmentedMaps(self.maps[rows], self.labels[rows], allowed, brightness, self.seed)
 
 
 def _log_map(sample: SampleMaps, source: str, grid: VoxelGrid) -> Tensor:

@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import Dataset
 
 from tactorch.errors import ConfigError
 from tactorch.generation import SampleSet
 from tactorch.learning.data import (
     IDENTITY,
     PARTS,
-    EpochSampler,
     SplitData,
     Symmetry,
     apply_symmetry,
@@ -70,8 +69,7 @@ def collate(rows: Sequence[Row]) -> list[Tensor]:
 class SurrogateData(SplitData):
     """Presses and true log-moduli on a grid.
 
-    The features are computed once and cached in the folder of the dataset. The attribute
-    `fingerprint` identifies the data and the split.
+    The features are computed once and cached in the folder of the dataset.
 
     Args:
         folder: Dataset, such as of `tactorch generate dataset=warmstart`.
@@ -87,6 +85,8 @@ class SurrogateData(SplitData):
         FileError: The dataset is missing or damaged.
         ConfigError: A setting is not valid.
     """
+
+    collate = staticmethod(collate)
 
     def __init__(
         self,
@@ -108,9 +108,9 @@ class SurrogateData(SplitData):
         sizes = dict(zip(PARTS, shares, strict=True))
         parts = split_objects(features.object.tolist(), features.label.tolist(), sizes, split)
         settings = (VERSION, cells, frames, features.index.tolist())
-        super().__init__(SampleSet.open(folder).manifest, parts, settings)
+        manifest = SampleSet.open(folder).manifest
+        super().__init__(manifest, parts, settings, batch=batch, augment=augment, seed=seed)
         self.features, self.cells, self.frames = features, cells, frames
-        self.batch, self.augment, self.seed = batch, augment, seed
 
     @property
     def press_scale(self) -> list[float]:
@@ -125,19 +125,10 @@ class SurrogateData(SplitData):
         """Root mean square of the nonzero values of each channel of the object, likewise."""
         return _rms_per_channel(self.features.shared[self.parts["train"]])
 
-    def train_dataloader(self) -> DataLoader:
-        """Return shuffled, augmented batches."""
-        allowed = symmetries(np.zeros((0, 3))) if self.augment else [IDENTITY]
-        rows = AugmentedSamples(self.features, self.parts["train"], allowed, self.seed)
-        order = EpochSampler(len(rows), self.seed)
-        drop = len(rows) > self.batch
-        return DataLoader(rows, self.batch, sampler=order, drop_last=drop, collate_fn=collate)
-
-    def loader(self, part: str) -> DataLoader:
-        """Return the batches of a part, in order and without augmentation."""
-        rows = AugmentedSamples(self.features, self.parts[part], [IDENTITY], self.seed)
-        order = [(0, index) for index in range(len(rows))]
-        return DataLoader(rows, self.batch, sampler=order, collate_fn=collate)
+    def dataset(self, rows: Sequence[int], augment: bool) -> AugmentedSamples:
+        """Return samples, by epoch and position in `rows`."""
+        allowed = symmetries(np.zeros((0, 3))) if augment else [IDENTITY]
+        return AugmentedSamples(self.features, rows, allowed, self.seed)
 
 
 def _rms_per_channel(fields: np.ndarray) -> list[float]:
