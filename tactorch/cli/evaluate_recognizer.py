@@ -10,7 +10,7 @@ import torch
 from tactorch.cli.logs import log, log_text
 from tactorch.cli.tables import Table
 from tactorch.errors import ConfigError
-from tactorch.learning.recognizer.scores import class_scores
+from tactorch.learning.recognizer.network import class_scores
 from tactorch.viz import save_figure
 from tactorch.viz.learning import confusion_figure, examples_figure, reliability_figure
 

@@ -86,15 +86,9 @@ def run_cases(
 ) -> tuple[dict[str, CaseResult], dict[str, str]]:
     """Compute the cases of a study that are not stored, and return all results.
 
-    Args:
-        study: Name of the module of `tactorch.reproduce` whose `run_case` computes a case.
-        cases: Settings of each case by its name, of letters, digits and dashes.
-        folder: Folder of the results and of the state of unfinished cases.
-        workers: Number of processes; the number of cores if None.
-        progress: Called after each case.
-
-    Returns:
-        Results by name of the case, and the error messages of failed cases.
+    A study is a module of `tactorch.reproduce`, whose `run_case` computes a case. Results and the
+    error messages of failed cases are by name of the case. Its folder also has the state of
+    unfinished cases.
 
     Raises:
         FileError: A stored result is damaged.

@@ -50,14 +50,7 @@ _GROUPS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One column of Table II; equal cells are one case.
-
-    Attributes:
-        p_max_kpa: Maximum pressure, kPa.
-        frames: Number of presses on each side, in equal steps.
-        sides: Number of pressed sides.
-        snr_db: Signal-to-noise ratio, dB; None without noise.
-    """
+    """One column of Table II, with frames in equal steps on each side; equal cells are one case."""
 
     p_max_kpa: float = 20.0
     frames: int = 8
@@ -142,13 +135,13 @@ def table2(results: Results, options: CaseSettings) -> Exhibit:
     better = total = 0
     for model, (name, cell) in product(MODELS, CELLS.items()):
         by_mesh = [results.get(_case_name(model, mesh, cell)) for mesh in meshes]
-        found = [None if result is None else result.figures["scores"] for result in by_mesh]
+        scored = [None if result is None else result.figures["scores"] for result in by_mesh]
         column = known["columns"].index(COLUMNS.get(name, name))
         values: list[Any] = []
         for metric, key in METRICS.items():
             values.append(float(known[model][metric][column]))
-            values += [None if part is None else part[key] for part in found]
-        first = found[0]
+            values += [None if part is None else part[key] for part in scored]
+        first = scored[0]
         table.add(model, name, *values, None if first is None else first["position_error_mm"])
         if first is not None:
             total += 1

@@ -29,15 +29,8 @@ _COLUMNS = ("contact", "slopes", "depth", "depth error", "profile")
 class BallPress:
     """A press of a ball, measured by a calibration.
 
-    Attributes:
-        name: Name of the image.
-        image: Image of the press.
-        initial: Circle of the contact, as labelled or detected.
-        circle: Fitted circle of the contact.
-        ball: Ball that was pressed.
-        known: Pixels without markers, (h, w).
-        slopes: Slopes dz/dx and dz/dy by the calibration, (h, w, 2).
-        height_mm: Integrated height, mm (h, w).
+    The circle of the contact is first as labelled or detected, then fitted. `known` are the pixels
+    without markers; `slopes` are dz/dx and dz/dy by the calibration, integrated to `height_mm`.
     """
 
     name: str
@@ -51,23 +44,23 @@ class BallPress:
 
     @cached_property
     def inside(self) -> Bool[np.ndarray, "h w"]:
-        """Pixels that are compared, (h, w)."""
+        """Pixels that are compared."""
         return self.ball.distance(self.known.shape, self.circle) < _INSIDE
 
     @cached_property
     def true_depth_mm(self) -> Float[np.ndarray, "h w"]:
-        """True depth below the edge of the contact, mm (h, w)."""
+        """True depth below the edge of the contact."""
         return -self.ball.heights(self.known.shape, self.circle)
 
     @cached_property
     def depth_mm(self) -> Float[np.ndarray, "h w"]:
-        """Measured depth below the edge of the contact, mm (h, w)."""
+        """Measured depth below the edge of the contact."""
         depth = -self.height_mm
         return depth - (depth - self.true_depth_mm)[self.inside].mean()
 
     @property
     def error_mm(self) -> Float[np.ndarray, "h w"]:
-        """Error of the depth, mm (h, w); NaN where it is not compared."""
+        """Error of the depth; NaN where it is not compared."""
         return np.where(self.inside, self.depth_mm - self.true_depth_mm, np.nan)
 
     @property

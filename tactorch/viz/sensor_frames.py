@@ -85,13 +85,9 @@ class FrameView:
 
 
 class MarkerView(FrameView):
-    """A frame with an arrow from the rest position of each marker to its position.
+    """A frame with an arrow from the position of each marker in the reference to its position.
 
-    Args:
-        sensor: Description of the sensor.
-        begin_px: Positions of the markers in the reference (column, row), px (n, 2).
-        largest_mm: Upper end of the colour scale, mm.
-        magnify: Magnification of the arrows; with 1 they end at their markers.
+    The colour scale ends at `largest_mm`; arrows that are not magnified end at their markers.
     """
 
     def __init__(
@@ -169,11 +165,7 @@ class DepthView(FrameView):
 class ForceView(FrameView):
     """A frame, and the traction on the gel surface: pressure as colour, shear as arrows.
 
-    Args:
-        sensor: Description of the sensor.
-        points: Nodes of the gel surface at rest, mm (k, 3).
-        triangles: Triangles between these nodes, (t, 3).
-        largest_mpa: Upper end of the colour scale and shear of the longest arrow, MPa.
+    `largest_mpa` are the upper end of the colour scale and the shear of the longest arrow.
     """
 
     def __init__(

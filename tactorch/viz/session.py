@@ -27,10 +27,8 @@ def over_time_figure(
 ) -> Figure:
     """Return a figure of measurements over time, or over frame numbers if times are unknown.
 
-    Args:
-        panels: Values of each line by the label of the vertical axis and the name of the line.
-        time_s: Time of each frame, s (f,), or None.
-        faulty: Indices of the faulty frames, which are marked.
+    `panels` are the values of each line by the label of the vertical axis and the name of the line;
+    `faulty` are the indices of frames that are marked.
     """
     count = len(next(iter(next(iter(panels.values())).values())))
     across = np.arange(count, dtype=float) if time_s is None else time_s

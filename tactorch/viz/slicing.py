@@ -39,13 +39,10 @@ OUTLINE_STYLES: tuple[tuple[str, float, Literal["-", "--"]], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """One plane slice.
+    """Slice by the plane at a position along an axis (0, 1 or 2).
 
-    Attributes:
-        axis: Axis normal to the plane: 0, 1 or 2.
-        position_mm: Coordinate of the plane along that axis, mm.
-        elements: Tetrahedron under each pixel, -1 outside; row 0 is the lowest.
-        extent_mm: Left, right, bottom and top of the picture, mm.
+    `elements` are the tetrahedra under the pixels, -1 outside; row 0 is the lowest. The extent is
+    left, right, bottom and top of the picture.
     """
 
     axis: int

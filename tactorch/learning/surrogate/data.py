@@ -20,8 +20,12 @@ from tactorch.learning.data import (
     split_objects,
     symmetries,
 )
-from tactorch.learning.surrogate.cache import FeatureSet, load_features
-from tactorch.learning.surrogate.features import PRESS_VECTORS, VERSION
+from tactorch.learning.surrogate.features import (
+    PRESS_VECTORS,
+    VERSION,
+    FeatureSet,
+    load_features,
+)
 
 Row = tuple[Tensor, Tensor, Tensor, Tensor]
 

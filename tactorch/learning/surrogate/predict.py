@@ -24,7 +24,7 @@ from tactorch.inverse import (
 )
 from tactorch.inverse.invert import make_objective
 from tactorch.inverse.starts import fits_better_than_uniform
-from tactorch.learning.surrogate.features import Features, compute_features
+from tactorch.learning.surrogate.features import compute_features
 from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS, Surrogate, load_surrogate
 from tactorch.mesh import VoxelGrid
 from tactorch.recording import Recording
@@ -65,12 +65,6 @@ class SurrogateStart(Options):
         0.5, "Share of the prior with this mean; at 0.5 the data decide", gt=0, le=1
     )
 
-    def fresh(self) -> "SurrogateStart":
-        """Return a start with the same network and without the cached prediction."""
-        other = replace(self)
-        vars(other)["network"] = self.network
-        return other
-
     @cached_property
     def network(self) -> Surrogate:
         """Trained network; `FileError` if the weights are missing or damaged."""
@@ -96,7 +90,11 @@ class SurrogateStart(Options):
             return prediction
         cells, frames = self.network.cells, self.network.frames
         features = compute_features(recording, cells, frames, noise=noise, bounds=bounds)
-        mean, deviation = evaluate_network(self.network, features)
+        presses = torch.from_numpy(features.presses).float()[None]
+        shared = torch.from_numpy(features.shared).float()[None]
+        with torch.inference_mode():
+            fields = self.network(presses, torch.ones(presses.shape[:2], dtype=torch.bool), shared)
+        mean, deviation = (field[0].double().numpy() for field in fields)
         grid, limits = VoxelGrid(recording.mesh, 2 * cells), bounds or Bounds()
         youngs = features.youngs_mpa * np.exp(grid.at_elements(mean))
         spread = np.exp(grid.at_elements(np.log(deviation)))
@@ -162,14 +160,3 @@ class SurrogateStart(Options):
         _log.info("The surrogate's map is the mean of the prior")
         shifted = ShiftedPrior(prior=prior, mean_mpa=predicted, share=self.prior_share)
         return replace(settings, regularization=shifted)
-
-
-def evaluate_network(
-    network: Surrogate, features: Features
-) -> tuple[Float[np.ndarray, "w w w"], Float[np.ndarray, "w w w"]]:
-    """Return mean and deviation of log E relative to the uniform modulus, on the grid."""
-    presses = torch.from_numpy(features.presses).float()[None]
-    mask = torch.ones(presses.shape[:2], dtype=torch.bool)
-    with torch.inference_mode():
-        mean, deviation = network(presses, mask, torch.from_numpy(features.shared).float()[None])
-    return mean[0].double().numpy(), deviation[0].double().numpy()
