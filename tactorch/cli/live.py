@@ -34,8 +34,8 @@ from tactorch.sampling import (
     SamplingLoop,
     Suggester,
     SuggestOptions,
-    replay,
 )
+from tactorch.sampling.sources import replay
 
 
 @dataclass(frozen=True, kw_only=True)

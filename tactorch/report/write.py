@@ -15,14 +15,12 @@ from tactorch.files import atomic_path
 from tactorch.report.assessment import ProgressCallback, assess
 from tactorch.report.content import (
     RunReport,
-    describe_run,
     difference_table,
     history_table,
     score_table,
     versions_table,
 )
-from tactorch.report.encode import script_json
-from tactorch.report.figure_data import figure_data
+from tactorch.report.figure_data import figure_data, script_json
 from tactorch.report.runs import Run
 from tactorch.text import printable
 from tactorch.versions import versions
@@ -63,9 +61,8 @@ def write_report(
         raise ConfigError("write_report: no run given; pass at least one.")
     if colours not in COLOURS:
         raise ConfigError(f"colours={colours} is unknown; choose one of {', '.join(COLOURS)}.")
-    assessments = [assess(run, uncertainty=uncertainty, progress=progress) for run in runs]
-    reports = [describe_run(*pair) for pair in zip(runs, assessments, strict=True)]
-    page = render(reports, colours)
+    assessments = (assess(run, uncertainty=uncertainty, progress=progress) for run in runs)
+    page = _render([RunReport(*pair) for pair in zip(runs, assessments, strict=True)], colours)
     with atomic_path(out) as temporary:
         temporary.write_text(page, encoding="utf-8")
     if len(page) > _LARGE_BYTES:
@@ -73,7 +70,7 @@ def write_report(
     return Path(out)
 
 
-def render(reports: Sequence[RunReport], colours: str) -> str:
+def _render(reports: Sequence[RunReport], colours: str) -> str:
     """Return the page as HTML; all text is escaped."""
     environment = Environment(
         loader=PackageLoader("tactorch.report", "page"), autoescape=True, undefined=StrictUndefined,

@@ -84,8 +84,8 @@ class Update:
         place = None
         if patch is not None:
             place = {
-                "center_mm": [float(x) for x in patch.center],
-                "inward": [float(x) for x in patch.inward],
+                "center_mm": patch.center.tolist(),
+                "inward": patch.inward.tolist(),
                 "radius_mm": float(patch.radius_mm),
             }
         update.entry.update(

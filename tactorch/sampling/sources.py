@@ -28,15 +28,10 @@ class Arrival(NamedTuple):
 
 
 class PressSource(ABC):
-    """Source of presses on one object.
+    """Source of presses on one object."""
 
-    Attributes:
-        name: Name for messages.
-        about: The object, once a press was read; it never changes.
-    """
-
-    name: str
-    about: Recording | None = None
+    name: str  # for messages
+    about: Recording | None = None  # the object, once a press was read; it never changes
 
     @abstractmethod
     def poll(self) -> list[Arrival]:
@@ -126,9 +121,8 @@ class RecordingSource(PressSource):
     def _unreadable(self, file: "_File", error: Exception) -> None:
         """Report a file once it has been unreadable for `patience_seconds`.
 
-        Raises:
-            RecordingError: the only file can be read and is no valid recording; waiting does not
-                help.
+        Waiting does not help where the only file can be read and is no valid recording: that error
+        is raised.
         """
         now = time.monotonic()
         file.failed_at = now if file.failed_at is None else file.failed_at
@@ -179,22 +173,10 @@ def replay(
     stop: Event | None = None,
     on_press: Callable[[int], None] = lambda number: None,
 ) -> int:
-    """Write a recording's presses into a growing one, to try a live run without a robot.
+    """Write a recording's presses into a growing one, with pauses (s) before each but the first.
 
-    Args:
-        recording: Recording to replay.
-        target: The growing recording; presses it holds already are not written again.
-        pause_seconds: Pause before each press but the first, s.
-        stop: Ends the replay when set.
-        on_press: Called with the number of presses after each.
-
-    Returns:
-        Number of presses that the target holds.
-
-    Raises:
-        ConfigError: the pause is negative.
-        RecordingError: the target holds presses of another recording.
-        FileError: the target cannot be written.
+    Presses that the target holds already are not written again. Setting `stop` ends the replay;
+    `on_press` is called with the number of presses after each, and the last number is returned.
     """
     if not pause_seconds >= 0:
         raise ConfigError(f"pause_seconds={pause_seconds}: give a time of at least 0 s.")

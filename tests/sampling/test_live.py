@@ -14,7 +14,8 @@ from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.inverse import IncrementalInversion, Reconstruction, Settings, invert
 from tactorch.metrics import scores
 from tactorch.recording import Recording, append_press
-from tactorch.sampling import LoopOptions, SuggestOptions, replay
+from tactorch.sampling import LoopOptions, SuggestOptions
+from tactorch.sampling.sources import replay
 from tactorch.sampling.store import HISTORY, RESULT, STATE
 
 
@@ -28,7 +29,7 @@ def test_a_recording_that_another_process_writes_is_followed_to_its_end(
     source = tmp_path / "whole.h5"
     whole.save(source)
     writer = (
-        "import sys; from tactorch.sampling import replay; "
+        "import sys; from tactorch.sampling.sources import replay; "
         "from tactorch.recording import Recording; "
         "replay(Recording.load(sys.argv[1]), sys.argv[2], 0.2)"
     )
