@@ -48,7 +48,8 @@ UNDEFINED = -1.0
 
 _STEPS = 65_535  # of the values with two bytes
 _MODULI = ("youngs", "truth", "reference")
-_COLOUR_MAPS = {"viridis": "viridis", "cividis": "cividis", "ultrasound": "gray"}
+#: Matplotlib's name of each colour map of the modulus.
+COLOURS = {"viridis": "viridis", "cividis": "cividis", "ultrasound": "gray"}
 _PERCENTILE = 99.5  # upper end of the colour scales
 _CALIBRATION = {
     "VariationalPosterior": "The coverage of the intervals was verified over all elements of many"
@@ -69,7 +70,7 @@ def figure_data(reports: Sequence[RunReport], colours: str) -> dict[str, Any]:
         },
         "limits": _limits(reports),
         "colours": colours,
-        "maps": {name: _colour_table(cmap) for name, cmap in _COLOUR_MAPS.items()},
+        "maps": {name: _colour_table(cmap) for name, cmap in COLOURS.items()},
     }
 
 
@@ -176,11 +177,11 @@ def _limits(reports: Sequence[RunReport]) -> dict[str, list[float]]:
     norm = colour_scale(maps, "linear", None)
     limits = {name: [float(norm.vmin or 0.0), float(norm.vmax or 1.0)] for name in _MODULI}
     uncertainties = [report.assessment.uncertainty for report in reports]
-    known = [uncertainty for uncertainty in uncertainties if uncertainty is not None]
+    known = [summary for summary in uncertainties if summary is not None]
     if known:
-        width = np.concatenate([100.0 * one.relative_half_width for one in known])
-        credibility = np.concatenate([one.credibility for one in known])
-        resolution = np.concatenate([100.0 * one.resolution for one in known])
+        width = np.concatenate([100.0 * summary.relative_half_width for summary in known])
+        credibility = np.concatenate([summary.credibility for summary in known])
+        resolution = np.concatenate([100.0 * summary.resolution for summary in known])
         top = _upper_limit(credibility)
         limits["uncertainty"] = [0.0, _upper_limit(width[np.isfinite(width)])]
         limits["credibility"] = [max(float(credibility.min()), 1e-4 * top), top]

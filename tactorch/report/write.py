@@ -20,13 +20,11 @@ from tactorch.report.content import (
     score_table,
     versions_table,
 )
-from tactorch.report.figure_data import figure_data, script_json
+from tactorch.report.figure_data import COLOURS, figure_data, script_json
 from tactorch.report.runs import Run
 from tactorch.text import printable
 from tactorch.versions import versions
 
-#: Colour maps of the modulus; "ultrasound" is grey, linear from black to white.
-COLOURS = ("viridis", "cividis", "ultrasound")
 _SCRIPTS = ("core.js", "mesh.js", "slices.js", "solid.js", "charts.js", "main.js")
 _LARGE_BYTES = 10_000_000
 
@@ -47,7 +45,8 @@ def write_report(
         runs: One inversion, or several to compare; see `load_run`.
         out: Path of the file.
         uncertainty: Whether the presses are solved again for credibility and posterior.
-        colours: Initial colour map, one of `COLOURS`; the page has a control for it.
+        colours: Initial colour map: "viridis", "cividis" or "ultrasound" (grey); the page has a
+            control for it.
         progress: Called before each step of a long computation.
 
     Returns:

@@ -109,13 +109,13 @@ class RecordingSource(PressSource):
             if index >= file.count:
                 self._report(f"{file.press_name(index)} is invalid and skipped: {fault}")
         new = {i: press for i, press in contents.presses.items() if i >= file.count}
-        file.count = contents.count
+        last = contents.presses.get(contents.count - 1)
+        file.count, file.last = contents.count, None if last is None else digest(last)
         arrivals = [Arrival(press, file.press_name(i), digest(press)) for i, press in new.items()]
         if contents.recording is not None and new:
             before = () if self.about is None else self.about.presses
             presses = (*before, *new.values())
             self.about = replace(contents.recording, presses=presses, check_units=False)
-            file.last = max(new), arrivals[-1].digest
         return arrivals
 
     def _unreadable(self, file: "_File", error: Exception) -> None:
@@ -141,7 +141,7 @@ class _File:
     path: Path
     read_at: tuple[int, int, int] | None = None  # its time, size and inode at the last reading
     count: int = 0  # presses read, valid or not
-    last: tuple[int, str] | None = None  # number and hash of the last valid press
+    last: str | None = None  # hash of the last press; None if it is invalid
     failed_at: float | None = None  # time of the first failure since the last reading
     reported: bool = False  # whether the failure was
 
@@ -156,12 +156,10 @@ class _File:
                 f"recording '{self.path}' has {count} presses and had {self.count}: it was "
                 "replaced by another. Start another run for it."
             )
-        if self.last is None or self.last[0] != self.count - 1:
-            return
-        again = presses.get(self.last[0])
-        if again is None or digest(again) != self.last[1]:
+        again = presses.get(self.count - 1)
+        if self.last is not None and (again is None or digest(again) != self.last):
             raise RecordingError(
-                f"{self.press_name(self.last[0])} changed since it was read: the recording was "
+                f"{self.press_name(self.count - 1)} changed since it was read: the recording was "
                 "replaced. Start another run for it."
             )
 
