@@ -3,9 +3,9 @@
 import html
 from collections.abc import Iterator, Mapping, Sequence
 
-from tactorch.cli.main import COMMANDS
-from tactorch.cli.schema import EXPERIMENT, Entry, Schema, app_name, load_schema
-from tactorch.config.schema import text_of
+from tactorch.cli.commands import COMMANDS
+from tactorch.cli.presets import EXPERIMENT, Entry
+from tactorch.cli.schema import Schema, app_name, load_schema, text_of
 
 _INTRODUCTION = """\
 # Configuration reference
