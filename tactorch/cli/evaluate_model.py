@@ -155,9 +155,10 @@ def _evaluate_surrogate(splits: Sequence[_Split], out: Path) -> dict[str, Any]:
     errors = ((truth - mean).abs() / deviation)[inside]
     covered = [float((errors < ndtri(0.5 + 0.5 * level)).double().mean()) for level in _LEVELS]
     plot_coverage(_LEVELS, covered, out / "calibration.png")
-    shown = (values.double().numpy() for values in (truth, image, mean, deviation))
-    path = out / "examples.png"
-    plot_predictions(*shown, inside.numpy(), correlations.tolist(), path)  # type: ignore[misc]
+    plot_predictions(
+        truth.double().numpy(), image.double().numpy(), mean.double().numpy(),
+        deviation.double().numpy(), inside.numpy(), correlations.tolist(), out / "examples.png",
+    )  # fmt: skip
     quartiles = np.quantile(correlations.numpy(), (0.25, 0.5, 0.75)).tolist()
     result = {
         "samples": len(truth),

@@ -81,7 +81,7 @@ def run(options: LiveOptions) -> LoopResult:
             report=screen.show_message,
         )
         suggester, loop = Suggester(settings, options.suggest), select(options, LoopOptions)
-        result = SamplingLoop.following(
+        result = SamplingLoop(
             source, settings, out, screen, options=loop, suggester=suggester, start_mpa=start
         ).run()
         screen.ended(result)
