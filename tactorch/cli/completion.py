@@ -137,7 +137,7 @@ def _values(schema: Schema, given: Sequence[str], key: str, value: str) -> Itera
     yield from map(Candidate, entry["choices"])
     if entry["is_path"]:
         # The sensors that come with tactorch have names.
-        folder = Path(__file__).parents[1] / "sensor" / "description"
+        folder = Path(__file__).parents[1] / "sensor" / "sensors"
         names = sorted(path.stem for path in folder.glob("*.yaml")) if key == "sensor" else ()
         yield from map(Candidate, (*names, *_files(value)))
 

@@ -21,6 +21,8 @@ from tactorch.config.values import INVALID, choices_of, convert, describe
 from tactorch.errors import ConfigError
 
 _KEY = "option"
+#: Factor from another unit, in which a number may be given by mistake, by unit of a setting.
+_OTHER_UNITS = {"mm": {"metres": 1e3}, "MPa": {"kPa": 1e-3, "Pa": 1e-6}}
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,15 @@ class Constraint:
             and (self.le is None or number <= self.le)
             for number in _numbers(value)
         )
+
+    def unit_hint(self, value: Any) -> str:
+        """Return a question about the unit of a value out of range; empty if there is none."""
+        for unit, factor in _OTHER_UNITS.get(self.unit, {}).items():
+            converted = [factor * number for number in _numbers(value)]
+            if self.holds(converted):
+                shown = ", ".join(f"{number:g}" for number in converted)
+                return f" Is it in {unit}? Then give {shown}."
+        return ""
 
     def describe(self) -> str:
         """Return the range in words, such as "above 0, up to 1"; empty where there is none."""
@@ -159,7 +170,8 @@ class Setting:
         text = text if len(text) <= 60 else f"{text[:57]}..."
         if self.nested is not None:
             raise ConfigError(f"{name}={text}: several settings; give {name}.KEY=VALUE.")
-        raise ConfigError(f"{name}={text}: give {self.expectation}.")
+        hint = "" if converted is INVALID else self.constraint.unit_hint(converted)
+        raise ConfigError(f"{name}={text}: give {self.expectation}.{hint}")
 
 
 class Options:
