@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
@@ -63,8 +64,6 @@ def reconstruct_height(
         ConfigError: A slope is not finite, or `min_slope` is not positive.
         ConvergenceError: The linear solver does not converge.
     """
-    import cv2
-
     magnitude = np.asarray(cv2.GaussianBlur(np.linalg.norm(slopes, axis=-1), (0, 0), 2.0))
     undeformed = _undeformed(magnitude > positive("min_slope", min_slope), mm_per_px)
     zero_mean = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px)
@@ -75,7 +74,6 @@ def reconstruct_height(
 
 
 def _undeformed(steep: np.ndarray, mm_per_px: tuple[float, float]) -> np.ndarray:
-    import cv2
     from scipy.ndimage import binary_fill_holes
 
     width, height = (2 * max(1, round(_MARGIN_MM / size)) + 1 for size in mm_per_px)

@@ -18,6 +18,8 @@ from tactorch.sensor.table import read_rows
 _TOLERANCE = 1e-4  # of a rotation's orthonormality
 _MAX_DISTANCE_MM = 1e4
 _COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+_Pose = Float[np.ndarray, "4 4"]
+_Vectors = Float[np.ndarray, "*n 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,7 @@ class Poses:
         return poses
 
 
-def check_pose(pose: Float[np.ndarray, "4 4"], name: str = "T_object_sensor") -> None:
+def check_pose(pose: _Pose, name: str = "T_object_sensor") -> None:
     """Check that a matrix is a rigid transform.
 
     Raises:
@@ -114,16 +116,12 @@ def check_pose(pose: Float[np.ndarray, "4 4"], name: str = "T_object_sensor") ->
         raise ConfigError(f"{name} is {distance:.4g} mm away from the object's origin; give mm.")
 
 
-def transform_points(
-    pose: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*n 3"]
-) -> Float[np.ndarray, "*n 3"]:
+def transform_points(pose: _Pose, points: _Vectors) -> _Vectors:
     """Transform points from the sensor frame to the object frame, mm."""
     return points @ pose[:3, :3].T + pose[:3, 3]
 
 
-def rotate_vectors(
-    pose: Float[np.ndarray, "4 4"], vectors: Float[np.ndarray, "*n 3"]
-) -> Float[np.ndarray, "*n 3"]:
+def rotate_vectors(pose: _Pose, vectors: _Vectors) -> _Vectors:
     """Rotate vectors, such as forces, from the sensor frame to the object frame."""
     return vectors @ pose[:3, :3].T
 
@@ -134,9 +132,6 @@ def read_poses(path: str | Path, *, growing: bool = False) -> Poses:
     Args:
         path: Path of the file.
         growing: Whether lines are still appended; an unterminated last line is then ignored.
-
-    Returns:
-        The poses.
 
     Raises:
         FileError: The file is missing or a line cannot be read.

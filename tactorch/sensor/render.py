@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
@@ -77,8 +78,6 @@ class Lamps(Options):
 
 def _shadow(height_mm: np.ndarray, direction: np.ndarray, size: tuple[float, float]) -> np.ndarray:
     """Fraction of each pixel in the shadow of the face between it and the lamp."""
-    import cv2
-
     relief = -height_mm.astype(np.float32)  # into the sensor
     in_plane = float(np.hypot(direction[0], direction[1]))
     rise = -direction[2] / in_plane  # of a ray per mm toward the lamp

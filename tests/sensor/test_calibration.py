@@ -141,7 +141,10 @@ def test_markers_do_not_count() -> None:
         ("image,center_x_px,center_y_px\na.png,1,2\n", "lacks the column radius_px"),
         ("image,center_x_px,center_y_px,radius_px\n", "has no line"),
         ("image,center_x_px,center_y_px,radius_px\na.png,1,x,9\n", "line 2: could not convert"),
-        ("image,center_x_px,center_y_px,radius_px\na.png,1,2,9\nb.png,1,2,1\n", "line 3: circle"),
+        (
+            "image,center_x_px,center_y_px,radius_px\na.png,1,2,9\nb.png,1,2,1\n",
+            "3: radius_px=1",
+        ),
     ],
 )
 def test_tables_that_cannot_be_read(text: str, message: str, tmp_path: Path) -> None:
