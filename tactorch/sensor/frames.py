@@ -106,10 +106,6 @@ def read_frames(
         sensor: Sensor that took the frames.
         reference: Image of the gel without contact, see `read_reference`.
         limits: Limits of the fault detection.
-
-    Raises:
-        FileError: The source does not exist or has no frames.
-        ConfigError: The reference has another size than the sensor's images.
     """
     if reference.shape[:2] != sensor.shape:
         raise ConfigError(
@@ -270,9 +266,6 @@ def open_source(source: Source) -> Iterator[Frame]:
     Args:
         source: Source of the frames. Files of a folder are sorted by name, with numbers in the
             names compared as numbers.
-
-    Raises:
-        FileError: The source does not exist or has no frames.
     """
     if isinstance(source, int):
         return _open_camera(source)
@@ -292,11 +285,7 @@ def open_source(source: Source) -> Iterator[Frame]:
 
 
 def read_image(path: str | Path) -> Image:
-    """Read an image file as RGB.
-
-    Raises:
-        FileError: The file is missing, damaged, not an image, or has too many pixels.
-    """
+    """Read an image file as RGB."""
     # cv2.imread prints messages and cannot open every path.
     content = require_file(path, "image").read_bytes()
     try:
@@ -345,11 +334,7 @@ def _faulty_frame(index: int, name: str, fault: str) -> Frame:
 
 
 def video_length(path: Path) -> int:
-    """Return the number of frames that the header of a video declares; 0 if unknown.
-
-    Raises:
-        FileError: The file is missing, damaged, of an unknown codec, or has too many pixels.
-    """
+    """Return the number of frames that the header of a video declares; 0 if unknown."""
     capture = _open_video(path)
     count = _declared_length(capture)
     capture.release()

@@ -210,9 +210,6 @@ class MarkerTracker:
 
         Args:
             image: Rectified frame; None for a missing one, in which no marker is seen.
-
-        Raises:
-            ConfigError: The frame has another size than the reference.
         """
         if image is None:
             return np.full(self.reference_px.shape, np.nan)
@@ -321,9 +318,6 @@ def marker_displacements(
 
     Returns:
         Rest positions, and displacements with NaN for markers that are not seen.
-
-    Raises:
-        ConfigError: `height_mm` and the image have different sizes.
     """
     rest, current = sensor.to_mm(reference_px), sensor.to_mm(positions_px)
     rest_height = sensor.gel.height_mm(rest)

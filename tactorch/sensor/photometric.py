@@ -38,11 +38,7 @@ class Photometric:
         known: Bool[np.ndarray, "h w"],
         smooth_px: float = 1.0,
     ) -> "Photometric":
-        """Return the map fitted to images under each lamp where slopes dz/dx and dz/dy are known.
-
-        Raises:
-            ConfigError: There are fewer than three lamps, or too few known pixels.
-        """
+        """Return the map fitted to images under each lamp where the slopes are known."""
         if images.shape[2] < 3:
             raise ConfigError(f"{images.shape[2]} images: slopes take three lamps or more.")
         terms = _terms(images, smooth_px)[known]
@@ -54,11 +50,7 @@ class Photometric:
         return cls(np.linalg.solve(normal, terms.T @ slopes[known]), images.shape[2], smooth_px)
 
     def slopes(self, images: Float[np.ndarray, "h w lamps"]) -> Float[np.ndarray, "h w 2"]:
-        """Return dz/dx and dz/dy.
-
-        Raises:
-            ConfigError: The number of lamps differs from that of the fit.
-        """
+        """Return dz/dx and dz/dy."""
         if images.shape[2] != self.lamps:
             raise ConfigError(f"{images.shape[2]} images; the map is of {self.lamps} lamps.")
         return _terms(images, self.smooth_px) @ self.weights

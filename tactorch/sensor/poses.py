@@ -29,9 +29,6 @@ class Poses:
     Attributes:
         time_s: Strictly increasing times, (n,).
         T_object_sensor: Rigid transforms, (n, 4, 4), mm.
-
-    Raises:
-        ConfigError: Shapes differ, times do not increase, or a pose is not a rigid transform.
     """
 
     time_s: Float[np.ndarray, " n"]
@@ -88,11 +85,7 @@ class Poses:
 
 
 def check_pose(pose: _Pose, name: str = "T_object_sensor") -> None:
-    """Check that a matrix is a rigid transform.
-
-    Raises:
-        ConfigError: The matrix is not finite, mirrors, scales, or translates too far.
-    """
+    """Check that a matrix is a rigid transform."""
     if not np.isfinite(pose).all():
         raise ConfigError(f"{name} is not finite; leave out poses that the robot did not report.")
     if np.abs(pose[3] - (0, 0, 0, 1)).max() > _TOLERANCE:
@@ -132,10 +125,6 @@ def read_poses(path: str | Path, *, growing: bool = False) -> Poses:
     Args:
         path: Path of the file.
         growing: Whether lines are still appended; an unterminated last line is then ignored.
-
-    Raises:
-        FileError: The file is missing or a line cannot be read.
-        ConfigError: A pose or a time is not valid.
     """
     rows = list(read_rows(path, "table of poses", _COLUMNS, growing=growing))
     table = np.array([[row.number(name) for name in _COLUMNS] for row in rows])

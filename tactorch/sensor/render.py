@@ -161,9 +161,6 @@ def render(
         surface: Deformed face of the gel.
         options: Appearance.
         seed: Seed of the camera noise; None for no noise.
-
-    Raises:
-        ConfigError: The surface has another size than the image, or is not finite.
     """
     options = options or RenderOptions()
     if surface.height_mm.shape != sensor.shape:

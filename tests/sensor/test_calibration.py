@@ -16,7 +16,6 @@ from tactorch.sensor.calibration import (
     FitOptions,
     evaluate_map,
     find_circle,
-    fit_circle,
     fit_map,
     image_change,
     load_calibration,
@@ -25,6 +24,7 @@ from tactorch.sensor.calibration import (
     save_calibration,
     select_map,
 )
+from tactorch.sensor.calibration.fit import fit_circle
 from tactorch.sensor.calibration.maps import map_slopes
 from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.markers import MarkerAppearance

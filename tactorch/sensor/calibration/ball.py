@@ -78,11 +78,7 @@ class Ball(Options):
         check_pixel_size(self.mm_per_px)
 
     def check(self, circle: Circle, name: str) -> None:
-        """Check that a contact is no wider than the ball.
-
-        Raises:
-            ConfigError: The contact is wider.
-        """
+        """Check that a contact is no wider than the ball."""
         radius = circle.radius_px * self.mm_per_px[0]
         if radius > self.radius_mm:
             raise ConfigError(
@@ -133,9 +129,6 @@ def read_labels(path: str | Path) -> Mapping[str, Circle]:
     """Return contacts by name of the image, from a CSV file.
 
     The columns are image, center_x_px, center_y_px, radius_px.
-
-    Raises:
-        FileError: The file is missing, or a line cannot be read; the message names it.
     """
     labels: dict[str, Circle] = {}
     aliases = {"contact_radius_px": "radius_px"}  # used by published data sets

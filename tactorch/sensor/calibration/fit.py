@@ -63,9 +63,6 @@ def fit_map(
 
     Returns:
         The map, and the fitted contact of each press by name.
-
-    Raises:
-        ConfigError: There are no presses, or a contact is wider than the ball.
     """
     options = options or FitOptions()
     if not presses:
@@ -254,9 +251,6 @@ def cross_validate(
         ball: Ball, and the size of a pixel.
         options: Fit options; the seed also assigns the groups.
         folds: Number of groups of presses.
-
-    Raises:
-        ConfigError: There are fewer presses than folds, or fewer than two folds.
     """
     groups = validation_groups(presses, ball, options or FitOptions(), folds)
     return MapQuality.pool([evaluate_map(*group, ball) for group in groups])
@@ -280,9 +274,6 @@ def select_map(
 
     Returns:
         The name of the map, and the errors of each by name.
-
-    Raises:
-        ConfigError: There are fewer presses than folds, or fewer than two folds.
     """
     options, names = options or FitOptions(), SENSOR_MAPS.names()
     quality = {}

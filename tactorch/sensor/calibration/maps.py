@@ -52,10 +52,7 @@ def marker_pixels(
 
 
 def image_change(
-    image: Image,
-    reference: Image,
-    markers: MarkerAppearance | None = None,
-    smooth_px: float = 1.0,
+    image: Image, reference: Image, markers: MarkerAppearance | None = None, smooth_px: float = 1.0
 ) -> Float[np.ndarray, "h w 3"]:
     """Return the smoothed change of each color in units of 50 gray values.
 
@@ -64,9 +61,6 @@ def image_change(
         reference: Image of the gel without contact.
         markers: Appearance of markers, whose pixels are filled in; None without markers.
         smooth_px: Standard deviation of the smoothing.
-
-    Raises:
-        ConfigError: The images have different sizes.
     """
     if image.shape != reference.shape:
         raise ConfigError(
