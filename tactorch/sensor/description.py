@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from jaxtyping import Bool, Float
 
-from tactorch.config import Options, build, option, to_mapping
+from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.files import atomic_path, require_file
 from tactorch.recording import MaterialSpec
@@ -293,11 +293,7 @@ class SensorDescription(Options):
 
 
 def check_pixel_size(mm_per_px: tuple[float, float]) -> None:
-    """Check the size of a pixel along x and y, mm.
-
-    Raises:
-        ConfigError: A size is not positive, or looks like another unit.
-    """
+    """Check the size of a pixel along x and y, mm."""
     for size in mm_per_px:
         if not size > 0:
             raise ConfigError(f"mm_per_px={list(mm_per_px)}: {size:g} must be a positive number.")
@@ -310,13 +306,10 @@ def check_pixel_size(mm_per_px: tuple[float, float]) -> None:
 
 
 def load_sensor(name: str | Path) -> SensorDescription:
-    """Read a sensor description.
+    """Return a sensor description from its file.
 
     Args:
         name: Path of a `sensor.yaml`, or one of `SENSORS`.
-
-    Returns:
-        The description.
 
     Raises:
         FileError: The file is missing or not valid YAML.
@@ -331,17 +324,13 @@ def load_sensor(name: str | Path) -> SensorDescription:
     if not isinstance(content, dict):
         raise FileError(f"{what} has no fields; see the shipped ones.")
     try:
-        return build(SensorDescription, {k: _plain_numbers(k, v) for k, v in content.items()})
+        return SensorDescription.from_mapping({k: _plain_numbers(k, v) for k, v in content.items()})
     except ConfigError as error:
         raise ConfigError(f"{what}: {error}") from error
 
 
 def save_sensor(sensor: SensorDescription, path: str | Path) -> None:
-    """Write a sensor description.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
+    """Write a sensor description."""
     with atomic_path(path) as temporary:
         text = yaml.safe_dump(to_mapping(sensor), sort_keys=False, default_flow_style=None)
         temporary.write_text(text, encoding="utf-8")
