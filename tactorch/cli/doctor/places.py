@@ -57,7 +57,7 @@ def _cache() -> str:
 
 
 def _numba_cache() -> str:
-    from tactorch.linalg.kernels import symmetric_product
+    from tactorch.linalg.pattern import symmetric_product
 
     return _writable(Path(symmetric_product.stats.cache_path))
 
