@@ -18,11 +18,12 @@ class Supports:
         prescribed: Prescribed displacement, mm; zero by default.
         springs: Stiffness k of zero-length springs to the rest position, N/mm: the energy is
             k u^2 / 2 per degree of freedom (eq. 3 with k_c = 1000 N/m read as the stiffness).
+            Given at all nodes, midside nodes included, they are not redistributed.
     """
 
     fixed: Bool[np.ndarray, "*cases n 3"] | None = None
     prescribed: Float[np.ndarray, "*cases n 3"] | None = None
-    springs: Float[np.ndarray, "*cases n 3"] | None = None
+    springs: Float[np.ndarray, "*cases nodes 3"] | None = None
 
     def require_cases(self, count: int) -> None:
         """Raise ConfigError unless the supports are for `count` load cases, or for all."""
@@ -60,7 +61,8 @@ class Supports:
         values, n = getattr(self, name), discretisation.mesh.n_points
         if values is None:
             return np.zeros((n, 3))
-        if values.ndim not in (2, 3) or values.shape[-2:] != (n, 3):
+        rows = (n, discretisation.n_nodes) if name == "springs" else (n,)
+        if values.ndim not in (2, 3) or values.shape[-2] not in rows or values.shape[-1] != 3:
             raise ConfigError(
                 f"supports.{name} has shape {values.shape}; expected ({n}, 3), one row per mesh "
                 f"node, or (cases, {n}, 3)."

@@ -9,9 +9,7 @@ from jaxtyping import Float
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.training import BEST, load_network
 from tactorch.mesh import TetMesh, VoxelGrid
-from tactorch.metrics.checks import check_on_mesh
-
-_VOXELS = 24  # default of training; the network accepts any number
+from tactorch.metrics.segment import check_field
 
 
 def load_recognizer(path: str | Path) -> Recognizer:
@@ -29,26 +27,17 @@ def load_recognizer(path: str | Path) -> Recognizer:
 
 
 def recognise(
-    mesh: TetMesh,
-    youngs: Float[np.ndarray, " m"],
-    recognizer: Recognizer,
-    *,
-    voxels: int = _VOXELS,
+    mesh: TetMesh, youngs: Float[np.ndarray, " m"], recognizer: Recognizer, *, voxels: int = 24
 ) -> dict[str, float]:
     """Return the probability of each shape, in descending order.
 
-    Only shapes that the recognizer was trained on are considered.
-
-    Args:
-        mesh: The body.
-        youngs: Moduli, (m,), MPa.
-        recognizer: Trained network, see `load_recognizer`.
-        voxels: Voxels in each direction, as in training.
+    Only shapes that the recognizer was trained on are considered. The map has `voxels` in each
+    direction, 24 by default as in training; the network accepts any number.
 
     Raises:
         MeshError: The map does not fit the mesh.
     """
-    check_on_mesh(mesh, "youngs", youngs)
+    check_field("youngs", youngs, mesh)
     grid = VoxelGrid(mesh, voxels)
     volume = torch.from_numpy(np.log(grid.fill(youngs))).float()[None, None]
     with torch.no_grad():

@@ -38,12 +38,10 @@ from tactorch.sensor.calibration import (
     SlopeMap,
     evaluate_map,
     fit_map,
-    fit_new_circle,
-    pool_quality,
     save_calibration,
     select_map,
-    validation_groups,
 )
+from tactorch.sensor.calibration.fit import fit_new_circle, validation_groups
 
 AUTO = "auto"
 _HELD_OUT_FRACTION = 4  # one press in four is held out
@@ -75,8 +73,7 @@ def run(cfg: CalibrateSettings) -> Path:
     out = folder / "calib.npz" if cfg.out is None else cfg.out
     options = _fit_options(cfg)
     sensor = load_sensor_settings(cfg)
-    x, y = map(float, sensor.mm_per_px)
-    ball = Ball(cfg.ball_radius_mm, (x, y))
+    ball = Ball(cfg.ball_radius_mm, sensor.mm_per_px)
     reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
     markers = marker_appearance(sensor, cfg.marker_diameter_px)
     presses = read_presses(cfg, sensor, ball, reference, markers)
@@ -188,7 +185,7 @@ def _cross_validate(
     count = len(training)
     title = f"{_map_name(options)}, on {count} presses, each left out once, in {folds} groups"
     final, fitted = _fit(training, ball, options)
-    return _Evaluation(final, fitted, presses, pool_quality(parts), title)
+    return _Evaluation(final, fitted, presses, MapQuality.pool(parts), title)
 
 
 def _fit(

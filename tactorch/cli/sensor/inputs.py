@@ -39,8 +39,8 @@ def marker_appearance(
         return MarkerAppearance(diameter_px)
     if sensor.markers is None:
         return None
-    x, y = map(float, sensor.mm_per_px)
-    return MarkerAppearance(float(sensor.markers.diameter_mm) / (x * y) ** 0.5)
+    x, y = sensor.mm_per_px
+    return MarkerAppearance(sensor.markers.diameter_mm / (x * y) ** 0.5)
 
 
 def load_calibrated(cfg: CalibratedSettings) -> tuple[SensorDescription, Calibration]:

@@ -26,10 +26,10 @@ from tactorch.sensor.calibration import (
     evaluate_map,
     find_circle,
     image_change,
-    map_slopes,
     marker_pixels,
     read_labels,
 )
+from tactorch.sensor.calibration.maps import map_slopes
 from tactorch.sensor.depth import integrate_slopes
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image, read_frames
