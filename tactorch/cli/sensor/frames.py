@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from tactorch.cli.console import log, progress
 from tactorch.cli.outputs import write_json
-from tactorch.cli.progress import progress
 from tactorch.cli.sensor.options import PictureSettings, SequenceSettings
-from tactorch.cli.settings import log, run_folder
+from tactorch.cli.settings import run_folder
 from tactorch.errors import ConfigError
 from tactorch.files import atomic_path
 from tactorch.sensor.description import SensorDescription

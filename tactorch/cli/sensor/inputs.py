@@ -3,13 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
+from tactorch.cli.console import log
 from tactorch.cli.sensor.options import (
     CalibratedSettings,
     ForceSettings,
     RecordSettings,
     SensorSettings,
 )
-from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import SensorChain

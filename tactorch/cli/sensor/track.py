@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from tactorch.cli.progress import progress
+from tactorch.cli.console import log, progress
 from tactorch.cli.sensor.frames import (
     FrameSequence,
     RunFiles,
@@ -26,7 +26,6 @@ from tactorch.cli.sensor.frames import (
 )
 from tactorch.cli.sensor.inputs import load_reference, load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import TrackSettings
-from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image
