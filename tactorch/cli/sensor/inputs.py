@@ -74,4 +74,4 @@ def build_chain(
     reference: Image,
 ) -> SensorChain:
     """Return the processing chain of the settings, which are those of the gel and of the chain."""
-    return SensorChain(sensor, calibration, reference, GelModel.build(sensor.gel, cfg), cfg)
+    return SensorChain(sensor, calibration, reference, GelModel(sensor.gel, cfg), cfg)
