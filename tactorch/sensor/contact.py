@@ -20,6 +20,7 @@ from tactorch.recording import Press
 from tactorch.sensor.gel import GelContact
 from tactorch.sensor.poses import check_pose, rotate_vectors, transform_points
 
+__all__ = ["ContactOptions", "build_press"]
 #: Smallest cosine between the sensor axis and the inward normal of a face that may be in contact.
 MIN_FACING = 0.5
 _MIN_INERTIA = 1e-9  # relative to the largest, of an axis about which nodes can carry a couple
@@ -34,10 +35,11 @@ class ContactOptions(Options):
         3.0, "Distance of the object's face from the gel at first contact, up to which it may be"
         " touched", unit="mm", gt=0,
     )  # fmt: skip
-    untouched: Literal["unseen", "sensor"] = option(
-        "unseen",
-        "Nodes under the gel without contact: unseen (not observed), or sensor (displaced with the"
-        " sensor, as the paper does in a virtual cube, whose empty parts then become soft)",
+    untouched: Literal["auto", "unseen", "sensor"] = option(
+        "auto",
+        "Nodes under the gel without contact: unseen (not observed), sensor (displaced with the"
+        " sensor, as the paper does in a virtual cube, whose empty parts then become soft), or auto"
+        " (sensor in a virtual cube, else unseen)",
     )
     smoothing: float = option(0.0, "Smoothing of the interpolated displacements", ge=0)
 
@@ -77,19 +79,17 @@ def build_press(
     if not in_contact.any():
         raise ConfigError("the gel touches nothing in this frame; leave it out.")
     triangles = facing_triangles(mesh, first_pose, contact, options.reach_mm)
+    nodes = np.unique(triangles)
+    points = mesh.points[nodes]
     paired = transform_points(first_pose, contact.points)  # the object's points at first contact
     motion = transform_points(pose, contact.points + contact.displacement) - paired
     forces = -rotate_vectors(pose, np.where(in_contact[:, None], contact.forces, 0.0))
     transferred = transfer_forces(paired, forces, mesh.points, triangles)
-    nodes = np.unique(triangles)
-    points = mesh.points[nodes]
     interpolated, inside = interpolate_displacements(
         paired, motion, points, first_pose[:3, 2], options.smoothing
     )
     at_rest = transform_points(np.linalg.inv(first_pose), points)
-    indicator = LinearNDInterpolator(
-        contact.points[:, :2], in_contact.astype(float), fill_value=0.0
-    )
+    indicator = LinearNDInterpolator(contact.points[:, :2], in_contact.astype(float), 0.0)
     touched = np.asarray(indicator(at_rest[:, :2]) >= _CONTACT_LEVEL)
     displacement = np.full(mesh.points.shape, np.nan)
     displacement[nodes[inside & touched]] = interpolated[inside & touched]
@@ -107,36 +107,28 @@ def build_press(
 def facing_triangles(
     mesh: TetMesh, first_pose: Float[np.ndarray, "4 4"], contact: GelContact, reach_mm: float
 ) -> Int[np.ndarray, "t 3"]:
-    """Return the object's surface triangles that face the gel, under it and within reach.
-
-    Raises:
-        ConfigError: There is no such triangle.
-    """
+    """Return the object's surface triangles that face the gel, under it and within reach."""
     surface = mesh.surface
     facing = np.asarray(surface.normals @ first_pose[:3, 2] < -MIN_FACING)
-    centers = transform_points(
-        np.linalg.inv(first_pose), mesh.points[surface.triangles].mean(axis=1)
-    )
+    centers = mesh.points[surface.triangles].mean(axis=1)
+    centers = transform_points(np.linalg.inv(first_pose), centers)
     low, high = contact.points[:, :2].min(axis=0), contact.points[:, :2].max(axis=0)
     under = ((centers[:, :2] >= low) & (centers[:, :2] <= high)).all(axis=1)
     close = np.abs(centers[:, 2] - float(np.median(contact.points[:, 2]))) <= reach_mm
-    triangles = surface.triangles[facing & under & close]
-    if not len(triangles):
-        candidates = facing & under
-        distance = np.abs(centers[candidates, 2]).min() if candidates.any() else np.inf
+    if not (facing & under & close).any():
+        distances = np.abs(centers[facing & under, 2])
+        nearest = f": the nearest is {distances.min():.3g} mm away" if len(distances) else ""
         raise ConfigError(
-            "the gel is over no part of the object in the pose of first contact"
-            + (f": the nearest is {distance:.3g} mm away" if np.isfinite(distance) else "")
-            + "; check T_object_sensor, whose z axis points out of the sensor to the object."
+            f"the gel is over no part of the object in the pose of first contact{nearest}; check"
+            " T_object_sensor, whose z axis points out of the sensor to the object."
             + _metres_hint(first_pose, mesh)
         )
-    return triangles
+    return surface.triangles[facing & under & close]
 
 
 def _metres_hint(first_pose: Float[np.ndarray, "4 4"], mesh: TetMesh) -> str:
     translation = first_pose[:3, 3]
-    largest = float(np.abs(translation).max())
-    if not 0 < largest < 0.05 * float(np.abs(mesh.points).max()):
+    if not 0 < np.abs(translation).max() < 0.05 * np.abs(mesh.points).max():
         return ""
     shown = [float(f"{v:.4g}") for v in translation]
     return f" Its translation {shown} looks like metres; give mm."
@@ -152,18 +144,6 @@ def transfer_forces(
 
     Each force is distributed to the corners of the nearest triangle by barycentric coordinates. The
     moment lost where its point is off the surface is restored by a couple over the loaded nodes.
-
-    Args:
-        points: Points at which the forces act, mm.
-        forces: Forces, N.
-        nodes: Nodes of the mesh, mm.
-        triangles: Surface triangles, as indices of nodes.
-
-    Returns:
-        Nodal forces, N.
-
-    Raises:
-        ConfigError: There is no triangle.
     """
     if not len(triangles):
         raise ConfigError("the object has no surface in contact; give triangles.")
@@ -243,19 +223,11 @@ def interpolate_displacements(
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """Interpolate displacements by a thin-plate spline in the plane across a normal.
 
-    Args:
-        points: Points with displacements, mm.
-        displacements: Displacements, mm; rows with NaN are ignored.
-        nodes: Points at which to interpolate, mm.
-        normal: Normal of the face in contact.
-        smoothing: Smoothing of the spline; 0 interpolates exactly.
+    Rows of the displacements with NaN are ignored; a smoothing of 0 interpolates exactly.
 
     Returns:
         Displacements at the nodes, NaN outside the convex hull of the points in the plane; and
         which nodes are inside.
-
-    Raises:
-        ConfigError: Fewer than four displacements are known, or their points are collinear.
     """
     known = np.isfinite(displacements).all(axis=1)
     if known.sum() < 4:

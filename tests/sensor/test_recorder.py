@@ -200,7 +200,7 @@ def test_noise_is_what_frames_without_contact_show(pairs: dict[float, Pair], pos
     cube = pairs[0.2].cube
     press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC).recording.presses[0]
     assert press.noise_mm == pytest.approx(found.noise_mm)
-    given = RecordOptions(noise_mm=0.02)
+    given = RecordOptions(press_noise_mm=0.02)
     press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC, given).recording.presses[0]
     assert press.noise_mm == 0.02
 
@@ -305,13 +305,13 @@ def test_what_holds_the_object() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Fixture("under"), "side='under': give opposite, x-"),
-        (lambda: Fixture(kind="glued"), "kind='glued': give fixed or springs"),
+        (lambda: Fixture("under"), "held_side='under': give opposite, x-"),
+        (lambda: Fixture(held_by="glued"), "held_by='glued': give fixed or springs"),
         (lambda: Fixture(spring_n_per_mm=0), "spring_n_per_mm"),
         (lambda: RecordOptions(steps=0), "steps=0: give a whole number, at least 1"),
         (lambda: RecordOptions(min_frames=0), "min_frames=0: give a whole number, at least 1"),
         (lambda: RecordOptions(first_contact="feel"), "first_contact='feel': give shape or depth"),
-        (lambda: RecordOptions(noise_mm=-1.0), "noise_mm"),
+        (lambda: RecordOptions(press_noise_mm=-1.0), "press_noise_mm"),
         (lambda: VirtualCube(10.0, edge_mm=6.0), "edge_mm=6 is more than half the region of 10"),
         (lambda: VirtualCube(10.0, edge_mm=0.1), "edge_mm=0.1 makes 6000000 elements"),
         (lambda: VirtualCube(-1.0), "side_mm"),

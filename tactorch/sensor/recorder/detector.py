@@ -1,6 +1,6 @@
-"""Streaming detection of contacts in a sequence of frames."""
+"""Detection of contacts in a sequence of frames, while it goes on."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -37,8 +37,7 @@ class ContactInterval:
 
     def select_frames(self, steps: int) -> list[int]:
         """Return up to `steps` frames before the deepest, evenly spaced in depth."""
-        deepest = int(np.argmax(self.depths_mm))
-        loading = np.array(self.depths_mm[: deepest + 1])
+        loading = np.array(self.depths_mm[: int(np.argmax(self.depths_mm)) + 1])
         targets = loading[-1] * np.arange(1, steps + 1) / steps
         nearest = np.abs(loading[None] - targets[:, None]).argmin(axis=1)
         return sorted({int(i) for i in nearest})
@@ -64,66 +63,54 @@ class FrameSummary(NamedTuple):
     fault: str
 
 
-@dataclass(eq=False)
 class ContactDetector:
-    """Detector of contacts that is fed frame by frame.
+    """Detector of contacts. Frames that are not usable neither end a contact nor belong to one.
 
-    Frames that are not usable neither end a contact nor belong to one.
-
-    Attributes:
+    Args:
         chain: Calibrated sensor.
         min_frames: Shorter contacts are ignored.
-        summary: Summary of the last frame; None before the first.
+        report: Callback with the summary of each frame.
     """
 
-    chain: SensorChain
-    min_frames: int = 1
-    summary: FrameSummary | None = None
-    _current: ContactInterval | None = None
-    _free_s: float | None = None
-    _squared_sum: float = 0.0  # of marker displacements without contact, mm^2
-    _count: int = 0
-
-    def feed(self, frame: Frame) -> ContactInterval | None:
-        """Process the next frame and return the contact that has ended with it, if any.
-
-        Raises:
-            ConfigError: The frame has no time, or another size than the reference.
-        """
-        depth_mm = max_slope = float("nan")
-        ended = None
-        if frame.image is not None and frame.usable:
-            time_s, measurement = _require_time(frame), self.chain.measure_deformation(frame)
-            if measurement.height is not None:
-                depth_mm, max_slope = measurement.height.depth_mm, measurement.height.max_slope
-            if measurement.displacement is None:
-                self._add_noise(measurement)
-                ended, self._free_s = self.finish(), time_s
-            else:
-                if self._current is None:
-                    self._current = ContactInterval(self._free_s)
-                self._current.add(measurement, time_s, depth_mm)
-        self.summary = FrameSummary(
-            frame.index, frame.name, frame.time_s, depth_mm, max_slope, frame.fault
-        )
-        return ended
-
-    def finish(self) -> ContactInterval | None:
-        """End the current contact and return it, if it has enough frames."""
-        current, self._current = self._current, None
-        if current is None or len(current.measurements) < self.min_frames:
-            return None
-        return current
+    def __init__(
+        self,
+        chain: SensorChain,
+        min_frames: int = 1,
+        report: Callable[[FrameSummary], object] = lambda summary: None,
+    ) -> None:
+        self.chain, self.min_frames, self.report = chain, min_frames, report
+        self._squared_sum, self._count = 0.0, 0  # of marker displacements without contact, mm^2
 
     def detect(self, frames: Iterable[Frame]) -> Iterator[ContactInterval]:
-        """Feed all frames and yield each contact when it ends."""
+        """Yield each contact when it ends.
+
+        Raises:
+            ConfigError: A frame has no time, or another size than the reference.
+        """
+        contact = ContactInterval(None)
         for frame in frames:
-            ended = self.feed(frame)
-            if ended is not None:
-                yield ended
-        last = self.finish()
-        if last is not None:
-            yield last
+            depth_mm = max_slope = float("nan")
+            measurement = None
+            if frame.image is not None and frame.usable:
+                time_s, measurement = _require_time(frame), self.chain.measure_deformation(frame)
+                if measurement.height is not None:
+                    depth_mm, max_slope = measurement.height.depth_mm, measurement.height.max_slope
+            self.report(
+                FrameSummary(
+                    frame.index, frame.name, frame.time_s, depth_mm, max_slope, frame.fault
+                )
+            )
+            if measurement is None:
+                continue
+            if measurement.displacement is not None:
+                contact.add(measurement, time_s, depth_mm)
+                continue
+            self._add_noise(measurement)
+            if len(contact.measurements) >= self.min_frames:
+                yield contact
+            contact = ContactInterval(time_s)
+        if len(contact.measurements) >= self.min_frames:
+            yield contact
 
     @property
     def noise_mm(self) -> float | None:

@@ -4,7 +4,6 @@ Gel and object move together from this pose on, so its error adds to the object'
 """
 
 import logging
-from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -23,25 +22,15 @@ _MAX_GAP_MM = 0.5  # at the first frame with contact, without a warning
 def first_pose_by_shape(
     poses: Poses, free_s: float | None, contact_s: float, mesh: TetMesh, gel: GelLayer
 ) -> Float[np.ndarray, "4 4"]:
-    """Return the pose at which the gel's face meets the object's, both at rest.
+    """Return T_object_sensor at which the gel's face meets the object's, both at rest.
 
-    Args:
-        poses: Poses of the sensor.
-        free_s: Time of the last frame without contact; None if there is none.
-        contact_s: Time of the first frame with contact.
-        mesh: Object at rest.
-        gel: Gel of the sensor.
-
-    Returns:
-        T_object_sensor at first contact.
-
-    Raises:
-        ConfigError: A time has no pose.
+    `free_s` is the time of the last frame without contact, if any, `contact_s` that of the first
+    with contact.
     """
-    points, normals = sample_surface(mesh)
+    surface = sample_surface(mesh)
 
     def gap_at(time_s: float) -> float:
-        return axial_gap(poses.at([time_s])[0], points, normals, gel)
+        return axial_gap(poses.at([time_s])[0], *surface, gel)
 
     pose = poses.at([contact_s])[0]
     gap = gap_at(contact_s)
@@ -52,7 +41,8 @@ def first_pose_by_shape(
                 " apart: check T_object_sensor and the object's mesh.", contact_s, gap,
             )  # fmt: skip
         return pose
-    low = None if free_s is None else _last_separated(poses, free_s, gap_at)
+    earlier = [] if free_s is None else [free_s, *poses.time_s[poses.time_s < free_s][::-1]]
+    low = next((float(time_s) for time_s in earlier if gap_at(float(time_s)) >= 0), None)
     if low is None:  # without an approach in the poses, retract along the sensor's axis
         retracted = pose.copy()
         retracted[:3, 3] += gap * pose[:3, 2]
@@ -70,20 +60,7 @@ def first_pose_by_depth(
     times_s: Float[np.ndarray, " n"],
     depths_mm: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "4 4"]:
-    """Return the pose at which the depth starts, extrapolated from the first two frames.
-
-    Args:
-        poses: Poses of the sensor.
-        free_s: Time of the last frame without contact; None if there is none.
-        times_s: Times of the frames with contact.
-        depths_mm: Depths in these frames.
-
-    Returns:
-        T_object_sensor at first contact.
-
-    Raises:
-        ConfigError: A time has no pose.
-    """
+    """Return the pose at which the depth starts, extrapolated from the first two frames."""
     first = float(times_s[0])
     earliest = first if free_s is None else free_s
     if len(times_s) < 2 or depths_mm[1] <= depths_mm[0]:
@@ -101,14 +78,8 @@ def axial_gap(
 ) -> float:
     """Return the smallest distance along the sensor's axis from gel to object, both at rest, mm.
 
-    Args:
-        pose: T_object_sensor.
-        points: Points of the object's surface, see `sample_surface`.
-        normals: Outward normals at the points.
-        gel: Gel of the sensor.
-
-    Returns:
-        The distance: negative for an overlap, infinite if the gel is not over the object.
+    It is negative for an overlap, infinite if the gel is not over the object. `points` and their
+    outward `normals` are those of `sample_surface`.
     """
     facing = np.asarray(normals @ pose[:3, 2] < -MIN_FACING)
     in_sensor = transform_points(np.linalg.inv(pose), points[facing])
@@ -128,12 +99,3 @@ def sample_surface(mesh: TetMesh) -> tuple[Float[np.ndarray, "p 3"], Float[np.nd
     grid = np.array([(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]) / n
     points = np.einsum("pc,tcd->tpd", grid, corners).reshape(-1, 3)
     return points, np.repeat(surface.normals, len(grid), axis=0)
-
-
-def _last_separated(poses: Poses, free_s: float, gap_at: Callable[[float], float]) -> float | None:
-    """Latest time up to the last frame without contact at which gel and object are separated."""
-    earlier = poses.time_s[poses.time_s < free_s]
-    for time_s in (free_s, *earlier[::-1]):
-        if gap_at(float(time_s)) >= 0:
-            return float(time_s)
-    return None

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -23,19 +23,15 @@ _log = logging.getLogger(__name__)
 _MIN_ALIGNMENT = np.sqrt(0.5)  # cosine between a side's normal and the press direction
 _FLATNESS = 2e-3  # of a side, over the object's diagonal
 
-OPPOSITE = "opposite"
-Side = Literal["opposite", "x-", "x+", "y-", "y+", "z-", "z+"]
-
 
 @dataclass(frozen=True)
 class Fixture(Options):
     """Support of the object."""
 
-    side: Side = option(
-        OPPOSITE,
-        "Supported flat side of the object, or opposite: the side opposite to each press",
+    held_side: Literal["opposite", "x-", "x+", "y-", "y+", "z-", "z+"] = option(
+        "opposite", "Flat side that is held; opposite: the side opposite to each press"
     )
-    kind: Literal["fixed", "springs"] = option("fixed", "Fixed nodes, or a spring on each node")
+    held_by: Literal["fixed", "springs"] = option("fixed", "Fixed nodes, or a spring on each node")
     spring_n_per_mm: float = option(1.0, "Stiffness of each spring", unit="N/mm", gt=0)
 
     def supports(self, mesh: TetMesh, direction: Float[np.ndarray, "3"]) -> dict[str, Any]:
@@ -49,9 +45,9 @@ class Fixture(Options):
             ConfigError: The object has no flat side opposite to the press.
             MeshError: The named side is not flat.
         """
-        opposite = self.side == OPPOSITE
-        nodes = opposite_nodes(mesh, direction) if opposite else face_nodes(mesh, self.side)
-        if self.kind == "fixed":
+        opposite = self.held_side == "opposite"
+        nodes = opposite_nodes(mesh, direction) if opposite else face_nodes(mesh, self.held_side)
+        if self.held_by == "fixed":
             fixed = np.zeros(mesh.points.shape, dtype=bool)
             fixed[nodes] = True
             return {"fixed": fixed}
@@ -61,11 +57,7 @@ class Fixture(Options):
 
 
 def opposite_nodes(mesh: TetMesh, direction: Float[np.ndarray, "3"]) -> Int[np.ndarray, " k"]:
-    """Return the nodes of the flat side of the object opposite to a press.
-
-    Raises:
-        ConfigError: There is no such side.
-    """
+    """Nodes of the flat side of the object opposite to a press."""
     surface, position = mesh.surface, mesh.points @ direction
     distance = (position.max() - position[surface.triangles]).max(axis=1)
     aligned = np.asarray(surface.normals @ direction > _MIN_ALIGNMENT)
@@ -80,97 +72,82 @@ def opposite_nodes(mesh: TetMesh, direction: Float[np.ndarray, "3"]) -> Int[np.n
 
 
 @dataclass(frozen=True)
-class RecordOptions(Options):
+class RecordOptions(Fixture, ContactOptions):
     """Conversion of a session of frames to presses."""
 
-    steps: int = option(3, "Frames per contact, evenly spaced in depth up to the deepest", ge=1)
+    steps: int = option(3, "Frames of each contact that become presses, evenly in depth", ge=1)
     min_frames: int = option(1, "Contacts of fewer frames are ignored", ge=1)
     first_contact: Literal["shape", "depth"] = option(
         "shape",
         "Pose of first contact: shape (where the gel and the object meet by their poses), or depth"
         " (extrapolated from the first frames, for unknown shapes)",
     )
-    noise_mm: float | None = option(
+    press_noise_mm: float | None = option(
         None,
-        "Standard deviation of the displacements; null estimates it from frames without contact",
+        "Standard deviation of the displacements of presses; null estimates it from frames without"
+        " contact",
         unit="mm", gt=0,
     )  # fmt: skip
-    fixture: Fixture = option(factory=Fixture, help="Support of the object")
-    contact: ContactOptions | None = option(
-        None,
-        "Pairing of gel and object; null leaves nodes without contact unobserved, or displaces them"
-        " with the sensor in a virtual cube",
-    )
 
 
-@dataclass(frozen=True, eq=False)
 class PressBuilder:
     """Builder of presses from the frames of contacts.
 
-    Attributes:
+    Args:
         chain: Calibrated sensor.
-        poses: T_object_sensor on the frames' clock.
-        mesh: Object at rest.
+        target: Object at rest; or a virtual cube, which is placed under the first contact.
         options: Conversion options.
-        virtual: Whether the mesh is a virtual cube.
-        noise_mm: Standard deviation of the displacements.
+
+    Attributes:
+        mesh: Object at rest; None before the first contact of a virtual cube.
     """
 
-    chain: SensorChain
-    poses: Poses
-    mesh: TetMesh
-    options: RecordOptions
-    virtual: bool
-    noise_mm: float
-
-    @staticmethod
-    def create(
-        chain: SensorChain,
-        poses: Poses,
-        target: TetMesh | VirtualCube,
-        options: RecordOptions,
-        contact: ContactInterval,
-        measured_noise_mm: float | None,
-        mesh: TetMesh | None = None,
-    ) -> "PressBuilder":
-        """Make a builder; a virtual cube is placed under the given contact.
-
-        Args:
-            chain: Calibrated sensor.
-            poses: T_object_sensor on the frames' clock.
-            target: Object at rest, or a virtual cube.
-            options: Conversion options.
-            contact: First contact.
-            measured_noise_mm: Noise of frames without contact, see `ContactDetector.noise_mm`.
-            mesh: Mesh of the virtual cube, if it was placed before.
-
-        Raises:
-            ConfigError: A frame of the contact has no pose.
-        """
-        virtual = isinstance(target, VirtualCube)
-        if mesh is None:
-            mesh = target if isinstance(target, TetMesh) else _place(target, contact, poses, chain)
-        noise_mm = options.noise_mm
-        if noise_mm is None:
-            noise_mm = max(chain.options.noise_mm, measured_noise_mm or 0.0)
-        return PressBuilder(chain, poses, mesh, options, virtual, noise_mm)
+    def __init__(
+        self, chain: SensorChain, target: TetMesh | VirtualCube, options: RecordOptions
+    ) -> None:
+        self.chain, self.options = chain, options
+        self.mesh = target if isinstance(target, TetMesh) else None
+        self._cube = target if isinstance(target, VirtualCube) else None
+        if options.untouched == "auto" and self._cube is not None:
+            self.options = replace(options, untouched="sensor")
 
     def build(
-        self, contact: ContactInterval, number: int
+        self, contact: ContactInterval, number: int, poses: Poses, measured_noise_mm: float | None
     ) -> Iterator[tuple[int, Press | ConfigError | ConvergenceError]]:
         """Yield the index of each selected frame with its press, or with the error.
 
         Args:
             contact: Contact.
             number: Number of the contact from 1, for the names of the presses.
+            poses: T_object_sensor on the frames' clock.
+            measured_noise_mm: Noise of frames without contact, see `ContactDetector.noise_mm`.
+
+        Raises:
+            ConfigError: A frame of the contact has no pose.
         """
-        first_pose, step = self._first_pose(contact), 0
+        first_pose = self._first_pose(contact, poses)
+        if self.mesh is None:
+            assert self._cube is not None
+            deepest = contact.measurements[int(np.argmax(contact.depths_mm))]
+            center_mm = self.chain.model.points[deepest.in_contact, :2].mean(axis=0)
+            self.mesh = self._cube.mesh_under(first_pose, center_mm)
+        noise_mm = self.options.press_noise_mm
+        if noise_mm is None:
+            noise_mm = max(self.chain.options.noise_mm, measured_noise_mm or 0.0)
+        step = 0
         for index in contact.select_frames(self.options.steps):
-            name = contact.measurements[index].frame.name
+            measurement = contact.measurements[index]
+            name = measurement.frame.name
+            pose = poses.at([contact.times_s[index]])[0]
             try:
-                press = self._press(
-                    contact, index, first_pose, step=step, name=f"contact {number}, {name}"
-                )
+                forces = self.chain.solve_contact(measurement)
+                assert forces is not None
+                press = build_press(
+                    forces, pose, first_pose, self.mesh, measurement.in_contact,
+                    options=self.options, noise_mm=noise_mm, step=step,
+                    name=f"contact {number}, {name}",
+                    **self.options.supports(self.mesh, pose[:3, 2]),
+                )  # fmt: skip
             except (ConfigError, ConvergenceError) as error:
                 _log.warning("Frame '%s' is skipped: %s", name, error)
                 yield index, error
@@ -178,40 +155,10 @@ class PressBuilder:
                 step += 1
                 yield index, press
 
-    def _first_pose(self, contact: ContactInterval) -> Float[np.ndarray, "4 4"]:
-        if self.virtual or self.options.first_contact == "depth":
-            return _first_pose_by_depth(contact, self.poses)
-        gel = self.chain.sensor.gel
-        return first_pose_by_shape(self.poses, contact.free_s, contact.times_s[0], self.mesh, gel)
-
-    def _press(
-        self,
-        contact: ContactInterval,
-        index: int,
-        first_pose: Float[np.ndarray, "4 4"],
-        **fields: Any,
-    ) -> Press:
-        measurement = contact.measurements[index]
-        forces = self.chain.solve_contact(measurement)
-        assert forces is not None
-        pose = self.poses.at([contact.times_s[index]])[0]
-        default = ContactOptions(untouched="sensor" if self.virtual else "unseen")
-        return build_press(
-            forces, pose, first_pose, self.mesh, measurement.in_contact,
-            options=self.options.contact or default, noise_mm=self.noise_mm,
-            **self.options.fixture.supports(self.mesh, pose[:3, 2]), **fields,
-        )  # fmt: skip
-
-
-def _first_pose_by_depth(contact: ContactInterval, poses: Poses) -> Float[np.ndarray, "4 4"]:
-    times_s, depths_mm = np.array(contact.times_s), np.array(contact.depths_mm)
-    return first_pose_by_depth(poses, contact.free_s, times_s, depths_mm)
-
-
-def _place(
-    cube: VirtualCube, contact: ContactInterval, poses: Poses, chain: SensorChain
-) -> TetMesh:
-    """Place a virtual cube under the center of a contact in its deepest frame."""
-    measurement = contact.measurements[int(np.argmax(contact.depths_mm))]
-    center_mm = chain.model.points[measurement.in_contact, :2].mean(axis=0)
-    return cube.mesh_under(_first_pose_by_depth(contact, poses), center_mm)
+    def _first_pose(self, contact: ContactInterval, poses: Poses) -> Float[np.ndarray, "4 4"]:
+        times_s, gel = contact.times_s, self.chain.sensor.gel
+        if self._cube is None and self.options.first_contact == "shape":
+            assert self.mesh is not None
+            return first_pose_by_shape(poses, contact.free_s, times_s[0], self.mesh, gel)
+        depths_mm = np.array(contact.depths_mm)
+        return first_pose_by_depth(poses, contact.free_s, np.array(times_s), depths_mm)

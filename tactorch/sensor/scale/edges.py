@@ -6,9 +6,8 @@ blur both, so that the steepest point of a blurred profile is up to a pixel insi
 edge is therefore located by a fit of both blurred profiles.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.optimize import nnls
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.scale.shape import KnownShape, Outline
+from tactorch.sensor.scale.shape import KnownShape, Outline, sides, square_side
 
 _SEARCH_FRACTIONS = (0.07, 0.04, 0.025)  # half width of each search, over the face's size
 _END_FRACTION = 0.1  # of an edge ignored at both ends, where corners are rounded
@@ -30,19 +29,11 @@ _BLURS_PX = (0.6, 0.9, 1.2, 1.6, 2.2)
 _MAX_SHIFT_PX = 2.0
 _SHIFT_STEP_PX = 0.05
 _FINE_PX, _REACH_PX = 0.05, 30.0
-# Outward offsets from a line at which `_edge_shift` takes a profile.
-_OFFSETS_PX = np.arange(-8.0, 8.01, 0.25)
+_OFFSETS_PX = np.arange(-8.0, 8.01, 0.25)  # of the final profiles, outward
 
 
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """Line, as offsets along the normal of an approximate edge.
-
-    Attributes:
-        offsets: Offsets at the start and end of the approximate edge, px.
-        covariance: Covariance of the offsets.
-        scatter_px: Root mean square deviation of its points.
-    """
+class _Line(NamedTuple):
+    """Offsets of a line at both ends of an approximate edge, px, and scatter of its points."""
 
     offsets: Float[np.ndarray, "2"]
     covariance: Float[np.ndarray, "2 2"]
@@ -56,61 +47,37 @@ def refine_outline(
     shape: KnownShape,
     name: str,
 ) -> Outline:
-    """Fit the edges of an outline to where the change of color starts outward.
-
-    Args:
-        change: Change of the colors.
-        known: Pixels not covered by markers.
-        rough: Approximate corners (column, row).
-        shape: Pressed shape.
-        name: Name of the image, for messages.
-
-    Returns:
-        The outline.
+    """Fit the edges of a rough outline to where the change of color starts outward.
 
     Raises:
         ConfigError: An edge is not visible, or not straight; the message names the image.
     """
-    corners, size = rough, float(np.sqrt(_area(rough)))
+    missing = f"{name}: no {shape.name} found;"
+    remedy = "Give its corners by hand, or leave it out."
+    corners, size = rough, square_side(rough)
     for fraction in _SEARCH_FRACTIONS:
-        reach = max(3.0, fraction * size)
-        lines = [
-            _require_line(_find_line(change, known, start, end, reach), start, end, shape, name)
-            for start, end in _sides(corners)
-        ]
+        lines = []
+        for start, end in sides(corners):
+            line = _find_line(change, known, start, end, max(3.0, fraction * size))
+            if line is None:
+                raise ConfigError(
+                    f"{missing} the edge from ({start[0]:.0f}, {start[1]:.0f}) to"
+                    f" ({end[0]:.0f}, {end[1]:.0f}) px is not visible. {remedy}"
+                )
+            lines.append(line)
         corners, deviation = _intersect(corners, lines)
     scatter = max(line.scatter_px for line in lines)
     if scatter > max(_MAX_DEVIATION * size, 1.0):
         raise ConfigError(
-            f"{name}: no {shape.name} found; the edges of what changed deviate by {scatter:.1f} px"
-            " from straight lines. Give its corners by hand, or leave it out."
+            f"{missing} the edges of what changed deviate by {scatter:.1f} px from straight lines."
+            f" {remedy}"
         )
-    shifts = [_shift(change, known, start, end) for start, end in _sides(corners)]
+    profiles = [_profiles(change, known, *side, _OFFSETS_PX) for side in sides(corners)]
+    shifts = [_edge_shift(_mean_profile(values, valid)) for values, valid, _ in profiles]
     shift = float(np.median(shifts))  # common to all edges
     offset = _Line(np.array([shift, shift]), np.zeros((2, 2)), 0.0)
     shifted, _ = _intersect(corners, [offset] * len(corners))
     return Outline(name, shifted, deviation, float(np.hypot(np.std(shifts), _BIAS_PX)))
-
-
-def _sides(corners: Float[np.ndarray, "n 2"]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    return zip(corners, np.roll(corners, -1, axis=0), strict=True)
-
-
-def _require_line(
-    line: _Line | None, start: np.ndarray, end: np.ndarray, shape: KnownShape, name: str
-) -> _Line:
-    if line is None:
-        raise ConfigError(
-            f"{name}: no {shape.name} found; the edge from ({start[0]:.0f}, {start[1]:.0f}) to"
-            f" ({end[0]:.0f}, {end[1]:.0f}) px is not visible. Give its corners by hand, or leave"
-            " it out."
-        )
-    return line
-
-
-def _area(corners: Float[np.ndarray, "n 2"]) -> float:
-    x, y = corners.T
-    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _find_line(
@@ -132,12 +99,6 @@ def _find_line(
     if len(weights) < _MIN_BLOCKS:
         return None
     return _fit_line(np.array(block_positions), np.array(edge_offsets), np.array(weights))
-
-
-def _shift(change: np.ndarray, known: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """Outward distance of an edge from the steepest points, px."""
-    values, valid, _ = _profiles(change, known, start, end, _OFFSETS_PX)
-    return _edge_shift(_mean_profile(values, valid))
 
 
 def _profiles(
@@ -194,7 +155,6 @@ def _fit_line(
     """Fit a line with Tukey's biweight."""
     design = np.column_stack([1 - positions, positions])
     prior = np.minimum(weights / np.median(weights), 1.0)
-    robust = np.ones(len(positions))
     fit = np.full(2, float(np.median(offsets)))
     for _ in range(10):
         residual = offsets - design @ fit
@@ -204,7 +164,6 @@ def _fit_line(
         normal = design.T @ (total[:, None] * design) + 1e-9 * np.eye(2)
         fit = np.linalg.solve(normal, design.T @ (total * offsets))
     residual = offsets - design @ fit
-    total = prior * robust
     freedom = max(float(total.sum()) - 2.0, 1.0)
     variance = float(total @ residual**2) / freedom
     scatter = float(np.sqrt(np.median(residual**2)) * 1.4826)
@@ -215,34 +174,28 @@ def _intersect(
     corners: Float[np.ndarray, "n 2"], lines: list[_Line]
 ) -> tuple[Float[np.ndarray, "n 2"], float]:
     """Intersections of adjacent lines, and their standard deviation, px."""
-    count = len(corners)
-    sides = np.roll(corners, -1, axis=0) - corners
-    outward = np.column_stack([sides[:, 1], -sides[:, 0]])
+    following = np.roll(corners, -1, axis=0)
+    outward = (following - corners) @ np.array([(0.0, -1.0), (1.0, 0.0)])
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    points, variance = np.zeros_like(corners), 0.0
-    for i in range(count):
-        ends = []
-        for k in (i - 1, i):
-            start = corners[k] + lines[k].offsets[0] * outward[k]
-            end = corners[(k + 1) % count] + lines[k].offsets[1] * outward[k]
-            ends.append((start, end))
-        normals = np.array([(b[1] - a[1], a[0] - b[0]) for a, b in ends])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        distances = [n @ a for n, (a, _) in zip(normals, ends, strict=True)]
-        points[i] = np.linalg.solve(normals, distances)
-        # Variance of both offsets, propagated through the same equations.
-        inverse = np.linalg.inv(normals)
-        offsets = np.diag([lines[i - 1].covariance[1, 1], lines[i].covariance[0, 0]])
-        variance += float(np.trace(inverse @ offsets @ inverse.T)) / 2 / count
-    return points, float(np.sqrt(variance))
+    starts = corners + np.array([line.offsets[:1] for line in lines]) * outward
+    ends = following + np.array([line.offsets[1:] for line in lines]) * outward
+    normals = (ends - starts) @ np.array([(0.0, -1.0), (1.0, 0.0)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    distances = (normals * starts).sum(axis=1)
+    pairs = np.stack([np.roll(normals, 1, axis=0), normals], axis=1)
+    right = np.column_stack([np.roll(distances, 1), distances])
+    inverse = np.linalg.inv(pairs)
+    # Variances of both offsets, propagated through the same equations.
+    variances = np.column_stack(
+        [np.roll([line.covariance[1, 1] for line in lines], 1),
+         [line.covariance[0, 0] for line in lines]]
+    )  # fmt: skip
+    variance = (inverse**2 * variances[:, None]).sum() / 2 / len(corners)
+    return (inverse @ right[..., None])[..., 0], float(np.sqrt(variance))
 
 
 def _edge_shift(profile: Float[np.ndarray, " o"]) -> float:
-    """Outward distance of the face's edge from a line, px.
-
-    Args:
-        profile: Change of the colors across the line, at `_OFFSETS_PX`.
-    """
+    """Outward distance of the face's edge from a line, px, by the profile at `_OFFSETS_PX`."""
     best, edge = np.inf, 0.0
     for shift in np.arange(-_MAX_SHIFT_PX, _MAX_SHIFT_PX + _SHIFT_STEP_PX / 2, _SHIFT_STEP_PX):
         distance = _OFFSETS_PX - shift

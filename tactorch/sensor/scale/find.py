@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import pixel_size
 from tactorch.sensor.scale.edges import refine_outline
-from tactorch.sensor.scale.shape import KnownShape, Outline
+from tactorch.sensor.scale.shape import KnownShape, Outline, rotate, sides
 
 _MIN_CHANGE = 0.1  # of the colors: 5 gray values
 _SEARCH_PX, _FIT_PX = 80, 160  # size of the downscaled images
@@ -70,11 +70,10 @@ def _search(
     """Approximate corners: the outline with the largest jump of the change across it."""
     small, visible, factor = _downscale(strength, known, _SEARCH_PX)
     gradient = _gradient(small, visible, _NARROW_BLUR_PX)
-    padded = tuple(fft.next_fast_len(n) for n in gradient.shape)
-    spectrum = fft.fft2(gradient, padded)
+    spectrum = fft.fft2(gradient, tuple(fft.next_fast_len(n) for n in gradient.shape))
     best, corners = 0.0, None
     for candidate in _candidates(shape, np.array(mm_per_px) / factor, small.shape):
-        score = _scores(spectrum, candidate, gradient.shape, padded)
+        score = _scores(spectrum, candidate, gradient.shape)
         center = np.unravel_index(int(score.argmax()), score.shape)
         if score[center] > best:
             best, corners = float(score[center]), candidate + np.array(center[::-1], float)
@@ -126,8 +125,7 @@ def _candidates(shape: KnownShape, mm_per_px: np.ndarray, size: tuple[int, ...])
         radius = radius_mm / (scale * float(mm_per_px.min()))
         rotations = max(2, int(np.ceil(shape.symmetry_rad * radius / _ROTATION_STEP_PX)))
         for angle in np.arange(rotations) * shape.symmetry_rad / rotations:
-            c, s = np.cos(angle), np.sin(angle)
-            corners = corners_mm @ np.array([(c, s), (-s, c)]) / (scale * mm_per_px)
+            corners = rotate(corners_mm, float(angle)) / (scale * mm_per_px)
             if (np.ptp(corners, axis=0) < size[::-1]).all():
                 candidates.append(corners)
     return candidates
@@ -146,8 +144,7 @@ def _fit_placement(
     radius = float(np.linalg.norm(offsets, axis=1).max())
 
     def place(parameters: Float[np.ndarray, "5"]) -> Float[np.ndarray, "n 2"]:
-        c, s = np.cos(parameters[2]), np.sin(parameters[2])
-        rotated = offsets @ np.array([(c, s), (-s, c)])
+        rotated = rotate(offsets, float(parameters[2]))
         return rotated * np.exp(parameters[3:]) + center + parameters[:2] * radius
 
     results = []
@@ -167,39 +164,32 @@ def _fit_placement(
 def _mean_gradient(gradient: np.ndarray, corners: Float[np.ndarray, "n 2"]) -> float:
     """Mean outward gradient over the edges."""
     total = 0.0
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+    for start, end in sides(corners):
         edge = end - start
         length = max(float(np.linalg.norm(edge)), 1e-9)
         points = start + (np.arange(0.05, 1.0, 0.03))[:, None] * edge
         indices = [points[:, 1], points[:, 0]]
-        x, y = (
-            map_coordinates(component, indices, order=1, cval=0.0)
-            for component in (gradient.real, gradient.imag)
-        )
-        total += float(np.mean(x * edge[1] - y * edge[0])) / length
+        along = map_coordinates(gradient, indices, order=1, cval=0.0)
+        total += float(np.mean(along.real * edge[1] - along.imag * edge[0])) / length
     return total / len(corners)
 
 
 def _scores(
-    spectrum: np.ndarray, corners: Float[np.ndarray, "n 2"], shape: tuple[int, ...], padded: tuple
+    spectrum: np.ndarray, corners: Float[np.ndarray, "n 2"], shape: tuple[int, ...]
 ) -> Float[np.ndarray, "h w"]:
     """Mean outward gradient for each position of the center; 0 if the outline leaves the image."""
-    template = np.zeros(padded, dtype=complex)
-    count = 0
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+    template, count = np.zeros(spectrum.shape, dtype=complex), 0
+    for start, end in sides(corners):
         edge = end - start
         length = float(np.linalg.norm(edge))
         outward = complex(edge[1], -edge[0]) / length
         steps = (np.arange(round(length)) + 0.5) / max(1, round(length))
-        pixels = np.rint(start + steps[:, None] * edge).astype(int)
-        np.add.at(template, (pixels[:, 1] % padded[0], pixels[:, 0] % padded[1]), outward)
+        pixels = np.rint(start + steps[:, None] * edge).astype(int)[:, ::-1] % template.shape
+        np.add.at(template, tuple(pixels.T), outward)
         count += len(steps)
     correlation = fft.ifft2(spectrum * np.conj(fft.fft2(template))).real
     scores = correlation[: shape[0], : shape[1]] / count
     low, high = np.ceil(-corners.min(axis=0)), np.floor(corners.max(axis=0))
-    inside = np.zeros(shape, dtype=bool)
-    inside[
-        max(0, int(low[1])) : max(0, int(shape[0] - high[1])),
-        max(0, int(low[0])) : max(0, int(shape[1] - high[0])),
-    ] = True
-    return np.where(inside, scores, 0.0)
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    across = (columns >= low[0]) & (columns < shape[1] - high[0])
+    return np.where(across & (rows >= low[1]) & (rows < shape[0] - high[1]), scores, 0.0)
