@@ -165,43 +165,34 @@ def _nearest_triangles(
     coordinates = np.zeros((len(points), 3))
     corners = nodes[triangles]
     for i, point in enumerate(points):
-        shares = _closest_barycentric(corners, point)
-        closest = np.einsum("tc,tcd->td", shares, corners)
-        best = int(np.argmin(((closest - point) ** 2).sum(axis=1)))
-        nearest[i], coordinates[i] = triangles[best], shares[best]
+        shares = _projections(corners, point)
+        closest = np.einsum("ptc,tcd->ptd", shares, corners)
+        distance = ((closest - point) ** 2).sum(axis=2)
+        distance[(shares < 0).any(axis=2)] = np.inf
+        projection, best = np.unravel_index(int(distance.argmin()), distance.shape)
+        nearest[i], coordinates[i] = triangles[best], shares[projection, best]
     return nearest, coordinates
 
 
-def _closest_barycentric(
+def _projections(
     corners: Float[np.ndarray, "t 3 3"], point: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "t 3"]:
-    """Barycentric coordinates of each triangle's closest point to a point."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, ac, ap = b - a, c - a, point - a
+) -> Float[np.ndarray, "4 t 3"]:
+    """Barycentric coordinates of a point's projections on the plane and edges of triangles."""
+    shares = np.zeros((4, len(corners), 3))
+    a = corners[:, 0]
+    ab, ac, ap = corners[:, 1] - a, corners[:, 2] - a, point - a
     d11, d12, d22 = ((u * v).sum(axis=1) for u, v in ((ab, ab), (ab, ac), (ac, ac)))
     p1, p2 = (ab * ap).sum(axis=1), (ac * ap).sum(axis=1)
     determinant = np.maximum(d11 * d22 - d12**2, 1e-300)
-    v, w = (d22 * p1 - d12 * p2) / determinant, (d11 * p2 - d12 * p1) / determinant
-    shares = np.stack([1 - v - w, v, w], axis=1)
-    outside = (shares < 0).any(axis=1)
-    if outside.any():
-        shares[outside] = _closest_on_edges(corners[outside], point)
-    return shares
-
-
-def _closest_on_edges(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates of the closest point on the edges of each triangle."""
-    best, min_distance = np.zeros((len(corners), 3)), np.full(len(corners), np.inf)
-    for start, end in ((0, 1), (1, 2), (2, 0)):
+    shares[0, :, 1] = (d22 * p1 - d12 * p2) / determinant
+    shares[0, :, 2] = (d11 * p2 - d12 * p1) / determinant
+    shares[0, :, 0] = 1.0 - shares[0, :, 1] - shares[0, :, 2]
+    for k, (start, end) in enumerate(((0, 1), (1, 2), (2, 0)), start=1):
         origin, edge = corners[:, start], corners[:, end] - corners[:, start]
         t = ((point - origin) * edge).sum(axis=1) / np.maximum((edge**2).sum(axis=1), 1e-300)
-        t = np.clip(t, 0.0, 1.0)
-        distance = ((origin + t[:, None] * edge - point) ** 2).sum(axis=1)
-        closer = distance < min_distance
-        shares = np.zeros((len(corners), 3))
-        shares[:, start], shares[:, end] = 1 - t, t
-        best[closer], min_distance[closer] = shares[closer], distance[closer]
-    return best
+        shares[k, :, end] = np.clip(t, 0.0, 1.0)
+        shares[k, :, start] = 1.0 - shares[k, :, end]
+    return shares
 
 
 def _couple(nodes: Float[np.ndarray, "n 3"], moment: Float[np.ndarray, "3"]) -> np.ndarray:
