@@ -15,7 +15,7 @@ from tactorch.inverse.invert import (
     make_objective,
     solution,
 )
-from tactorch.inverse.misfit import MISFITS
+from tactorch.inverse.misfit import MISFITS, Misfit
 from tactorch.inverse.model_error import (
     ModelError,
     discretisation_error,
@@ -95,6 +95,7 @@ __all__ = [
     "Log",
     "LogJumps",
     "Matern",
+    "Misfit",
     "ModelError",
     "Monitor",
     "NewtonCG",
