@@ -7,9 +7,10 @@ from typing import Any, Literal
 from tactorch.cli.options import CommandOptions
 from tactorch.config import Options, option
 from tactorch.fem import MATERIALS  # noqa: F401  (registries of the sections)
+from tactorch.sensor.calibration import FitOptions
 from tactorch.sensor.chain import ChainOptions, DepthOptions
 from tactorch.sensor.gel import GelOptions
-from tactorch.sensor.recorder import OBJECTS  # noqa: F401
+from tactorch.sensor.recorder import RecordOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +59,7 @@ class BallSettings(SensorSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrateSettings(BallSettings):
+class CalibrateSettings(FitOptions, BallSettings):
     """Settings of `tactorch sensor calibrate`."""
 
     reference: int | Path = option(
@@ -70,12 +71,9 @@ class CalibrateSettings(BallSettings):
     marker_diameter_px: float | None = option(
         None, "Diameter of the markers; null: the sensor's, where it has markers", unit="px", gt=0
     )
-    map: str = option(
+    map: str = option(  # type: ignore[assignment]
         "auto",
         "Map from colour to slope (mlp, mlp_colour, lookup); auto: least error on held-out presses",
-    )
-    rounds: int = option(
-        6, "Alternations of fitting the map and the contacts; 0: contacts are exact", ge=0
     )
     held_out: int | None = option(
         None, "Presses that are never fitted to, for the report; null: a quarter", ge=1
@@ -83,7 +81,6 @@ class CalibrateSettings(BallSettings):
     folds: int | None = option(
         None, "Cross-validation instead: each press is left out once, in so many groups", ge=2
     )
-    seed: int = option(0, "Seed of the map, and of the choice of held-out presses", ge=0)
     out: Path | None = option(None, "Calibration to write; null: calib.npz in run_dir")
 
 
@@ -125,7 +122,7 @@ class ForceSettings(
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordSettings(GelOptions, ChainOptions, CalibratedSettings, SequenceSettings):
+class RecordSettings(RecordOptions, GelOptions, ChainOptions, CalibratedSettings, SequenceSettings):
     """Settings of `tactorch sensor record`."""
 
     object: Any = option("box", "Object that is pressed", section="object")
@@ -138,22 +135,4 @@ class RecordSettings(GelOptions, ChainOptions, CalibratedSettings, SequenceSetti
     as_they_end: bool = option(
         False, "Append the presses of each contact once it has ended, for tactorch live"
     )
-    steps: int = option(3, "Frames kept of each contact, evenly spaced in depth", ge=1)
-    min_frames: int = option(1, "Fewest frames of a contact; shorter ones are skipped", ge=1)
-    first_contact: Literal["shape", "depth"] = option(
-        "shape",
-        "First contact by the poses (where the shapes meet), or by the first frames' depth",
-    )
-    reach_mm: float = option(
-        3.0, "Distance from the gel at first contact up to which the object may be touched",
-        unit="mm", gt=0,
-    )  # fmt: skip
-    untouched: Literal["unseen", "sensor", "auto"] = option(
-        "auto", "Untouched face: unseen, moving with the sensor, or auto (sensor in a virtual cube)"
-    )
-    held_side: Literal["opposite", "x-", "x+", "y-", "y+", "z-", "z+"] = option(
-        "opposite", "Side that is held; opposite: to each press"
-    )
-    held_by: Literal["fixed", "springs"] = option("fixed", "Support of the held side")
-    spring_n_per_mm: float = option(1.0, "Stiffness of each spring", unit="N/mm", gt=0)
     plots: bool = option(True, "Draw over_time.png and presses.png")
