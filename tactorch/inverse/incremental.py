@@ -20,7 +20,7 @@ from tactorch.inverse.invert import ObjectiveBuilder, result_of, warn_of_assumed
 from tactorch.inverse.model_error import ModelError
 from tactorch.inverse.monitor import Monitor, StopCondition, StopReason
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import OPTIMIZERS
+from tactorch.inverse.optimizers import OPTIMIZERS, Optimizer
 from tactorch.inverse.optimizers.damped import DampedNewton
 from tactorch.inverse.optimizers.schedule import warm_start_state
 from tactorch.inverse.reconstruction import Reconstruction
@@ -68,6 +68,8 @@ class IncrementalInversion:
         max_iterations: Limit of one update; the next one continues from there.
         max_seconds_per_update: Time limit of one update, s. It ends before the iteration that would
             exceed it, but after one iteration or more.
+        restart: Invert all presses like `invert` in every `add`, from the present map, by any
+            optimizer and without a limit of an update; Ctrl-C then keeps the best map.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class IncrementalInversion:
         start_mpa: Start = START_MPA,
         max_iterations: int = 8,
         max_seconds_per_update: float | None = None,
+        restart: bool = False,
     ) -> None:
         """Make the bodies.
 
@@ -85,8 +88,8 @@ class IncrementalInversion:
             ConfigError: a setting cannot be used.
         """
         self._settings = settings or Settings()
-        self._object, self._start = recording, start_mpa
-        self._optimizer = _check_settings(self._settings, max_iterations)
+        self._object, self._start, self._restart = recording, start_mpa, restart
+        _check_settings(self._settings, max_iterations, restart)
         self._max_iterations, self._max_seconds = max_iterations, max_seconds_per_update
         self._builder = ObjectiveBuilder(recording, self._settings)
         self._state = _State()
@@ -123,8 +126,10 @@ class IncrementalInversion:
         """
         began, state = time.perf_counter(), self._state
         self._check(presses)
-        errors = state.errors + tuple(self._model_error(press) for press in presses)
         together = (*state.presses, *presses)
+        if self._restart:
+            return self._invert(together, self._model_errors(together), {}, None, None)
+        errors = sum((self._model_errors([press]) for press in presses), state.errors)
         growth = len(together) / (len(state.presses) or len(together))
         weight = warm_start_state(dict(state.weight), growth)
         limit = self._max_seconds
@@ -214,13 +219,12 @@ class IncrementalInversion:
         if not self._state.presses:
             warn_of_assumed_noise(self._settings.noise, self._with(presses))
 
-    def _model_error(self, press: Press) -> tuple[np.ndarray, float]:
-        """Model's error of one press: offset and deviation, mm."""
-        problem = self._builder.problem(self._with([press]))
-        error = self._builder.model_error(problem)
+    def _model_errors(self, presses: Sequence[Press]) -> tuple[tuple[np.ndarray, float], ...]:
+        """Model's error of each press (offset and deviation, mm) at the modulus that fits best."""
+        error = self._builder.model_error(self._builder.problem(self._with(presses)))
         if error is None:
-            return np.zeros(problem.n_data), 0.0
-        return error.offset[0], error.deviation[0]
+            return ((np.zeros(0), 0.0),) * len(presses)
+        return tuple(zip(error.offset, error.deviation, strict=True))
 
     def _objective(
         self, presses: Sequence[Press], errors: Sequence[tuple[np.ndarray, float]]
@@ -234,13 +238,15 @@ class IncrementalInversion:
         presses: tuple[Press, ...],
         errors: tuple[tuple[np.ndarray, float], ...],
         weight: dict[str, float],
-        max_iterations: int,
+        max_iterations: int | None,
         stop_condition: StopCondition | None,
     ) -> IncrementalResult:
         objective = self._objective(presses, errors)
-        optimizer = replace(self._optimizer, max_iterations=max_iterations)
+        optimizer = self._settings.optimizer
+        if isinstance(optimizer, DampedNewton) and max_iterations is not None:
+            optimizer = replace(optimizer, max_iterations=max_iterations)
         monitor, reason = self._run(objective, optimizer, weight, stop_condition)
-        if reason is StopReason.INTERRUPTED:
+        if reason is StopReason.INTERRUPTED and not self._restart:
             raise KeyboardInterrupt
         assert monitor.point is not None
         state = monitor.state
@@ -248,12 +254,13 @@ class IncrementalInversion:
         self._state = _State(presses, errors, monitor.point.youngs, stored)
         result = result_of(objective, self._settings, optimizer, monitor, reason)
         last = float(monitor.history[-1].get("weight", 0.0))
-        return IncrementalResult(result, monitor.point, last, not reason.is_limit)
+        converged = self._restart or not reason.is_limit
+        return IncrementalResult(result, monitor.point, last, converged)
 
     def _run(
         self,
         objective: Objective,
-        optimizer: DampedNewton,
+        optimizer: Optimizer,
         weight: dict[str, float],
         stop_condition: StopCondition | None,
     ) -> tuple[Monitor, StopReason]:
@@ -285,7 +292,7 @@ def _ends_before(deadline: float) -> StopCondition:
     return stop_condition
 
 
-def _check_settings(settings: Settings, max_iterations: int) -> DampedNewton:
+def _check_settings(settings: Settings, max_iterations: int, restart: bool) -> None:
     if settings.nuisance.size:
         raise ConfigError(
             "nuisance: an incremental inversion does not estimate nuisance parameters; estimate "
@@ -294,9 +301,8 @@ def _check_settings(settings: Settings, max_iterations: int) -> DampedNewton:
     if max_iterations < 1:
         raise ConfigError(f"max_iterations={max_iterations}: give at least 1.")
     optimizer = settings.optimizer
-    if not isinstance(optimizer, DampedNewton):
+    if not (restart or isinstance(optimizer, DampedNewton)):
         raise ConfigError(
             f"optimizer={OPTIMIZERS.name_of(type(optimizer))} cannot continue from the map before; "
             "choose gauss_newton, or newton_cg beyond ten thousand elements."
         )
-    return optimizer
