@@ -117,21 +117,17 @@ def facing_triangles(
     close = np.abs(centers[:, 2] - float(np.median(contact.points[:, 2]))) <= reach_mm
     if not (facing & under & close).any():
         distances = np.abs(centers[facing & under, 2])
+        translation = first_pose[:3, 3]
+        hint = ""
+        if 0 < np.abs(translation).max() < 0.05 * np.abs(mesh.points).max():
+            shown = [float(f"{v:.4g}") for v in translation]
+            hint = f" Its translation {shown} looks like metres; give mm."
         nearest = f": the nearest is {distances.min():.3g} mm away" if len(distances) else ""
         raise ConfigError(
             f"the gel is over no part of the object in the pose of first contact{nearest}; check"
-            " T_object_sensor, whose z axis points out of the sensor to the object."
-            + _metres_hint(first_pose, mesh)
+            f" T_object_sensor, whose z axis points out of the sensor to the object.{hint}"
         )
     return surface.triangles[facing & under & close]
-
-
-def _metres_hint(first_pose: Float[np.ndarray, "4 4"], mesh: TetMesh) -> str:
-    translation = first_pose[:3, 3]
-    if not 0 < np.abs(translation).max() < 0.05 * np.abs(mesh.points).max():
-        return ""
-    shown = [float(f"{v:.4g}") for v in translation]
-    return f" Its translation {shown} looks like metres; give mm."
 
 
 def transfer_forces(

@@ -19,6 +19,7 @@ from tactorch.cli.sensor.options import PictureSettings
 from tactorch.cli.settings import log, run_folder
 from tactorch.files import atomic_path, write_arrays
 from tactorch.sensor.frames import Frame
+from tactorch.text import one_line
 from tactorch.viz.figure import save_figure
 from tactorch.viz.sensor_frames import DPI, render
 from tactorch.viz.session import plot_over_time
@@ -45,10 +46,8 @@ def frame_times(frames: Sequence[Frame]) -> Float[np.ndarray, " f"] | None:
 def caption(frame: Frame, total: int, text: str) -> str:
     """Return the two lines above a picture of a frame."""
     time = "" if frame.time_s is None else f", {frame.time_s:.2f} s"
-    fault = frame.fault
-    if len(fault) >= _MAX_FAULT_CHARACTERS:
-        fault = f"{fault[: _MAX_FAULT_CHARACTERS - 3]}..."
-    return f"frame {frame.index} of {total}{time}: {text}\n{fault or ' '}"
+    fault = one_line(frame.fault, _MAX_FAULT_CHARACTERS) or " "
+    return f"frame {frame.index} of {total}{time}: {text}\n{fault}"
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
@@ -124,13 +123,8 @@ class RunFiles:
     ) -> None:
         """Draw pictures of some frames, evenly spaced, a video of all, and a plot over time.
 
-        Args:
-            figure: Figure.
-            frames: Frames.
-            show: Function that updates the figure for a frame.
-            cfg: Number of pictures, and whether to write a video.
-            measured: Frames as they were measured.
-            series: Curves over time, by label of the axes and by name.
+        `show` updates the figure for a frame, `measured` are the frames without images, `series`
+        the curves over time by label of the axes and by name.
         """
         total, times = len(measured), frame_times(measured)
         indices = np.linspace(0, total - 1, min(cfg.pictures, total)).round().astype(int)
@@ -140,7 +134,8 @@ class RunFiles:
             log.info("no video: this OpenCV can write neither MPEG-4 nor Motion JPEG.")
         with ExitStack() as stack:
             path = self.folder / f"{self.stem}{suffix}"
-            rate_hz = _frame_rate(times)
+            period_s = 0.0 if times is None or len(times) < 2 else np.median(np.diff(times))
+            rate_hz = float(1.0 / period_s) if period_s > 0 else _DEFAULT_RATE_HZ
             add = stack.enter_context(writing_video(path, rate_hz)) if suffix else None
             report = stack.enter_context(progress("drawing", "frames"))
             for number, frame in enumerate(frames):
@@ -154,10 +149,3 @@ class RunFiles:
         log.info("pictures%s: %s", " and video" if suffix else "", self.folder)
         faulty = [frame.index for frame in measured if frame.fault]
         plot_over_time(series, times, faulty, self.folder / OVER_TIME)
-
-
-def _frame_rate(times: Float[np.ndarray, " f"] | None) -> float:
-    if times is None or len(times) < 2:
-        return _DEFAULT_RATE_HZ
-    period = float(np.median(np.diff(times)))
-    return 1.0 / period if period > 0 else _DEFAULT_RATE_HZ

@@ -26,20 +26,9 @@ _T = TypeVar("_T")
 
 
 class FrameSequence:
-    """Frames of a folder, a video, an image or a camera; those of a camera are stored.
+    """Frames of a folder, a video, an image or a camera, and the image without contact.
 
-    Args:
-        cfg: Settings of the frames and of the reference.
-        sensor: Sensor that takes the frames.
-        once: Whether to iterate only once; a camera may then run without end.
-
-    Attributes:
-        reference: Image of the gel without contact.
-        zero_unix_s: Time of a camera's first frame, seconds since 1970; None before.
-
-    Raises:
-        ConfigError: A camera without `max_frames`.
-        FileError: The source does not exist or has no frames.
+    Those of a camera are stored; if they are read only `once`, it may run without end.
     """
 
     def __init__(
@@ -51,7 +40,7 @@ class FrameSequence:
         if self.is_camera and self.max_frames is None and not once:
             raise ConfigError(f"frames={self.source} is a camera; give max_frames too.")
         self._stored: list[Frame] | None = None
-        self.zero_unix_s: float | None = None
+        self.zero_unix_s: float | None = None  # time of a camera's first frame since 1970
         self._first = self._read()  # a missing source is an error at once
 
     def __iter__(self) -> Iterator[Frame]:

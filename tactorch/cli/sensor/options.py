@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from tactorch.cli.options import CommandOptions
 from tactorch.config import Options, option
-from tactorch.fem import MATERIALS  # noqa: F401  (registries of the sections)
+from tactorch.fem import MATERIALS  # noqa: F401  (registry of a section)
 from tactorch.sensor.calibration import FitOptions
 from tactorch.sensor.chain import ChainOptions, DepthOptions
 from tactorch.sensor.gel import GelOptions
@@ -18,6 +18,9 @@ class SensorSettings(CommandOptions):
     """The sensor and its reference image."""
 
     sensor: Path = option(help="A sensor.yaml, or the name of a sensor that tactorch includes")
+    reference: int | Path = option(
+        help="Image of the gel without contact, or a folder or video that starts with it"
+    )
     reference_frames: int = option(1, "Frames of the reference that are averaged", ge=1)
 
 
@@ -26,9 +29,6 @@ class SequenceSettings(SensorSettings):
     """A sequence of frames."""
 
     frames: int | Path = option(help="Folder of images, image, video or number of a camera")
-    reference: int | Path = option(
-        help="Image of the gel without contact, or a folder or video that starts with it"
-    )
     max_frames: int | None = option(None, "Largest number of frames; required for a camera", ge=1)
 
 
@@ -38,6 +38,18 @@ class PictureSettings(Options):
 
     pictures: int = option(6, "Frames that are drawn as PNG, evenly spaced", ge=0)
     video: bool = option(True, "Write a video")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerSettings(SensorSettings):
+    """Scale and markers of images without a calibration."""
+
+    mm_per_px: tuple[float, float] | None = option(
+        None, "Scale along x and y; null: the sensor's", unit="mm", gt=0
+    )
+    marker_diameter_px: float | None = option(
+        None, "Diameter of the markers; null: the sensor's, where it has markers", unit="px", gt=0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +63,7 @@ class CalibratedSettings(SensorSettings):
 class BallSettings(SensorSettings):
     """Presses of a ball."""
 
-    images: Path = option(help="Folder of presses of the ball, one an image")
+    images: Path = option(help="Folder of images, each of a press of the ball")
     ball_radius_mm: float = option(help="Radius of the ball", unit="mm", gt=0)
     labels: Path | None = option(
         None, "CSV with image,center_x_px,center_y_px,radius_px; null: contacts are detected"
@@ -59,18 +71,9 @@ class BallSettings(SensorSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrateSettings(FitOptions, BallSettings):
+class CalibrateSettings(FitOptions, BallSettings, MarkerSettings):
     """Settings of `tactorch sensor calibrate`."""
 
-    reference: int | Path = option(
-        help="Image of the gel without contact, or a folder or video that starts with it"
-    )
-    mm_per_px: tuple[float, float] | None = option(
-        None, "Scale along x and y; null: the sensor's", unit="mm", gt=0
-    )
-    marker_diameter_px: float | None = option(
-        None, "Diameter of the markers; null: the sensor's, where it has markers", unit="px", gt=0
-    )
     map: str = option(  # type: ignore[assignment]
         "auto",
         "Map from colour to slope (mlp, mlp_colour, lookup); auto: least error on held-out presses",
@@ -88,21 +91,15 @@ class CalibrateSettings(FitOptions, BallSettings):
 class CheckSettings(BallSettings, CalibratedSettings):
     """Settings of `tactorch sensor check`."""
 
-    reference: int | Path | None = option(
+    reference: int | Path | None = option(  # type: ignore[assignment]
         None, "Image of the gel without contact on that day; null: the calibration's"
     )
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackSettings(PictureSettings, SequenceSettings):
+class TrackSettings(PictureSettings, SequenceSettings, MarkerSettings):
     """Settings of `tactorch sensor track`."""
 
-    mm_per_px: tuple[float, float] | None = option(
-        None, "Scale along x and y; null: the sensor's", unit="mm", gt=0
-    )
-    marker_diameter_px: float | None = option(
-        None, "Diameter of the markers; null: the sensor's", unit="px", gt=0
-    )
     backward: bool = option(
         False, "Track the markers back too, and report how far from their start they end"
     )

@@ -92,7 +92,12 @@ class ContactDetector:
             depth_mm = max_slope = float("nan")
             measurement = None
             if frame.image is not None and frame.usable:
-                time_s, measurement = _require_time(frame), self.chain.measure_deformation(frame)
+                if frame.time_s is None:
+                    raise ConfigError(
+                        f"frame '{frame.name}' has no time, which is needed to find its pose: give"
+                        " frame_rate_hz in the sensor's description."
+                    )
+                time_s, measurement = frame.time_s, self.chain.measure_deformation(frame)
                 if measurement.height is not None:
                     depth_mm, max_slope = measurement.height.depth_mm, measurement.height.max_slope
             self.report(
@@ -125,12 +130,3 @@ class ContactDetector:
         squares = displacement[:, :2] ** 2
         self._squared_sum += float(np.nansum(squares))
         self._count += int(np.isfinite(squares).sum())
-
-
-def _require_time(frame: Frame) -> float:
-    if frame.time_s is None:
-        raise ConfigError(
-            f"frame '{frame.name}' has no time, which is needed to find its pose: give"
-            " frame_rate_hz in the sensor's description."
-        )
-    return frame.time_s

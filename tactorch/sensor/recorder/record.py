@@ -109,11 +109,15 @@ def record(
     presses, rows, skipped = list[Press](), [], {}
     for number, contact in enumerate(contacts, start=1):
         for index, result in builder.build(contact, number, known_poses, detector.noise_mm):
+            name = contact.measurements[index].frame.name
             if isinstance(result, Press):
                 presses.append(result)
-                rows.append(_press_row(number, contact, index, result))
+                depth_mm, nodes = contact.depths_mm[index], result.observed.any(axis=1).sum()
+                row = {"contact": number, "frame": name, "time_s": contact.times_s[index]}
+                row |= {"depth_mm": depth_mm, "force_n": result.total_force.tolist()}
+                rows.append(row | {"nodes": int(nodes)})
             else:
-                skipped[contact.measurements[index].frame.name] = str(result)
+                skipped[name] = str(result)
             progress("presses", len(presses) + len(skipped), total)
     if not presses:
         name, reason = next(iter(skipped.items()))
@@ -216,14 +220,3 @@ def _no_contact(frames: list[FrameSummary], chain: SensorChain) -> str:
 
 def _faults(frames: list[FrameSummary]) -> dict[str, str]:
     return {frame.name: frame.fault for frame in frames if frame.fault}
-
-
-def _press_row(number: int, contact: ContactInterval, index: int, press: Press) -> dict[str, Any]:
-    return {
-        "contact": number,
-        "frame": contact.measurements[index].frame.name,
-        "time_s": contact.times_s[index],
-        "depth_mm": contact.depths_mm[index],
-        "force_n": press.total_force.tolist(),
-        "nodes": int(press.observed.any(axis=1).sum()),
-    }

@@ -7,7 +7,6 @@ edge is therefore located by a fit of both blurred profiles.
 """
 
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -30,14 +29,6 @@ _MAX_SHIFT_PX = 2.0
 _SHIFT_STEP_PX = 0.05
 _FINE_PX, _REACH_PX = 0.05, 30.0
 _OFFSETS_PX = np.arange(-8.0, 8.01, 0.25)  # of the final profiles, outward
-
-
-class _Line(NamedTuple):
-    """Offsets of a line at both ends of an approximate edge, px, and scatter of its points."""
-
-    offsets: Float[np.ndarray, "2"]
-    covariance: Float[np.ndarray, "2 2"]
-    scatter_px: float
 
 
 def refine_outline(
@@ -65,8 +56,9 @@ def refine_outline(
                     f" ({end[0]:.0f}, {end[1]:.0f}) px is not visible. {remedy}"
                 )
             lines.append(line)
-        corners, deviation = _intersect(corners, lines)
-    scatter = max(line.scatter_px for line in lines)
+        offsets, variances, scatters = (np.array(column) for column in zip(*lines, strict=True))
+        corners, deviation = _intersect(corners, offsets, variances)
+    scatter = float(scatters.max())
     if scatter > max(_MAX_DEVIATION * size, 1.0):
         raise ConfigError(
             f"{missing} the edges of what changed deviate by {scatter:.1f} px from straight lines."
@@ -74,31 +66,31 @@ def refine_outline(
         )
     profiles = [_profiles(change, known, *side, _OFFSETS_PX) for side in sides(corners)]
     shifts = [_edge_shift(_mean_profile(values, valid)) for values, valid, _ in profiles]
-    shift = float(np.median(shifts))  # common to all edges
-    offset = _Line(np.array([shift, shift]), np.zeros((2, 2)), 0.0)
-    shifted, _ = _intersect(corners, [offset] * len(corners))
+    common_shift = np.full(corners.shape, np.median(shifts))
+    shifted, _ = _intersect(corners, common_shift, np.zeros(corners.shape))
     return Outline(name, shifted, deviation, float(np.hypot(np.std(shifts), _BIAS_PX)))
 
 
 def _find_line(
     change: np.ndarray, known: np.ndarray, start: np.ndarray, end: np.ndarray, reach: float
-) -> _Line | None:
-    """Fit a line to the steepest points near an approximate edge; None if there are too few."""
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Fit a line to the steepest points near an approximate edge; None if there are too few.
+
+    Returns:
+        Outward offsets of the line at both ends of the edge, px, their variances, and the root mean
+        square deviation of its points.
+    """
     offsets = np.arange(-reach - 3.0, reach + 3.0 + _STEP_PX, _STEP_PX)
     values, valid, positions = _profiles(change, known, start, end, offsets)
     blocks = max(_MIN_BLOCKS, round(len(positions) / _BLOCK_PX))
-    block_positions, edge_offsets, weights = [], [], []
+    points = []
     for block in np.array_split(np.arange(len(positions)), blocks):
         if len(block) == 0 or valid[block].mean() < _MIN_KNOWN:
             continue
         peak = _steepest(_mean_profile(values[block], valid[block]), offsets, reach)
         if peak is not None:
-            block_positions.append(float(positions[block].mean()))
-            edge_offsets.append(peak[0])
-            weights.append(peak[1])
-    if len(weights) < _MIN_BLOCKS:
-        return None
-    return _fit_line(np.array(block_positions), np.array(edge_offsets), np.array(weights))
+            points.append((float(positions[block].mean()), *peak))
+    return _fit_line(*np.array(points).T) if len(points) >= _MIN_BLOCKS else None
 
 
 def _profiles(
@@ -116,9 +108,9 @@ def _profiles(
     indices = [points[..., 1], points[..., 0]]
     # Pixels outside the image are not valid.
     valid = map_coordinates(known.astype(float), indices, order=1, cval=0.0) > 0.99
+    channels = (change[..., k] for k in range(3))
     values = np.stack(
-        [map_coordinates(change[..., k], indices, order=1, mode="nearest") for k in range(3)],
-        axis=-1,
+        [map_coordinates(c, indices, order=1, mode="nearest") for c in channels], axis=-1
     )
     outside = valid & (offsets > 0)
     color = values[outside].mean(axis=0) if outside.any() else np.ones(3)
@@ -148,10 +140,8 @@ def _steepest(
 
 
 def _fit_line(
-    positions: Float[np.ndarray, " b"],
-    offsets: Float[np.ndarray, " b"],
-    weights: Float[np.ndarray, " b"],
-) -> _Line:
+    positions: np.ndarray, offsets: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Fit a line with Tukey's biweight."""
     design = np.column_stack([1 - positions, positions])
     prior = np.minimum(weights / np.median(weights), 1.0)
@@ -167,31 +157,31 @@ def _fit_line(
     freedom = max(float(total.sum()) - 2.0, 1.0)
     variance = float(total @ residual**2) / freedom
     scatter = float(np.sqrt(np.median(residual**2)) * 1.4826)
-    return _Line(fit, variance * np.linalg.inv(normal), scatter)
+    return fit, variance * np.diag(np.linalg.inv(normal)), scatter
 
 
 def _intersect(
-    corners: Float[np.ndarray, "n 2"], lines: list[_Line]
+    corners: Float[np.ndarray, "n 2"],
+    offsets: Float[np.ndarray, "n 2"],
+    variances: Float[np.ndarray, "n 2"],
 ) -> tuple[Float[np.ndarray, "n 2"], float]:
-    """Intersections of adjacent lines, and their standard deviation, px."""
+    """Intersections of adjacent lines with offsets from the sides, and their deviation, px."""
     following = np.roll(corners, -1, axis=0)
-    outward = (following - corners) @ np.array([(0.0, -1.0), (1.0, 0.0)])
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    starts = corners + np.array([line.offsets[:1] for line in lines]) * outward
-    ends = following + np.array([line.offsets[1:] for line in lines]) * outward
-    normals = (ends - starts) @ np.array([(0.0, -1.0), (1.0, 0.0)])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = _normals(corners, following)
+    starts, ends = corners + offsets[:, :1] * normals, following + offsets[:, 1:] * normals
+    normals = _normals(starts, ends)
     distances = (normals * starts).sum(axis=1)
-    pairs = np.stack([np.roll(normals, 1, axis=0), normals], axis=1)
-    right = np.column_stack([np.roll(distances, 1), distances])
-    inverse = np.linalg.inv(pairs)
+    inverse = np.linalg.inv(np.stack([np.roll(normals, 1, axis=0), normals], axis=1))
+    right = np.stack([np.roll(distances, 1), distances], axis=1)
     # Variances of both offsets, propagated through the same equations.
-    variances = np.column_stack(
-        [np.roll([line.covariance[1, 1] for line in lines], 1),
-         [line.covariance[0, 0] for line in lines]]
-    )  # fmt: skip
-    variance = (inverse**2 * variances[:, None]).sum() / 2 / len(corners)
+    adjacent = np.stack([np.roll(variances[:, 1], 1), variances[:, 0]], axis=1)
+    variance = (inverse**2 * adjacent[:, None]).sum() / 2 / len(corners)
     return (inverse @ right[..., None])[..., 0], float(np.sqrt(variance))
+
+
+def _normals(starts: np.ndarray, ends: np.ndarray) -> Float[np.ndarray, "n 2"]:
+    x, y = (ends - starts).T
+    return np.column_stack([y, -x]) / np.hypot(x, y)[:, None]
 
 
 def _edge_shift(profile: Float[np.ndarray, " o"]) -> float:

@@ -91,7 +91,7 @@ def measure_pixel_scale(
         single_fits.append(fit)
     _require_agreement(outlines, single_fits)
     fit = _fit_plane(outlines, shape, sensor)
-    scale, random = fit.plane.scale, np.sqrt(np.diag(fit.covariance))
+    scale, random = fit.scale, np.sqrt(np.diag(fit.covariance))
     deviation = scale * np.hypot(random, _edge_deviation(outlines, shape))
     corners = {outline.name: outline.corners_px for outline in outlines}
     (x, y), (dx, dy) = scale.tolist(), deviation.tolist()
@@ -114,7 +114,7 @@ def _require_inside(outline: Outline, sensor: SensorDescription) -> None:
 
 def _require_shape(fit: "_PlaneFit", outline: Outline, shape: KnownShape) -> None:
     limit = max(_MAX_RESIDUAL * square_side(outline.corners_px), _MIN_RESIDUAL_PX)
-    x, y = fit.plane.scale
+    x, y = fit.scale
     if fit.residual_px > limit:
         raise ConfigError(
             f"{outline.name}: its corners are no {shape.name} of that size, but"
@@ -130,7 +130,7 @@ def _require_shape(fit: "_PlaneFit", outline: Outline, shape: KnownShape) -> Non
 def _require_agreement(outlines: Sequence[Outline], fits: Sequence["_PlaneFit"]) -> None:
     if len(fits) < 2:
         return
-    logs = np.array([fit.plane.terms[:2] for fit in fits])
+    logs = np.array([fit.terms[:2] for fit in fits])
     median = np.median(logs, axis=0)
     deviations = np.array([np.sqrt(np.diag(fit.covariance)) for fit in fits])
     limits = np.maximum(
@@ -213,57 +213,52 @@ def fit_warp(outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescr
             f"{outlines[worst].name}: its corners are no {shape.name} of that size from any"
             f" direction, but {fit.residual_px:.1f} px off; check the shape and the corners."
         )
-    corners, scale = fit.plane.image_corners()
 
     def corners_of(terms: Float[np.ndarray, " terms"]) -> Float[np.ndarray, "8"]:
-        return _PlaneMap(terms, fit.plane.center_px).image_corners()[0].ravel()
+        """Corners of an image of square pixels at the mean scale."""
+        signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
+        scale = float(np.exp(terms[:2].mean()))
+        return _to_px(signs * fit.center_px * scale, terms, fit.center_px).ravel()
 
-    jacobian = approx_fprime(fit.plane.terms, corners_of, _DIFFERENCE_STEP)
+    jacobian = approx_fprime(fit.terms, corners_of, _DIFFERENCE_STEP)
     variance = float(np.trace(jacobian @ fit.covariance @ jacobian.T)) / 8
+    corners, scale = corners_of(fit.terms).reshape(4, 2), float(np.exp(fit.terms[:2].mean()))
     return Warp(corners, float(np.sqrt(variance)), scale, fit.residual_px)
 
 
-class _PlaneMap(NamedTuple):
-    """Map from pixels to mm: X = S u / (1 + p u), with u relative to the center.
+class _PlaneFit(NamedTuple):
+    """Map from pixels to mm: X = S u / (1 + p u), with u relative to the center; X = 0 there.
 
     Its terms are the logarithms of the scales along x and y; with perspective also the shear over
     the mean scale and the two components of p, times the center's distance from the edges.
     """
 
     terms: Float[np.ndarray, " terms"]
+    covariance: Float[np.ndarray, "terms terms"]
     center_px: Float[np.ndarray, "2"]
+    residuals_px: tuple[Float[np.ndarray, "_ 2"], ...]  # of each image's corners
 
     @property
     def scale(self) -> Float[np.ndarray, "2"]:
         """Size of a pixel at the center along x and y, mm."""
         return np.exp(self.terms[:2])
 
-    def to_px(self, positions_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        x, y = self.scale
-        shear, px, py = self.terms[2:] if len(self.terms) > 2 else (0.0, 0.0, 0.0)
-        linear = np.array([(x, shear * np.sqrt(x * y)), (0.0, y)])
-        perspective = np.array([px, py]) / float(self.center_px.max())
-        matrices = linear - positions_mm[:, :, None] * perspective
-        return np.linalg.solve(matrices, positions_mm[:, :, None])[..., 0] + self.center_px
-
-    def image_corners(self) -> tuple[Float[np.ndarray, "4 2"], float]:
-        """Points that become the corners of an image of square pixels, and the size of these."""
-        scale = float(np.sqrt(self.scale.prod()))
-        signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
-        return self.to_px(signs * self.center_px * scale), scale
-
-
-class _PlaneFit(NamedTuple):
-    """Fitted plane map, covariance of its terms, and residuals of each image's corners."""
-
-    plane: _PlaneMap
-    covariance: Float[np.ndarray, "terms terms"]
-    residuals_px: tuple[Float[np.ndarray, "_ 2"], ...]
-
     @property
     def residual_px(self) -> float:
         """Root mean square residual of the corners."""
         return float(np.sqrt((np.concatenate(self.residuals_px) ** 2).sum(axis=1).mean()))
+
+
+def _to_px(
+    positions_mm: Float[np.ndarray, "n 2"], terms: np.ndarray, center_px: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "n 2"]:
+    """Apply the inverse of the map with these terms."""
+    x, y = np.exp(terms[:2])
+    shear, px, py = terms[2:] if len(terms) > 2 else (0.0, 0.0, 0.0)
+    linear = np.array([(x, shear * np.sqrt(x * y)), (0.0, y)])
+    perspective = np.array([px, py]) / float(center_px.max())
+    matrices = linear - positions_mm[:, :, None] * perspective
+    return np.linalg.solve(matrices, positions_mm[:, :, None])[..., 0] + center_px
 
 
 def _fit_plane(
@@ -284,6 +279,7 @@ def _fit_plane(
             f"a {shape.name} in {len(matched)} image is not enough: {freedom + terms} numbers for"
             f" {terms} unknowns; give more images, with the {shape.name} turned and moved."
         )
+    measured = np.concatenate([corners for corners, _ in matched])
     start = np.zeros(terms)
     size = float(np.mean([abs(factor) for _, factor in matched]))
     start[:2] = -np.log(size) + np.array([0.0, np.log(aspect)])
@@ -293,13 +289,9 @@ def _fit_plane(
         values.append(np.array([np.angle(factor), *position]))
 
     def residuals(x: Float[np.ndarray, " x"]) -> Float[np.ndarray, " y"]:
-        plane = _PlaneMap(x[:terms], center)
         poses = x[terms:].reshape(-1, _POSE_UNKNOWNS)
-        parts = [
-            plane.to_px(rotate(shape.corners, float(pose[0])) + pose[1:]) - corners
-            for (corners, _), pose in zip(matched, poses, strict=True)
-        ]
-        return np.concatenate(parts).ravel()
+        placed = [rotate(shape.corners, float(pose[0])) + pose[1:] for pose in poses]
+        return (_to_px(np.concatenate(placed), x[:terms], center) - measured).ravel()
 
     solution = least_squares(
         residuals, np.concatenate(values), x_scale="jac", xtol=1e-12, ftol=1e-12
@@ -311,7 +303,7 @@ def _fit_plane(
     covariance = variance * np.linalg.pinv(solution.jac.T @ solution.jac)[:terms, :terms]
     cuts = np.cumsum([len(corners) for corners, _ in matched])[:-1]
     parts = tuple(np.split(solution.fun.reshape(-1, 2), cuts))
-    return _PlaneFit(_PlaneMap(solution.x[:terms], center), covariance, parts)
+    return _PlaneFit(solution.x[:terms], covariance, center, parts)
 
 
 def _match_corners(
