@@ -26,6 +26,11 @@ MIN_FACING = 0.5
 _MIN_INERTIA = 1e-9  # relative to the largest, of an axis about which nodes can carry a couple
 _CONTACT_LEVEL = 0.5  # of the interpolated contact indicator
 
+Pose = Float[np.ndarray, "4 4"]
+Points = Float[np.ndarray, "k 3"]
+Nodes = Float[np.ndarray, "n 3"]
+Triangles = Int[np.ndarray, "t 3"]
+
 
 @dataclass(frozen=True)
 class ContactOptions(Options):
@@ -46,8 +51,8 @@ class ContactOptions(Options):
 
 def build_press(
     contact: GelContact,
-    pose: Float[np.ndarray, "4 4"],
-    first_pose: Float[np.ndarray, "4 4"],
+    pose: Pose,
+    first_pose: Pose,
     mesh: TetMesh,
     in_contact: Bool[np.ndarray, " k"],
     *,
@@ -105,8 +110,8 @@ def build_press(
 
 
 def facing_triangles(
-    mesh: TetMesh, first_pose: Float[np.ndarray, "4 4"], contact: GelContact, reach_mm: float
-) -> Int[np.ndarray, "t 3"]:
+    mesh: TetMesh, first_pose: Pose, contact: GelContact, reach_mm: float
+) -> Triangles:
     """Return the object's surface triangles that face the gel, under it and within reach."""
     surface = mesh.surface
     facing = np.asarray(surface.normals @ first_pose[:3, 2] < -MIN_FACING)
@@ -130,12 +135,7 @@ def facing_triangles(
     return surface.triangles[facing & under & close]
 
 
-def transfer_forces(
-    points: Float[np.ndarray, "k 3"],
-    forces: Float[np.ndarray, "k 3"],
-    nodes: Float[np.ndarray, "n 3"],
-    triangles: Int[np.ndarray, "t 3"],
-) -> Float[np.ndarray, "n 3"]:
+def transfer_forces(points: Points, forces: Points, nodes: Nodes, triangles: Triangles) -> Nodes:
     """Return forces on the nodes of a surface with the same sum and moment.
 
     Each force is distributed to the corners of the nearest triangle by barycentric coordinates. The
@@ -154,8 +154,8 @@ def transfer_forces(
 
 
 def _nearest_triangles(
-    points: np.ndarray, nodes: np.ndarray, triangles: np.ndarray
-) -> tuple[Int[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    points: Points, nodes: Nodes, triangles: Triangles
+) -> tuple[Int[np.ndarray, "k 3"], Points]:
     """Corners of the triangle nearest to each point, and barycentric coordinates."""
     nearest = np.zeros((len(points), 3), dtype=np.int64)
     coordinates = np.zeros((len(points), 3))
@@ -170,9 +170,7 @@ def _nearest_triangles(
     return nearest, coordinates
 
 
-def _projections(
-    corners: Float[np.ndarray, "t 3 3"], point: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "4 t 3"]:
+def _projections(corners: Float[np.ndarray, "t 3 3"], point: np.ndarray) -> np.ndarray:
     """Barycentric coordinates of a point's projections on the plane and edges of triangles."""
     shares = np.zeros((4, len(corners), 3))
     a = corners[:, 0]
@@ -191,7 +189,7 @@ def _projections(
     return shares
 
 
-def _couple(nodes: Float[np.ndarray, "n 3"], moment: Float[np.ndarray, "3"]) -> np.ndarray:
+def _couple(nodes: Nodes, moment: Float[np.ndarray, "3"]) -> np.ndarray:
     """Smallest self-balanced forces with a given moment, about axes that the nodes can carry."""
     arms = nodes - nodes.mean(axis=0)
     inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
@@ -202,15 +200,13 @@ def _couple(nodes: Float[np.ndarray, "n 3"], moment: Float[np.ndarray, "3"]) -> 
 
 
 def interpolate_displacements(
-    points: Float[np.ndarray, "k 3"],
-    displacements: Float[np.ndarray, "k 3"],
-    nodes: Float[np.ndarray, "n 3"],
+    points: Points,
+    displacements: Points,
+    nodes: Nodes,
     normal: Float[np.ndarray, "3"],
     smoothing: float = 0.0,
-) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+) -> tuple[Nodes, Bool[np.ndarray, " n"]]:
     """Interpolate displacements by a thin-plate spline in the plane across a normal.
-
-    Rows of the displacements with NaN are ignored; a smoothing of 0 interpolates exactly.
 
     Returns:
         Displacements at the nodes, NaN outside the convex hull of the points in the plane; and

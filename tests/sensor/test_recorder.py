@@ -254,7 +254,7 @@ def test_poses_that_do_not_fit_the_images_are_told(caplog: pytest.LogCaptureFixt
 
 def test_first_touch_by_depth() -> None:
     poses = Poses(np.array([0.0, 1.0]), np.stack([sensor_pose(10.5), sensor_pose(9.5)]))
-    times, depths = np.array([0.7, 0.9]), np.array([0.1, 0.2])  # half of the way goes to the gel
+    times, depths = [0.7, 0.9], [0.1, 0.2]  # half of the way goes to the gel
     np.testing.assert_allclose(first_pose_by_depth(poses, 0.4, times, depths), FIRST, atol=1e-9)
     # Not before the last frame without contact, nor by depths that do not grow.
     assert first_pose_by_depth(poses, 0.6, times, depths)[2, 3] == pytest.approx(9.9)

@@ -74,11 +74,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 class RunFiles:
-    """Files of a command in its run folder. Files of an earlier run are removed.
+    """Files of a command in its run folder; those of an earlier run are removed.
 
-    Args:
-        stem: Start of the names of pictures and video.
-        others: Names or patterns of the command's other files.
+    Names of pictures and video start with `stem`; `others` are patterns of its other files.
     """
 
     def __init__(self, stem: str, *others: str) -> None:

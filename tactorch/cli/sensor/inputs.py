@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import tee
 from typing import TypeVar
 
 from tactorch.cli.progress import progress
@@ -39,7 +40,6 @@ class FrameSequence:
         self._sensor, self._once = sensor, once
         if self.is_camera and self.max_frames is None and not once:
             raise ConfigError(f"frames={self.source} is a camera; give max_frames too.")
-        self._stored: list[Frame] | None = None
         self.zero_unix_s: float | None = None  # time of a camera's first frame since 1970
         self._first = self._read()  # a missing source is an error at once
 
@@ -49,7 +49,8 @@ class FrameSequence:
             return self._first
         if not self.is_camera:
             return self._read()
-        return self._store() if self._stored is None else iter(self._stored)
+        self._first, frames = tee(self._first)  # keeps the frames
+        return frames
 
     @property
     def is_camera(self) -> bool:
@@ -89,13 +90,6 @@ class FrameSequence:
             yield frame
             if count == self.max_frames:
                 return
-
-    def _store(self) -> Iterator[Frame]:
-        frames = []
-        for frame in self._first:
-            frames.append(frame)
-            yield frame
-        self._stored = frames
 
 
 def load_sensor_settings(cfg: SensorSettings) -> SensorDescription:

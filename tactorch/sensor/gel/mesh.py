@@ -12,24 +12,10 @@ _MAX_CELLS = 200_000
 
 
 class GelMesh:
-    """Regular cells that become thinner toward the outer face.
+    """Regular tetrahedra that become thinner toward the outer face near z = 0.
 
-    Args:
-        gel: Gel layer.
-        edge_mm: Edge length of a cell on the outer face.
-        layers: Number of cells through the thickness.
-
-    Attributes:
-        mesh: Tetrahedra; the outer face is near z = 0, the window at z = -thickness.
-        face: Nodes of the outer face.
-        face_points: Their rest positions, (k, 3).
-        face_triangles: Triangles of the outer face, as indices into `face`.
-        face_areas: Area of each node of the face, a third of the adjacent triangles, mm^2.
-        on_face: Whether each node is on the outer face.
-        window: Nodes bonded to the rigid window.
-
-    Raises:
-        ConfigError: The cells are too large or too many.
+    `edge_mm` is the edge length of a cell on this face, `layers` the number of cells through the
+    thickness. The nodes `window` at z = -thickness are bonded to the rigid window.
     """
 
     def __init__(self, gel: GelLayer, edge_mm: Real, layers: int) -> None:
@@ -54,11 +40,11 @@ class GelMesh:
         self.mesh = TetMesh.create(np.column_stack([flat, height]), cube.tets)
         self.on_face = depth < 1e-9
         self.face, self.window = np.flatnonzero(self.on_face), np.flatnonzero(depth > 1 - 1e-9)
-        self.face_points = self.mesh.points[self.face]
+        self.face_points = self.mesh.points[self.face]  # at rest
         surface = self.mesh.surface
         outer = self.on_face[surface.triangles].all(axis=1)
         self.face_triangles = (np.cumsum(self.on_face) - 1)[surface.triangles[outer]]
-        shares = np.repeat(surface.areas[outer] / 3.0, 3)
+        shares = np.repeat(surface.areas[outer] / 3.0, 3)  # of the adjacent triangles, mm^2
         self.face_areas = np.bincount(self.face_triangles.ravel(), shares, len(self.face))
 
     def edges(self, selected: Bool[np.ndarray, " k"]) -> Int[np.ndarray, "e 2"]:

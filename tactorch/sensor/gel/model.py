@@ -29,6 +29,10 @@ _NOISE_FRACTION = 0.1  # acceptable linearization error, relative to the noise
 # or of the error in the previous iteration.
 _DISPLACEMENT_FRACTION, _ERROR_DECREASE = 0.05, 0.3
 
+FaceVectors = Float[np.ndarray, "k 3"]
+FaceMask = Bool[np.ndarray, " k"]
+NodeVectors = Float[np.ndarray, "nodes 3"]
+
 
 @dataclass(frozen=True)
 class GelOptions(Options):
@@ -69,7 +73,7 @@ class GelContact:
 class _State:
     """Equilibrium found by a search, with its tangent."""
 
-    def __init__(self, newton: Newton, start: Float[np.ndarray, "nodes 3"] | None = None) -> None:
+    def __init__(self, newton: Newton, start: NodeVectors | None = None) -> None:
         self.newton, self.equilibrium = newton, newton.run(start).require()
         self.displacement = self.equilibrium.displacement
         assert self.equilibrium.response is not None
@@ -108,9 +112,7 @@ class GelModel:
         self.body = SoftBody(self.gel_mesh.mesh, law, element=options.element, newton=newton)
         self._rest_columns: dict[int, np.ndarray] = {}  # compliance at rest by node, mm/N
 
-    def forces(
-        self, displacement: Float[np.ndarray, "k 3"], noise_mm: Real | None = None
-    ) -> GelContact:
+    def forces(self, displacement: FaceVectors, noise_mm: Real | None = None) -> GelContact:
         """Return the forces for exactly prescribed displacements of the outer face.
 
         Args:
@@ -138,9 +140,9 @@ class GelModel:
 
     def smooth_forces(
         self,
-        displacement: Float[np.ndarray, "k 3"],
+        displacement: FaceVectors,
         noise_mm: Real,
-        contact: Bool[np.ndarray, " k"] | None = None,
+        contact: FaceMask | None = None,
         *,
         free_plane: bool = False,
     ) -> GelContact:
@@ -198,20 +200,18 @@ class GelModel:
 
     @cached_property
     def _load_matrix(self) -> sp.csc_matrix:
-        """Forces on all element nodes from those on the nodes of the face, (nodes, k).
-
-        On quadratic elements a nodal force is distributed as a traction around the node: a point
-        force would have an unbounded displacement as the mesh is refined.
-        """
+        """Forces on all element nodes from those on the nodes of the face, (nodes, k)."""
+        # On quadratic elements a nodal force is distributed as a traction around the node: a point
+        # force would have an unbounded displacement as the mesh is refined.
         indicator = np.zeros(self.gel_mesh.mesh.points.shape)
         indicator[self.gel_mesh.face] = 1.0
         matrix = self.body.discretisation.consistent_load_matrix(indicator)
         return matrix.tocsc()[:, self.gel_mesh.face]
 
-    def _face_load(self, forces: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "nodes 3"]:
+    def _face_load(self, forces: FaceVectors) -> NodeVectors:
         return np.asarray(self._load_matrix @ forces)
 
-    def _gather(self, forces: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "k 3"]:
+    def _gather(self, forces: NodeVectors) -> FaceVectors:
         """Forces on the face from those on all element nodes; midside nodes go to both ends."""
         n = self.gel_mesh.mesh.n_points
         gathered = forces[:n].copy()
@@ -223,10 +223,7 @@ class GelModel:
         return gathered[self.gel_mesh.face]
 
     def _equilibrium(
-        self,
-        forces: Float[np.ndarray, "k 3"],
-        start: Float[np.ndarray, "nodes 3"] | None = None,
-        previous: _State | None = None,
+        self, forces: FaceVectors, start: NodeVectors | None = None, previous: _State | None = None
     ) -> _State:
         """Equilibrium under forces on the face; the factorization of a previous state is reused."""
         supports = self._supports(np.full(forces.shape, np.nan))
@@ -234,7 +231,7 @@ class GelModel:
         load = self._face_load(forces)
         return _State(self.body.search(self.youngs, load, supports, after=after), start)
 
-    def _rest_compliance(self, loaded: Bool[np.ndarray, " k"]) -> Float[np.ndarray, "k3 f"]:
+    def _rest_compliance(self, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Compliance at rest; columns are cached, since presses load similar nodes."""
         nodes = np.flatnonzero(loaded).tolist()
         missing = [i for i in nodes if i not in self._rest_columns]
@@ -245,9 +242,7 @@ class GelModel:
             self._rest_columns.update(zip(missing, columns, strict=True))
         return np.hstack([self._rest_columns[i] for i in nodes])
 
-    def _compliance(
-        self, state: _State, loaded: Bool[np.ndarray, " k"]
-    ) -> Float[np.ndarray, "k3 f"]:
+    def _compliance(self, state: _State, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Displacement of the face under unit forces on the loaded nodes."""
         loads = np.asfortranarray(np.kron(self._load_matrix[:, loaded].toarray(), np.eye(3)))
         solution = state.tangent.solve(loads).reshape(self.body.n_nodes, 3, -1)
@@ -256,11 +251,9 @@ class GelModel:
     def _total_force_sensitivity(
         self, state: _State, known: Bool[np.ndarray, "k 3"]
     ) -> Float[np.ndarray, "3 known"]:
-        """Derivative of the total force with respect to the prescribed displacements.
-
-        The tangent is symmetric: these are the forces on the face when all its known components
-        move along an axis.
-        """
+        """Derivative of the total force with respect to the prescribed displacements."""
+        # The tangent is symmetric: these are the forces on the face when all its known components
+        # move along an axis.
         values = self.body.assembly.tangent(state.response, self.youngs)
         pattern, extend = self.body.discretisation.pattern, self.body.discretisation.extend
         rows = []
@@ -280,7 +273,7 @@ class GelModel:
         modes[:, 2, 1:] = self.points[:, :2] / np.abs(self.points[:, :2]).max(axis=0)
         return modes.reshape(-1, 3)
 
-    def _supports(self, displacement: Float[np.ndarray, "k 3"]) -> Supports:
+    def _supports(self, displacement: FaceVectors) -> Supports:
         """Bonded window, and displacements prescribed on the face; NaN where it is free."""
         prescribed = np.full(self.gel_mesh.mesh.points.shape, np.nan)
         prescribed[self.gel_mesh.window] = 0.0
@@ -288,7 +281,7 @@ class GelModel:
         fixed = np.isfinite(prescribed)
         return Supports(fixed=fixed, prescribed=np.where(fixed, prescribed, 0.0))
 
-    def _known(self, displacement: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, "k 3"]:
+    def _known(self, displacement: FaceVectors) -> Bool[np.ndarray, "k 3"]:
         if displacement.shape != self.points.shape:
             raise ConfigError(
                 f"displacement has shape {displacement.shape}; expected {self.points.shape}, one"
@@ -300,5 +293,5 @@ class GelModel:
         return known
 
 
-def _rms(values: Float[np.ndarray, "k 3"]) -> float:
+def _rms(values: FaceVectors) -> float:
     return float(np.sqrt(np.mean(values**2)))

@@ -21,11 +21,7 @@ def traction_basis(
     """Return nodal forces of uniform tractions, and of rough tractions of unit prior variance.
 
     Each part of the contact and axis has a uniform traction. Roughness is the sum of squared
-    differences of the traction along edges.
-
-    Args:
-        edges: Pairs of neighbors among n nodes.
-        areas: Area of each node, mm^2.
+    differences of the traction along edges; `areas` of the nodes are in mm^2.
     """
     adjacency = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(areas), len(areas)))
     values, vectors = np.linalg.eigh(laplacian(adjacency + adjacency.T).toarray())
@@ -42,18 +38,11 @@ def fit_smooth_forces(
     basis: tuple[Float[np.ndarray, "f u"], Float[np.ndarray, "f r"]],
     noise_mm: float,
 ) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, "3 3"], float]:
-    """Fit smooth forces to displacements that are known up to free modes.
-
-    Args:
-        compliance: Displacements for unit forces, mm/N.
-        plane: Displacement modes that are not known, mm.
-        target: Measured displacements, mm.
-        basis: Uniform and rough tractions, see `traction_basis`.
-        noise_mm: Lower bound of the standard deviation of the displacements.
+    """Fit smooth forces, with a `traction_basis`, to displacements known up to modes `plane`.
 
     Returns:
         Nodal forces, N; covariance of their sum, N^2; estimated standard deviation of the
-        displacements, mm.
+        displacements, at least `noise_mm`.
     """
     free = np.hstack([compliance @ basis[0], plane])
     rough = compliance @ basis[1]

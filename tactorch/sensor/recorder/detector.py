@@ -64,12 +64,9 @@ class FrameSummary(NamedTuple):
 
 
 class ContactDetector:
-    """Detector of contacts. Frames that are not usable neither end a contact nor belong to one.
+    """Detector of contacts of at least `min_frames`; `report` receives a summary of each frame.
 
-    Args:
-        chain: Calibrated sensor.
-        min_frames: Shorter contacts are ignored.
-        report: Callback with the summary of each frame.
+    Frames that are not usable neither end a contact nor belong to one.
     """
 
     def __init__(
@@ -82,11 +79,7 @@ class ContactDetector:
         self._squared_sum, self._count = 0.0, 0  # of marker displacements without contact, mm^2
 
     def detect(self, frames: Iterable[Frame]) -> Iterator[ContactInterval]:
-        """Yield each contact when it ends.
-
-        Raises:
-            ConfigError: A frame has no time, or another size than the reference.
-        """
+        """Yield each contact when it ends."""
         contact = ContactInterval(None)
         for frame in frames:
             depth_mm = max_slope = float("nan")

@@ -4,12 +4,13 @@ Gel and object move together from this pose on, so its error adds to the object'
 """
 
 import logging
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.mesh import TetMesh
-from tactorch.sensor.contact import MIN_FACING
+from tactorch.sensor.contact import MIN_FACING, Pose
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.poses import Poses, transform_points
 
@@ -21,7 +22,7 @@ _MAX_GAP_MM = 0.5  # at the first frame with contact, without a warning
 
 def first_pose_by_shape(
     poses: Poses, free_s: float | None, contact_s: float, mesh: TetMesh, gel: GelLayer
-) -> Float[np.ndarray, "4 4"]:
+) -> Pose:
     """Return T_object_sensor at which the gel's face meets the object's, both at rest.
 
     `free_s` is the time of the last frame without contact, if any, `contact_s` that of the first
@@ -55,26 +56,20 @@ def first_pose_by_shape(
 
 
 def first_pose_by_depth(
-    poses: Poses,
-    free_s: float | None,
-    times_s: Float[np.ndarray, " n"],
-    depths_mm: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "4 4"]:
+    poses: Poses, free_s: float | None, times_s: Sequence[float], depths_mm: Sequence[float]
+) -> Pose:
     """Return the pose at which the depth starts, extrapolated from the first two frames."""
-    first = float(times_s[0])
+    first = times_s[0]
     earliest = first if free_s is None else free_s
     if len(times_s) < 2 or depths_mm[1] <= depths_mm[0]:
         return poses.at([0.5 * (earliest + first)])[0]
     rate = (depths_mm[1] - depths_mm[0]) / (times_s[1] - times_s[0])
-    start = first - float(depths_mm[0] / rate)
+    start = first - depths_mm[0] / rate
     return poses.at([float(np.clip(start, earliest, first))])[0]
 
 
 def axial_gap(
-    pose: Float[np.ndarray, "4 4"],
-    points: Float[np.ndarray, "p 3"],
-    normals: Float[np.ndarray, "p 3"],
-    gel: GelLayer,
+    pose: Pose, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"], gel: GelLayer
 ) -> float:
     """Return the smallest distance along the sensor's axis from gel to object, both at rest, mm.
 

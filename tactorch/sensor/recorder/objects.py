@@ -10,6 +10,7 @@ from jaxtyping import Float
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh, box_mesh, read_mesh
+from tactorch.sensor.contact import Pose
 from tactorch.sensor.poses import check_pose, transform_points
 
 _MAX_ELEMENTS = 200_000
@@ -98,9 +99,7 @@ class VirtualCube(Options):
     def _depth_mm(self) -> float:
         return self.side_mm if self.depth_mm is None else self.depth_mm
 
-    def mesh_under(
-        self, first_pose: Float[np.ndarray, "4 4"], center_mm: Float[np.ndarray, "2"]
-    ) -> TetMesh:
+    def mesh_under(self, first_pose: Pose, center_mm: Float[np.ndarray, "2"]) -> TetMesh:
         """Return the mesh in the object frame, its pressed face at the gel's highest point.
 
         Args:

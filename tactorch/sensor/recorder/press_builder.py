@@ -13,7 +13,7 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.mesh import FACE_NAMES, TetMesh, face_nodes
 from tactorch.recording import Press
 from tactorch.sensor.chain import SensorChain
-from tactorch.sensor.contact import ContactOptions, build_press
+from tactorch.sensor.contact import ContactOptions, Pose, build_press
 from tactorch.sensor.poses import Poses
 from tactorch.sensor.recorder.detector import ContactInterval
 from tactorch.sensor.recorder.first_contact import first_pose_by_depth, first_pose_by_shape
@@ -35,11 +35,7 @@ class Fixture(Options):
     spring_n_per_mm: float = option(1.0, "Stiffness of each spring", unit="N/mm", gt=0)
 
     def supports(self, mesh: TetMesh, direction: Float[np.ndarray, "3"]) -> dict[str, Any]:
-        """Return the fields of a `Press` that support the object.
-
-        Args:
-            mesh: Object at rest.
-            direction: Unit vector of the press in the object frame.
+        """Return the fields of a `Press` along `direction` that support the object.
 
         Raises:
             ConfigError: The object has no flat side opposite to the press.
@@ -93,13 +89,7 @@ class RecordOptions(Fixture, ContactOptions):
 class PressBuilder:
     """Builder of presses from the frames of contacts.
 
-    Args:
-        chain: Calibrated sensor.
-        target: Object at rest; or a virtual cube, which is placed under the first contact.
-        options: Conversion options.
-
-    Attributes:
-        mesh: Object at rest; None before the first contact of a virtual cube.
+    The `mesh` of a virtual cube is placed under the first contact, and None before.
     """
 
     def __init__(
@@ -116,14 +106,8 @@ class PressBuilder:
     ) -> Iterator[tuple[int, Press | ConfigError | ConvergenceError]]:
         """Yield the index of each selected frame with its press, or with the error.
 
-        Args:
-            contact: Contact.
-            number: Number of the contact from 1, for the names of the presses.
-            poses: T_object_sensor on the frames' clock.
-            measured_noise_mm: Noise of frames without contact, see `ContactDetector.noise_mm`.
-
-        Raises:
-            ConfigError: A frame of the contact has no pose.
+        `number` counts contacts from 1, for the names of the presses. `measured_noise_mm` is that
+        of frames without contact.
         """
         first_pose = self._first_pose(contact, poses)
         if self.mesh is None:
@@ -155,10 +139,9 @@ class PressBuilder:
                 step += 1
                 yield index, press
 
-    def _first_pose(self, contact: ContactInterval, poses: Poses) -> Float[np.ndarray, "4 4"]:
+    def _first_pose(self, contact: ContactInterval, poses: Poses) -> Pose:
         times_s, gel = contact.times_s, self.chain.sensor.gel
         if self._cube is None and self.options.first_contact == "shape":
             assert self.mesh is not None
             return first_pose_by_shape(poses, contact.free_s, times_s[0], self.mesh, gel)
-        depths_mm = np.array(contact.depths_mm)
-        return first_pose_by_depth(poses, contact.free_s, np.array(times_s), depths_mm)
+        return first_pose_by_depth(poses, contact.free_s, times_s, contact.depths_mm)

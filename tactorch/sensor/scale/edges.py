@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.optimize import nnls
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.scale.shape import KnownShape, Outline, sides, square_side
+from tactorch.sensor.scale.shape import Corners, KnownShape, Outline, sides, square_side
 
 _SEARCH_FRACTIONS = (0.07, 0.04, 0.025)  # half width of each search, over the face's size
 _END_FRACTION = 0.1  # of an edge ignored at both ends, where corners are rounded
@@ -30,19 +30,17 @@ _SHIFT_STEP_PX = 0.05
 _FINE_PX, _REACH_PX = 0.05, 30.0
 _OFFSETS_PX = np.arange(-8.0, 8.01, 0.25)  # of the final profiles, outward
 
+_Line = tuple[np.ndarray, np.ndarray, float]
+
 
 def refine_outline(
     change: Float[np.ndarray, "h w 3"],
     known: Bool[np.ndarray, "h w"],
-    rough: Float[np.ndarray, "n 2"],
+    rough: Corners,
     shape: KnownShape,
     name: str,
 ) -> Outline:
-    """Fit the edges of a rough outline to where the change of color starts outward.
-
-    Raises:
-        ConfigError: An edge is not visible, or not straight; the message names the image.
-    """
+    """Fit the edges of a rough outline to where the change of color starts outward."""
     missing = f"{name}: no {shape.name} found;"
     remedy = "Give its corners by hand, or leave it out."
     corners, size = rough, square_side(rough)
@@ -73,7 +71,7 @@ def refine_outline(
 
 def _find_line(
     change: np.ndarray, known: np.ndarray, start: np.ndarray, end: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray, float] | None:
+) -> _Line | None:
     """Fit a line to the steepest points near an approximate edge; None if there are too few.
 
     Returns:
@@ -124,9 +122,7 @@ def _mean_profile(values: Float[np.ndarray, "s o"], valid: Bool[np.ndarray, "s o
     return np.where(count > 0, mean, values.mean(axis=0))
 
 
-def _steepest(
-    profile: Float[np.ndarray, " o"], offsets: Float[np.ndarray, " o"], reach: float
-) -> tuple[float, float] | None:
+def _steepest(profile: np.ndarray, offsets: np.ndarray, reach: float) -> tuple[float, float] | None:
     """Offset of the largest slope of a profile within reach, and the slope."""
     slope = gaussian_filter1d(profile, 1.0 / _STEP_PX, order=1) / _STEP_PX
     candidates = np.where(np.abs(offsets) <= reach, slope, -np.inf)
@@ -139,9 +135,7 @@ def _steepest(
     return float(offsets[i] + np.clip(shift, -1, 1) * _STEP_PX), float(peak)
 
 
-def _fit_line(
-    positions: np.ndarray, offsets: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
+def _fit_line(positions: np.ndarray, offsets: np.ndarray, weights: np.ndarray) -> _Line:
     """Fit a line with Tukey's biweight."""
     design = np.column_stack([1 - positions, positions])
     prior = np.minimum(weights / np.median(weights), 1.0)
@@ -160,11 +154,7 @@ def _fit_line(
     return fit, variance * np.diag(np.linalg.inv(normal)), scatter
 
 
-def _intersect(
-    corners: Float[np.ndarray, "n 2"],
-    offsets: Float[np.ndarray, "n 2"],
-    variances: Float[np.ndarray, "n 2"],
-) -> tuple[Float[np.ndarray, "n 2"], float]:
+def _intersect(corners: Corners, offsets: Corners, variances: Corners) -> tuple[Corners, float]:
     """Intersections of adjacent lines with offsets from the sides, and their deviation, px."""
     following = np.roll(corners, -1, axis=0)
     normals = _normals(corners, following)
@@ -179,7 +169,7 @@ def _intersect(
     return (inverse @ right[..., None])[..., 0], float(np.sqrt(variance))
 
 
-def _normals(starts: np.ndarray, ends: np.ndarray) -> Float[np.ndarray, "n 2"]:
+def _normals(starts: np.ndarray, ends: np.ndarray) -> Corners:
     x, y = (ends - starts).T
     return np.column_stack([y, -x]) / np.hypot(x, y)[:, None]
 

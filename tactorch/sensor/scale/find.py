@@ -17,13 +17,16 @@ from scipy.optimize import minimize
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import pixel_size
 from tactorch.sensor.scale.edges import refine_outline
-from tactorch.sensor.scale.shape import KnownShape, Outline, rotate, sides
+from tactorch.sensor.scale.shape import Corners, KnownShape, Outline, rotate, sides
 
 _MIN_CHANGE = 0.1  # of the colors: 5 gray values
 _SEARCH_PX, _FIT_PX = 80, 160  # size of the downscaled images
 _SCALE_RANGE, _SCALE_STEP = 1.7, 1.04  # relative to the expected scale
 _NARROW_BLUR_PX, _WIDE_BLUR_PX = 1.2, 4.0
 _ROTATION_STEP_PX = 1.5  # of a corner
+
+Gray = Float[np.ndarray, "h w"]
+Mask = Bool[np.ndarray, "h w"]
 
 
 def find_outline(
@@ -61,12 +64,8 @@ def find_outline(
 
 
 def _search(
-    strength: Float[np.ndarray, "h w"],
-    known: Bool[np.ndarray, "h w"],
-    shape: KnownShape,
-    mm_per_px: tuple[float, float],
-    name: str,
-) -> Float[np.ndarray, "n 2"]:
+    strength: Gray, known: Mask, shape: KnownShape, mm_per_px: tuple[float, float], name: str
+) -> Corners:
     """Approximate corners: the outline with the largest jump of the change across it."""
     small, visible, factor = _downscale(strength, known, _SEARCH_PX)
     gradient = _gradient(small, visible, _NARROW_BLUR_PX)
@@ -89,7 +88,7 @@ def _search(
 
 
 def _downscale(
-    strength: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], max_px: int
+    strength: Gray, known: Mask, max_px: int
 ) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, "2"]]:
     """Downscaled image, its known pixels, and the scale factors along x and y."""
     import cv2
@@ -102,9 +101,7 @@ def _downscale(
     return small, visible, np.array([size[0] / columns, size[1] / rows])
 
 
-def _gradient(
-    strength: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], blur_px: float
-) -> np.ndarray:
+def _gradient(strength: Gray, known: Mask, blur_px: float) -> np.ndarray:
     """Gradient of the change as x + iy, with its magnitude clipped."""
     import cv2
 
@@ -131,9 +128,7 @@ def _candidates(shape: KnownShape, mm_per_px: np.ndarray, size: tuple[int, ...])
     return candidates
 
 
-def _fit_placement(
-    gradients: Sequence[np.ndarray], corners: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n 2"]:
+def _fit_placement(gradients: Sequence[np.ndarray], corners: Corners) -> Corners:
     """Translate, rotate and stretch corners to the largest jump of the change across the outline.
 
     The aspect ratio of pixels may differ from the expected one, which the search does not vary. The
@@ -143,7 +138,7 @@ def _fit_placement(
     offsets = corners - center
     radius = float(np.linalg.norm(offsets, axis=1).max())
 
-    def place(parameters: Float[np.ndarray, "5"]) -> Float[np.ndarray, "n 2"]:
+    def place(parameters: Float[np.ndarray, "5"]) -> Corners:
         rotated = rotate(offsets, float(parameters[2]))
         return rotated * np.exp(parameters[3:]) + center + parameters[:2] * radius
 
@@ -161,7 +156,7 @@ def _fit_placement(
     return place(max(results, key=lambda result: _mean_gradient(gradients[-1], place(result))))
 
 
-def _mean_gradient(gradient: np.ndarray, corners: Float[np.ndarray, "n 2"]) -> float:
+def _mean_gradient(gradient: np.ndarray, corners: Corners) -> float:
     """Mean outward gradient over the edges."""
     total = 0.0
     for start, end in sides(corners):
@@ -174,9 +169,7 @@ def _mean_gradient(gradient: np.ndarray, corners: Float[np.ndarray, "n 2"]) -> f
     return total / len(corners)
 
 
-def _scores(
-    spectrum: np.ndarray, corners: Float[np.ndarray, "n 2"], shape: tuple[int, ...]
-) -> Float[np.ndarray, "h w"]:
+def _scores(spectrum: np.ndarray, corners: Corners, shape: tuple[int, ...]) -> Gray:
     """Mean outward gradient for each position of the center; 0 if the outline leaves the image."""
     template, count = np.zeros(spectrum.shape, dtype=complex), 0
     for start, end in sides(corners):

@@ -16,12 +16,13 @@ from scipy.optimize import approx_fprime, least_squares
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.scale.shape import KnownShape, Outline, rotate, square_side
+from tactorch.sensor.scale.shape import Corners, KnownShape, Outline, rotate, square_side
 
 _POSE_UNKNOWNS = 3  # rotation and position in each image
 _MAX_RESIDUAL, _MIN_RESIDUAL_PX = 0.03, 1.5  # relative to the size, and absolute
 _MAX_DISAGREEMENT, _MAX_DEVIATIONS = 0.02, 4.0  # of an image's scale from the others'
 _DIFFERENCE_STEP = 1e-6
+_PERSPECTIVE_TERMS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +206,7 @@ def fit_warp(outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescr
         )
     if not outlines:
         raise ConfigError("no image of a known shape to find the warp with.")
-    fit = _fit_plane(outlines, shape, sensor, perspective=True)
+    fit = _fit_plane(outlines, shape, sensor, _PERSPECTIVE_TERMS)
     size = min(float(np.ptp(outline.corners_px, axis=0).max()) for outline in outlines)
     if fit.residual_px > max(_MAX_RESIDUAL * size, _MIN_RESIDUAL_PX):
         worst = int(np.argmax([np.linalg.norm(part) for part in fit.residuals_px]))
@@ -249,9 +250,7 @@ class _PlaneFit(NamedTuple):
         return float(np.sqrt((np.concatenate(self.residuals_px) ** 2).sum(axis=1).mean()))
 
 
-def _to_px(
-    positions_mm: Float[np.ndarray, "n 2"], terms: np.ndarray, center_px: Float[np.ndarray, "2"]
-) -> Float[np.ndarray, "n 2"]:
+def _to_px(positions_mm: Corners, terms: np.ndarray, center_px: np.ndarray) -> Corners:
     """Apply the inverse of the map with these terms."""
     x, y = np.exp(terms[:2])
     shear, px, py = terms[2:] if len(terms) > 2 else (0.0, 0.0, 0.0)
@@ -262,25 +261,20 @@ def _to_px(
 
 
 def _fit_plane(
-    outlines: Sequence[Outline],
-    shape: KnownShape,
-    sensor: SensorDescription,
-    *,
-    perspective: bool = False,
+    outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescription, n_terms: int = 2
 ) -> _PlaneFit:
     """Fit one plane map, and a rotation and position of the shape in each image."""
     x, y = map(float, sensor.mm_per_px)
     aspect, center = y / x, (np.array(sensor.image_size_px, dtype=float) - 1) / 2
     matched = [_match_corners(outline, shape, aspect) for outline in outlines]
-    terms = 5 if perspective else 2
-    freedom = sum(2 * len(c) for c, _ in matched) - terms - _POSE_UNKNOWNS * len(matched)
+    freedom = sum(2 * len(c) for c, _ in matched) - n_terms - _POSE_UNKNOWNS * len(matched)
     if freedom < 1:
         raise ConfigError(
-            f"a {shape.name} in {len(matched)} image is not enough: {freedom + terms} numbers for"
-            f" {terms} unknowns; give more images, with the {shape.name} turned and moved."
+            f"a {shape.name} in {len(matched)} image is not enough: {freedom + n_terms} numbers for"
+            f" {n_terms} unknowns; give more images, with the {shape.name} turned and moved."
         )
     measured = np.concatenate([corners for corners, _ in matched])
-    start = np.zeros(terms)
+    start = np.zeros(n_terms)
     size = float(np.mean([abs(factor) for _, factor in matched]))
     start[:2] = -np.log(size) + np.array([0.0, np.log(aspect)])
     values = [start]
@@ -289,9 +283,9 @@ def _fit_plane(
         values.append(np.array([np.angle(factor), *position]))
 
     def residuals(x: Float[np.ndarray, " x"]) -> Float[np.ndarray, " y"]:
-        poses = x[terms:].reshape(-1, _POSE_UNKNOWNS)
+        poses = x[n_terms:].reshape(-1, _POSE_UNKNOWNS)
         placed = [rotate(shape.corners, float(pose[0])) + pose[1:] for pose in poses]
-        return (_to_px(np.concatenate(placed), x[:terms], center) - measured).ravel()
+        return (_to_px(np.concatenate(placed), x[:n_terms], center) - measured).ravel()
 
     solution = least_squares(
         residuals, np.concatenate(values), x_scale="jac", xtol=1e-12, ftol=1e-12
@@ -300,15 +294,13 @@ def _fit_plane(
         float(solution.fun @ solution.fun) / freedom,
         float(np.mean([outline.deviation_px**2 for outline in outlines])),
     )
-    covariance = variance * np.linalg.pinv(solution.jac.T @ solution.jac)[:terms, :terms]
+    covariance = variance * np.linalg.pinv(solution.jac.T @ solution.jac)[:n_terms, :n_terms]
     cuts = np.cumsum([len(corners) for corners, _ in matched])[:-1]
     parts = tuple(np.split(solution.fun.reshape(-1, 2), cuts))
-    return _PlaneFit(solution.x[:terms], covariance, center, parts)
+    return _PlaneFit(solution.x[:n_terms], covariance, center, parts)
 
 
-def _match_corners(
-    outline: Outline, shape: KnownShape, aspect: float
-) -> tuple[Float[np.ndarray, "n 2"], complex]:
+def _match_corners(outline: Outline, shape: KnownShape, aspect: float) -> tuple[Corners, complex]:
     """Corners in the shape's order, and rotation and scale of the best similarity transform."""
     if len(outline.corners_px) != len(shape.corners_mm):
         raise ConfigError(

@@ -17,6 +17,8 @@ _MIN_SINE = 0.1  # of the exterior angle at a corner
 _MIN_SIDE_PX = 3.0
 _LABEL_DEVIATION_PX = 0.5  # standard deviation of labeled corners
 
+Corners = Float[np.ndarray, "n 2"]
+
 
 @dataclass(frozen=True)
 class KnownShape:
@@ -31,7 +33,7 @@ class KnownShape:
     corners_mm: tuple[tuple[float, float], ...]
 
     @property
-    def corners(self) -> Float[np.ndarray, "n 2"]:
+    def corners(self) -> Corners:
         """Corners, mm."""
         return np.array(self.corners_mm)
 
@@ -47,22 +49,14 @@ class KnownShape:
 
 
 def hexagon(across_flats_mm: Real) -> KnownShape:
-    """Return the face of a regular hexagon (a nut, or a prism) of some distance of opposite sides.
-
-    Raises:
-        ConfigError: The size is not positive, or not plausible.
-    """
+    """Return the face of a regular hexagon (a nut, or a prism) from the distance of its sides."""
     radius, angles = _size("across_flats_mm", across_flats_mm) / np.sqrt(3.0), np.arange(6)
     corners = radius * np.exp(1j * np.deg2rad(60.0 * angles))
     return KnownShape("hexagon", tuple((float(c.real), float(c.imag)) for c in corners))
 
 
 def cuboid(width_mm: Real, height_mm: Real) -> KnownShape:
-    """Return the face of a cuboid with these sides.
-
-    Raises:
-        ConfigError: A side is not positive, or not plausible.
-    """
+    """Return the face of a cuboid with these sides."""
     x, y = _size("width_mm", width_mm) / 2, _size("height_mm", height_mm) / 2
     return KnownShape("cuboid", ((-x, -y), (x, -y), (x, y), (-x, y)))
 
@@ -76,18 +70,18 @@ def _size(name: str, value: Real) -> float:
     raise ConfigError(f"{name}={size:g}: give mm, {limit}.{metres}")
 
 
-def sides(corners: Float[np.ndarray, "n 2"]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def sides(corners: Corners) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Start and end of each side of a polygon."""
     return zip(corners, np.roll(corners, -1, axis=0), strict=True)
 
 
-def square_side(corners: Float[np.ndarray, "n 2"]) -> float:
+def square_side(corners: Corners) -> float:
     """Side of the square with the area of a polygon."""
     x, y = corners.T
     return float(np.sqrt(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))))
 
 
-def rotate(corners: Float[np.ndarray, "n 2"], angle: float) -> Float[np.ndarray, "n 2"]:
+def rotate(corners: Corners, angle: float) -> Corners:
     """Rotate points about the origin from x toward y."""
     c, s = np.cos(angle), np.sin(angle)
     return corners @ np.array([(c, s), (-s, c)])
@@ -108,7 +102,7 @@ class Outline:
     """
 
     name: str
-    corners_px: Float[np.ndarray, "n 2"]
+    corners_px: Corners
     deviation_px: float = 0.0
     edge_px: float = 0.0
 
