@@ -20,6 +20,8 @@ from tactorch.config.values import INVALID, accepts_none, choices_of, convert, d
 from tactorch.errors import ConfigError
 
 _KEY = "option"
+#: Factor from another unit, in which a number may be given by mistake, by unit of a setting.
+_OTHER_UNITS = {"mm": {"metres": 1e3}, "MPa": {"kPa": 1e-3, "Pa": 1e-6}}
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,15 @@ class Constraint:
             and (self.le is None or number <= self.le)
             for number in _numbers(value)
         )
+
+    def unit_hint(self, value: Any) -> str:
+        """Return a question about the unit of a value out of range; empty if there is none."""
+        for unit, factor in _OTHER_UNITS.get(self.unit, {}).items():
+            converted = [factor * number for number in _numbers(value)]
+            if self.holds(converted):
+                shown = ", ".join(f"{number:g}" for number in converted)
+                return f" Is it in {unit}? Then give {shown}."
+        return ""
 
     def describe(self) -> str:
         """Return the range in words, such as "above 0, up to 1"; empty where there is none."""
@@ -160,13 +171,12 @@ class Setting:
         name = f"{prefix}.{self.name}" if prefix else self.name
         value = self._built(value, name)
         converted = convert(value, self.annotation)
-        if converted is INVALID or not self.constraint.holds(converted):
-            if self.nested is not None:
-                raise ConfigError(
-                    f"{name}={_shown(value)}: several settings; give {name}.KEY=VALUE."
-                )
-            raise ConfigError(f"{name}={_shown(value)}: give {self.expectation}.")
-        return converted
+        if converted is not INVALID and self.constraint.holds(converted):
+            return converted
+        if self.nested is not None:
+            raise ConfigError(f"{name}={_shown(value)}: several settings; give {name}.KEY=VALUE.")
+        hint = "" if converted is INVALID else self.constraint.unit_hint(converted)
+        raise ConfigError(f"{name}={_shown(value)}: give {self.expectation}.{hint}")
 
     def _built(self, value: Any, name: str) -> Any:
         from tactorch.config.registry import REGISTRIES, build

@@ -3,6 +3,7 @@
 import math
 import types
 from collections.abc import Mapping, Sequence
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -58,6 +59,7 @@ def _convert_union(value: Any, members: tuple[Any, ...]) -> Any:
 
 
 def _convert_sequence(value: Any, origin: type, arguments: tuple[Any, ...]) -> Any:
+    value = value.tolist() if hasattr(value, "tolist") else value  # of NumPy
     if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
         return INVALID
     if origin is tuple and arguments[-1] is not Ellipsis:
@@ -77,9 +79,13 @@ def _convert_mapping(value: Any, arguments: tuple[Any, ...]) -> Any:
 
 
 def _number(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, Real):
         return INVALID
-    return float(value) if math.isfinite(value) else INVALID
+    try:
+        number = float(value)
+    except OverflowError:  # an integer beyond the floats
+        return INVALID
+    return number if math.isfinite(number) else INVALID
 
 
 def _path(value: Any) -> Any:
@@ -91,7 +97,7 @@ def _path(value: Any) -> Any:
 
 _PLAIN: dict[Any, Any] = {
     bool: lambda value: value if isinstance(value, bool) else INVALID,
-    int: lambda v: v if isinstance(v, int) and not isinstance(v, bool) else INVALID,
+    int: lambda v: INVALID if isinstance(v, bool) or not isinstance(v, Integral) else int(v),
     float: _number,
     str: lambda value: value if isinstance(value, str) else INVALID,
     Path: _path,

@@ -2,6 +2,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -100,3 +101,23 @@ def test_numbers_out_of_range_never_pass(value: float) -> None:
     else:
         with pytest.raises(ConfigError):
             Prior(edge=value)
+
+
+def test_numpy_values_are_stored_as_plain_ones() -> None:
+    @dataclass(frozen=True)
+    class Sizes(Options):
+        edge_mm: float = option(help="Edge", unit="mm", ge=0.5, le=50)
+        count: int = option(1, "Count", ge=1)
+        size_mm: tuple[float, float] = option((1.0, 1.0), "Size", unit="mm", ge=0.5, le=50)
+
+    sizes = Sizes(np.float32(2.0), np.int64(3), np.array([4.0, 5.0]))
+    assert sizes == Sizes(2.0, 3, (4.0, 5.0))
+    assert (type(sizes.edge_mm), type(sizes.count)) == (float, int)
+    with pytest.raises(ConfigError, match=r"0.5 to 50. Is it in metres\? Then give 3.$"):
+        Sizes(0.003)
+    with pytest.raises(ConfigError, match=r"Is it in metres\? Then give 4, 5.$"):
+        Sizes(2.0, size_mm=(0.004, 0.005))
+    with pytest.raises(ConfigError, match=r"edge_mm=0: give a number, 0.5 to 50.$"):
+        Sizes(0)
+    with pytest.raises(ConfigError, match="edge_mm=1000"):
+        Sizes(10**400)

@@ -79,8 +79,8 @@ def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
         f"below the pressed side {'x+' if x > z else 'z+'}; at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
     )
     sure = next(fact for fact in told.facts if fact.label == "Probability")
-    assert assessment.uncertainty is not None
-    stated = assessment.uncertainty.confidence
+    assert assessment.lump is not None
+    stated = assessment.lump.confidence
     assert stated is not None
     assert sure.value == "over 99.9 %" or sure.value == f"{100 * stated.probability:.3g} %"
     assert f"at least {stated.contrast[0]:.2g} times" in sure.note

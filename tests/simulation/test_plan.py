@@ -4,7 +4,8 @@ import pytest
 from tactorch.config import build, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.mesh import FACE_NAMES
-from tactorch.simulation import PressPlan, PressSite
+from tactorch.simulation import PressPlan
+from tactorch.simulation.plan import PressSite
 
 
 def test_ramp_rises_in_equal_steps() -> None:

@@ -95,7 +95,7 @@ def _video() -> str:
     """Write a video and read it back."""
     import numpy as np
 
-    from tactorch.sensor.frames.sources import open_source
+    from tactorch.sensor.frames import open_source
     from tactorch.viz.video import video_suffix, writing_video
 
     suffix = video_suffix()

@@ -38,11 +38,10 @@ from tactorch.sensor.calibration import (
     MapQuality,
     evaluate_map,
     fit_map,
-    pool_quality,
     save_calibration,
     select_map,
-    validation_groups,
 )
+from tactorch.sensor.calibration.fit import validation_groups
 from tactorch.sensor.frames import read_reference
 
 AUTO = "auto"
@@ -55,8 +54,7 @@ def run(cfg: CalibrateSettings) -> Path:
     folder = prepare_folder()
     out = folder / "calib.npz" if cfg.out is None else cfg.out
     options, sensor = _fit_options(cfg), load_sensor_settings(cfg)
-    x, y = map(float, sensor.mm_per_px)
-    ball = Ball(cfg.ball_radius_mm, (x, y))
+    ball = Ball(cfg.ball_radius_mm, sensor.mm_per_px)
     reference = read_reference(cfg.reference, sensor, cfg.reference_frames)
     markers = marker_appearance(sensor, cfg.marker_diameter_px)
     presses, images = read_presses(cfg, sensor, ball, reference, markers)
@@ -149,4 +147,4 @@ def _cross_validate(
             pairs = zip(group, circles, strict=True)
             evaluated += [EvaluatedPress(press, circle, slope_map) for press, circle in pairs]
             report(len(parts), folds)
-    return evaluated, pool_quality(parts)
+    return evaluated, MapQuality.pool(parts)

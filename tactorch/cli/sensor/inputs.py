@@ -18,8 +18,14 @@ from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.description import SensorDescription, load_sensor
-from tactorch.sensor.frames import Frame, read_frames, read_reference
-from tactorch.sensor.frames.sources import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_video, video_length
+from tactorch.sensor.frames import (
+    IMAGE_SUFFIXES,
+    VIDEO_SUFFIXES,
+    Frame,
+    read_frames,
+    read_reference,
+    video_length,
+)
 from tactorch.sensor.gel import GelModel
 from tactorch.sensor.markers import MarkerAppearance
 
@@ -66,9 +72,7 @@ class FrameSequence:
         if self.source.is_dir():
             count = sum(p.suffix.lower() in IMAGE_SUFFIXES for p in self.source.iterdir())
         elif self.source.suffix.lower() in VIDEO_SUFFIXES:
-            capture = open_video(self.source)
-            count = video_length(capture)
-            capture.release()
+            count = video_length(self.source)
         return count if self.max_frames is None else min(count, self.max_frames)
 
     def process(self, label: str, function: Callable[[Frame], _T]) -> list[_T]:
@@ -107,8 +111,8 @@ def marker_appearance(
         return MarkerAppearance(diameter_px)
     if sensor.markers is None:
         return None
-    x, y = map(float, sensor.mm_per_px)
-    return MarkerAppearance(float(sensor.markers.diameter_mm) / (x * y) ** 0.5)
+    x, y = sensor.mm_per_px
+    return MarkerAppearance(sensor.markers.diameter_mm / (x * y) ** 0.5)
 
 
 def load_calibrated(cfg: CalibratedSettings) -> tuple[SensorDescription, Calibration]:

@@ -24,12 +24,12 @@ from tactorch.sensor.calibration import (
     SlopeMap,
     evaluate_map,
     find_circle,
-    fit_new_circle,
     image_change,
-    map_slopes,
     marker_pixels,
     read_labels,
 )
+from tactorch.sensor.calibration.fit import fit_new_circle
+from tactorch.sensor.calibration.maps import map_slopes
 from tactorch.sensor.depth import integrate_slopes
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image, read_frames

@@ -48,8 +48,7 @@ def run(cfg: TrackSettings) -> Path:
     tracker = MarkerTracker(frames.reference, appearance)
 
     def track(frame: Frame) -> tuple[Frame, Float[np.ndarray, "n 2"]]:
-        missing = np.full(tracker.reference_px.shape, np.nan)
-        return without_image(frame), missing if frame.image is None else tracker.track(frame.image)
+        return without_image(frame), tracker.track(frame.image)
 
     results = frames.process("following markers", track)
     measured, positions = [frame for frame, _ in results], np.stack([p for _, p in results])

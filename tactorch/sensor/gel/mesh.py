@@ -36,7 +36,7 @@ class GelMesh:
         depth = -cube.points[:, 2]  # 0 at the outer face, 1 at the window
         graded = depth * (0.5 + 0.5 * depth)  # the outermost cells are about half as thick
         face_height = gel.height_mm(flat)
-        height = face_height - graded * (float(gel.thickness_mm) + face_height)
+        height = face_height - graded * (gel.thickness_mm + face_height)
         self.mesh = TetMesh.create(np.column_stack([flat, height]), cube.tets)
         self.on_face = depth < 1e-9
         self.face, self.window = np.flatnonzero(self.on_face), np.flatnonzero(depth > 1 - 1e-9)

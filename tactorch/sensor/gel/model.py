@@ -105,7 +105,7 @@ class GelModel:
         self.gel, options = gel, options or GelOptions()
         self.gel_mesh = GelMesh(gel, options.edge_mm, options.layers)
         self.points = self.gel_mesh.face_points
-        self.youngs = np.full(self.gel_mesh.mesh.n_tets, float(gel.youngs_mpa))
+        self.youngs = np.full(self.gel_mesh.mesh.n_tets, gel.youngs_mpa)
         spec = gel.material_spec
         law = make_material(spec.name, spec.poisson, **spec.parameters)
         newton = NewtonOptions(rtol=_NEWTON_RTOL)

@@ -141,7 +141,7 @@ def calibrate_modulus(
             )
         else:
             contact = model.forces(load.displacement, noise)
-        observations.append(_observe(load, contact, float(model.gel.youngs_mpa)))
+        observations.append(_observe(load, contact, model.gel.youngs_mpa))
 
     def misfit(log_youngs: float) -> float:
         return sum(observation.chi2(float(np.exp(log_youngs))) for observation in observations)

@@ -79,7 +79,7 @@ def axial_gap(
     facing = np.asarray(normals @ pose[:3, 2] < -MIN_FACING)
     in_sensor = transform_points(np.linalg.inv(pose), points[facing])
     # A face farther behind than the gel is thick is another part of the object.
-    near = gel.covers(in_sensor[:, :2]) & (in_sensor[:, 2] > -float(gel.thickness_mm))
+    near = gel.covers(in_sensor[:, :2]) & (in_sensor[:, 2] > -gel.thickness_mm)
     if not near.any():
         return np.inf
     return float((in_sensor[near, 2] - gel.height_mm(in_sensor[near, :2])).min())

@@ -8,7 +8,7 @@ corners also determine the perspective warp that makes all pixels square and of 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -48,7 +48,7 @@ class PixelScale:
         """
         messages = []
         for axis, measured, deviation, described in zip(
-            "xy", self.mm_per_px, self.deviation, map(float, sensor.mm_per_px), strict=True
+            "xy", self.mm_per_px, self.deviation, sensor.mm_per_px, strict=True
         ):
             difference = measured / described - 1.0
             if abs(difference) > max(3.0 * deviation / measured, 0.005):
@@ -177,7 +177,7 @@ class Warp:
 
     def apply_to(self, sensor: SensorDescription) -> SensorDescription:
         """Return a description with this warp and its scale."""
-        corners = tuple((float(x), float(y)) for x, y in self.corners_px)
+        corners: Any = self.corners_px.tolist()
         return replace(sensor, warp_corners_px=corners, mm_per_px=(self.mm_per_px, self.mm_per_px))
 
 
@@ -264,8 +264,8 @@ def _fit_plane(
     outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescription, n_terms: int = 2
 ) -> _PlaneFit:
     """Fit one plane map, and a rotation and position of the shape in each image."""
-    x, y = map(float, sensor.mm_per_px)
-    aspect, center = y / x, (np.array(sensor.image_size_px, dtype=float) - 1) / 2
+    aspect = sensor.mm_per_px[1] / sensor.mm_per_px[0]
+    center = (np.array(sensor.image_size_px, dtype=float) - 1) / 2
     matched = [_match_corners(outline, shape, aspect) for outline in outlines]
     freedom = sum(2 * len(c) for c, _ in matched) - n_terms - _POSE_UNKNOWNS * len(matched)
     if freedom < 1:
