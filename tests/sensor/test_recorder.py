@@ -23,13 +23,13 @@ from tactorch.sensor.gel import GelContact, GelModel
 from tactorch.sensor.poses import Poses
 from tactorch.sensor.recorder import Fixture, RecordOptions, VirtualCube, record, record_streaming
 from tactorch.sensor.recorder.detector import ContactDetector
-from tactorch.sensor.recorder.first_contact import (
+from tactorch.sensor.recorder.press_builder import (
     axial_gap,
     first_pose_by_depth,
     first_pose_by_shape,
+    opposite_nodes,
     sample_surface,
 )
-from tactorch.sensor.recorder.press_builder import opposite_nodes
 
 from .gel_on_cube import FIRST, GEL, Pair, pressed, sensor_pose
 

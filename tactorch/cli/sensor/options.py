@@ -79,7 +79,7 @@ class CalibrateSettings(FitOptions, BallSettings, MarkerSettings):
         "Map from colour to slope (mlp, mlp_colour, lookup); auto: least error on held-out presses",
     )
     held_out: int | None = option(
-        None, "Presses that are never fitted to, for the report; null: a quarter", ge=1
+        None, "Presses that are never fitted to, for the report; null: a quarter", ge=0
     )
     folds: int | None = option(
         None, "Cross-validation instead: each press is left out once, in so many groups", ge=2

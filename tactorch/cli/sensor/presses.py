@@ -39,7 +39,6 @@ from tactorch.viz.sensor_calibration import plot_ball_presses
 
 _REPORT, _TEXT, _CIRCLES, _PICTURE = "quality.json", "quality.txt", "circles.csv", "held_out.png"
 
-
 Images = Mapping[str, Image]  # rectified, by name of the press
 
 
@@ -134,14 +133,17 @@ def write_report(
     """
     single = {p.name: evaluate_map(slope_map, [p], [c], ball) for p, c, slope_map in evaluated}
     radii = {p.name: c.radius_px * ball.mm_per_px[0] for p, c, _ in evaluated}
-    table = _quality_table(quality, single, radii)
-    text = "\n".join(
-        [
-            title,
-            table.text(),
-            f"Slopes are compared at {quality.pixels} pixels within 0.9 of the contacts' radii;"
-            " centers and radii were fitted to these presses. Depth is compared up to a constant.",
-        ]
+    head = ("", "R^2 x", "R^2 y", "MAE x", "MAE y", "depth rms, mm", "contact radius, mm")
+    lines = []
+    for name, q in [*single.items(), ("all together", quality)]:
+        radius = f"{radii[name]:.2f}" if name in radii else ""
+        numbers = [f"{v:.3f}" for v in (*q.r2, *q.mae)]
+        lines.append((name, *numbers, f"{q.depth_rms_mm:.4f}", radius))
+    table = Table(head, lines)
+    text = (
+        f"{title}\n{table.text()}\nSlopes are compared at {quality.pixels} pixels within 0.9 of the"
+        " contacts' radii; centers and radii were fitted to these presses. Depth is compared up to"
+        " a constant."
     )
     presses = {n: {**asdict(q), "contact_radius_mm": radii[n]} for n, q in single.items()}
     figures = {"quality": asdict(quality), "presses": presses}
@@ -159,18 +161,6 @@ def write_report(
     plot_ball_presses(plotted, ball, title, folder / _PICTURE)
     log_text(text, table)
     log.info("pictures of them: %s", folder / _PICTURE)
-
-
-def _quality_table(
-    quality: MapQuality, single: Mapping[str, MapQuality], radii_mm: Mapping[str, float]
-) -> Table:
-    head = ("", "R^2 x", "R^2 y", "MAE x", "MAE y", "depth rms, mm", "contact radius, mm")
-    rows = []
-    for name, q in [*single.items(), ("all together", quality)]:
-        numbers = [f"{v:.3f}" for v in (*q.r2, *q.mae)]
-        radius = f"{radii_mm[name]:.2f}" if name in radii_mm else ""
-        rows.append((name, *numbers, f"{q.depth_rms_mm:.4f}", radius))
-    return Table(head, rows)
 
 
 def _plotted(evaluated: EvaluatedPress, image: Image, ball: Ball) -> PlottedPress:

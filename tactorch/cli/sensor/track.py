@@ -59,8 +59,8 @@ def run(cfg: TrackSettings) -> Path:
     _write(files, tracker.reference_px, measured, positions, displacements, valid)
     values, lines = _summarize(displacements, valid)
     if cfg.backward:
-        values["backward"] = _track_back(frames, positions, appearance)
-        lines.append(_describe_backward(values["backward"]))
+        values["backward"], line = _track_back(frames, positions, appearance)
+        lines.append(line)
     files.write_frame_summary(measured, values, *lines)
     size = np.where(valid, np.linalg.norm(displacements, axis=2), np.nan)
     limit_mm = colour_limit(size, _MIN_LIMIT_MM)
@@ -135,11 +135,12 @@ def _summarize(
 
 def _track_back(
     frames: FrameSequence, positions: Positions, appearance: MarkerAppearance
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], str]:
     """Track the markers of the last frame back to the first, and compare with their start."""
+    none_found = "Tracked back, no marker is found in the first frame."
     readable = [(k, frame.image) for k, frame in enumerate(frames) if frame.image is not None]
     if len(readable) < 2:
-        return {"markers": 0}
+        return {"markers": 0}, none_found
     numbers, images = [k for k, _ in readable], [image for _, image in readable]
     tracker = MarkerTracker(images[-1], appearance)
     ends = tracker.reference_px
@@ -153,19 +154,12 @@ def _track_back(
     matched = valid & (distance < _MATCH_PX)
     errors = np.linalg.norm(ends[match[matched]] - first[matched], axis=1)
     errors = errors[np.isfinite(errors)]
-    return {
-        "markers": len(errors),
-        "seen_at_both_ends": int(valid.sum()),
-        "median_px": float(np.median(errors)) if len(errors) else None,
-        "largest_px": float(errors.max()) if len(errors) else None,
-        "under_half_px": float((errors < 0.5).mean()) if len(errors) else None,
-    }
-
-
-def _describe_backward(values: dict[str, Any]) -> str:
-    if not values["markers"]:
-        return "Tracked back, no marker is found in the first frame."
-    return (
+    values: dict[str, Any] = {"markers": len(errors), "seen_at_both_ends": int(valid.sum())}
+    if not len(errors):
+        return values | dict.fromkeys(("median_px", "largest_px", "under_half_px")), none_found
+    values["median_px"], values["largest_px"] = float(np.median(errors)), float(errors.max())
+    values["under_half_px"] = float((errors < 0.5).mean())
+    return values, (
         f"Tracked back from the last frame, {values['markers']} of the"
         f" {values['seen_at_both_ends']} markers seen at both ends are found in the first:"
         f" {values['median_px']:.2f} px from their start in the median,"

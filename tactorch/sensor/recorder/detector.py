@@ -28,13 +28,6 @@ class ContactInterval:
     depths_mm: list[float] = field(default_factory=list)
     measurements: list[Measurement] = field(default_factory=list)
 
-    def add(self, measurement: Measurement, time_s: float, depth_mm: float) -> None:
-        """Append a frame; its image and height map are dropped to save memory."""
-        self.times_s.append(time_s)
-        self.depths_mm.append(depth_mm)
-        frame = replace(measurement.frame, image=None)
-        self.measurements.append(replace(measurement, frame=frame, height=None))
-
     def select_frames(self, steps: int) -> list[int]:
         """Return up to `steps` frames before the deepest, evenly spaced in depth."""
         loading = np.array(self.depths_mm[: int(np.argmax(self.depths_mm)) + 1])
@@ -101,7 +94,10 @@ class ContactDetector:
             if measurement is None:
                 continue
             if measurement.displacement is not None:
-                contact.add(measurement, time_s, depth_mm)
+                contact.times_s.append(time_s)
+                contact.depths_mm.append(depth_mm)
+                stored = replace(frame, image=None)  # images and height maps fill the memory
+                contact.measurements.append(replace(measurement, frame=stored, height=None))
                 continue
             self._add_noise(measurement)
             if len(contact.measurements) >= self.min_frames:

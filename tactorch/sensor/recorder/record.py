@@ -150,8 +150,7 @@ def record_streaming(
         frames: Frames as they are captured, with times.
         chain: Calibrated sensor.
         read_poses: Function that returns T_object_sensor on the same clock, as far as known.
-        target: Object at rest in the object frame, mm; or a virtual cube, which is placed under
-            the first contact.
+        target: Object at rest in the object frame, mm; or a virtual cube.
         material: Material of the object, without Young's modulus.
         options: Conversion options.
         provenance: Additional facts to store.
@@ -165,10 +164,10 @@ def record_streaming(
         FileError: A camera stops giving images.
     """
     options = options or RecordOptions()
-    detector = ContactDetector(chain, options.min_frames)
+    detector = ContactDetector(chain, options.min_frames, _log_fault)
     builder = PressBuilder(chain, target, options)
     facts = {"sensor": chain.sensor.name, "versions": versions(), **(provenance or {})}
-    for number, contact in enumerate(detector.detect(_log_faults(frames)), start=1):
+    for number, contact in enumerate(detector.detect(frames), start=1):
         try:
             poses = _wait_for_poses(contact, read_poses, poses_timeout_s)
             results = [r for _, r in builder.build(contact, number, poses, detector.noise_mm)]
@@ -181,11 +180,9 @@ def record_streaming(
             yield Recording(builder.mesh, presses, material, provenance=facts, check_units=False)
 
 
-def _log_faults(frames: Iterable[Frame]) -> Iterator[Frame]:
-    for frame in frames:
-        if frame.fault:
-            _log.warning("%s: %s", frame.name, frame.fault)
-        yield frame
+def _log_fault(summary: FrameSummary) -> None:
+    if summary.fault:
+        _log.warning("%s: %s", summary.name, summary.fault)
 
 
 def _wait_for_poses(

@@ -59,32 +59,25 @@ def find_outline(
     strength = np.linalg.norm(change, axis=-1)
     if float(np.percentile(strength[visible], 99)) < _MIN_CHANGE:
         raise ConfigError(f"{name}: no {shape.name} found; nothing changed against the reference.")
-    rough = _search(strength, visible, shape, mm_per_px, name)
-    return refine_outline(change, visible, rough, shape, name)
-
-
-def _search(
-    strength: Gray, known: Mask, shape: KnownShape, mm_per_px: tuple[float, float], name: str
-) -> Corners:
-    """Approximate corners: the outline with the largest jump of the change across it."""
-    small, visible, factor = _downscale(strength, known, _SEARCH_PX)
-    gradient = _gradient(small, visible, _NARROW_BLUR_PX)
+    small, mask, factor = _downscale(strength, visible, _SEARCH_PX)
+    gradient = _gradient(small, mask, _NARROW_BLUR_PX)
     spectrum = fft.fft2(gradient, tuple(fft.next_fast_len(n) for n in gradient.shape))
-    best, corners = 0.0, None
+    best, corners = 0.0, None  # those with the largest jump of the change across the outline
     for candidate in _candidates(shape, np.array(mm_per_px) / factor, small.shape):
         score = _scores(spectrum, candidate, gradient.shape)
-        center = np.unravel_index(int(score.argmax()), score.shape)
-        if score[center] > best:
-            best, corners = float(score[center]), candidate + np.array(center[::-1], float)
+        row, column = np.unravel_index(int(score.argmax()), score.shape)
+        if score[row, column] > best:
+            best, corners = float(score[row, column]), candidate + np.array([column, row])
     if corners is None:
         raise ConfigError(
             f"{name}: no {shape.name} found; none of its size fits into the image. Check its size"
             " in mm and mm_per_px."
         )
-    full_size = (corners + 0.5) / factor - 0.5
-    small, visible, factor = _downscale(strength, known, _FIT_PX)
-    gradients = [_gradient(small, visible, blur) for blur in (_WIDE_BLUR_PX, _NARROW_BLUR_PX)]
-    return (_fit_placement(gradients, (full_size + 0.5) * factor - 0.5) + 0.5) / factor - 0.5
+    positions = (corners + 0.5) / factor  # relative to the corner of the first pixel
+    small, mask, factor = _downscale(strength, visible, _FIT_PX)
+    gradients = [_gradient(small, mask, blur) for blur in (_WIDE_BLUR_PX, _NARROW_BLUR_PX)]
+    rough = (_fit_placement(gradients, positions * factor - 0.5) + 0.5) / factor - 0.5
+    return refine_outline(change, visible, rough, shape, name)
 
 
 def _downscale(

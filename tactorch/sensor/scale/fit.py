@@ -134,9 +134,8 @@ def _require_agreement(outlines: Sequence[Outline], fits: Sequence["_PlaneFit"])
     logs = np.array([fit.terms[:2] for fit in fits])
     median = np.median(logs, axis=0)
     deviations = np.array([np.sqrt(np.diag(fit.covariance)) for fit in fits])
-    limits = np.maximum(
-        _MAX_DISAGREEMENT, _MAX_DEVIATIONS * np.minimum(deviations, _MAX_DISAGREEMENT)
-    )
+    uncertainty = _MAX_DEVIATIONS * np.minimum(deviations, _MAX_DISAGREEMENT)
+    limits = np.maximum(_MAX_DISAGREEMENT, uncertainty)
     excess = np.abs(logs - median) / limits
     worst = int(excess.max(axis=1).argmax())
     if excess[worst].max() > 1.0:
@@ -153,10 +152,12 @@ def _edge_deviation(outlines: Sequence[Outline], shape: KnownShape) -> float:
     along = np.roll(shape.corners, -1, axis=0) - shape.corners
     cross = shape.corners[:, 0] * along[:, 1] - shape.corners[:, 1] * along[:, 0]
     inner_radius = float((np.abs(cross) / np.linalg.norm(along, axis=1)).mean())
-    relative_radius = inner_radius / square_side(shape.corners)
-    return float(
-        np.mean([o.edge_px / (square_side(o.corners_px) * relative_radius) for o in outlines])
+    radii_px = (
+        inner_radius
+        / square_side(shape.corners)
+        * np.array([square_side(outline.corners_px) for outline in outlines])
     )
+    return float(np.mean([outline.edge_px for outline in outlines] / radii_px))
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,13 +288,10 @@ def _fit_plane(
         placed = [rotate(shape.corners, float(pose[0])) + pose[1:] for pose in poses]
         return (_to_px(np.concatenate(placed), x[:n_terms], center) - measured).ravel()
 
-    solution = least_squares(
-        residuals, np.concatenate(values), x_scale="jac", xtol=1e-12, ftol=1e-12
-    )
-    variance = max(
-        float(solution.fun @ solution.fun) / freedom,
-        float(np.mean([outline.deviation_px**2 for outline in outlines])),
-    )
+    begin = np.concatenate(values)
+    solution = least_squares(residuals, begin, x_scale="jac", xtol=1e-12, ftol=1e-12)
+    stated = float(np.mean([outline.deviation_px**2 for outline in outlines]))
+    variance = max(float(solution.fun @ solution.fun) / freedom, stated)
     covariance = variance * np.linalg.pinv(solution.jac.T @ solution.jac)[:n_terms, :n_terms]
     cuts = np.cumsum([len(corners) for corners, _ in matched])[:-1]
     parts = tuple(np.split(solution.fun.reshape(-1, 2), cuts))
@@ -302,10 +300,10 @@ def _fit_plane(
 
 def _match_corners(outline: Outline, shape: KnownShape, aspect: float) -> tuple[Corners, complex]:
     """Corners in the shape's order, and rotation and scale of the best similarity transform."""
-    if len(outline.corners_px) != len(shape.corners_mm):
+    given, expected = len(outline.corners_px), len(shape.corners)
+    if given != expected:
         raise ConfigError(
-            f"{outline.name}: {len(outline.corners_px)} corners, but a {shape.name} has"
-            f" {len(shape.corners_mm)}; give each once."
+            f"{outline.name}: {given} corners, but a {shape.name} has {expected}; give each once."
         )
     reference = shape.corners @ (1, 1j)
     best, match = np.inf, None

@@ -20,22 +20,17 @@ _LABEL_DEVIATION_PX = 0.5  # standard deviation of labeled corners
 Corners = Float[np.ndarray, "n 2"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KnownShape:
     """Flat face of an object: a convex polygon of known size.
 
     Attributes:
         name: Name of the shape, for messages.
-        corners_mm: Corners about the center, ordered from x toward y as in the image.
+        corners: Corners about the center, mm, ordered from x toward y as in the image.
     """
 
     name: str
-    corners_mm: tuple[tuple[float, float], ...]
-
-    @property
-    def corners(self) -> Corners:
-        """Corners, mm."""
-        return np.array(self.corners_mm)
+    corners: Corners
 
     @property
     def symmetry_rad(self) -> float:
@@ -51,14 +46,14 @@ class KnownShape:
 def hexagon(across_flats_mm: Real) -> KnownShape:
     """Return the face of a regular hexagon (a nut, or a prism) from the distance of its sides."""
     radius, angles = _size("across_flats_mm", across_flats_mm) / np.sqrt(3.0), np.arange(6)
-    corners = radius * np.exp(1j * np.deg2rad(60.0 * angles))
-    return KnownShape("hexagon", tuple((float(c.real), float(c.imag)) for c in corners))
+    unit = np.exp(1j * np.deg2rad(60.0 * angles))
+    return KnownShape("hexagon", radius * np.column_stack([unit.real, unit.imag]))
 
 
 def cuboid(width_mm: Real, height_mm: Real) -> KnownShape:
     """Return the face of a cuboid with these sides."""
-    x, y = _size("width_mm", width_mm) / 2, _size("height_mm", height_mm) / 2
-    return KnownShape("cuboid", ((-x, -y), (x, -y), (x, y), (-x, y)))
+    half = np.array([_size("width_mm", width_mm), _size("height_mm", height_mm)]) / 2
+    return KnownShape("cuboid", half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]))
 
 
 def _size(name: str, value: Real) -> float:
