@@ -1,4 +1,4 @@
-"""Types of settings: the test for a value, its conversion, and the words for it in messages."""
+"""Types of settings: conversion of values, and descriptions for messages."""
 
 import math
 import types
@@ -7,25 +7,18 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
-#: Stands for a value that is not of the type.
+#: Result of `convert` for a value of another type.
 INVALID = object()
 _COUNTS = {2: "two", 3: "three", 4: "four"}
 _LETTERS = "XYZW"
 
 
 def convert(value: Any, annotation: Any) -> Any:
-    """Convert a value to the type of a setting.
+    """Return a value converted to the type of a setting, or `INVALID`.
 
     Whole numbers are accepted as numbers, lists as tuples, and text as a path; booleans are not
-    numbers, and numbers are finite.
-
-    Args:
-        value: Value from Python, YAML or the command line.
-        annotation: Type of the setting, as `typing.get_type_hints` returns it. Types that are
-            neither plain nor a container of plain ones are checked by `isinstance`.
-
-    Returns:
-        The converted value, or `INVALID`.
+    numbers, and numbers are finite. Types that are neither plain nor a container of plain ones are
+    checked by `isinstance`.
     """
     origin, arguments = get_origin(annotation), get_args(annotation)
     if annotation is Any:
@@ -89,7 +82,7 @@ def _number(value: Any) -> Any:
 
 
 def _path(value: Any) -> Any:
-    """A file may be called 7."""
+    # Numbers are valid names of files.
     if isinstance(value, bool) or not isinstance(value, str | int | float | Path) or value == "":
         return INVALID
     return value if isinstance(value, Path) else Path(str(value))
@@ -134,11 +127,6 @@ def describe(annotation: Any) -> str:
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return f"a table of {_plural(arguments[1])}: {{NAME: VALUE}}"
     return getattr(annotation, "__name__", str(annotation))
-
-
-def accepts_none(annotation: Any) -> bool:
-    """Whether null is a value of the type."""
-    return convert(None, annotation) is None
 
 
 def choices_of(annotation: Any) -> tuple[Any, ...]:

@@ -1,7 +1,6 @@
 """Texts of the page: finding, warnings, limitations and tables."""
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -17,7 +16,6 @@ from tactorch.report.assessment import Assessment, noise_model
 from tactorch.report.runs import Run
 from tactorch.text import one_line
 
-_WARNING = "DO NOT TRUST THIS MAP"
 _MAX_FACTOR = 2.0  # an interval of a larger factor is reported as a limitation
 _MIN_VOLUME = 0.02  # fraction of the volume from which it is reported
 _MAX_FIT = 1.5  # standard deviations; a larger residual is reported
@@ -106,17 +104,10 @@ def describe_run(run: Run, assessment: Assessment) -> RunReport:
         headline=headline(inclusion),
         description=description,
         facts=[*facts, Fact("Fit", f"{fit:.2g} SD", note)],
-        warnings=_warnings(run.text),
+        warnings=[str(warning) for warning in run.summary.get("warnings", ())],
         limitations=_limitations(run, assessment, fit),
         omitted=_omitted(run, assessment),
     )
-
-
-def _warnings(summary: str) -> list[str]:
-    """Return the warnings in the text summary of a run, without their common beginning."""
-    lines = [line for line in summary.splitlines() if line.startswith(_WARNING)]
-    reasons = [re.sub(rf"^{_WARNING}:?\s*", "", line) for line in lines]
-    return [reason[:1].upper() + reason[1:] for reason in reasons]
 
 
 def _omitted(run: Run, assessment: Assessment) -> str:

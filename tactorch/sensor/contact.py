@@ -40,7 +40,7 @@ class ContactOptions(Options):
         3.0, "Distance of the object's face from the gel at first contact, up to which it may be"
         " touched", unit="mm", gt=0,
     )  # fmt: skip
-    untouched: Literal["auto", "unseen", "sensor"] = option(
+    untouched: Literal["unseen", "sensor", "auto"] = option(
         "auto",
         "Nodes under the gel without contact: unseen (not observed), sensor (displaced with the"
         " sensor, as the paper does in a virtual cube, whose empty parts then become soft), or auto"

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from jaxtyping import Bool, Float
 
-from tactorch.config import Options, build, option, to_mapping
+from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.files import atomic_path, require_file
 from tactorch.recording import MaterialSpec
@@ -331,7 +331,7 @@ def load_sensor(name: str | Path) -> SensorDescription:
     if not isinstance(content, dict):
         raise FileError(f"{what} has no fields; see the shipped ones.")
     try:
-        return build(SensorDescription, {k: _plain_numbers(k, v) for k, v in content.items()})
+        return SensorDescription.from_mapping({k: _plain_numbers(k, v) for k, v in content.items()})
     except ConfigError as error:
         raise ConfigError(f"{what}: {error}") from error
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactorch.config import Options, Registry, build, option, settings_of, to_mapping
+from tactorch.config import Options, Registry, option, settings_of, to_mapping
 from tactorch.errors import ConfigError
 
 
@@ -62,22 +62,22 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_wrong_values_are_refused_by_name(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        build(Whole, {"recording": "a.h5", **values})
+        Whole.from_mapping({"recording": "a.h5", **values})
 
 
 def test_a_missing_setting_is_named() -> None:
     with pytest.raises(ConfigError, match=r"'recording' is missing; give .*\(a path"):
-        build(Whole, {})
+        Whole.from_mapping({})
 
 
 def test_values_are_converted_and_come_back() -> None:
-    built = build(Whole, {"recording": 7, "center": [1, 2, 3], "prior": {"name": "plain"}})
+    built = Whole.from_mapping({"recording": 7, "center": [1, 2, 3], "prior": {"name": "plain"}})
     assert built.recording == Path("7")
     assert built.center == (1.0, 2.0, 3.0)
     assert built.prior == Prior()
     again = to_mapping(built)
     assert again["prior"]["edge"] == 0.03
-    assert build(Whole, {**again, "prior": {**again["prior"], "name": "plain"}}) == built
+    assert Whole.from_mapping({**again, "prior": {**again["prior"], "name": "plain"}}) == built
 
 
 def test_python_and_tables_share_the_checks() -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactorch.cli.progress import progress
+from tactorch.cli.console import log, progress
 from tactorch.cli.sensor.inputs import load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import CalibrateSettings
 from tactorch.cli.sensor.presses import (
@@ -26,7 +26,6 @@ from tactorch.cli.sensor.presses import (
     read_presses,
     write_report,
 )
-from tactorch.cli.settings import log
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import (

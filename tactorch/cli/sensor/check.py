@@ -7,6 +7,7 @@ The run folder gets quality.json and .txt, circles.csv and held_out.png. Presses
 calibration was fitted to are named: their figures are no test of the calibration.
 """
 
+from tactorch.cli.console import log
 from tactorch.cli.sensor.inputs import load_calibrated
 from tactorch.cli.sensor.options import CheckSettings
 from tactorch.cli.sensor.presses import (
@@ -16,7 +17,6 @@ from tactorch.cli.sensor.presses import (
     read_presses,
     write_report,
 )
-from tactorch.cli.settings import log
 from tactorch.sensor.calibration import Ball, MapQuality, evaluate_map
 from tactorch.sensor.frames import read_reference
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from tactorch.cli.console import log
 from tactorch.cli.sensor.frames import RunFiles, caption, frame_times, without_image, write_table
 from tactorch.cli.sensor.inputs import FrameSequence, build_chain
 from tactorch.cli.sensor.options import ForceSettings
-from tactorch.cli.settings import log
 from tactorch.errors import ConvergenceError
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.frames import Frame

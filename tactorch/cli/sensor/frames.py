@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from tactorch.cli.console import log, progress
 from tactorch.cli.outputs import write_json
-from tactorch.cli.progress import progress
 from tactorch.cli.sensor.inputs import FrameSequence
 from tactorch.cli.sensor.options import PictureSettings
-from tactorch.cli.settings import log, run_folder
+from tactorch.cli.settings import run_folder
 from tactorch.files import atomic_path, write_arrays
 from tactorch.sensor.frames import Frame
 from tactorch.text import one_line

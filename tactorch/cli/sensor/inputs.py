@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import tee
 from typing import TypeVar
 
-from tactorch.cli.progress import progress
+from tactorch.cli.console import log, progress
 from tactorch.cli.sensor.options import (
     CalibratedSettings,
     ForceSettings,
@@ -13,7 +13,6 @@ from tactorch.cli.sensor.options import (
     SensorSettings,
     SequenceSettings,
 )
-from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import SensorChain

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tactorch.cli.options import CommandOptions
+from tactorch.cli.settings import CommandOptions
 from tactorch.config import Options, option
 from tactorch.fem import MATERIALS  # noqa: F401  (registry of a section)
 from tactorch.sensor.calibration import FitOptions

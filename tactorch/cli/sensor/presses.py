@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tactorch.cli.logs import log_text
+from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.frames import write_table, write_text
 from tactorch.cli.sensor.options import BallSettings
-from tactorch.cli.settings import log, run_folder
-from tactorch.cli.tables import Table
+from tactorch.cli.settings import run_folder
 from tactorch.errors import FileError
 from tactorch.sensor.calibration import (
     Ball,
@@ -140,15 +139,14 @@ def write_report(
         numbers = [f"{v:.3f}" for v in (*q.r2, *q.mae)]
         lines.append((name, *numbers, f"{q.depth_rms_mm:.4f}", radius))
     table = Table(head, lines)
-    text = (
-        f"{title}\n{table.text()}\nSlopes are compared at {quality.pixels} pixels within 0.9 of the"
-        " contacts' radii; centers and radii were fitted to these presses. Depth is compared up to"
-        " a constant."
+    note = (
+        f"Slopes are compared at {quality.pixels} pixels within 0.9 of the contacts' radii;"
+        " centers and radii were fitted to these presses. Depth is compared up to a constant."
     )
     presses = {n: {**asdict(q), "contact_radius_mm": radii[n]} for n, q in single.items()}
     figures = {"quality": asdict(quality), "presses": presses}
     write_json(folder / _REPORT, {"judged": title, **figures, **facts})
-    write_text(folder / _TEXT, text)
+    write_text(folder / _TEXT, f"{title}\n{table.text()}\n{note}")
     # This table can be used as `labels`.
     circles = {p.name: c for p, c, _ in evaluated} | dict(circles)
     header = ("image", "center_x_px", "center_y_px", "radius_px")
@@ -159,7 +157,7 @@ def write_report(
     write_table(folder / _CIRCLES, header, rows)
     plotted = [_plotted(one, images[one.press.name], ball) for one in evaluated]
     plot_ball_presses(plotted, ball, title, folder / _PICTURE)
-    log_text(text, table)
+    log_text(title, table, note)
     log.info("pictures of them: %s", folder / _PICTURE)
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from tactorch.cli.console import log
 from tactorch.cli.sensor.frames import RunFiles, caption, without_image, write_table
 from tactorch.cli.sensor.inputs import FrameSequence, load_calibrated
 from tactorch.cli.sensor.options import ReconstructSettings
-from tactorch.cli.settings import log
 from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame

@@ -16,11 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from tactorch.cli.progress import progress
+from tactorch.cli.console import log, progress
 from tactorch.cli.sensor.frames import RunFiles, caption, frame_times, without_image, write_table
 from tactorch.cli.sensor.inputs import FrameSequence, load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import TrackSettings
-from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, marker_displacements
