@@ -260,7 +260,7 @@ REFUSED = [
         ("labels.csv', line 2", "radius_px is missing"), FileError),
     Bad("contact of negative radius", "read_labels",
         lambda d: read_labels(written(d, "labels.csv", LABELS + "a.png,30,20,-9\n")),
-        ("labels.csv', line 2", "radius -9", "at least 2 px"), FileError),
+        ("labels.csv', line 2", "radius_px=-9.0", "at least 2"), FileError),
     Bad("two contacts of one image", "read_labels",
         lambda d: read_labels(written(d, "labels.csv", LABELS + "a.png,3,2,9\na.png,3,2,8\n")),
         ("labels.csv', line 3", "a.png has a contact already", "give one"), FileError),
