@@ -57,7 +57,7 @@ class TrainerOptions(Options):
             raise ConfigError("trainer=gpu needs a CUDA device, and torch sees none here.")
 
 
-def save_atomically(content: dict[str, Any], path: Path) -> None:
+def save_atomically(content: dict[str, Any], path: str | Path) -> None:
     """Write content for `torch.load`; `torch.save` to a full disk would abort the process."""
     memory = io.BytesIO()
     torch.save(content, memory)
