@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tactorch.cli.console import Table, log, log_text
-from tactorch.cli.outputs import write_json
-from tactorch.cli.sensor.frames import write_table, write_text
+from tactorch.cli.outputs import write_json, write_text
+from tactorch.cli.sensor.frames import write_table
 from tactorch.cli.sensor.options import BallSettings
 from tactorch.cli.settings import run_folder
 from tactorch.errors import FileError
