@@ -75,7 +75,7 @@ class ContactDetector:
         """Yield each contact when it ends."""
         contact = ContactInterval(None)
         for frame in frames:
-            depth_mm = slope = float("nan")
+            depth = slope = float("nan")
             measurement = None
             if frame.image is not None and frame.usable:
                 if frame.time_s is None:
@@ -85,16 +85,14 @@ class ContactDetector:
                     )
                 time_s, measurement = frame.time_s, self.chain.measure_deformation(frame)
                 if measurement.height is not None:
-                    depth_mm, slope = measurement.height.depth_mm, measurement.height.max_slope
-            summary = FrameSummary(
-                frame.index, frame.name, frame.time_s, depth_mm, slope, frame.fault
-            )
+                    depth, slope = measurement.height.depth_mm, measurement.height.max_slope
+            summary = FrameSummary(frame.index, frame.name, frame.time_s, depth, slope, frame.fault)
             self.report(summary)
             if measurement is None:
                 continue
             if measurement.displacement is not None:
                 contact.times_s.append(time_s)
-                contact.depths_mm.append(depth_mm)
+                contact.depths_mm.append(depth)
                 stored = replace(frame, image=None)  # images and height maps fill the memory
                 contact.measurements.append(replace(measurement, frame=stored, height=None))
                 continue
