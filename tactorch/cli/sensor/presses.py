@@ -155,7 +155,7 @@ def write_report(
         for name, circle in circles.items()
     ]
     write_table(folder / _CIRCLES, header, rows)
-    plotted = [_plotted(one, images[one.press.name], ball) for one in evaluated]
+    plotted = [_plotted(item, images[item.press.name], ball) for item in evaluated]
     plot_ball_presses(plotted, ball, title, folder / _PICTURE)
     log_text(title, table, note)
     log.info("pictures of them: %s", folder / _PICTURE)
