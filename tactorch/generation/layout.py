@@ -39,8 +39,7 @@ from tactorch.generation.sample import Sample
 from tactorch.hdf5 import Hdf5Reader, hdf5_image, write_array, write_attribute, write_hdf5
 from tactorch.mesh import TetMesh
 from tactorch.recording import Recording
-from tactorch.recording.reader import RecordingReader
-from tactorch.recording.storage import write_recording
+from tactorch.recording.storage import RecordingReader, write_recording
 
 if TYPE_CHECKING:
     import h5py
