@@ -295,11 +295,15 @@ class SensorDescription(Options):
 def check_pixel_size(mm_per_px: tuple[float, float]) -> None:
     """Check the size of a pixel along x and y, mm."""
     for size in mm_per_px:
-        if not _MIN_PIXEL_MM <= size <= _MAX_PIXEL_MM:
-            unit, number = ("pixels per mm", 1 / size) if size > 1 else ("metres", 1e3 * size)
+        if size > _MAX_PIXEL_MM:
             raise ConfigError(
-                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like {unit}; give mm"
-                f" per pixel ({number:.4g})."
+                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like pixels per mm; give"
+                f" mm per pixel ({1 / size:.4g})."
+            )
+        if not size >= _MIN_PIXEL_MM:
+            raise ConfigError(
+                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like metres; give mm per"
+                f" pixel ({1e3 * size:.4g})."
             )
 
 
