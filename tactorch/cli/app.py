@@ -10,15 +10,8 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from tactorch.cli import console
 from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
-from tactorch.cli.console import (
-    INTERRUPTED,
-    WRONG,
-    is_no_iteration,
-    is_rich,
-    terminal_log,
-    to_log_file,
-)
 from tactorch.cli.overrides import check_overrides, check_required, key_of, named
 from tactorch.cli.resume import has_state, with_resume
 from tactorch.cli.schema import command_module, load_schema
@@ -86,7 +79,7 @@ class App:
                 run = Path(os.path.relpath(self._place))
                 message += f"; continue with tactorch {self.command} resume={run}"
             print(message, file=sys.stderr)
-            sys.exit(INTERRUPTED)
+            sys.exit(console.INTERRUPTED)
         except Exception as error:
             if debug == "1" or self._started:
                 raise
@@ -97,7 +90,7 @@ class App:
             if debug is not None:
                 os.environ[_DEBUG] = debug
         if self._failed:
-            sys.exit(WRONG)
+            sys.exit(console.WRONG)
 
     def job(self, cfg: "DictConfig") -> Any:
         """Run the command once; errors raised on purpose become a message."""
@@ -109,12 +102,13 @@ class App:
         self._place = Path(HydraConfig.get().runtime.output_dir)
         note = ", ".join(f"{name} {version}" for name, version in versions().items())
         try:
-            to_log_file(f"tactorch {self.command} with {note}")
+            console.to_log_file(f"tactorch {self.command} with {note}")
             options = build_options(self.command, cfg)
             self._check_output(getattr(options, "out", None))
             # Where a progress bar shows the iterations, their lines go to the log file only.
-            has_bar = is_rich(sys.stderr) and is_rich()
-            with _plain_warnings(), terminal_log(is_no_iteration) if has_bar else nullcontext():
+            has_bar = console.is_rich(sys.stderr) and console.is_rich()
+            lines = console.terminal_log(console.is_no_iteration) if has_bar else nullcontext()
+            with _plain_warnings(), lines:
                 return command_module(self.command).run(options)
         except TactorchError as error:
             self._report(str(error))
@@ -130,7 +124,7 @@ class App:
         """Print an error; other jobs of a sweep still run."""
         self._failed = True
         _print_error(message, self.command)
-        to_log_file(f"error: {message}", error=True)
+        console.to_log_file(f"error: {message}", error=True)
 
     def _check_output(self, out: Path | None) -> None:
         """Refuse that jobs of a sweep write the same file."""
@@ -185,7 +179,7 @@ def _composition_error(error: Exception) -> str:
 def fail(message: str, command: str = "") -> NoReturn:
     """Print one message and end the process."""
     _print_error(message, command)
-    sys.exit(WRONG)
+    sys.exit(console.WRONG)
 
 
 def _print_error(message: str, command: str) -> None:

@@ -27,19 +27,12 @@ log = logging.getLogger("tactorch")
 
 @dataclass(frozen=True)
 class Table:
-    """Cells with a header.
-
-    Attributes:
-        header: Name of each column.
-        rows: Cells of each row.
-        words: Number of columns, from the left, that hold words; numbers are set to the right.
-        styles: Rich's styles of cells that hold just this text, at a terminal.
-    """
+    """Cells with a header."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
-    words: int = 1
-    styles: Mapping[str, str] = field(default_factory=dict)
+    words: int = 1  # number of columns, from the left, of words; numbers are set to the right
+    styles: Mapping[str, str] = field(default_factory=dict)  # Rich's style of cells by their text
 
     def text(self) -> str:
         """Return aligned lines, whatever their length: nothing is wrapped or cut."""
