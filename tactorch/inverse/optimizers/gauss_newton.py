@@ -11,7 +11,7 @@ from tactorch.config import option
 from tactorch.inverse.objective import Point
 from tactorch.inverse.optimizers.damped import DampedNewton, LinearSystem, StepSolver
 from tactorch.inverse.optimizers.schedule import RegularizationSchedule
-from tactorch.linalg import DenseCholesky, Solver, Status, SymmetricPattern, analyse
+from tactorch.linalg import DenseCholesky, Solver, SymmetricPattern, analyse
 
 # Data space divides by the damping where the prior is zero (a uniform shift).
 _MIN_SHIFT = 1e-9
@@ -123,7 +123,7 @@ def data_space_step(
     """
     shift = np.maximum(shift, _MIN_SHIFT * shift.max())
     solver, values = _sparse_part(prior, shift)
-    if solver.factor(values) is Status.INDEFINITE:
+    if not solver.factor(values):
         return None
     image = solver.solve(np.asfortranarray(jacobian.T))
     capacitance = jacobian @ image

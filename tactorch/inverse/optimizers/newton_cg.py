@@ -18,7 +18,7 @@ from tactorch.errors import ConfigError
 from tactorch.inverse.objective import Point
 from tactorch.inverse.optimizers.damped import DampedNewton, LinearSystem, StepSolver
 from tactorch.inverse.optimizers.schedule import RegularizationSchedule
-from tactorch.linalg import Solver, Status, SymmetricPattern, analyse, conjugate_gradients
+from tactorch.linalg import Solver, SymmetricPattern, analyse, conjugate_gradients
 from tactorch.linalg.conjugate_gradients import CGResult
 
 # Shift of the preconditioner where the prior is zero (a uniform change), relative to the mean
@@ -219,7 +219,7 @@ class PriorSolver:
         np.add.at(values, self._slots, prior.data[self._upper])
         values[self._pattern.diagonal] += shift
         self._fixed = fixed
-        return self._solver.factor(self._pattern.apply_dirichlet(values, fixed)) is Status.OK
+        return self._solver.factor(self._pattern.apply_dirichlet(values, fixed))
 
     def _analyse(self, prior: sp.csr_matrix) -> None:
         self._indices = prior.indptr.copy(), prior.indices.copy()
