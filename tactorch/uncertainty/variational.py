@@ -149,10 +149,8 @@ def _solve(
     """Factored precision, and the step from the map to the mean."""
     weighted = jump_model.matrix.T @ sp.diags(stiffness)
     # Weight 0 leaves the prior of the nuisance parameters.
-    prior = (weighted @ jump_model.matrix + point.prior_curvature(0.0)).tocoo()
-    precision = hessian.copy()
-    np.add.at(precision, (prior.row, prior.col), prior.data)
-    factor = DenseCholesky.of(precision)
+    prior = weighted @ jump_model.matrix + point.prior_curvature(0.0)
+    factor = DenseCholesky.of(hessian.copy(), prior)
     if factor is None:
         raise ConfigError(
             "data and prior leave some moduli undetermined; check the weight of the prior, or add "
