@@ -5,8 +5,7 @@ from dataclasses import replace
 from tactorch.cli.compose import saved_options
 from tactorch.cli.settings import inversion_settings, log, make_start
 from tactorch.errors import TactorchError
-from tactorch.inverse import has_all_settings
-from tactorch.inverse.settings import stored_settings
+from tactorch.inverse.settings import has_all_settings, stored_settings
 from tactorch.report import Run
 
 

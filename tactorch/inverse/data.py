@@ -7,14 +7,11 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import orth
-from scipy.special import ndtri
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.inverse.misfit import Misfit, Squares
+from tactorch.inverse.misfit import NORMAL_MEDIAN, Misfit, Squares
 from tactorch.recording import Press, Recording
-
-_NORMAL_MEDIAN = float(ndtri(0.75))  # median size of a standard normal number
 
 
 @dataclass(frozen=True)
@@ -22,12 +19,7 @@ class NoiseModel(Options):
     """Standard deviations of the observed displacements.
 
     The first that applies: `mm`, where given; the value stated by the press; the estimate from the
-    recording's unloaded frames; `relative`.
-
-    Attributes:
-        relative: Noise as a fraction of the root mean square of all observed displacements; also
-            a floor for stated and estimated noise, since no model is exact.
-        mm: Noise in mm, which overrides the recording's.
+    recording's unloaded frames; `relative`, which is also a floor, since no model is exact.
     """
 
     section: ClassVar[str] = "noise"
@@ -58,26 +50,18 @@ class NoiseModel(Options):
         """Deviation of each press before the floor, mm."""
         if self.mm is not None:
             return [self.mm] * len(recording.presses)
-        default = floor if recording.unloaded is None else unloaded_noise(recording.unloaded)
+        default = floor if recording.unloaded is None else _unloaded_noise(recording.unloaded)
         return [default if p.noise_mm is None else p.noise_mm for p in recording.presses]
 
 
-def unloaded_noise(frames: Float[np.ndarray, "frames n 3"]) -> float:
-    """Estimate the standard deviation (mm) of each displacement from frames without contact.
-
-    The estimate uses the median change between successive frames, and is robust to a slow drift and
-    to marker outliers.
-    """
+def _unloaded_noise(frames: Float[np.ndarray, "frames n 3"]) -> float:
+    """Deviation (mm) in frames without contact; robust to a slow drift and to marker outliers."""
     changes = np.abs(np.diff(frames, axis=0))
-    return float(np.nanmedian(changes)) / (_NORMAL_MEDIAN * np.sqrt(2.0))
+    return float(np.nanmedian(changes)) / (NORMAL_MEDIAN * np.sqrt(2.0))
 
 
 def signal_rms(presses: tuple[Press, ...]) -> float:
-    """Return the root mean square of all observed displacements, mm.
-
-    Raises:
-        ConfigError: all observed displacements are zero.
-    """
+    """Return the root mean square of all observed displacements, mm; refuse zero."""
     values = np.concatenate([press.displacement[press.data] for press in presses])
     rms = float(np.sqrt(np.mean(values**2)))
     if rms == 0.0:
@@ -91,13 +75,9 @@ class CorrelatedNoise:
     It whitens residuals whose covariance is the unit matrix plus B B^T. B has few columns, each the
     pattern of an error of unit standard deviation, in standard deviations of the white noise. With
     B = U S V^T the symmetric root of the inverse is 1 - U (1 - (1 + S^2)^(-1/2)) U^T.
-
-    Args:
-        patterns: B.
     """
 
     def __init__(self, patterns: Float[np.ndarray, "data k"]) -> None:
-        """Decompose the patterns."""
         self._basis, self._sizes, _ = np.linalg.svd(patterns, full_matrices=False)
         self._loss = 1.0 - 1.0 / np.sqrt(1.0 + self._sizes**2)
 
@@ -127,6 +107,15 @@ class Observation:
     displacement: Float[np.ndarray, " p"]
     scale: Float[np.ndarray, " p"]
 
+    @staticmethod
+    def of(press: Press, deviation: float) -> "Observation":
+        """Return the observed displacements of a press with this standard deviation, mm."""
+        weights = np.ones_like(press.forces) if press.weights is None else press.weights
+        # Data of zero weight are excluded: they would lower the mean squared residual.
+        index = np.flatnonzero(press.data & (weights > 0))
+        relative = weights.ravel()[index]
+        return Observation(index, press.displacement.ravel()[index], relative / deviation)
+
 
 @dataclass(frozen=True, eq=False)
 class DataModel:
@@ -146,18 +135,6 @@ class DataModel:
     correlated: CorrelatedNoise | None = None
     model_deviation: tuple[float, ...] | None = None
     noise_fraction: float = 1.0
-
-    @staticmethod
-    def of(recording: Recording, noise: NoiseModel, misfit: Misfit) -> "DataModel":
-        """Return the data of a recording.
-
-        Args:
-            recording: Presses.
-            noise: Standard deviations of presses that do not state theirs.
-            misfit: Cost of the residuals.
-        """
-        pairs = zip(recording.presses, noise.deviations(recording), strict=True)
-        return DataModel(tuple(_observe(press, deviation) for press, deviation in pairs), misfit)
 
     @property
     def size(self) -> int:
@@ -227,14 +204,6 @@ class DataModel:
         )
 
 
-def _observe(press: Press, deviation: float) -> Observation:
-    weights = np.ones_like(press.forces) if press.weights is None else press.weights
-    # Data of zero weight are excluded: they would lower the mean squared residual.
-    index = np.flatnonzero(press.data & (weights > 0))
-    relative = weights.ravel()[index]
-    return Observation(index, press.displacement.ravel()[index], relative / deviation)
-
-
 def _smooth_patterns(
     points: Float[np.ndarray, "n 3"], data: DataModel, deviations: Sequence[float]
 ) -> Float[np.ndarray, "data k"]:
@@ -261,18 +230,12 @@ def smooth_pattern(
     A single field may hold all of the error, so each has its full size. The unit is the standard
     deviation of the white noise.
     """
-    fields = _affine(points, observation.index)
-    height = deviation * np.sqrt(len(fields) / 3.0)  # a field moves one component
-    return height * observation.scale[:, None] * fields
-
-
-def _affine(
-    points: Float[np.ndarray, "n 3"], index: Int[np.ndarray, " p"]
-) -> Float[np.ndarray, "p k"]:
-    """Return orthonormal affine displacement fields, at most twelve, at the observations."""
+    index = observation.index
     positions = points[index // 3]
     extent = np.ptp(positions, axis=0).max()
     positions = (positions - positions.mean(axis=0)) / (extent if extent > 0 else 1.0)
     shapes = np.column_stack([np.ones(len(index)), positions])
-    fields = [shapes * (index % 3 == axis)[:, None] for axis in range(3)]
-    return orth(np.hstack(fields), rcond=1e-6)
+    # At most twelve orthonormal fields.
+    fields = orth(np.hstack([shapes * (index % 3 == a)[:, None] for a in range(3)]), rcond=1e-6)
+    height = deviation * np.sqrt(len(fields) / 3.0)  # a field moves one component
+    return height * observation.scale[:, None] * fields

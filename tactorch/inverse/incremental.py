@@ -10,7 +10,7 @@ ended.
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -31,8 +31,7 @@ from tactorch.recording import Press, Recording
 _WEIGHT = ("weight", "first_weight", "ended")
 
 
-@dataclass(frozen=True, eq=False)
-class IncrementalResult:
+class IncrementalResult(NamedTuple):
     """The map of all presses so far.
 
     Attributes:
@@ -79,11 +78,6 @@ class IncrementalInversion:
         max_iterations: int = 8,
         max_seconds_per_update: float | None = None,
     ) -> None:
-        """Make the bodies.
-
-        Raises:
-            ConfigError: a setting cannot be used.
-        """
         self._settings = settings or Settings()
         self._object, self._start = recording, start_mpa
         self._optimizer = _check_settings(self._settings, max_iterations)
@@ -125,11 +119,16 @@ class IncrementalInversion:
         self._check(presses)
         errors = state.errors + tuple(self._model_error(press) for press in presses)
         together = (*state.presses, *presses)
+
+        def ends_before_limit(history: list[dict[str, Any]]) -> StopReason | None:
+            # The first record is that of the start; the next iteration takes as long as the last.
+            if self._max_seconds is None or len(history) < 2:
+                return None
+            end = time.perf_counter() + history[-1]["seconds"] - history[-2]["seconds"]
+            return StopReason.TIME_LIMIT if end > began + self._max_seconds else None
+
         growth = len(together) / (len(state.presses) or len(together))
-        weight = warm_start_state(dict(state.weight), growth)
-        limit = self._max_seconds
-        stop_condition = None if limit is None else _ends_before(began + limit)
-        return self._invert(together, errors, weight, self._max_iterations, stop_condition)
+        return self._invert(together, errors, growth, self._max_iterations, ends_before_limit)
 
     def refine(
         self, max_iterations: int = 60, *, stop: Callable[[], bool] = lambda: False
@@ -152,20 +151,19 @@ class IncrementalInversion:
             return StopReason.STOPPED if len(history) > 1 and stop() else None
 
         state = self._state
-        weight = warm_start_state(dict(state.weight), 1.0)
-        return self._invert(state.presses, state.errors, weight, max_iterations, stop_condition)
+        return self._invert(state.presses, state.errors, 1.0, max_iterations, stop_condition)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return the arrays that `restore` needs in addition to the presses."""
-        now = self._state
-        assert now.youngs is not None
-        offsets = [offset for offset, _ in now.errors]
+        state = self._state
+        assert state.youngs is not None
+        offsets = [offset for offset, _ in state.errors]
         return {
-            "youngs": now.youngs,
-            "weight": np.array([now.weight.get(name, np.nan) for name in _WEIGHT]),
+            "youngs": state.youngs,
+            "weight": np.array([state.weight.get(name, np.nan) for name in _WEIGHT]),
             "offsets": np.concatenate(offsets) if offsets else np.zeros(0),
             "counts": np.array([len(offset) for offset in offsets], dtype=np.int64),
-            "deviations": np.array([deviation for _, deviation in now.errors]),
+            "deviations": np.array([deviation for _, deviation in state.errors]),
         }
 
     def restore(self, presses: Sequence[Press], state: Mapping[str, np.ndarray]) -> Point:
@@ -184,8 +182,7 @@ class IncrementalInversion:
         """
         youngs, counts = state["youngs"], state["counts"]
         m, n = self._object.mesh.n_tets, len(presses)
-        fits = youngs.shape == (m,) and len(counts) == len(state["deviations"])
-        if not fits or len(counts) != n:
+        if youngs.shape != (m,) or not len(counts) == len(state["deviations"]) == n:
             raise ConfigError(
                 f"the state has {len(youngs)} elements and {len(counts)} presses, not {m} and {n}; "
                 "start again without it."
@@ -233,56 +230,41 @@ class IncrementalInversion:
         self,
         presses: tuple[Press, ...],
         errors: tuple[tuple[np.ndarray, float], ...],
-        weight: dict[str, float],
+        growth: float,
         max_iterations: int,
-        stop_condition: StopCondition | None,
+        stop_condition: StopCondition,
     ) -> IncrementalResult:
+        """Invert from the present map, or from a uniform one that carries all presses.
+
+        The amount of data is `growth` times that of the present weight of the prior.
+        """
         objective = self._objective(presses, errors)
         optimizer = replace(self._optimizer, max_iterations=max_iterations)
-        monitor, reason = self._run(objective, optimizer, weight, stop_condition)
-        if reason is StopReason.INTERRUPTED:
-            raise KeyboardInterrupt
-        assert monitor.point is not None
-        state = monitor.state
-        stored = {name: state[name] for name in _WEIGHT} if "weight" in state else {}
-        self._state = _State(presses, errors, monitor.point.youngs, stored)
-        result = result_of(objective, self._settings, optimizer, monitor, reason)
-        last = float(monitor.history[-1].get("weight", 0.0))
-        return IncrementalResult(result, monitor.point, last, not reason.is_limit)
-
-    def _run(
-        self,
-        objective: Objective,
-        optimizer: DampedNewton,
-        weight: dict[str, float],
-        stop_condition: StopCondition | None,
-    ) -> tuple[Monitor, StopReason]:
-        """Run from the present map, or from a uniform one that carries all presses."""
-        bounds, present = self._settings.bounds, self._state.youngs
+        present, weight = self._state.youngs, warm_start_state(self._state.weight, growth)
         starts: list[Any] = [self._start if present is None else present, homogeneous]
         for start in starts:
-            limit = self._settings.max_seconds
-            monitor = Monitor(max_seconds=limit, state=dict(weight), stop_condition=stop_condition)
-            x = objective.start(start_map(start, objective.problem, bounds))
+            monitor = Monitor(
+                max_seconds=self._settings.max_seconds, state=weight, stop_condition=stop_condition
+            )
+            x = objective.start(start_map(start, objective.problem, self._settings.bounds))
             try:
-                return monitor, optimizer.run(objective, x, monitor)
+                with monitor:
+                    monitor.reason = optimizer.minimize(objective, x, monitor)
+                break
             except ConvergenceError:
                 if start is homogeneous:
                     raise
                 weight = {}
-        raise AssertionError  # the last start returns or raises
-
-
-def _ends_before(deadline: float) -> StopCondition:
-    """Stop where an iteration as long as the last one would end after the deadline."""
-
-    def stop_condition(history: list[dict[str, Any]]) -> StopReason | None:
-        if len(history) < 2:  # the first record is that of the start
-            return None
-        last = history[-1]["seconds"] - history[-2]["seconds"]
-        return StopReason.TIME_LIMIT if time.perf_counter() + last > deadline else None
-
-    return stop_condition
+        reason, point, state = monitor.reason, monitor.point, monitor.state
+        if reason is StopReason.INTERRUPTED:
+            raise KeyboardInterrupt
+        assert point is not None
+        assert reason is not None
+        stored = {name: state[name] for name in _WEIGHT} if "weight" in state else {}
+        self._state = _State(presses, errors, point.youngs, stored)
+        result = result_of(objective, self._settings, optimizer, monitor)
+        last = float(monitor.history[-1].get("weight", 0.0))
+        return IncrementalResult(result, point, last, not reason.is_limit)
 
 
 def _check_settings(settings: Settings, max_iterations: int) -> DampedNewton:

@@ -13,10 +13,8 @@ import scipy.sparse as sp
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
-from tactorch.inverse.evaluation import Evaluation
-from tactorch.inverse.parameterization import Bounds
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.uniform import uniform_fit
+from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse.starts import uniform_fit
 from tactorch.mesh import TetMesh
 from tactorch.recording import Recording
 
@@ -31,17 +29,10 @@ def linear_map(recording: Recording, count: int = 8) -> Float[np.ndarray, " m"]:
     """Return the linear image of a recording at its elements, MPa.
 
     It approximates a reconstruction at the cost of one Gauss-Newton step, with equal blur and noise
-    but softer edges.
-
-    Args:
-        recording: Presses on an object; its truth is not read.
-        count: Cells in each direction.
-
-    Raises:
-        ConvergenceError: No uniform modulus carries the presses.
+    but softer edges. There are `count` cells in each direction.
     """
     problem = InverseProblem(recording)
-    fit = uniform_fit(problem, Bounds())
+    fit = uniform_fit(problem)
     evaluation = problem.evaluate(np.full(problem.n_elements, fit.youngs_mpa))
     deviations = problem.noise.deviations(recording)
     image, _ = linear_image(evaluation, recording.mesh, deviations, count)
@@ -54,15 +45,17 @@ def linear_image(
     """Return log E over the uniform modulus, and the explained fraction of its variance.
 
     Args:
-        evaluation: Of a uniform map.
+        evaluation: Presses at a uniform map.
         mesh: The body.
         deviations: Standard deviation of each press's data, mm.
         count: Cells in each direction.
-
-    Raises:
-        ConvergenceError: An equilibrium is unstable and has no derivatives.
     """
-    weights = _relative_weights(evaluation, deviations)
+    parts = []
+    for i, deviation in enumerate(deviations):
+        observed = evaluation.observed(i)
+        floor = _FLOOR * float(np.sqrt(np.mean(observed**2)))
+        parts.append(np.full(len(observed), deviation / np.hypot(deviation, floor)))
+    weights = np.concatenate(parts)  # of data with the floor, relative to those in the residuals
     jacobian = weights[:, None] * _by_cells(evaluation, _cells(mesh, count))
     precision = _prior_precision(count) + jacobian.T @ jacobian
     factor = cho_factor(precision, lower=True, check_finite=False)
@@ -84,18 +77,6 @@ def _by_cells(evaluation: Evaluation, cells: sp.csr_matrix) -> Float[np.ndarray,
         evaluation.jacobian_times(chain[:, [c]].toarray()[:, 0]) for c in range(cells.shape[1])
     ]
     return np.column_stack(columns)
-
-
-def _relative_weights(
-    evaluation: Evaluation, deviations: list[float]
-) -> Float[np.ndarray, " data"]:
-    """Weight of each datum with the floor, relative to its weight in the residuals."""
-    parts = []
-    for i, deviation in enumerate(deviations):
-        observed = evaluation.observed(i)
-        floor = _FLOOR * float(np.sqrt(np.mean(observed**2)))
-        parts.append(np.full(len(observed), deviation / np.hypot(deviation, floor)))
-    return np.concatenate(parts)
 
 
 def _cells(mesh: TetMesh, count: int) -> sp.csr_matrix:

@@ -10,14 +10,13 @@ observed displacement. It excludes the error of elements that a boundary cuts, w
 modulus each; on meshes much coarser than the paper's that error is larger.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import SoftBody
-from tactorch.inverse.data import Observation
 from tactorch.inverse.nuisance import Nuisance
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR
@@ -31,14 +30,6 @@ def resolve_model_error(name: str, recording: Recording, element: str) -> str:
 
     The provenance states that (`inverse_crime`) for presses that were computed on the recording's
     mesh. For quadratic elements there is no better model to compare with.
-
-    Args:
-        name: "auto", "none" or "discretisation".
-        recording: Presses.
-        element: Element type of the inversion.
-
-    Returns:
-        "none" or "discretisation".
     """
     if name != "auto":
         return name
@@ -46,8 +37,7 @@ def resolve_model_error(name: str, recording: Recording, element: str) -> str:
     return "none" if same_model else "discretisation"
 
 
-@dataclass(frozen=True, eq=False)
-class ModelError:
+class ModelError(NamedTuple):
     """Error of the model's predictions.
 
     Attributes:
@@ -103,24 +93,20 @@ def discretisation_error(
             if trial == _MAX_TRIALS - 1:
                 raise
             youngs *= _STIFFENING
-    observations = problem.data.observations
-    offset = [
-        _relative_size(observation, better) * (better - present)
-        for observation, present, better in zip(observations, linear, fine, strict=True)
-    ]
+    offset = []
+    for observation, present, better in zip(problem.data.observations, linear, fine, strict=True):
+        weighted = observation.scale**2 * better
+        # Observed over predicted displacement, by least squares.
+        relative = max(float(weighted @ observation.displacement), 0.0) / float(weighted @ better)
+        offset.append(relative * (better - present))
     return ModelError(offset, [remaining * float(np.sqrt(np.mean(d * d))) for d in offset])
 
 
 def _predict(
     problem: InverseProblem, youngs_mpa: float, nuisance: Nuisance | None
 ) -> list[np.ndarray]:
+    """Predicted displacements at the observed degrees of freedom of each press, mm."""
     uniform = np.full(problem.n_elements, youngs_mpa)
     evaluation = problem.evaluate(uniform, nuisance=nuisance, chained=True)
     pairs = zip(evaluation.reported, problem.data.observations, strict=True)
     return [u.ravel()[observation.index] for u, observation in pairs]
-
-
-def _relative_size(observation: Observation, predicted: Float[np.ndarray, " p"]) -> float:
-    """Observed over predicted displacement of a press, by least squares."""
-    weighted = observation.scale**2 * predicted
-    return max(float(weighted @ observation.displacement), 0.0) / float(weighted @ predicted)

@@ -1,17 +1,20 @@
-"""Monitor of an optimizer: history, progress, checkpoints, and reasons to stop."""
+"""Monitor of an optimizer: history, progress line, checkpoints, and reasons to stop."""
 
 import logging
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from types import TracebackType
 from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import FileError
+from tactorch.errors import ConvergenceError, FileError
 from tactorch.files import read_arrays, write_arrays
 from tactorch.inverse.objective import Point
 
@@ -57,14 +60,9 @@ StopCondition: TypeAlias = Callable[[list[dict[str, Any]]], StopReason | None]
 
 
 class StopOptimization(Exception):  # noqa: N818  (a signal, not an error)
-    """An optimization is to stop; the monitor holds the best map so far.
-
-    Args:
-        reason: Reason for stopping.
-    """
+    """An optimization is to stop for a reason; the monitor holds the best map so far."""
 
     def __init__(self, reason: StopReason = StopReason.TIME_LIMIT) -> None:
-        """Store the reason."""
         super().__init__(reason.value)
         self.reason = reason
 
@@ -72,6 +70,12 @@ class StopOptimization(Exception):  # noqa: N818  (a signal, not an error)
 @dataclass
 class Monitor:
     """Holds the best map and its history; optimizers report every accepted iterate.
+
+    As a context manager it turns limits, interruptions, and a best map without derivatives into the
+    `reason` for the end:
+
+        with monitor:
+            monitor.reason = optimizer.minimize(objective, start, monitor)
 
     Attributes:
         max_seconds: Time limit.
@@ -89,6 +93,9 @@ class Monitor:
         task: Digest of everything that decides the result; a finished run of the same task is not
             continued.
         ended: Reason for the end of a finished run; None where it can continue.
+        reason: Reason for the end of this run.
+        best: Best parameters so far.
+        point: Point of the objective there; None where they come from a checkpoint.
     """
 
     max_seconds: float | None = None
@@ -102,11 +109,33 @@ class Monitor:
     identity: dict[str, str] = field(default_factory=dict)
     task: str = ""
     ended: str | None = None
+    reason: StopReason | None = None
     best: Float[np.ndarray, " m"] | None = None
     point: Point | None = None
     _began: float = field(default_factory=time.perf_counter)
     _earlier_seconds: float = 0.0
     _saved: float = 0.0
+
+    def __enter__(self) -> "Monitor":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> bool:
+        if isinstance(error, StopOptimization):
+            self.reason = error.reason
+        elif isinstance(error, KeyboardInterrupt) and self.best is not None:
+            self.reason = StopReason.INTERRUPTED
+        elif isinstance(error, ConvergenceError) and self.point is not None:
+            # An unstable equilibrium has no derivatives.
+            _log.warning("No derivatives at the best map: %s", error)
+            self.reason = StopReason.NO_DERIVATIVES
+        else:
+            return False
+        return True
 
     @property
     def seconds(self) -> float:
@@ -209,8 +238,7 @@ class Monitor:
             if identity.get(name) != value:
                 raise FileError(
                     f"checkpoint '{source}' belongs to another {name}: {identity.get(name)}, not "
-                    f"{value}. Resume with the same {name}, or start again without "
-                    "resume."
+                    f"{value}. Resume with the same {name}, or start again without resume."
                 )
 
 
@@ -234,3 +262,32 @@ def describe(entry: dict[str, Any]) -> str:
     ]
     parts += [f"{key} {entry[key]:.2g}" for key in ("weight", "step") if key in entry]
     return "  ".join(parts)
+
+
+@contextmanager
+def progress(label: str, show: bool | None = None) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Show iteration, misfit and step while an optimizer runs; by default only at a terminal.
+
+    Yields:
+        A function to call with each record of the history.
+    """
+    if not (sys.stderr.isatty() if show is None else show):
+        yield lambda record: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}  iteration {task.completed}"),
+        TextColumn("{task.fields[state]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(label, total=None, state="first equilibrium")
+
+        def update(record: dict[str, Any]) -> None:
+            state = f"misfit {record['misfit']:.3e} mm2  step {record.get('step', 0.0):.2g}"
+            bar.update(task, completed=record["iteration"], state=state)
+
+        yield update

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
-from tactorch.inverse import CorrelatedNoise, InverseProblem, Point, Settings, smooth_pattern
+from tactorch.inverse import InverseProblem, Point, Settings
+from tactorch.inverse.data import CorrelatedNoise, smooth_pattern
 from tactorch.recording import Press
 
 

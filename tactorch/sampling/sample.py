@@ -8,13 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import (
-    START_MPA,
-    IncrementalResult,
-    Settings,
-    invert,
-    make_objective,
-)
+from tactorch.inverse import IncrementalResult, Settings, invert, make_objective
+from tactorch.inverse.starts import START_MPA
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.sampling.candidates import Patch

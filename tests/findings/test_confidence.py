@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from tactorch.findings import build_finding, compute_confidence, find_lump
-from tactorch.inverse.parameterization import Log
+from tactorch.inverse import Log
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.uncertainty import LaplacePosterior

@@ -7,9 +7,17 @@ import pytest
 import scipy.sparse as sp
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Bounds, InverseProblem, Log, Objective, Quadratic, Settings, invert
+from tactorch.inverse import (
+    Bounds,
+    InverseProblem,
+    Log,
+    NewtonCG,
+    Objective,
+    Quadratic,
+    Settings,
+    invert,
+)
 from tactorch.inverse.coarse import CoarseStart, clusters
-from tactorch.inverse.optimizers import NewtonCG
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import Recording
 

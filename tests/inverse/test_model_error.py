@@ -6,16 +6,8 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import (
-    InverseProblem,
-    ModelError,
-    Settings,
-    best_uniform,
-    discretisation_error,
-    invert,
-    make_objective,
-)
-from tactorch.inverse.model_error import resolve_model_error
+from tactorch.inverse import InverseProblem, Settings, best_uniform, invert, make_objective
+from tactorch.inverse.model_error import ModelError, discretisation_error, resolve_model_error
 from tactorch.metrics import pearson
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording

@@ -15,12 +15,11 @@ from tactorch.inverse import (
     Monitor,
     Reconstruction,
     Settings,
-    StopOptimization,
     StopReason,
     invert,
     make_objective,
 )
-from tactorch.inverse.monitor import describe
+from tactorch.inverse.monitor import StopOptimization, describe
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -141,7 +140,7 @@ def test_an_unstable_equilibrium_ends_the_run_with_its_reason(
     noisy: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the tangent is indefinite no derivatives exist; what was reached is kept."""
-    from tactorch.inverse.problem import Evaluation
+    from tactorch.inverse import Evaluation
 
     jacobian, count = Evaluation.jacobian, iter(range(100))
 

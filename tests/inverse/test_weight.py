@@ -12,10 +12,10 @@ from tactorch.inverse import (
     NoiseModel,
     Point,
     Settings,
+    StopReason,
     invert,
     make_objective,
 )
-from tactorch.inverse.monitor import StopReason
 from tactorch.inverse.optimizers import schedule as rules
 from tactorch.inverse.optimizers.damped import DampedNewton
 from tactorch.inverse.optimizers.schedule import RegularizationSchedule, dominating_weight

@@ -10,13 +10,13 @@ import scipy.sparse as sp
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
-from tactorch.inverse.optimizers.schedule import (
+from tactorch.inverse.optimizers.spectrum import (
     RULES,
+    Spectrum,
     gcv_score,
     gcv_weight,
     l_curve_weight,
 )
-from tactorch.inverse.optimizers.spectrum import Spectrum
 from tactorch.recording import Recording
 
 SIZE = 60

@@ -1,10 +1,6 @@
 """Optimizers of an inversion."""
 
 from tactorch.config import Registry
-from tactorch.inverse.optimizers.base import Optimizer
-from tactorch.inverse.optimizers.gauss_newton import GaussNewton
-from tactorch.inverse.optimizers.newton_cg import NewtonCG
-from tactorch.inverse.optimizers.scipy_methods import LBFGS, TNC
 
 _HERE = "tactorch.inverse.optimizers"
 #: Settings of the optimizers by name.
@@ -18,5 +14,3 @@ OPTIMIZERS = Registry(
     },
     "optimizers",
 )
-
-__all__ = ["LBFGS", "OPTIMIZERS", "TNC", "GaussNewton", "NewtonCG", "Optimizer"]

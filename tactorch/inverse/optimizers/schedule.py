@@ -8,15 +8,14 @@ left-out data best, the L-curve (Hansen, 1998) the corner of misfit against prio
 size of the noise.
 """
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from tactorch.inverse.monitor import StopReason
 from tactorch.inverse.objective import Point
-from tactorch.inverse.optimizers.spectrum import Spectrum
+from tactorch.inverse.optimizers.spectrum import RULES, Spectrum
 
 # Factors of the weight per step: a leap, far from the data, and near the noise.
 _LEAP, _FAST, _SLOW = 0.1, 1.0 / 3.0, 0.6
@@ -26,12 +25,7 @@ _NEAR, _FAR, _LEAP_GAIN = 10.0, 100.0, 0.75
 #: Gain below which the weight has fallen too far for the last step.
 MIN_GAIN = 0.1
 _EXHAUSTED = 1e-12  # weight relative to the first below which the prior is exhausted
-_ENDS = (
-    None,
-    StopReason.FITTED,
-    StopReason.NOT_FITTED,
-    StopReason.WEIGHT_CHOSEN,
-)
+_ENDS = (None, StopReason.FITTED, StopReason.NOT_FITTED, StopReason.WEIGHT_CHOSEN)
 # Mean squared residual, once converged, that counts as the noise.
 _MIN_CHI2, _MAX_CHI2 = 0.9, 1.02
 _MAX_ROUNDS, _RAISE = 8, 3.0
@@ -44,6 +38,11 @@ _MAX_RATIO, _MARGIN = 0.9, 1.05
 # Largest change of a chosen weight per step; largest number of choices; change that ends them.
 _MAX_CHANGE, _MAX_CHOICES, _CHANGE_TOLERANCE = 3.0, 30, 1.2
 _DOMINANCE = 30.0
+# Attribute of the schedule for each number of its state.
+_STATE = {"weight": "weight", "first_weight": "first"} | {
+    f"weight_{name}": name
+    for name in ("rounds", "below", "above", "last", "before", "held", "leapt")
+}
 
 
 @dataclass
@@ -96,40 +95,21 @@ class RegularizationSchedule:
         weight = point.objective.weight
         if weight is not None:
             return RegularizationSchedule(weight, weight, True)
-        if "weight" in state:
-            return RegularizationSchedule(
-                state["weight"],
-                state["first_weight"],
-                False,
-                _ENDS[int(state["ended"])],
-                rule,
-                int(state.get("weight_rounds", 0)),
-                state.get("weight_below", 0.0),
-                state.get("weight_above", np.inf),
-                state.get("weight_last", 0.0),
-                state.get("weight_before", 0.0),
-                bool(state.get("weight_held", 0.0)),
-                bool(state.get("weight_leapt", 0.0)),
-            )
-        first = dominating_weight(point, trace)
-        return RegularizationSchedule(first, first, fixed=first == 0.0, rule=rule)
+        if "weight" not in state:
+            first = dominating_weight(point, trace)
+            return RegularizationSchedule(first, first, fixed=first == 0.0, rule=rule)
+        schedule = RegularizationSchedule(0.0, 0.0, False, _ENDS[int(state["ended"])], rule)
+        for key, name in _STATE.items():
+            default = getattr(schedule, name)
+            setattr(schedule, name, type(default)(state.get(key, default)))
+        return schedule
 
     def state(self) -> dict[str, float]:
         """Return the numbers to resume from; none where the weight was given."""
         if self.fixed:
             return {}
-        return {
-            "weight": self.weight,
-            "first_weight": self.first,
-            "ended": float(_ENDS.index(self.ended)),
-            "weight_rounds": float(self.rounds),
-            "weight_below": self.below,
-            "weight_above": self.above,
-            "weight_last": self.last,
-            "weight_before": self.before,
-            "weight_held": float(self.held),
-            "weight_leapt": float(self.leapt),
-        }
+        numbers = {key: float(getattr(self, name)) for key, name in _STATE.items()}
+        return {**numbers, "ended": float(_ENDS.index(self.ended))}
 
     @property
     def final(self) -> bool:
@@ -235,16 +215,13 @@ class RegularizationSchedule:
         return overfitted or min(chi2, limit) > _MAX_CHI2 * _MARGIN
 
 
-def warm_start_state(state: dict[str, float], growth: float) -> dict[str, float]:
+def warm_start_state(state: Mapping[str, float], growth: float) -> dict[str, float]:
     """Return the state of a schedule to continue from with more data; empty where it is of no use.
 
     A weight that fitted the data is kept, and lowered or raised from there; one chosen by another
     rule is chosen again. Uninformative data raise the weight without end: it starts no higher than
-    a hundred times one that dominates at a uniform map.
-
-    Args:
-        state: What `RegularizationSchedule.state` has returned, possibly among other numbers.
-        growth: Amount of data relative to when the weight was first taken.
+    a hundred times one that dominates at a uniform map. The amount of data is `growth` times that
+    at which the weight was first taken.
     """
     if not state or state.get("ended") == float(_ENDS.index(StopReason.NOT_FITTED)):
         return {}
@@ -260,9 +237,7 @@ def warm_start_state(state: dict[str, float], growth: float) -> dict[str, float]
 def dominating_weight(point: Point, trace: float | None = None) -> float:
     """Return a weight at which the prior dominates: thirty times the ratio of the traces.
 
-    Args:
-        point: Where.
-        trace: Trace of J^T J; by default from the sensitivity matrix.
+    The trace of J^T J is by default that of the sensitivity matrix.
     """
     prior = float(point.penalty_curvature.diagonal().sum())
     if prior <= 0:  # no prior; or a single element, which has no jumps
@@ -270,32 +245,3 @@ def dominating_weight(point: Point, trace: float | None = None) -> float:
     if trace is None:
         trace = float(np.einsum("ij,ij->", point.jacobian, point.jacobian))
     return _DOMINANCE * (trace / prior)
-
-
-def gcv_score(spectrum: Spectrum, weights: Float[np.ndarray, " w"]) -> Float[np.ndarray, " w"]:
-    """Return the mean squared residual over (1 - freedom / data)^2 for each weight."""
-    left = 1.0 - spectrum.freedom(weights) / spectrum.n_data
-    return spectrum.misfits(weights) / spectrum.n_data / np.maximum(left, 1e-9) ** 2
-
-
-def gcv_weight(spectrum: Spectrum) -> float:
-    """Return the weight with the lowest score of generalised cross-validation."""
-    weights = spectrum.weights()
-    return float(weights[np.argmin(gcv_score(spectrum, weights))])
-
-
-def l_curve_weight(spectrum: Spectrum) -> float:
-    """Return the weight of largest curvature of log misfit against log prior."""
-    weights = spectrum.weights()
-    across, up = np.log(spectrum.misfits(weights)), np.log(spectrum.penalties(weights))
-    dx, dy = np.gradient(across), np.gradient(up)
-    ddx, ddy = np.gradient(dx), np.gradient(dy)
-    speed = np.maximum((dx * dx + dy * dy) ** 1.5, 1e-30)
-    curvature = (dy * ddx - dx * ddy) / speed
-    # Where the curve hardly moves, its curvature is round-off; the ends have none.
-    curvature[dx * dx + dy * dy < 1e-6] = -np.inf
-    inner = slice(2, -2)
-    return float(weights[inner][np.argmax(curvature[inner])])
-
-
-RULES: dict[str, Callable[[Spectrum], float]] = {"l_curve": l_curve_weight, "gcv": gcv_weight}

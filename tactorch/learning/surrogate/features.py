@@ -12,7 +12,7 @@ from jaxtyping import Float, Shaped
 from tactorch.errors import ConfigError
 from tactorch.inverse import Bounds, InverseProblem, NoiseModel
 from tactorch.inverse.linear_image import linear_image
-from tactorch.inverse.uniform import uniform_fit
+from tactorch.inverse.starts import uniform_fit
 from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.recording import Press, Recording
 
