@@ -166,7 +166,7 @@ def session(name: str, rule: str) -> dict[str, Any]:
         options = LoopOptions(poll_seconds=0.05, max_presses=count)
         with Robot(folder, path, recording) as robot:
             suggester = Suggester(Settings(), SuggestOptions(rule=rule))
-            ended = SamplingLoop.following(
+            ended = SamplingLoop(
                 RecordingSource(path),
                 Settings(),
                 folder,

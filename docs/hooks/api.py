@@ -1,31 +1,30 @@
 """The API reference: every public name, by package, from its docstring.
 
-What is public a package says in `__all__`. mkdocstrings reads the source; here only pages are laid
-out: which packages a page has, and in what order names stand on it.
+A package's `__all__` lists what is public. mkdocstrings renders the docstrings; this module lists
+the packages and names of each page, and adds a table of the settings of `Options` classes: type,
+range, default and help of every field that is declared by `option`.
 """
 
 import ast
+import importlib
 from collections.abc import Iterator
+from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import configuration
+
 import tactorch
+from tactorch.config import Options
+from tactorch.config.schema import describe_settings
 
 _ROOT = Path(__file__).resolve().parents[2]
 #: Pages: title, and the packages (or modules) on it.
 PAGES = {
     "recording": ("Recordings", ["tactorch.recording", "tactorch.importers"]),
     "simulation": ("Phantoms and simulation", ["tactorch.phantoms", "tactorch.simulation"]),
-    "inverse": (
-        "Inversion",
-        [
-            "tactorch.inverse",
-            "tactorch.inverse.regularization",
-            "tactorch.inverse.optimizers",
-            "tactorch.inverse.nuisance",
-        ],
-    ),
+    "inverse": ("Inversion", ["tactorch.inverse"]),
     "credibility": ("Credibility and active sampling", ["tactorch.uncertainty"]),
     "fem": (
         "Mechanics",
@@ -182,8 +181,18 @@ def _entries(module: str, seen: set[Origin]) -> Iterator[str]:
         elif found not in seen:
             seen.add(found)
             yield f"::: {path_of(module, name)}"
+            yield from _settings(found.module, name)
     if constants:
         yield "**Constants**\n\n" + "\n".join(constants)
+
+
+def _settings(module: str, name: str) -> Iterator[str]:
+    """The table of a class's settings, inherited ones included; none for other objects."""
+    value = getattr(importlib.import_module(module), name, None)
+    if isinstance(value, type) and issubclass(value, Options) and is_dataclass(value):
+        entries = list(describe_settings(value))
+        if entries:
+            yield f"**Settings of `{name}`**\n\n{configuration.table(entries)}"
 
 
 def _constant(node: ast.stmt) -> str:

@@ -2,9 +2,10 @@
 
 import html
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from tactorch.cli.main import COMMANDS
-from tactorch.cli.schema import EXPERIMENT, Entry, Schema, app_name, load_schema
+from tactorch.cli.schema import EXPERIMENT, Schema, app_name, load_schema
 from tactorch.config.schema import text_of
 
 _INTRODUCTION = """\
@@ -54,7 +55,7 @@ def _anchor(command: str) -> str:
 def _command(schema: Schema) -> str:
     parts = [f"### tactorch {schema.command} {{#{_anchor(schema.command)}}}"]
     parts.append(f"```text\n{schema.header}\n```")
-    parts.append(_table(schema.settings, ""))
+    parts.append(table(schema.settings))
     if schema.groups:
         chosen = (f"[{g}](#{g}) = `{found['default']}`" for g, found in schema.groups.items())
         parts.append(f"Groups and their defaults: {', '.join(chosen)}.")
@@ -74,7 +75,7 @@ def _group(group: str, schemas: Mapping[str, Schema]) -> str:
             links = ", ".join(f"[{g}={o}](#{g}-{o})" for g, o in overrides)
             parts.append(f"Chooses {links} too.")
         if described["settings"]:
-            parts.append(_table(described["settings"], f"{group}."))
+            parts.append(table(described["settings"], f"{group}."))
     return "\n\n".join(parts)
 
 
@@ -97,7 +98,8 @@ def _leaves(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[st
             yield f"{prefix}{key}", value
 
 
-def _table(settings: Sequence[Entry], prefix: str) -> str:
+def table(settings: Sequence[Mapping[str, Any]], prefix: str = "") -> str:
+    """Return described settings as a table, their names with a prefix."""
     rows = ["| setting | default | value | comment |", "|---|---|---|---|"]
     for entry in settings:
         unit = f", {entry['unit']}" if entry["unit"] else ""

@@ -77,7 +77,7 @@ def run(options: LiveOptions) -> LoopResult:
             report=screen.show_message,
         )
         suggester = Suggester(settings, options.suggest)
-        result = SamplingLoop.following(
+        result = SamplingLoop(
             source, settings, out, screen, options=loop, suggester=suggester, start_mpa=start
         ).run()
         screen.ended(result)

@@ -3,7 +3,7 @@
 from tactorch.inverse.data import NoiseModel
 from tactorch.inverse.incremental import IncrementalInversion, IncrementalResult
 from tactorch.inverse.invert import invert, make_objective
-from tactorch.inverse.misfit import MISFITS
+from tactorch.inverse.misfit import MISFITS, Misfit
 from tactorch.inverse.monitor import Monitor, StopReason
 from tactorch.inverse.nuisance import Nuisance, NuisanceEstimate, NuisancePrior
 from tactorch.inverse.objective import Objective, Point
@@ -58,6 +58,7 @@ __all__ = [
     "Log",
     "LogJumps",
     "Matern",
+    "Misfit",
     "Monitor",
     "NewtonCG",
     "NoPrior",

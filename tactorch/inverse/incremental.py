@@ -67,6 +67,8 @@ class IncrementalInversion:
         max_iterations: Limit of one update; the next one continues from there.
         max_seconds_per_update: Time limit of one update, s. It ends before the iteration that would
             exceed it, but after one iteration or more.
+        restart: Invert all presses like `invert` in every `add`, from the present map, by any
+            optimizer and without a limit of an update; Ctrl-C then keeps the best map.
     """
 
     def __init__(
@@ -77,10 +79,11 @@ class IncrementalInversion:
         start_mpa: Start = START_MPA,
         max_iterations: int = 8,
         max_seconds_per_update: float | None = None,
+        restart: bool = False,
     ) -> None:
         self._settings = settings or Settings()
-        self._object, self._start = recording, start_mpa
-        self._optimizer = _check_settings(self._settings, max_iterations)
+        self._object, self._start, self._restart = recording, start_mpa, restart
+        _check_settings(self._settings, max_iterations, restart)
         self._max_iterations, self._max_seconds = max_iterations, max_seconds_per_update
         self._builder = ObjectiveBuilder(recording, self._settings)
         self._state = _State()
@@ -117,8 +120,10 @@ class IncrementalInversion:
         """
         began, state = time.perf_counter(), self._state
         self._check(presses)
-        errors = state.errors + tuple(self._model_error(press) for press in presses)
         together = (*state.presses, *presses)
+        if self._restart:
+            return self._invert(together, self._model_errors(together), None, None, None)
+        errors = sum((self._model_errors([press]) for press in presses), state.errors)
 
         def ends_before_limit(history: list[dict[str, Any]]) -> StopReason | None:
             # The first record is that of the start; the next iteration takes as long as the last.
@@ -211,13 +216,12 @@ class IncrementalInversion:
         if not self._state.presses:
             warn_of_assumed_noise(self._settings.noise, self._with(presses))
 
-    def _model_error(self, press: Press) -> tuple[np.ndarray, float]:
-        """Model's error of one press: offset and deviation, mm."""
-        problem = self._builder.problem(self._with([press]))
-        error = self._builder.model_error(problem)
+    def _model_errors(self, presses: Sequence[Press]) -> tuple[tuple[np.ndarray, float], ...]:
+        """Model's error of each press (offset and deviation, mm) at the modulus that fits best."""
+        error = self._builder.model_error(self._builder.problem(self._with(presses)))
         if error is None:
-            return np.zeros(problem.n_data), 0.0
-        return error.offset[0], error.deviation[0]
+            return ((np.zeros(0), 0.0),) * len(presses)
+        return tuple(zip(error.offset, error.deviation, strict=True))
 
     def _objective(
         self, presses: Sequence[Press], errors: Sequence[tuple[np.ndarray, float]]
@@ -230,17 +234,20 @@ class IncrementalInversion:
         self,
         presses: tuple[Press, ...],
         errors: tuple[tuple[np.ndarray, float], ...],
-        growth: float,
-        max_iterations: int,
-        stop_condition: StopCondition,
+        growth: float | None,
+        max_iterations: int | None,
+        stop_condition: StopCondition | None,
     ) -> IncrementalResult:
         """Invert from the present map, or from a uniform one that carries all presses.
 
-        The amount of data is `growth` times that of the present weight of the prior.
+        The amount of data is `growth` times that of the present weight of the prior; None forgets
+        that weight.
         """
-        objective = self._objective(presses, errors)
-        optimizer = replace(self._optimizer, max_iterations=max_iterations)
-        present, weight = self._state.youngs, warm_start_state(self._state.weight, growth)
+        objective, optimizer = self._objective(presses, errors), self._settings.optimizer
+        if isinstance(optimizer, DampedNewton) and max_iterations is not None:
+            optimizer = replace(optimizer, max_iterations=max_iterations)
+        weight = {} if growth is None else warm_start_state(self._state.weight, growth)
+        present = self._state.youngs
         starts: list[Any] = [self._start if present is None else present, homogeneous]
         for start in starts:
             monitor = Monitor(
@@ -256,7 +263,7 @@ class IncrementalInversion:
                     raise
                 weight = {}
         reason, point, state = monitor.reason, monitor.point, monitor.state
-        if reason is StopReason.INTERRUPTED:
+        if reason is StopReason.INTERRUPTED and not self._restart:
             raise KeyboardInterrupt
         assert point is not None
         assert reason is not None
@@ -264,10 +271,10 @@ class IncrementalInversion:
         self._state = _State(presses, errors, point.youngs, stored)
         result = result_of(objective, self._settings, optimizer, monitor)
         last = float(monitor.history[-1].get("weight", 0.0))
-        return IncrementalResult(result, point, last, not reason.is_limit)
+        return IncrementalResult(result, point, last, self._restart or not reason.is_limit)
 
 
-def _check_settings(settings: Settings, max_iterations: int) -> DampedNewton:
+def _check_settings(settings: Settings, max_iterations: int, restart: bool) -> None:
     if settings.nuisance.size:
         raise ConfigError(
             "nuisance: an incremental inversion does not estimate nuisance parameters; estimate "
@@ -276,9 +283,8 @@ def _check_settings(settings: Settings, max_iterations: int) -> DampedNewton:
     if max_iterations < 1:
         raise ConfigError(f"max_iterations={max_iterations}: give at least 1.")
     optimizer = settings.optimizer
-    if not isinstance(optimizer, DampedNewton):
+    if not (restart or isinstance(optimizer, DampedNewton)):
         raise ConfigError(
             f"optimizer={OPTIMIZERS.name_of(type(optimizer))} cannot continue from the map before; "
             "choose gauss_newton, or newton_cg beyond ten thousand elements."
         )
-    return optimizer

@@ -13,7 +13,6 @@
 from tactorch.sampling.candidates import Patch, candidate_patches
 from tactorch.sampling.loop import LoopOptions, LoopResult, Observer, SamplingLoop, Update
 from tactorch.sampling.presser import Presser, SimulatedPresser
-from tactorch.sampling.replay import replay
 from tactorch.sampling.rules import (
     RULES,
     ExpectedError,
@@ -25,13 +24,11 @@ from tactorch.sampling.rules import (
     UniformGrid,
 )
 from tactorch.sampling.sample import Step, sample
-from tactorch.sampling.sources import Arrival, PresserSource, PressSource, RecordingSource
-from tactorch.sampling.suggest import Candidates, Suggester, Suggestion, SuggestOptions
+from tactorch.sampling.sources import RecordingSource, replay
+from tactorch.sampling.suggest import Suggester, Suggestion, SuggestOptions
 
 __all__ = [
     "RULES",
-    "Arrival",
-    "Candidates",
     "ExpectedError",
     "ExpectedInformation",
     "LargestUncertainty",
@@ -39,9 +36,7 @@ __all__ = [
     "LoopResult",
     "Observer",
     "Patch",
-    "PressSource",
     "Presser",
-    "PresserSource",
     "Random",
     "RecordingSource",
     "Rule",

@@ -1,6 +1,8 @@
-"""Patches of a curved surface that a round sensor can press, and their nodal forces."""
+"""Candidates of the next press: patches of a curved surface that a round sensor can press."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,8 +11,11 @@ from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.mesh.values import Real, positive
+from tactorch.recording import Press, Recording
 
 _CUTS = 8  # parts along a triangle's edge, each counted in or out of the patch
+_MIN_FACING = 0.85  # mean cosine between surface and sensor; an edge of a cube has 0.71
+_MAX_RADIUS_SHARE = 0.25  # inferred radius of the sensor over the object's smallest extent
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +42,9 @@ class Patch:
         Raises:
             ConfigError: the mesh has no such surface there.
         """
-        surface, facing = mesh.surface, self._facing(mesh)
-        weights = _inner_points(_CUTS)
-        shares = (self._inside(mesh, weights) @ weights) * (surface.areas * facing)[:, None]
+        surface, weights = mesh.surface, _inner_points(_CUTS)
+        areas = surface.areas * self._cosines(mesh)
+        shares = (self._inside(mesh, weights) @ weights) * areas[:, None]
         nodal = np.bincount(surface.triangles.ravel(), shares.ravel(), minlength=mesh.n_points)
         if not nodal.sum() > 0:
             raise ConfigError(
@@ -52,27 +57,27 @@ class Patch:
     def facing(self, mesh: TetMesh) -> float:
         """Return the area-weighted mean cosine between the pressed surface and the sensor."""
         inside = self._inside(mesh, _inner_points(_CUTS)).sum(axis=1) * mesh.surface.areas
-        return float(inside @ self._facing(mesh) / max(inside.sum(), 1e-300))
+        return float(inside @ self._cosines(mesh) / max(inside.sum(), 1e-300))
 
-    def _facing(self, mesh: TetMesh) -> Float[np.ndarray, " k"]:
-        """Cosine between each triangle's normal and the way to the sensor."""
+    def _cosines(self, mesh: TetMesh) -> Float[np.ndarray, " k"]:
+        """Cosine between each triangle's normal and the direction to the sensor."""
         return -(mesh.surface.normals @ self.inward)
 
     def _inside(self, mesh: TetMesh, weights: Float[np.ndarray, "q 3"]) -> Bool[np.ndarray, "k q"]:
         """Which inner points of each triangle are pressed."""
-        reach = 1.5 * self.radius_mm
+        max_depth = 1.5 * self.radius_mm
         corners = mesh.points[mesh.surface.triangles]
-        middles = corners.mean(axis=1)
-        sizes = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+        centroids = corners.mean(axis=1)
+        sizes = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
         # Most triangles are too far from the centre.
-        gaps = np.linalg.norm(middles - self.center, axis=1)
-        near = gaps <= np.hypot(self.radius_mm, reach) + sizes
-        near &= self._facing(mesh) > 0
+        distances = np.linalg.norm(centroids - self.center, axis=1)
+        near = distances <= np.hypot(self.radius_mm, max_depth) + sizes
+        near &= self._cosines(mesh) > 0
         offsets = np.einsum("qc,kcd->kqd", weights, corners[near]) - self.center
         along = offsets @ self.inward
         across = np.linalg.norm(offsets - along[..., None] * self.inward, axis=2)
         inside = np.zeros((len(corners), len(weights)), dtype=bool)
-        inside[near] = (across <= self.radius_mm) & (np.abs(along) <= reach)
+        inside[near] = (across <= self.radius_mm) & (np.abs(along) <= max_depth)
         return inside
 
 
@@ -137,7 +142,103 @@ def _vertex_normals(mesh: TetMesh) -> Float[np.ndarray, "n 3"]:
 def _inner_points(cuts: int) -> Float[np.ndarray, "q 3"]:
     """Evenly spread inner points of a triangle as barycentric weights, with the mean at 1/3."""
     i, j = np.meshgrid(np.arange(cuts), np.arange(cuts), indexing="ij")
-    up = np.stack((i, j), axis=-1)[i + j < cuts] + 1 / 3
-    down = np.stack((i, j), axis=-1)[i + j < cuts - 1] + 2 / 3
-    two = np.concatenate((up, down)) / cuts
+    upward = np.stack((i, j), axis=-1)[i + j < cuts] + 1 / 3
+    downward = np.stack((i, j), axis=-1)[i + j < cuts - 1] + 2 / 3
+    two = np.concatenate((upward, downward)) / cuts
     return np.column_stack((two, 1.0 - two.sum(axis=1)))
+
+
+class Candidates(NamedTuple):
+    """Patches that can be pressed next.
+
+    Attributes:
+        patches: All patches.
+        pressed: Indices of those pressed so far, in order.
+        plan: Returns the press on a patch as it would be recorded, with displacement 0.
+    """
+
+    patches: Sequence[Patch]
+    pressed: tuple[int, ...]
+    plan: Callable[[Patch], Press]
+
+
+class InferredCandidates:
+    """Candidates inferred from the presses of a recording.
+
+    They have the sensor's size, on the surface that no press fixed. Their load is the median
+    pressure so far, and the body is fixed as in the last press.
+    """
+
+    def __init__(self, radius_mm: float | None, count: int) -> None:
+        self._radius_mm, self._count = radius_mm, count
+        self._patches: dict[tuple[bytes, float], list[Patch]] = {}
+
+    def __call__(self, recording: Recording) -> Candidates:
+        """Return the candidates.
+
+        Raises:
+            ConfigError: there is no patch to press, or the size of the sensor is unknown.
+        """
+        mesh, presses = recording.mesh, recording.presses
+        radius = float(self._radius_mm or sensor_radius_mm(mesh, presses))
+        held = np.any([press.held.any(axis=1) for press in presses], axis=0)
+        key = held.tobytes(), radius
+        if key not in self._patches:
+            patches = candidate_patches(mesh, held, radius, self._count, min_facing=_MIN_FACING)
+            self._patches = {key: patches}
+        patches = self._patches[key]
+        pressed = _pressed(recording, patches, radius)
+        loaded = [(press, area) for press in presses if (area := _loaded_mm2(mesh, press)) > 0]
+        pressures = [float(np.linalg.norm(press.total_force)) / area for press, area in loaded]
+        pressure = float(np.median(pressures)) if pressures else 0.0
+        return Candidates(
+            patches,
+            pressed if len(pressed) < len(patches) else (),  # all pressed: start over
+            lambda patch: _plan(presses[-1], patch, mesh, pressure),
+        )
+
+
+def sensor_radius_mm(mesh: TetMesh, presses: Sequence[Press]) -> float:
+    """Return the radius of a disc of the loaded area, at most a quarter of the object's extent.
+
+    Raises:
+        ConfigError: no press loads the surface.
+    """
+    areas = [area for press in presses if (area := _loaded_mm2(mesh, press)) > 0]
+    if not areas:
+        raise ConfigError(
+            "no press loads the surface with a force, so the size of the sensor is not known; give "
+            "suggest.radius_mm."
+        )
+    max_radius = _MAX_RADIUS_SHARE * float(np.ptp(mesh.bounds, axis=0).min())
+    return min(float(np.sqrt(np.median(areas) / np.pi)), max_radius)
+
+
+def _loaded_mm2(mesh: TetMesh, press: Press) -> float:
+    return float(mesh.vertex_areas[press.forces.any(axis=1)].sum())
+
+
+def _plan(last: Press, patch: Patch, mesh: TetMesh, pressure_mpa: float) -> Press:
+    """Press on a patch, fixed as the last press and observed where it loads."""
+    unit = patch.forces(mesh)
+    zero = np.zeros_like(unit)
+    observed = np.repeat(np.any(unit != 0.0, axis=1)[:, None], 3, axis=1)
+    return replace(
+        last, forces=pressure_mpa * unit, observed=observed, displacement=zero, prescribed=zero,
+        weights=None, direction=None, name="",
+    )  # fmt: skip
+
+
+def _pressed(recording: Recording, patches: Sequence[Patch], radius_mm: float) -> tuple[int, ...]:
+    """Candidates whose centre is within half a radius of a press."""
+    centers = np.array([patch.center for patch in patches])
+    pressed: list[int] = []
+    for press in recording.presses:
+        weights = np.linalg.norm(press.forces, axis=1)
+        weights = weights if weights.any() else press.observed.any(axis=1).astype(float)
+        contact = weights @ recording.mesh.points / weights.sum()
+        distances = np.linalg.norm(centers - contact, axis=1)
+        nearest = int(distances.argmin())
+        if distances[nearest] <= 0.5 * radius_mm and nearest not in pressed:
+            pressed.append(nearest)
+    return tuple(pressed)

@@ -1,11 +1,12 @@
 """The loop of press, inversion and suggestion, over any source of presses."""
 
+import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from tactorch.inverse import IncrementalInversion, IncrementalResult, Settings, 
 from tactorch.inverse.starts import START_MPA
 from tactorch.metrics import Inclusion
 from tactorch.plain import plain
-from tactorch.recording import Press, Recording
-from tactorch.sampling.sources import Arrival, PressSource, RecordingSource
-from tactorch.sampling.store import Store
+from tactorch.recording import Recording
+from tactorch.sampling.sources import Arrival, PressSource
+from tactorch.sampling.store import RESULT, Store
 from tactorch.sampling.suggest import Suggester, Suggestion
 
 _RESUME_TIMEOUT_S = 10.0  # for the presses of a continued run to be readable
@@ -118,24 +119,6 @@ class Observer:
         """The next press was suggested."""
 
 
-@runtime_checkable
-class Inversion(Protocol):
-    """Inversion to which presses are added, such as `IncrementalInversion`."""
-
-    @property
-    def recording(self) -> Recording:
-        """The object with all presses so far."""
-        ...
-
-    def add(self, presses: Sequence[Press]) -> IncrementalResult:
-        """Invert all presses so far and these."""
-        ...
-
-    def refine(self, *, stop: Callable[[], bool]) -> IncrementalResult:
-        """Continue until the optimizer converges or `stop` returns True."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class LoopResult:
     """End of a loop.
@@ -158,79 +141,41 @@ class SamplingLoop:
 
     Args:
         source: Source of presses.
-        inversion: Makes the inversion, once a press has come.
-        suggester: Suggests the next press; it is requested from the source.
+        settings: Settings of the inversions.
+        folder: Folder of the run; a run there is continued. None keeps none.
         observers: Receive the loop's events.
         options: Pace and end.
-        store: Folder of the run's state; a state there is continued. None keeps none.
-        skip_invalid: Report presses that cannot be inverted, and skip them; False raises.
+        suggester: Suggests the next press; expected error by default.
+        start_mpa: Start of the first inversion.
+        restart: See `IncrementalInversion`; for presses on request. A press that cannot be inverted
+            then raises, and is otherwise reported and skipped.
         target_deviation: Root mean square deviation of the parameters at which the loop ends.
     """
 
     def __init__(
         self,
         source: PressSource,
-        inversion: Callable[[], Inversion],
-        suggester: Suggester,
-        observers: Sequence[Observer] = (),
-        *,
-        options: LoopOptions | None = None,
-        store: Store | None = None,
-        skip_invalid: bool = True,
-        target_deviation: float = 0.0,
-    ) -> None:
-        self._source, self._make_inversion = source, inversion
-        self._suggester, self._observers = suggester, tuple(observers)
-        self._options, self._store = options or LoopOptions(), store
-        self._skip_invalid, self._target_deviation = skip_invalid, target_deviation
-        self._waiting: list[Arrival] = []
-        self._done: list[Arrival] = []
-        self._history: list[dict[str, Any]] = []
-        self._inversion: Inversion | None = None
-        self._update: Update | None = None
-
-    @staticmethod
-    def following(
-        source: RecordingSource,
         settings: Settings,
-        folder: str | Path,
+        folder: str | Path | None = None,
         *observers: Observer,
         options: LoopOptions | None = None,
         suggester: Suggester | None = None,
         start_mpa: Start = START_MPA,
-    ) -> "SamplingLoop":
-        """Return a loop over a recording that somebody else extends.
-
-        Args:
-            source: The recording, or a folder of recordings.
-            settings: Settings of the inversions.
-            folder: Folder of the run; a run there is continued.
-            observers: Receive the loop's events.
-            options: Pace and end.
-            suggester: Suggests the next press; expected error by default.
-            start_mpa: Start of the first inversion.
-        """
-        options = options or LoopOptions()
-
-        def make_inversion() -> IncrementalInversion:
-            assert source.about is not None
-            return IncrementalInversion(
-                source.about,
-                settings,
-                max_iterations=options.max_iterations,
-                max_seconds_per_update=options.update_seconds,
-                start_mpa=start_mpa,
-            )
-
+        restart: bool = False,
+        target_deviation: float = 0.0,
+    ) -> None:
+        self._source, self._settings, self._start = source, settings, start_mpa
+        self._observers, self._options = observers, options or LoopOptions()
+        self._suggester = suggester or Suggester(settings)
+        self._restart, self._target_deviation = restart, target_deviation
+        self._max_presses = self._options.max_presses or sys.maxsize
         digest = sha256(repr(plain(settings)).encode()).hexdigest()[:16]
-        return SamplingLoop(
-            source,
-            make_inversion,
-            suggester or Suggester(settings),
-            observers,
-            options=options,
-            store=Store(folder, digest),
-        )
+        self._store = None if folder is None else Store(folder, digest)
+        self._waiting: list[Arrival] = []
+        self._done: list[Arrival] = []
+        self._history: list[dict[str, Any]] = []
+        self._inversion: IncrementalInversion | None = None
+        self._update: Update | None = None
 
     def run(self) -> LoopResult:
         """Run to the end; Ctrl-C ends it with the last complete update.
@@ -244,7 +189,8 @@ class SamplingLoop:
             self._resume()
             self._refine_and_suggest()  # a run that was killed may not have come to it
             reason = self._follow()
-            self._refine_and_suggest()
+            if not self._restart:  # it would carry out another press
+                self._refine_and_suggest()
         except KeyboardInterrupt:
             if self._update is None and not self._history:
                 raise
@@ -254,13 +200,9 @@ class SamplingLoop:
     def _follow(self) -> str:
         """Update as presses come; return the reason of the end."""
         options, last = self._options, time.monotonic()
-        while True:
-            reason = self._end()
-            if reason:
-                return reason
-            self._poll()
-            if self._waiting:
-                count = min(options.max_batch, self._remaining(), len(self._waiting))
+        while not (reason := self._end()):
+            if self._press_waits():
+                count = min(options.max_batch, self._max_presses - len(self._done))
                 batch, self._waiting = self._waiting[:count], self._waiting[count:]
                 self._add(batch)
                 self._refine_and_suggest()
@@ -272,11 +214,12 @@ class SamplingLoop:
             for observer in self._observers:
                 observer.waiting(len(self._done), idle)
             time.sleep(options.poll_seconds)
+        return reason
 
     def _end(self) -> str:
         """Reason to end now; empty if there is none."""
-        if self._remaining() == 0:
-            return f"{self._options.max_presses} presses (max_presses) were made"
+        if len(self._done) >= self._max_presses:
+            return f"{self._max_presses} presses (max_presses) were made"
         update = self._update
         if update is None:
             return ""
@@ -286,20 +229,23 @@ class SamplingLoop:
         reached = deviation is not None and deviation <= self._target_deviation
         return f"the deviation is {deviation:.3g}, as low as the target" if reached else ""
 
-    def _remaining(self) -> int:
-        """Number of presses until `max_presses`."""
-        max_presses = self._options.max_presses
-        return 2**62 if max_presses is None else max(max_presses - len(self._done), 0)
-
-    def _poll(self) -> None:
-        self._waiting += self._source.poll()
-
     def _press_waits(self) -> bool:
         """Whether a press waits to be inverted."""
-        if self._remaining() == 0:
+        if len(self._done) >= self._max_presses:
             return False
-        self._poll()
+        self._waiting += self._source.poll()
         return bool(self._waiting)
+
+    def _make_inversion(self) -> IncrementalInversion:
+        assert self._source.about is not None
+        return IncrementalInversion(
+            self._source.about,
+            self._settings,
+            start_mpa=self._start,
+            max_iterations=self._options.max_iterations,
+            max_seconds_per_update=self._options.update_seconds,
+            restart=self._restart,
+        )
 
     def _add(self, batch: list[Arrival]) -> None:
         """Invert new presses; invalid ones are reported and skipped."""
@@ -308,7 +254,7 @@ class SamplingLoop:
             inversion = self._inversion or self._make_inversion()
             solution = inversion.add([arrival.press for arrival in batch])
         except (ConvergenceError, RecordingError, ConfigError) as error:
-            if not self._skip_invalid:
+            if self._restart:
                 raise
             if len(batch) > 1:  # find the invalid one
                 for arrival in batch:
@@ -363,7 +309,7 @@ class SamplingLoop:
         self._update = Update(recording, solution, lump, entry)
         self._save()
         if self._store is not None:
-            self._store.save_result(result)
+            result.save(self._store.folder / RESULT)
         for observer in self._observers:
             observer.updated(self._update)
 
@@ -376,33 +322,28 @@ class SamplingLoop:
         self._save()
         for observer in self._observers:
             observer.suggested(self._update)
-        if suggestion.patch is not None:
-            self._source.request(suggestion.patch)
 
     def _save(self) -> None:
-        if self._store is not None and isinstance(self._inversion, IncrementalInversion):
+        if self._store is not None and self._inversion is not None:
             self._store.save(self._inversion.state(), self._done, self._history)
 
     def _resume(self) -> None:
         """Continue the run that the store holds."""
-        state = None if self._store is None else self._store.load()
-        if state is None or self._store is None:
+        saved = None if self._store is None else self._store.load()
+        if saved is None:
             return
-        keys = [str(key) for key in state["keys"]]
-        digests = dict(zip(keys, map(str, state["marks"]), strict=True))
-        arrivals = self._await(keys)
+        state, digests, history = saved
+        arrivals = self._await(list(digests))
         for arrival in arrivals:
             if arrival.digest != digests[arrival.key]:
                 raise RecordingError(
                     f"{arrival.key} differs from the press of this run; choose another run_dir "
                     "for another recording."
                 )
-        inversion = self._make_inversion()
-        assert isinstance(inversion, IncrementalInversion), "no other inversion has a state"
-        inversion.restore([arrival.press for arrival in arrivals], state)
-        self._inversion, self._done = inversion, arrivals
-        self._history = self._store.history(state)
-        self._store.write_history(self._history)
+        self._inversion, self._done = self._make_inversion(), arrivals
+        self._inversion.restore([arrival.press for arrival in arrivals], state)
+        self._history = history
+        self._save()
         for observer in self._observers:
             observer.resumed(self._history)
 
@@ -410,7 +351,7 @@ class SamplingLoop:
         """Presses of the continued run in its order; a file may not be readable at once."""
         deadline = time.monotonic() + _RESUME_TIMEOUT_S
         while True:
-            self._poll()
+            self._waiting += self._source.poll()
             available = {arrival.key: arrival for arrival in self._waiting}
             missing = [key for key in keys if key not in available]
             if not missing:

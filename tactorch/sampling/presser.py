@@ -80,12 +80,12 @@ class SimulatedPresser:
         """
         supports = Supports(fixed=_rows(self.held))
         load = self.pressure_mpa * patch.forces(self.body.mesh)
-        found = self.body.equilibrate(self.youngs, load, supports).require()
+        result = self.body.equilibrate(self.youngs, load, supports).require()
         place = np.round(patch.center * 1e6).astype(np.int64) & 0xFFFFFFFF
         rng = np.random.default_rng([self.seed, *place.tolist()])
         plan = self.plan(patch)
         noise = self.noise_mm * rng.standard_normal(plan.forces.shape)
-        return replace(plan, displacement=self._transfer(found.displacement) + noise)
+        return replace(plan, displacement=self._transfer(result.displacement) + noise)
 
 
 def _rows(nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, "n 3"]:

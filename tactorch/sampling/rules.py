@@ -7,7 +7,7 @@ entry point of the group `tactorch.rule`.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -21,19 +21,22 @@ from tactorch.recording import Recording
 from tactorch.sampling.candidates import Patch
 from tactorch.uncertainty.gaussian_state import GaussianState
 
+_HERE = "tactorch.sampling.rules"
 RULES = Registry(
     "rule",
     {
-        "auto": "tactorch.sampling.rules:Automatic",
-        "expected_error": "tactorch.sampling.rules:ExpectedError",
-        "expected_information": "tactorch.sampling.rules:ExpectedInformation",
-        "largest_uncertainty": "tactorch.sampling.rules:LargestUncertainty",
-        "uniform_grid": "tactorch.sampling.rules:UniformGrid",
-        "random": "tactorch.sampling.rules:Random",
-        "none": "tactorch.sampling.rules:NoSuggestion",
+        "auto": f"{_HERE}:Automatic",
+        "expected_error": f"{_HERE}:ExpectedError",
+        "expected_information": f"{_HERE}:ExpectedInformation",
+        "largest_uncertainty": f"{_HERE}:LargestUncertainty",
+        "uniform_grid": f"{_HERE}:UniformGrid",
+        "random": f"{_HERE}:Random",
+        "none": f"{_HERE}:NoSuggestion",
     },
     "rules that choose the next press",
 )
+#: Derivatives of a press's data by the parameters, in standard deviations of the noise.
+Jacobian: TypeAlias = Float[np.ndarray, "data m"]
 
 MAX_DENSE_ELEMENTS = 4_000  # elements up to which a dense posterior takes seconds
 _AREA_RADII = 2.0  # radius of a patch's area over that of the sensor
@@ -50,8 +53,8 @@ class SamplingState:
         parameterization: Map from parameters to moduli (MPa).
         credibility: For each press, the squared largest derivative of any datum (in standard
             deviations of its noise) by the parameter of an element of mean volume.
-        jacobians: Predicts the derivatives of candidates' data by the parameters, in standard
-            deviations of the noise; None for a candidate under which the body collapses.
+        jacobians: Predicts the Jacobians of candidates, in standard deviations of the noise; None
+            for a candidate under which the body collapses.
         posterior: Normal distribution of the parameters (log-moduli by default) given all presses;
             None for rules without `uses_posterior`.
     """
@@ -61,13 +64,13 @@ class SamplingState:
     pressed: tuple[int, ...]
     parameterization: Parameterization
     credibility: Float[np.ndarray, "presses m"]
-    jacobians: Callable[[Sequence[int]], list[np.ndarray | None]]
+    jacobians: Callable[[Sequence[int]], list[Jacobian | None]]
     posterior: GaussianState | None = None
 
     @property
     def remaining(self) -> list[int]:
         """Indices of the candidates that were not pressed."""
-        return _remaining(len(self.candidates), self.pressed)
+        return [i for i in range(len(self.candidates)) if i not in self.pressed]
 
 
 class Rule(Options, ABC):
@@ -117,15 +120,11 @@ class NoSuggestion(Rule):
     """No suggestion of the next press."""
 
     def resolve(self, recording: Recording) -> Rule:
-        """See `Rule.resolve`.
-
-        Raises:
-            ConfigError: always.
-        """
+        """Refuse."""
         raise ConfigError("suggestions are off (suggest.rule=none)")
 
     def choose(self, state: SamplingState) -> int:
-        """See `Rule.choose`."""
+        """Refuse; `resolve` does so before."""
         raise ConfigError("suggestions are off (suggest.rule=none)")
 
 
@@ -156,22 +155,14 @@ class ScoredRule(Rule):
 
     def choose(self, state: SamplingState) -> int:
         """See `Rule.choose`."""
-        assert state.posterior is not None
-        predicted = zip(state.remaining, state.jacobians(state.remaining), strict=True)
-        scores = {
-            i: self.score(state, state.posterior, jacobian)
-            for i, jacobian in predicted
-            if jacobian is not None
-        }
-        return max(scores, key=lambda i: scores[i]) if scores else state.remaining[0]
+        posterior, remaining = state.posterior, state.remaining
+        assert posterior is not None
+        predicted = zip(remaining, state.jacobians(remaining), strict=True)
+        scores = {i: self.score(state, posterior, j) for i, j in predicted if j is not None}
+        return max(scores, key=lambda i: scores[i]) if scores else remaining[0]
 
     @abstractmethod
-    def score(
-        self,
-        state: SamplingState,
-        posterior: GaussianState,
-        jacobian: Float[np.ndarray, "data m"],
-    ) -> float:
+    def score(self, state: SamplingState, posterior: GaussianState, jacobian: Jacobian) -> float:
         """Return the value of a press with this Jacobian."""
 
 
@@ -179,12 +170,7 @@ class ScoredRule(Rule):
 class ExpectedInformation(ScoredRule):
     """Largest expected information of the data: log det(I + J Sigma J^T) / 2."""
 
-    def score(
-        self,
-        state: SamplingState,
-        posterior: GaussianState,
-        jacobian: Float[np.ndarray, "data m"],
-    ) -> float:
+    def score(self, state: SamplingState, posterior: GaussianState, jacobian: Jacobian) -> float:
         """Return the expected information, nats."""
         return posterior.information_gain(jacobian)
 
@@ -199,12 +185,7 @@ class ExpectedError(ScoredRule):
 
     of: Literal["youngs", "parameters"] = option("youngs", "Quantity whose error is reduced")
 
-    def score(
-        self,
-        state: SamplingState,
-        posterior: GaussianState,
-        jacobian: Float[np.ndarray, "data m"],
-    ) -> float:
+    def score(self, state: SamplingState, posterior: GaussianState, jacobian: Jacobian) -> float:
         """Return the expected reduction of the mean variance."""
         reduction = posterior.expected_variance_reduction(jacobian)
         if self.of == "youngs":
@@ -225,11 +206,7 @@ class UniformGrid(Rule):
     budget: int = option(help="Number of presses", ge=1)
 
     def places(self, candidates: Sequence[Patch]) -> list[int]:
-        """Return the grid in farthest-point order.
-
-        Raises:
-            ConfigError: there are fewer candidates than places.
-        """
+        """Return the grid in farthest-point order."""
         if self.budget > len(candidates):
             raise ConfigError(
                 f"budget={self.budget}: a grid takes 1 to {len(candidates)} places, as many as "
@@ -256,11 +233,7 @@ class UniformGrid(Rule):
         return self.places(candidates)[0]
 
     def choose(self, state: SamplingState) -> int:
-        """See `Rule.choose`.
-
-        Raises:
-            ConfigError: all places of the grid were pressed.
-        """
+        """See `Rule.choose`."""
         if len(state.pressed) >= self.budget:
             raise ConfigError(
                 f"budget={self.budget}: all places of the uniform grid were pressed; set its "
@@ -277,15 +250,14 @@ class Random(Rule):
 
     def first(self, candidates: Sequence[Patch]) -> int:
         """See `Rule.first`."""
-        return self._draw(len(candidates), ())
+        return self._draw(range(len(candidates)), 0)
 
     def choose(self, state: SamplingState) -> int:
         """See `Rule.choose`."""
-        return self._draw(len(state.candidates), state.pressed)
+        return self._draw(state.remaining, len(state.pressed))
 
-    def _draw(self, count: int, pressed: tuple[int, ...]) -> int:
-        rng = np.random.default_rng([self.seed, len(pressed)])
-        return int(rng.choice(_remaining(count, pressed)))
+    def _draw(self, remaining: Sequence[int], pressed: int) -> int:
+        return int(np.random.default_rng([self.seed, pressed]).choice(remaining))
 
 
 def area_means(
@@ -303,7 +275,3 @@ def area_means(
     total = np.bincount(nearest, volumes, minlength=len(candidates))
     sums = np.bincount(nearest, volumes * values, minlength=len(candidates))
     return sums / np.maximum(total, 1e-300)
-
-
-def _remaining(count: int, pressed: tuple[int, ...]) -> list[int]:
-    return [i for i in range(count) if i not in set(pressed)]

@@ -8,16 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import IncrementalResult, Settings, invert, make_objective
+from tactorch.inverse import Settings
 from tactorch.inverse.starts import START_MPA
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.sampling.candidates import Patch
+from tactorch.recording.append import digest
+from tactorch.sampling.candidates import Candidates, Patch
 from tactorch.sampling.loop import LoopOptions, Observer, SamplingLoop, Update
 from tactorch.sampling.presser import Presser
 from tactorch.sampling.rules import Rule
-from tactorch.sampling.sources import PresserSource
-from tactorch.sampling.suggest import Candidates, Suggester, SuggestOptions
+from tactorch.sampling.sources import Arrival, PressSource
+from tactorch.sampling.suggest import Suggester, SuggestOptions
 from tactorch.uncertainty.select import posterior_at
 
 
@@ -77,7 +78,8 @@ def sample(
     Raises:
         ConfigError: there are fewer candidates than the budget, nuisance parameters are to be
             estimated, or a setting cannot be used.
-        ConvergenceError: the presses have no equilibrium at the previous map.
+        ConvergenceError: the presses have no equilibrium, neither at the previous map nor at a
+            uniform one.
     """
     settings = settings or Settings()
     if not 1 <= budget <= len(candidates):
@@ -89,50 +91,63 @@ def sample(
             "active sampling does not estimate nuisance parameters; estimate them from a recording "
             "first, and sample with Settings(nuisance=NuisancePrior())."
         )
-    source = PresserSource(presser)
-    session = _Session(presser, candidates, budget, [rule.first(candidates)], on_press)
-    source.request(candidates[session.places[0]])
-    loop = SamplingLoop(
-        source,
-        lambda: _RestartedInversion(mesh, material, settings, start_mpa),
-        # The posterior is the variational one under total variation: Laplace's is too narrow where
-        # no press has been.
-        Suggester(
-            settings,
-            SuggestOptions(rule=rule),
-            candidates=session.available,
-            posterior=posterior_at,
-        ),
-        [session],
-        options=LoopOptions(max_batch=1, max_presses=budget),
-        skip_invalid=False,
-        target_deviation=target_deviation,
+    session = _Session(presser, mesh, material, candidates, rule.first(candidates), budget)
+    session.on_press = on_press
+    # The posterior is the variational one under total variation: Laplace's is too narrow where no
+    # press has been.
+    suggester = Suggester(
+        settings, SuggestOptions(rule=rule), candidates=session.available, posterior=posterior_at
     )
-    loop.run()
+    SamplingLoop(
+        session,
+        settings,
+        None,
+        session,
+        options=LoopOptions(max_batch=1, max_presses=budget),
+        suggester=suggester,
+        start_mpa=start_mpa,
+        restart=True,
+        target_deviation=target_deviation,
+    ).run()
     return session.steps
 
 
-class _Session(Observer):
-    """Pressed places, and the steps so far."""
+class _Session(PressSource, Observer):
+    """Presses where the rule suggests, and keeps the steps."""
+
+    name = "the presser"
 
     def __init__(
         self,
         presser: Presser,
+        mesh: TetMesh,
+        material: MaterialSpec,
         candidates: Sequence[Patch],
+        first: int,
         budget: int,
-        places: list[int],
-        on_press: Callable[[Step], None] | None,
     ) -> None:
-        self.places, self.steps = places, list[Step]()
-        self._presser, self._candidates, self._budget = presser, candidates, budget
-        self._on_press = on_press
+        self._presser, self._mesh, self._material = presser, mesh, material
+        self._candidates, self._budget = candidates, budget
+        self._places, self._pressed = [first], 0
         self._started = self._updated = time.perf_counter()
+        self.steps: list[Step] = []
+        self.on_press: Callable[[Step], None] | None = None
 
     def available(self, recording: Recording) -> Candidates:
         """Return the candidates, unless the budget is spent."""
-        if len(self.places) == self._budget:
+        if len(self._places) == self._budget:
             raise ConfigError(f"all presses of budget={self._budget} were made")
-        return Candidates(self._candidates, tuple(self.places), self._presser.plan)
+        return Candidates(self._candidates, tuple(self._places), self._presser.plan)
+
+    def poll(self) -> list[Arrival]:
+        """Carry out the suggested press, if any."""
+        if self._pressed == len(self._places):
+            return []
+        press = self._presser.press(self._candidates[self._places[-1]])
+        self._pressed += 1
+        # A single press may be too small for the check of units.
+        self.about = Recording(self._mesh, (press,), self._material, check_units=False)
+        return [Arrival(press, f"press {self._pressed}", digest(press))]
 
     def updated(self, update: Update) -> None:
         """See `Observer.updated`."""
@@ -140,53 +155,15 @@ class _Session(Observer):
 
     def suggested(self, update: Update) -> None:
         """See `Observer.suggested`."""
-        suggestion = update.suggestion
+        suggestion, rms = update.suggestion, update.rms_deviation
         assert suggestion is not None
-        if suggestion.deviation is None or (
-            suggestion.index is None and len(self.places) < self._budget
-        ):
+        ended = len(self._places) == self._budget
+        if suggestion.deviation is None or rms is None or (suggestion.index is None and not ended):
             raise ConfigError(suggestion.reason)
-        rms = update.rms_deviation
-        assert rms is not None
         press, seconds = update.recording.presses[-1], self._updated - self._started
-        step = Step(self.places[-1], press, update.youngs, suggestion.deviation, rms, seconds)
+        step = Step(self._places[-1], press, update.youngs, suggestion.deviation, rms, seconds)
         self.steps.append(step)
         if suggestion.index is not None:
-            self.places.append(suggestion.index)
-        if self._on_press is not None:
-            self._on_press(step)
-
-
-class _RestartedInversion:
-    """`invert` of all presses after each, started from the previous map."""
-
-    def __init__(
-        self, mesh: TetMesh, material: MaterialSpec, settings: Settings, start_mpa: float
-    ) -> None:
-        self._mesh, self._material, self._settings = mesh, material, settings
-        self._presses: tuple[Press, ...] = ()
-        self._youngs = np.full(mesh.n_tets, float(start_mpa))
-        self._result: IncrementalResult | None = None
-
-    @property
-    def recording(self) -> Recording:
-        """The object with all presses so far."""
-        # A single press may be too small for the check of units.
-        return Recording(self._mesh, self._presses, self._material, check_units=False)
-
-    def add(self, presses: Sequence[Press]) -> IncrementalResult:
-        """Invert all presses so far and these."""
-        self._presses += tuple(presses)
-        recording, settings = self.recording, self._settings
-        result = invert(recording, settings, start_mpa=self._youngs, show_progress=False)
-        self._youngs = result.youngs
-        objective = make_objective(recording, settings)
-        point = objective.at(objective.start(result.youngs))
-        weight = float(result.history[-1].get("weight", 0.0))
-        self._result = IncrementalResult(result, point, weight, converged=True)
-        return self._result
-
-    def refine(self, *, stop: Callable[[], bool]) -> IncrementalResult:
-        """Return the last result, which is converged."""
-        assert self._result is not None
-        return self._result
+            self._places.append(suggestion.index)
+        if self.on_press is not None:
+            self.on_press(step)

@@ -1,4 +1,4 @@
-"""Sources of presses: a presser on request, a growing recording, or a folder of recordings.
+"""Recordings that grow, as a source of presses, and replay of a recording into one.
 
 Files are polled, which works on every file system, network drives included. A file that cannot be
 read may be half written: it is read again, and reported once it stays unreadable.
@@ -9,25 +9,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Event
+from typing import NamedTuple
 
 from tactorch.errors import ConfigError, FileError, RecordingError
-from tactorch.recording import Press, Recording, read_presses
+from tactorch.recording import Press, Recording, append_press, compact, read_presses
 from tactorch.recording.append import OtherObjectError, digest
-from tactorch.sampling.candidates import Patch
-from tactorch.sampling.presser import Presser
 
-SUFFIXES = (".h5", ".hdf5")
+_SUFFIXES = (".h5", ".hdf5")
 
 
-@dataclass(frozen=True, eq=False)
-class Arrival:
-    """A press that has come.
-
-    Attributes:
-        press: The press.
-        key: File and number, unique within a run.
-        digest: Hash of its values.
-    """
+class Arrival(NamedTuple):
+    """A press that has come; the key is unique within a run, the digest a hash of its values."""
 
     press: Press
     key: str
@@ -39,43 +32,15 @@ class PressSource(ABC):
 
     Attributes:
         name: Name for messages.
+        about: The object, once a press was read; it never changes.
     """
 
     name: str
+    about: Recording | None = None
 
     @abstractmethod
     def poll(self) -> list[Arrival]:
         """Return the presses that came since the last call, in order."""
-
-    def request(self, patch: Patch) -> None:  # noqa: B027, only pressers listen
-        """Ask for a press on a patch; ignored where somebody else presses."""
-
-
-class PresserSource(PressSource):
-    """Presses that a presser carries out on request.
-
-    Args:
-        presser: Robot, real or simulated.
-    """
-
-    name = "the presser"
-
-    def __init__(self, presser: Presser) -> None:
-        self._presser, self._count = presser, 0
-        self._requested: Patch | None = None
-
-    def request(self, patch: Patch) -> None:
-        """See `PressSource.request`."""
-        self._requested = patch
-
-    def poll(self) -> list[Arrival]:
-        """Carry out the requested press, if any."""
-        patch, self._requested = self._requested, None
-        if patch is None:
-            return []
-        press = self._presser.press(patch)
-        self._count += 1
-        return [Arrival(press, f"press {self._count}", digest(press))]
 
 
 class RecordingSource(PressSource):
@@ -91,9 +56,6 @@ class RecordingSource(PressSource):
 
     Raises:
         ConfigError: the path is neither.
-
-    Attributes:
-        about: The object, once a valid press was read; it never changes.
     """
 
     def __init__(
@@ -105,9 +67,8 @@ class RecordingSource(PressSource):
         report: Callable[[str], None] = lambda message: None,
     ) -> None:
         self.path, self.name = Path(path), f"'{path}'"
-        self.about: Recording | None = None
         self._report, self._patience, self._check_units = report, patience_seconds, check_units
-        if not self.path.is_dir() and self.path.suffix not in SUFFIXES:
+        if not self.path.is_dir() and self.path.suffix not in _SUFFIXES:
             raise ConfigError(
                 f"'{path}' is neither a folder nor a recording (.h5); give the file that presses "
                 "are appended to, or make the folder that recordings are put into."
@@ -122,28 +83,25 @@ class RecordingSource(PressSource):
             RecordingError: presses that were read before were changed or removed, or the only
                 recording is invalid.
         """
+        paths = [self.path] if self.path.is_file() else []
+        if self.path.is_dir():
+            files = (path for path in self.path.iterdir() if path.suffix in _SUFFIXES)
+            paths = sorted(path for path in files if not path.name.startswith("."))
         arrivals: list[Arrival] = []
-        for path in self._paths():
+        for path in paths:
             arrivals += self._read(self._files.setdefault(path.name, _File(path)))
         return arrivals
 
-    def _paths(self) -> list[Path]:
-        if not self.path.is_dir():
-            return [self.path] if self.path.is_file() else []
-        paths = (path for path in self.path.iterdir() if path.suffix in SUFFIXES)
-        return sorted(path for path in paths if not path.name.startswith("."))
-
     def _read(self, file: "_File") -> list[Arrival]:
         try:
-            stamp = file.stamp()
+            status = file.path.stat()
+            stamp = status.st_mtime_ns, status.st_size, status.st_ino
             if stamp == file.read_at:
                 return []
             # The last known press is read again, to notice a replaced file.
+            after = max(file.count - 1, 0)
             contents = read_presses(
-                file.path,
-                after=max(file.count - 1, 0),
-                check_units=self._check_units,
-                known=self.about,
+                file.path, after=after, check_units=self._check_units, known=self.about
             )
         except OtherObjectError:
             raise
@@ -157,12 +115,11 @@ class RecordingSource(PressSource):
                 self._report(f"{file.press_name(index)} is invalid and skipped: {fault}")
         new = {i: press for i, press in contents.presses.items() if i >= file.count}
         file.count = contents.count
+        arrivals = [Arrival(press, file.press_name(i), digest(press)) for i, press in new.items()]
         if contents.recording is not None and new:
             before = () if self.about is None else self.about.presses
             presses = (*before, *new.values())
             self.about = replace(contents.recording, presses=presses, check_units=False)
-        arrivals = [Arrival(press, file.press_name(i), digest(press)) for i, press in new.items()]
-        if new:
             file.last = max(new), arrivals[-1].digest
         return arrivals
 
@@ -185,39 +142,21 @@ class RecordingSource(PressSource):
 
 @dataclass(eq=False)
 class _File:
-    """Reading state of one file.
-
-    Attributes:
-        path: Path of the file.
-        read_at: Its stamp at the last reading.
-        count: Number of presses read, valid or not.
-        last: Number and hash of the last valid press.
-        failed_at: Time of the first failure since the last reading; None without one.
-        reported: Whether the failure was reported.
-    """
+    """Reading state of one file."""
 
     path: Path
-    read_at: tuple[int, int, int] | None = None
-    count: int = 0
-    last: tuple[int, str] | None = None
-    failed_at: float | None = None
-    reported: bool = False
+    read_at: tuple[int, int, int] | None = None  # its time, size and inode at the last reading
+    count: int = 0  # presses read, valid or not
+    last: tuple[int, str] | None = None  # number and hash of the last valid press
+    failed_at: float | None = None  # time of the first failure since the last reading
+    reported: bool = False  # whether the failure was
 
     def press_name(self, index: int) -> str:
         """Name of a press in messages and keys."""
         return f"{self.path.name}, press {index + 1}"
 
-    def stamp(self) -> tuple[int, int, int]:
-        """Time, size and inode, which change with the file."""
-        status = self.path.stat()
-        return status.st_mtime_ns, status.st_size, status.st_ino
-
     def check(self, count: int, presses: Mapping[int, Press]) -> None:
-        """Refuse a file that was replaced.
-
-        Raises:
-            RecordingError: it has fewer presses than before, or other ones.
-        """
+        """Refuse a file that was replaced: it has fewer presses than before, or other ones."""
         if count < self.count:
             raise RecordingError(
                 f"recording '{self.path}' has {count} presses and had {self.count}: it was "
@@ -231,3 +170,60 @@ class _File:
                 f"{self.press_name(self.last[0])} changed since it was read: the recording was "
                 "replaced. Start another run for it."
             )
+
+
+def replay(
+    recording: Recording,
+    target: str | Path,
+    pause_seconds: float,
+    stop: Event | None = None,
+    on_press: Callable[[int], None] = lambda number: None,
+) -> int:
+    """Write a recording's presses into a growing one, to try a live run without a robot.
+
+    Args:
+        recording: Recording to replay.
+        target: The growing recording; presses it holds already are not written again.
+        pause_seconds: Pause before each press but the first, s.
+        stop: Ends the replay when set.
+        on_press: Called with the number of presses after each.
+
+    Returns:
+        Number of presses that the target holds.
+
+    Raises:
+        ConfigError: the pause is negative.
+        RecordingError: the target holds presses of another recording.
+        FileError: the target cannot be written.
+    """
+    if not pause_seconds >= 0:
+        raise ConfigError(f"pause_seconds={pause_seconds}: give a time of at least 0 s.")
+    target, stop = Path(target), stop or Event()
+    done = _count_replayed(recording, target) if target.exists() else 0
+    for index in range(done, len(recording.presses)):
+        if index > done and stop.wait(pause_seconds):
+            return index
+        if index == 0:
+            replace(recording, presses=recording.presses[:1], check_units=False).save(target)
+        else:
+            append_press(target, recording.presses[index])
+        on_press(index + 1)
+    compact(target)
+    return len(recording.presses)
+
+
+def _count_replayed(recording: Recording, target: Path) -> int:
+    """Number of the recording's presses that the target holds."""
+    replayed = Recording.load(target, check_units=False)
+    pairs = zip(replayed.presses, recording.presses, strict=False)
+    if (
+        replayed.mesh.content_hash() != recording.mesh.content_hash()
+        or replayed.material != recording.material
+        or len(replayed.presses) > len(recording.presses)
+        or any(digest(old) != digest(new) for old, new in pairs)
+    ):
+        raise RecordingError(
+            f"'{target}' holds presses of another recording than the replayed one; choose "
+            "another run_dir."
+        )
+    return len(replayed.presses)

@@ -55,7 +55,8 @@ def test_every_package_is_on_one_page_of_the_api(hooks: dict[str, ModuleType]) -
 @pytest.mark.slow  # it imports all there is
 def test_every_public_name_is_in_the_api(hooks: dict[str, ModuleType]) -> None:
     api = hooks["api"]
-    shown = re.findall(r"^::: (\S+)$", "\n".join(api.pages().values()), flags=re.MULTILINE)
+    text = "\n".join(api.pages().values())
+    shown = re.findall(r"^::: (\S+)$", text, flags=re.MULTILINE)
     assert len(shown) == len(set(shown))
     objects = [
         getattr(importlib.import_module(p.rpartition(".")[0]), p.rpartition(".")[2]) for p in shown
@@ -65,7 +66,17 @@ def test_every_public_name_is_in_the_api(hooks: dict[str, ModuleType]) -> None:
         for name in vars(module).get("__all__", ()):
             value = getattr(module, name)
             if inspect.isclass(value) or inspect.isfunction(value):
-                assert any(value is other for other in objects), name
+                listed = f"\n- `{name}`: " in text  # an alias of a type, among the constants
+                assert listed or any(value is other for other in objects), name
+
+
+def test_the_api_shows_the_settings_of_a_class(hooks: dict[str, ModuleType]) -> None:
+    """Type, range, default and help from `option(...)`, of inherited fields too."""
+    (table,) = hooks["api"]._settings("tactorch.fem.materials.isochoric", "MooneyRivlin")
+    (row,) = [line for line in table.splitlines() if line.startswith("| `second_fraction` |")]
+    assert row.endswith("| `0.2` | a number, 0 to 1 | c2 / (c1 + c2), from 0 (Neo-Hookean) to 1 |")
+    assert "| `poisson` | `0.45` | a number above -1, below 0.5 |" in table
+    assert not list(hooks["api"]._settings("tactorch.fem.elements", "Element"))
 
 
 def test_documents_refer_to_names_that_exist() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse import (
+    LBFGS,
     GaussNewton,
     IncrementalInversion,
     InverseProblem,
@@ -65,6 +66,22 @@ def test_after_the_last_press_the_map_is_as_good_as_that_of_a_whole_inversion(
     # Of two weights that fit the data to their noise the whole one's search ends nearby.
     assert 0.3 < updates[-1].weight / whole.history[-1]["weight"] < 3.0
     assert growing.recording.presses == noisy.presses
+
+
+@pytest.mark.parametrize("model_error", ["none", "discretisation"])
+def test_restarted_updates_are_whole_inversions_from_the_map_before(
+    noisy: Recording, model_error: str
+) -> None:
+    settings = Settings(model_error=model_error, optimizer=LBFGS(max_iterations=3))
+    growing = IncrementalInversion(noisy, settings, max_iterations=1, restart=True)
+    start: Any = 0.2
+    for count in (1, 3):
+        update = growing.add(noisy.presses[len(growing.presses) : count])
+        whole = invert(noisy.select(list(range(count))), settings, start_mpa=start)
+        np.testing.assert_allclose(update.result.youngs, whole.youngs, rtol=1e-6)
+        assert update.result.iterations == whole.iterations
+        assert update.converged
+        start = whole.youngs
 
 
 def test_an_update_takes_no_more_iterations_than_it_may(

@@ -87,7 +87,7 @@ def _follow(
     usual = {"idle_seconds": 0.05, "poll_seconds": 0.01, "max_batch": 1, "max_iterations": 3}
     usual["update_seconds"] = None
     source = RecordingSource(path, patience_seconds=patience, report=view.show_message)
-    return SamplingLoop.following(
+    return SamplingLoop(
         source,
         settings,
         folder,

@@ -189,7 +189,7 @@ def test_a_press_that_moved_nothing_is_passed_over(
 
 def test_the_size_of_suggested_places_follows_the_presses(whole: Recording) -> None:
     from tactorch.sampling import Suggester
-    from tactorch.sampling.suggest import sensor_radius_mm
+    from tactorch.sampling.candidates import sensor_radius_mm
 
     suggester, mesh = Suggester(Settings(), SuggestOptions(candidates=4)), whole.mesh
     sizes = []
@@ -285,7 +285,7 @@ def test_where_no_place_can_be_suggested_it_says_why(
 
     options = LoopOptions(idle_seconds=0.01, max_iterations=2)
     suggester = Suggester(Settings(), SuggestOptions(radius_mm=0.01))
-    SamplingLoop.following(
+    SamplingLoop(
         RecordingSource(path),
         Settings(),
         tmp_path / "run",

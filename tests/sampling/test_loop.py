@@ -8,7 +8,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody, make_material
 from tactorch.inverse import GaussNewton, NuisancePrior, Settings
 from tactorch.mesh import TetMesh, box_mesh
-from tactorch.recording import MaterialSpec
+from tactorch.recording import MaterialSpec, Press
 from tactorch.sampling import (
     ExpectedInformation,
     LargestUncertainty,
@@ -92,8 +92,18 @@ def test_an_interruption_ends_the_session_with_what_was_measured(
     assert steps[0].press.observed.any()
 
 
-def test_stops_where_the_posterior_is_narrow_enough(run: Callable[..., list[Step]]) -> None:
+def test_stops_where_the_posterior_is_narrow_enough(
+    run: Callable[..., list[Step]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, press = [], SimulatedPresser.press
+
+    def counted(self: SimulatedPresser, patch: Patch) -> Press:
+        made.append(patch)
+        return press(self, patch)
+
+    monkeypatch.setattr(SimulatedPresser, "press", counted)
     assert len(run(UniformGrid(4), 4, target_deviation=1e3)) == 1
+    assert len(made) == 1  # the robot does not press after the end
 
 
 @pytest.mark.parametrize(
