@@ -7,8 +7,7 @@ from tactorch.inverse.misfit import MISFITS, Misfit
 from tactorch.inverse.monitor import Monitor, StopReason
 from tactorch.inverse.nuisance import Nuisance, NuisanceEstimate, NuisancePrior
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import OPTIMIZERS
-from tactorch.inverse.optimizers.base import Optimizer
+from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.optimizers.newton_cg import NewtonCG
 from tactorch.inverse.optimizers.scipy_methods import LBFGS, TNC
@@ -22,20 +21,13 @@ from tactorch.inverse.parameterization import (
 )
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.regularization import PRIORS
-from tactorch.inverse.regularization.base import NoPrior, Prior, Quadratic, Regularizer
+from tactorch.inverse.regularization.base import PRIORS, NoPrior, Prior, Quadratic, Regularizer
 from tactorch.inverse.regularization.binary_well import BinaryWell
 from tactorch.inverse.regularization.combined import Composite, CompositePenalty, ShiftedPrior
 from tactorch.inverse.regularization.gaussian import Matern, Smoothness, Tikhonov
 from tactorch.inverse.regularization.sharp import LogJumps, Sparsity, TotalVariation
 from tactorch.inverse.settings import Settings, settings_from
-from tactorch.inverse.starts import (
-    INITIALIZATIONS,
-    Start,
-    best_uniform,
-    homogeneous,
-    monte_carlo,
-)
+from tactorch.inverse.starts import INITIALIZATIONS, Start, best_uniform, homogeneous, monte_carlo
 
 __all__ = [
     "INITIALIZATIONS",

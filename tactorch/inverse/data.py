@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -95,17 +95,11 @@ class CorrelatedNoise:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Observed displacements of one press.
+    """Observed displacements of one press."""
 
-    Attributes:
-        index: Observed degrees of freedom, 3 node + axis.
-        displacement: Their displacement, mm.
-        scale: Weight over standard deviation of each, 1/mm.
-    """
-
-    index: Int[np.ndarray, " p"]
-    displacement: Float[np.ndarray, " p"]
-    scale: Float[np.ndarray, " p"]
+    index: Int[np.ndarray, " p"]  # observed degrees of freedom, 3 node + axis
+    displacement: Float[np.ndarray, " p"]  # mm
+    scale: Float[np.ndarray, " p"]  # weight over standard deviation, 1/mm
 
     @staticmethod
     def of(press: Press, deviation: float) -> "Observation":
@@ -117,40 +111,38 @@ class Observation:
         return Observation(index, press.displacement.ravel()[index], relative / deviation)
 
 
+class ModelError(NamedTuple):
+    """Error of the model's prediction of one press."""
+
+    offset: Float[np.ndarray, " p"]  # better minus present prediction of the data, mm
+    deviation: float  # standard deviation of what remains after subtracting it, mm
+
+
 @dataclass(frozen=True, eq=False)
 class DataModel:
-    """Observations of all presses with the statistics of their errors; immutable.
-
-    Attributes:
-        observations: Observed displacements of each press.
-        misfit: Cost of the residuals.
-        correlated: Errors that the data have in common, or None.
-        model_deviation: Standard deviation of the model's remaining error, one per press, mm; None
-            where the model is not corrected.
-        noise_fraction: Share of the data's variance that is noise rather than error of the model.
-    """
+    """Observations of all presses with the statistics of their errors; immutable."""
 
     observations: tuple[Observation, ...]
     misfit: Misfit = field(default_factory=Squares)
-    correlated: CorrelatedNoise | None = None
+    correlated: CorrelatedNoise | None = None  # errors that the data have in common
+    # Deviation of the remaining error of a corrected model, one per press, mm.
     model_deviation: tuple[float, ...] | None = None
-    noise_fraction: float = 1.0
+    noise_fraction: float = 1.0  # of the data's variance; the rest is error of the model
 
     @property
-    def size(self) -> int:
-        """Number of observed degrees of freedom over all presses."""
-        return sum(len(observation.index) for observation in self.observations)
+    def counts(self) -> list[int]:
+        """Number of data of each press."""
+        return [len(observation.index) for observation in self.observations]
+
+    @property
+    def begins(self) -> Int[np.ndarray, " presses"]:
+        """Index of the first datum of each press."""
+        return np.cumsum([0, *self.counts[:-1]])
 
     @property
     def scale(self) -> Float[np.ndarray, " data"]:
         """Weight over standard deviation of all data, 1/mm."""
         return np.concatenate([observation.scale for observation in self.observations])
-
-    @property
-    def begins(self) -> Int[np.ndarray, " presses"]:
-        """Index of the first datum of each press."""
-        counts = [len(observation.index) for observation in self.observations]
-        return np.cumsum([0, *counts[:-1]])
 
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
         """Return data in standard deviations of each, or derivatives, in independent ones."""
@@ -164,62 +156,36 @@ class DataModel:
         )
         correlated = self.correlated
         if correlated is not None:  # the error of the model remains as large
-            counts = [len(observation.index) for observation in observations]
-            correlated = correlated.widened(np.repeat(factors, counts))
+            correlated = correlated.widened(np.repeat(factors, self.counts))
         return replace(self, observations=observations, correlated=correlated)
 
     def corrected(
-        self,
-        offsets: Sequence[Float[np.ndarray, " _"]],
-        deviations: Sequence[float],
-        points: Float[np.ndarray, "n 3"],
+        self, errors: Sequence[ModelError], points: Float[np.ndarray, "n 3"]
     ) -> "DataModel":
         """Return the data with the model's error subtracted and its remainder as uncertainty.
 
         The remainder is partly rough, and counted as white noise, and partly smooth: it shifts and
         stretches the whole contact, equally at every pressure. That part is common to all presses
         at one place; without it the data would seem to determine small uniform motions, such as
-        those of the springs below, better than they do.
-
-        Args:
-            offsets: Error of the model at the observed degrees of freedom of each press, mm.
-            deviations: Standard deviation of the remainder of each press, mm.
-            points: Nodes of the mesh, mm.
+        those of the springs below, better than they do. The points are the nodes of the mesh, mm.
         """
-        observations = tuple(
-            replace(
-                observation,
-                displacement=observation.displacement - offset,
-                scale=observation.scale / np.sqrt(1.0 + (deviation * observation.scale) ** 2),
-            )
-            for observation, offset, deviation in zip(
-                self.observations, offsets, deviations, strict=True
-            )
+        ends, observations = np.cumsum(self.counts), []
+        patterns: dict[bytes, np.ndarray] = {}
+        for before, (offset, deviation), end in zip(self.observations, errors, ends, strict=True):
+            index, displacement = before.index, before.displacement - offset
+            scale = before.scale / np.sqrt(1.0 + (deviation * before.scale) ** 2)
+            observations.append(Observation(index, displacement, scale))
+            pattern = smooth_pattern(points, observations[-1], deviation)
+            empty = np.zeros((ends[-1], pattern.shape[1]))
+            place = patterns.setdefault(index.tobytes(), empty)
+            place[end - len(index) : end] = pattern
+        data = replace(
+            self,
+            observations=tuple(observations),
+            correlated=CorrelatedNoise(np.hstack(list(patterns.values()))),
+            model_deviation=tuple(error.deviation for error in errors),
         )
-        changed = replace(self, observations=observations, model_deviation=tuple(deviations))
-        return replace(
-            changed,
-            correlated=CorrelatedNoise(_smooth_patterns(points, changed, deviations)),
-            noise_fraction=float(np.mean((changed.scale / self.scale) ** 2)),
-        )
-
-
-def _smooth_patterns(
-    points: Float[np.ndarray, "n 3"], data: DataModel, deviations: Sequence[float]
-) -> Float[np.ndarray, "data k"]:
-    """Affine fields over each pressed place, in standard deviations of the white noise."""
-    begins = [*data.begins, data.size]
-    places: dict[bytes, list[int]] = {}
-    for i, observation in enumerate(data.observations):
-        places.setdefault(observation.index.tobytes(), []).append(i)
-    blocks = []
-    for members in places.values():
-        parts = [smooth_pattern(points, data.observations[i], deviations[i]) for i in members]
-        block = np.zeros((begins[-1], parts[0].shape[1]))
-        for i, part in zip(members, parts, strict=True):
-            block[begins[i] : begins[i + 1]] = part
-        blocks.append(block)
-    return np.hstack(blocks)
+        return replace(data, noise_fraction=float(np.mean((data.scale / self.scale) ** 2)))
 
 
 def smooth_pattern(

@@ -16,13 +16,14 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
+from tactorch.inverse.data import ModelError
 from tactorch.inverse.invert import ObjectiveBuilder, result_of, warn_of_assumed_noise
-from tactorch.inverse.model_error import ModelError
 from tactorch.inverse.monitor import Monitor, StopCondition, StopReason
-from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import OPTIMIZERS
+from tactorch.inverse.objective import Point
+from tactorch.inverse.optimizers.base import OPTIMIZERS
 from tactorch.inverse.optimizers.damped import DampedNewton
 from tactorch.inverse.optimizers.schedule import warm_start_state
+from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.starts import START_MPA, Start, homogeneous, start_map
@@ -32,13 +33,10 @@ _WEIGHT = ("weight", "first_weight", "ended")
 
 
 class IncrementalResult(NamedTuple):
-    """The map of all presses so far.
+    """The map of all presses so far: the reconstruction, its point and the weight of the prior.
 
-    Attributes:
-        result: The reconstruction; its history and seconds are those of this update.
-        point: The point of the objective at the map.
-        weight: Weight of the prior.
-        converged: Whether the optimizer converged, rather than reaching the limit of an update.
+    History and seconds are those of this update. It has `converged` where the optimizer ended
+    before the limit of an update.
     """
 
     result: Reconstruction
@@ -52,7 +50,7 @@ class _State:
     """State between two updates."""
 
     presses: tuple[Press, ...] = ()
-    errors: tuple[tuple[Float[np.ndarray, " _"], float], ...] = ()  # offset and deviation, mm
+    errors: tuple[ModelError, ...] = ()  # of each press, or none
     youngs: Float[np.ndarray, " m"] | None = None  # MPa
     weight: Mapping[str, float] = field(default_factory=dict)
 
@@ -95,23 +93,13 @@ class IncrementalInversion:
 
     @property
     def recording(self) -> Recording:
-        """The object with all presses so far.
-
-        Raises:
-            RecordingError: there is no press yet.
-        """
+        """The object with all presses so far, of which there must be one."""
         return self._with(self._state.presses)
 
     def add(self, presses: Sequence[Press]) -> IncrementalResult:
         """Invert all presses so far together with new ones, from the present map.
 
         A failure or an interruption leaves the state unchanged.
-
-        Args:
-            presses: New presses.
-
-        Returns:
-            The map of all presses.
 
         Raises:
             RecordingError: a press does not fit the object, or has zero displacements.
@@ -122,8 +110,10 @@ class IncrementalInversion:
         self._check(presses)
         together = (*state.presses, *presses)
         if self._restart:
-            return self._invert(together, self._model_errors(together), None, None, None)
-        errors = sum((self._model_errors([press]) for press in presses), state.errors)
+            errors = self._builder.model_errors(self._problem(together))
+            return self._invert(together, errors, None, None, None)
+        new = (self._builder.model_errors(self._problem([press])) for press in presses)
+        errors = sum(new, state.errors)
 
         def ends_before_limit(history: list[dict[str, Any]]) -> StopReason | None:
             # The first record is that of the start; the next iteration takes as long as the last.
@@ -138,18 +128,9 @@ class IncrementalInversion:
     def refine(
         self, max_iterations: int = 60, *, stop: Callable[[], bool] = lambda: False
     ) -> IncrementalResult:
-        """Continue with the present presses until the optimizer converges.
+        """Continue with the present presses until the optimizer converges or `stop` returns True.
 
-        Args:
-            max_iterations: Limit of iterations.
-            stop: Called after each iteration; returns whether to stop.
-
-        Returns:
-            The map of all presses.
-
-        Raises:
-            RecordingError: there is no press yet.
-            KeyboardInterrupt: Ctrl-C; the state is unchanged.
+        Ctrl-C leaves the state unchanged.
         """
 
         def stop_condition(history: list[dict[str, Any]]) -> StopReason | None:
@@ -162,21 +143,19 @@ class IncrementalInversion:
         """Return the arrays that `restore` needs in addition to the presses."""
         state = self._state
         assert state.youngs is not None
-        offsets = [offset for offset, _ in state.errors]
+        # A press without a correction has an error of no data.
+        errors = state.errors or (ModelError(np.zeros(0), 0.0),) * len(state.presses)
+        offsets = [error.offset for error in errors]
         return {
             "youngs": state.youngs,
             "weight": np.array([state.weight.get(name, np.nan) for name in _WEIGHT]),
             "offsets": np.concatenate(offsets) if offsets else np.zeros(0),
             "counts": np.array([len(offset) for offset in offsets], dtype=np.int64),
-            "deviations": np.array([deviation for _, deviation in state.errors]),
+            "deviations": np.array([error.deviation for error in errors]),
         }
 
     def restore(self, presses: Sequence[Press], state: Mapping[str, np.ndarray]) -> Point:
-        """Continue from a state, with the presses of that time.
-
-        Args:
-            presses: All presses at the time of the state.
-            state: What `state` returned.
+        """Continue from what `state` returned, with the presses of that time.
 
         Returns:
             The point of the objective at the map.
@@ -193,11 +172,13 @@ class IncrementalInversion:
                 "start again without it."
             )
         offsets = np.split(state["offsets"], np.cumsum(counts)[:-1]) if n else []
-        errors = tuple(zip(offsets, (float(d) for d in state["deviations"]), strict=True))
+        errors: tuple[ModelError, ...] = ()
+        if self._builder.corrects:
+            errors = tuple(map(ModelError, offsets, state["deviations"].tolist()))
         known = dict(zip(_WEIGHT, map(float, state["weight"]), strict=True))
         weight = {} if np.isnan(known["weight"]) else known
         self._state = _State(tuple(presses), errors, youngs, weight)
-        objective = self._objective(self._state.presses, errors)
+        objective = self._builder.objective(self._problem(presses), errors)
         return objective.at(objective.start(youngs))
 
     def _with(self, presses: Sequence[Press]) -> Recording:
@@ -216,24 +197,13 @@ class IncrementalInversion:
         if not self._state.presses:
             warn_of_assumed_noise(self._settings.noise, self._with(presses))
 
-    def _model_errors(self, presses: Sequence[Press]) -> tuple[tuple[np.ndarray, float], ...]:
-        """Model's error of each press (offset and deviation, mm) at the modulus that fits best."""
-        error = self._builder.model_error(self._builder.problem(self._with(presses)))
-        if error is None:
-            return ((np.zeros(0), 0.0),) * len(presses)
-        return tuple(zip(error.offset, error.deviation, strict=True))
-
-    def _objective(
-        self, presses: Sequence[Press], errors: Sequence[tuple[np.ndarray, float]]
-    ) -> Objective:
-        error = ModelError([offset for offset, _ in errors], [deviation for _, deviation in errors])
-        problem = self._builder.problem(self._with(presses))
-        return self._builder.objective(problem, error if self._builder.corrects else None)
+    def _problem(self, presses: Sequence[Press]) -> InverseProblem:
+        return self._builder.problem(self._with(presses))
 
     def _invert(
         self,
         presses: tuple[Press, ...],
-        errors: tuple[tuple[np.ndarray, float], ...],
+        errors: tuple[ModelError, ...],
         growth: float | None,
         max_iterations: int | None,
         stop_condition: StopCondition | None,
@@ -243,7 +213,8 @@ class IncrementalInversion:
         The amount of data is `growth` times that of the present weight of the prior; None forgets
         that weight.
         """
-        objective, optimizer = self._objective(presses, errors), self._settings.optimizer
+        objective = self._builder.objective(self._problem(presses), errors)
+        optimizer = self._settings.optimizer
         if isinstance(optimizer, DampedNewton) and max_iterations is not None:
             optimizer = replace(optimizer, max_iterations=max_iterations)
         weight = {} if growth is None else warm_start_state(self._state.weight, growth)

@@ -1,7 +1,7 @@
 """From a recording to a reconstruction, in one call."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -12,14 +12,13 @@ import numpy as np
 from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody
 from tactorch.inverse.adaptive import adapt
-from tactorch.inverse.data import NoiseModel
+from tactorch.inverse.data import ModelError, NoiseModel
 from tactorch.inverse.misfit import MISFITS, Adaptive
-from tactorch.inverse.model_error import ModelError, discretisation_error, resolve_model_error
+from tactorch.inverse.model_error import discretisation_error, resolve_model_error
 from tactorch.inverse.monitor import Monitor, progress
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import OPTIMIZERS
-from tactorch.inverse.optimizers.base import Optimizer
-from tactorch.inverse.problem import InverseProblem, body_of
+from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
+from tactorch.inverse.problem import InverseProblem, make_body
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings, stored_settings
 from tactorch.inverse.starts import START_MPA, Start, start_map, uniform_fit
@@ -110,13 +109,10 @@ class ObjectiveBuilder:
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
         self.settings = settings
-        self._body = self._make_body(recording, settings.element)
+        self._body = make_body(recording, settings.element, settings.solver, settings.newton)
         name = resolve_model_error(settings.model_error, recording, settings.element)
         self.corrects = name == "discretisation"
         self._finer: SoftBody | None = None
-
-    def _make_body(self, recording: Recording, element: str) -> SoftBody:
-        return body_of(recording, element, self.settings.solver, self.settings.newton)
 
     def problem(self, recording: Recording) -> InverseProblem:
         """Return the inverse problem without a correction for the model's error."""
@@ -128,23 +124,22 @@ class ObjectiveBuilder:
             body=self._body,
         )
 
-    def model_error(self, problem: InverseProblem) -> ModelError | None:
-        """Estimate the model's error at the best uniform map; None where it is not corrected."""
-        if not self.corrects:
-            return None
-        if self._finer is None:
-            self._finer = self._make_body(problem.recording, "tet10")
+    def model_errors(self, problem: InverseProblem) -> tuple[ModelError, ...]:
+        """Estimate the model's error of each press at the best uniform map, if it is corrected."""
         settings = self.settings
+        if not self.corrects:
+            return ()
+        if self._finer is None:
+            self._finer = make_body(problem.recording, "tet10", settings.solver, settings.newton)
         fit = uniform_fit(problem, settings.bounds, settings.nuisance)
-        fraction = settings.residual_model_error_fraction
-        return discretisation_error(problem, fit.youngs_mpa, fit.nuisance, fraction, self._finer)
+        remaining = settings.residual_model_error_fraction
+        return discretisation_error(problem, fit.youngs_mpa, fit.nuisance, remaining, self._finer)
 
-    def objective(self, problem: InverseProblem, error: ModelError | None) -> Objective:
+    def objective(self, problem: InverseProblem, errors: Sequence[ModelError]) -> Objective:
         """Combine data, corrected for the model's error, with parameterisation and prior."""
         settings, mesh = self.settings, problem.recording.mesh
-        if error is not None:
-            data = problem.data.corrected(error.offset, error.deviation, mesh.points)
-            problem = problem.with_data(data)
+        if errors:
+            problem = problem.with_data(problem.data.corrected(errors, mesh.points))
         objective = Objective(
             problem,
             replace(settings.parameterization, bounds=settings.bounds),
@@ -165,7 +160,7 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
     """
     builder = ObjectiveBuilder(recording, settings)
     problem = builder.problem(recording)
-    return builder.objective(problem, builder.model_error(problem))
+    return builder.objective(problem, builder.model_errors(problem))
 
 
 def solution(recording: Recording, result: Reconstruction, settings: Settings) -> Point:

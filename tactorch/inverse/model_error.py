@@ -10,13 +10,11 @@ observed displacement. It excludes the error of elements that a boundary cuts, w
 modulus each; on meshes much coarser than the paper's that error is larger.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import SoftBody
+from tactorch.inverse.data import ModelError
 from tactorch.inverse.nuisance import Nuisance
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR
@@ -37,38 +35,17 @@ def resolve_model_error(name: str, recording: Recording, element: str) -> str:
     return "none" if same_model else "discretisation"
 
 
-class ModelError(NamedTuple):
-    """Error of the model's predictions.
-
-    Attributes:
-        offset: Better minus present prediction at the observed degrees of freedom of each press,
-            mm.
-        deviation: Standard deviation of the error after subtracting it, one per press, mm.
-    """
-
-    offset: list[Float[np.ndarray, " _"]]
-    deviation: list[float]
-
-
 def discretisation_error(
     problem: InverseProblem,
     youngs_mpa: float,
     nuisance: Nuisance | None = None,
     remaining: float = RESIDUAL_MODEL_ERROR,
     finer: SoftBody | None = None,
-) -> ModelError:
-    """Estimate the discretisation error at a uniform modulus (MPa) and nuisance values.
+) -> tuple[ModelError, ...]:
+    """Estimate the error of each press at a uniform modulus (MPa) and nuisance values.
 
-    Args:
-        problem: Problem with linear tetrahedra.
-        youngs_mpa: Uniform modulus, MPa.
-        nuisance: Nuisance values; by default those that the recording states.
-        remaining: Fraction of the error that remains as uncertainty, 0 to 1.
-        finer: Body of quadratic elements on the same mesh, where it exists already.
-
-    Raises:
-        ConfigError: the problem has quadratic elements, which have no better model.
-        ConvergenceError: a press has no equilibrium, at this modulus or up to a few times as much.
+    The fraction `remaining` of the error is left as uncertainty. `finer` is the body of quadratic
+    elements on the same mesh, where it exists already.
     """
     if problem.body.discretisation.element.quadratic:
         raise ConfigError(
@@ -93,13 +70,14 @@ def discretisation_error(
             if trial == _MAX_TRIALS - 1:
                 raise
             youngs *= _STIFFENING
-    offset = []
+    errors = []
     for observation, present, better in zip(problem.data.observations, linear, fine, strict=True):
         weighted = observation.scale**2 * better
         # Observed over predicted displacement, by least squares.
         relative = max(float(weighted @ observation.displacement), 0.0) / float(weighted @ better)
-        offset.append(relative * (better - present))
-    return ModelError(offset, [remaining * float(np.sqrt(np.mean(d * d))) for d in offset])
+        offset = relative * (better - present)
+        errors.append(ModelError(offset, remaining * float(np.sqrt(np.mean(offset * offset)))))
+    return tuple(errors)
 
 
 def _predict(

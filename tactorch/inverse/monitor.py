@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,6 +18,7 @@ from tactorch.files import read_arrays, write_arrays
 from tactorch.inverse.objective import Point
 
 _log = logging.getLogger(__name__)
+_COUNTS = ("iteration", "evaluations")  # whole numbers of a record
 _CHECKPOINT_PERIOD = 1.0  # s: loss if the process is killed
 
 
@@ -46,16 +46,11 @@ class StopReason(StrEnum):
     @property
     def is_limit(self) -> bool:
         """Whether a limit or a request ended the optimization, so that it can continue."""
-        return self in _LIMITS
+        return self.name in (
+            "ITERATION_LIMIT", "EVALUATION_LIMIT", "TIME_LIMIT", "STOPPED", "INTERRUPTED",
+        )  # fmt: skip
 
 
-_LIMITS = {
-    StopReason.ITERATION_LIMIT,
-    StopReason.EVALUATION_LIMIT,
-    StopReason.TIME_LIMIT,
-    StopReason.STOPPED,
-    StopReason.INTERRUPTED,
-}
 StopCondition: TypeAlias = Callable[[list[dict[str, Any]]], StopReason | None]
 
 
@@ -119,12 +114,7 @@ class Monitor:
     def __enter__(self) -> "Monitor":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> bool:
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> bool:
         if isinstance(error, StopOptimization):
             self.reason = error.reason
         elif isinstance(error, KeyboardInterrupt) and self.best is not None:
@@ -153,11 +143,7 @@ class Monitor:
         return self.history[-1]["evaluations"] if self.history else 0
 
     def accept(self, point: Point, **record: float) -> None:
-        """Take `point` as the best so far.
-
-        Raises:
-            StopOptimization: the time limit is reached, or the stop condition is met.
-        """
+        """Take `point` as the best so far; raise `StopOptimization` at a limit or condition."""
         self.keep(point, **record)
         self.check_time()
         reason = None if self.stop_condition is None else self.stop_condition(self.history)
@@ -212,56 +198,43 @@ class Monitor:
         write_arrays(self.checkpoint, content)
 
     def restore(self, path: Path, size: int) -> None:
-        """Continue from a checkpoint.
-
-        Raises:
-            FileError: it is missing, unreadable, or of another problem.
-        """
+        """Continue from a checkpoint of the same problem, with this number of parameters."""
         remedy = "start again without resume."
-        source, saved = Path(path), read_arrays(path, "checkpoint", remedy)
+        saved = read_arrays(path, "checkpoint", remedy)
+
+        def table(name: str) -> dict[str, Any]:
+            keys, values = saved[f"{name}_names"].tolist(), saved[name].tolist()
+            return dict(zip(keys, values, strict=True))
+
         try:
-            table, names = saved["history"], saved["history_names"]
-            self.history = [_entry(names, row) for row in table]
-            self.state = _dict(saved, "state")
-            identity = _dict(saved, "identity")
+            names = saved["history_names"].tolist()
+            for row in saved["history"].tolist():
+                entry = {k: v for k, v in zip(names, row, strict=True) if not np.isnan(v)}
+                self.history.append(entry | {k: int(entry[k]) for k in _COUNTS})
+            self.state, identity = table("state"), table("identity")
             self.best, self._earlier_seconds = saved["x"], float(saved["seconds"])
             if str(saved.get("task")) == self.task:
                 self.ended = str(saved["ended"]) or None
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise FileError(f"checkpoint '{source}' cannot be read ({error}); {remedy}") from error
+            raise FileError(f"checkpoint '{path}' cannot be read ({error}); {remedy}") from error
         if self.best.shape != (size,):
             raise FileError(
-                f"checkpoint '{source}' is for {self.best.size} moduli but the recording has "
+                f"checkpoint '{path}' is for {self.best.size} moduli but the recording has "
                 f"{size}: it belongs to another mesh. Start again without resume."
             )
         for name, value in self.identity.items():
             if identity.get(name) != value:
                 raise FileError(
-                    f"checkpoint '{source}' belongs to another {name}: {identity.get(name)}, not "
+                    f"checkpoint '{path}' belongs to another {name}: {identity.get(name)}, not "
                     f"{value}. Resume with the same {name}, or start again without resume."
                 )
 
 
-def _dict(saved: dict[str, np.ndarray], name: str) -> dict[str, Any]:
-    return dict(zip(saved[f"{name}_names"].tolist(), saved[name].tolist(), strict=True))
-
-
-def _entry(names: np.ndarray, row: np.ndarray) -> dict[str, Any]:
-    integers = ("iteration", "evaluations")
-    values = zip(names.tolist(), row.tolist(), strict=True)
-    return {k: int(v) if k in integers else v for k, v in values if not np.isnan(v)}
-
-
 def describe(entry: dict[str, Any]) -> str:
     """Return a line of text about an iteration."""
-    parts = [
-        f"iteration {entry['iteration']:>4}",
-        f"{entry['seconds']:7.1f} s",
-        f"misfit {entry['misfit']:.4e} mm2",
-        f"chi2 {entry['chi2']:.3e}",
-    ]
-    parts += [f"{key} {entry[key]:.2g}" for key in ("weight", "step") if key in entry]
-    return "  ".join(parts)
+    text = "iteration {iteration:>4}  {seconds:7.1f} s  misfit {misfit:.4e} mm2  chi2 {chi2:.3e}"
+    parts = [f"  {key} {entry[key]:.2g}" for key in ("weight", "step") if key in entry]
+    return text.format(**entry) + "".join(parts)
 
 
 @contextmanager

@@ -135,9 +135,8 @@ class NuisancePrior(Options):
 
     def slopes(self) -> Float[np.ndarray, " k"]:
         """Return d(value, or log of a scale) / dz: the prior deviations of the components."""
-        return np.concatenate(
-            [np.zeros(0), *(np.full(_SIZES[name], getattr(self, name)) for name in self.names)]
-        )
+        parts = (np.full(_SIZES[name], getattr(self, name)) for name in self.names)
+        return np.concatenate([np.zeros(0), *parts])
 
     def limits(self, assumed: Nuisance) -> tuple[np.ndarray, np.ndarray]:
         """Return bounds of z."""
@@ -185,21 +184,13 @@ class NuisanceEstimate:
 
 @dataclass(frozen=True, eq=False)
 class PressModel:
-    """A press at given nuisance values: true forces, true rest shape, reported displacement.
+    """A press at given nuisance values: true forces, true rest shape, reported displacement."""
 
-    Attributes:
-        forces: True forces on the mesh's nodes, in its frame, N.
-        arm: True rest position relative to the support of the press, mm.
-        drift: Displacement that the sensor reports at zero displacement, mm.
-        values: The nuisance values.
-        rest: Assumed rest positions relative to the centre of rotation, mm.
-    """
-
-    forces: Float[np.ndarray, "n 3"]
-    arm: Float[np.ndarray, "n 3"]
-    drift: Float[np.ndarray, "n 3"]
+    forces: Float[np.ndarray, "n 3"]  # true forces on the mesh's nodes, in its frame, N
+    arm: Float[np.ndarray, "n 3"]  # true rest position relative to the support of the press, mm
+    drift: Float[np.ndarray, "n 3"]  # reported displacement at zero displacement, mm
     values: Nuisance
-    rest: Float[np.ndarray, "n 3"]
+    rest: Float[np.ndarray, "n 3"]  # assumed position relative to the centre of rotation, mm
 
     @staticmethod
     def of(press: Press, mesh: TetMesh, values: Nuisance) -> "PressModel":

@@ -79,48 +79,39 @@ class Parameterization(Options, ABC):
         return float(low), float(high)
 
 
-class Identity(Parameterization):
-    """Young's modulus itself, MPa."""
-
-    def youngs(self, x: _Vector) -> _Vector:
-        """Return x."""
-        return x
-
-    def parameters(self, youngs: _Vector) -> _Vector:
-        """Return the moduli."""
-        return np.asarray(youngs, dtype=np.float64)
-
-    def slope(self, x: _Vector) -> _Vector:
-        """Return ones."""
-        return np.ones_like(x)
-
-    def second_derivative(self, x: _Vector) -> _Vector:
-        """Return zeros."""
-        return np.zeros_like(x)
-
-
 class Scaled(Parameterization):
     """The paper's linear scaling: E = lower + x (upper - lower)."""
 
     @property
-    def _range(self) -> float:
-        return self.bounds.upper - self.bounds.lower
+    def _line(self) -> tuple[float, float]:
+        """Modulus at zero and slope, MPa."""
+        return self.bounds.lower, self.bounds.upper - self.bounds.lower
 
     def youngs(self, x: _Vector) -> _Vector:
-        """Return lower + x (upper - lower)."""
-        return np.maximum(self.bounds.lower + self._range * x, self.bounds.lower)
+        """Return lower + x (upper - lower), no less than lower."""
+        origin, slope = self._line
+        return np.maximum(origin + slope * x, origin)
 
     def parameters(self, youngs: _Vector) -> _Vector:
         """Return (E - lower) / (upper - lower)."""
-        return (youngs - self.bounds.lower) / self._range
+        origin, slope = self._line
+        return (youngs - origin) / slope
 
     def slope(self, x: _Vector) -> _Vector:
         """Return upper - lower."""
-        return np.full_like(x, self._range)
+        return np.full_like(x, self._line[1])
 
     def second_derivative(self, x: _Vector) -> _Vector:
         """Return zeros."""
         return np.zeros_like(x)
+
+
+class Identity(Scaled):
+    """Young's modulus itself, MPa."""
+
+    @property
+    def _line(self) -> tuple[float, float]:
+        return 0.0, 1.0
 
 
 class Log(Parameterization):

@@ -1,8 +1,8 @@
 """The forward problem of all presses: equilibria, predictions and their derivatives (eq. 7)."""
 
 from copy import copy
-from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -28,8 +28,7 @@ from tactorch.recording import Recording
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
 
-@dataclass(frozen=True, eq=False)
-class _PressSolution:
+class _PressSolution(NamedTuple):
     """The equilibrium of one press: the press at the nuisance values, and the search's result."""
 
     model: PressModel
@@ -50,6 +49,7 @@ class Evaluation:
         residuals: Half their square is minimised: predicted minus observed of all presses, in
             standard deviations, transformed by the misfit.
         misfit_mm2: Half the sum of squared differences (eq. 7), mm^2.
+        data: Observations.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Evaluation:
     ) -> None:
         self.youngs, self.nuisance = youngs, nuisance
         self._weight, self._presses = weight, presses
-        self._data, self._misfit, self._begins = data, data.misfit, data.begins
+        self.data, self._misfit, self._begins = data, data.misfit, data.begins
         difference = [
             press.reported.ravel()[observation.index] - observation.displacement
             for press, observation in zip(presses, data.observations, strict=True)
@@ -91,10 +91,6 @@ class Evaluation:
         """Predicted displacement that the sensor reports, each press, mm."""
         return [press.reported for press in self._presses]
 
-    def observed(self, i: int) -> Float[np.ndarray, " p"]:
-        """Return the observed displacements of press i, mm, in the order of its residuals."""
-        return self._data.observations[i].displacement
-
     def search(self, i: int) -> Newton:
         """Return the equilibrium search of press i."""
         return self._presses[i].newton
@@ -105,33 +101,29 @@ class Evaluation:
         frame = self.nuisance.rotation if self.nuisance.rotation_rad.any() else None
 
         def work(i: int) -> Sensitivity:
-            press, observation = self._presses[i], self._data.observations[i]
+            press, observation = self._presses[i], self.data.observations[i]
             return Sensitivity(press.newton.linearize(press.equilibrium), observation.index, frame)
 
         return map_cases(work, len(self._presses))
 
     def jacobian(self) -> Float[np.ndarray, "data m"]:
         """Return d residuals / d youngs, 1/MPa, by one solve per observed degree of freedom."""
-        sensitivities, observations = self.sensitivities, self._data.observations
-        return self._join(
-            map_cases(
-                lambda i: sensitivities[i].matrix() * observations[i].scale[:, None],
-                len(sensitivities),
-            )
-        )
+        cases, data = self.sensitivities, self.data.observations
+        parts = map_cases(lambda i: cases[i].matrix() * data[i].scale[:, None], len(cases))
+        return self._join(parts)
 
     def nuisance_jacobian(self, names: tuple[str, ...]) -> Float[np.ndarray, "data k"]:
         """Return d residuals / d nuisance parameters, by one solve per component and press.
 
         For scales the derivative is by the logarithm. Rotation is by the vector's components.
         """
-        sensitivities, observations = self.sensitivities, self._data.observations
+        cases = self.sensitivities
 
         def work(i: int) -> np.ndarray:
-            columns = self._nuisance_columns(names, self._presses[i], sensitivities[i])
-            return np.column_stack(columns) * observations[i].scale[:, None]
+            columns = self._nuisance_columns(names, self._presses[i], cases[i])
+            return np.column_stack(columns) * self.data.observations[i].scale[:, None]
 
-        return self._join(map_cases(work, len(sensitivities)))
+        return self._join(map_cases(work, len(cases)))
 
     def _nuisance_columns(
         self, names: tuple[str, ...], press: _PressSolution, sensitivity: Sensitivity
@@ -162,20 +154,13 @@ class Evaluation:
 
     def jacobian_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""
-        sensitivities, observations = self.sensitivities, self._data.observations
-        return self._join(
-            map_cases(
-                lambda i: sensitivities[i].times(change) * observations[i].scale,
-                len(sensitivities),
-            )
-        )
+        cases, data = self.sensitivities, self.data.observations
+        return self._join(map_cases(lambda i: cases[i].times(change) * data[i].scale, len(cases)))
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " m"]:
         """Return the transpose of d residuals / d youngs times `weights`."""
-        parts, sensitivities = self._split(weights), self.sensitivities
-        return np.sum(
-            map_cases(lambda i: sensitivities[i].transpose_times(parts[i]), len(parts)), axis=0
-        )
+        parts, cases = self._split(weights), self.sensitivities
+        return np.sum(map_cases(lambda i: cases[i].transpose_times(parts[i]), len(parts)), axis=0)
 
     def gradient(self) -> Float[np.ndarray, " m"]:
         """Return the gradient of half the sum of squared residuals, by one adjoint solve per press.
@@ -187,8 +172,8 @@ class Evaluation:
     @cached_property
     def _adjoints(self) -> list[Float[np.ndarray, "nodes 3"]]:
         """Adjoint displacement of each press for the residuals, 1/N."""
-        parts, sensitivities = self._split(self.residuals), self.sensitivities
-        return map_cases(lambda i: sensitivities[i].adjoint(parts[i]), len(parts))
+        parts, cases = self._split(self.residuals), self.sensitivities
+        return map_cases(lambda i: cases[i].adjoint(parts[i]), len(parts))
 
     def second_order_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return the part of the misfit's Hessian that Gauss-Newton omits times a change (MPa).
@@ -201,13 +186,13 @@ class Evaluation:
 
     def _join(self, parts: list[np.ndarray]) -> Float[np.ndarray, "data *k"]:
         """Derivatives of the residuals from those of each press in standard deviations."""
-        white = self._data.whiten(np.concatenate(parts))
+        white = self.data.whiten(np.concatenate(parts))
         return self._misfit.derivative(self._white, self._begins, white)
 
     def _split(self, weights: Float[np.ndarray, " data"]) -> list[Float[np.ndarray, " p"]]:
         """Weights of the residuals as weights of each press's observed displacements, 1/mm."""
-        white = self._data.whiten(self._misfit.derivative(self._white, self._begins, weights))
-        parts = zip(np.split(white, self._begins[1:]), self._data.observations, strict=True)
+        white = self.data.whiten(self._misfit.derivative(self._white, self._begins, weights))
+        parts = zip(np.split(white, self._begins[1:]), self.data.observations, strict=True)
         return [part * observation.scale for part, observation in parts]
 
     def predict(self, youngs: Float[np.ndarray, " m"]) -> list[Float[np.ndarray, "nodes 3"]]:
@@ -257,7 +242,7 @@ class InverseProblem:
         body: SoftBody | None = None,
     ) -> None:
         self.recording = recording
-        self.body = body or body_of(recording, element, solver, newton)
+        self.body = body or make_body(recording, element, solver, newton)
         self.noise = noise or NoiseModel()
         pairs = zip(recording.presses, self.noise.deviations(recording), strict=True)
         observations = tuple(Observation.of(press, deviation) for press, deviation in pairs)
@@ -273,7 +258,7 @@ class InverseProblem:
     @property
     def n_data(self) -> int:
         """Number of observed degrees of freedom over all presses."""
-        return self.data.size
+        return sum(self.data.counts)
 
     @property
     def n_elements(self) -> int:
@@ -338,11 +323,8 @@ class InverseProblem:
         return Evaluation(youngs, values, weight, solutions, self.data)
 
 
-def body_of(
-    recording: Recording,
-    element: str,
-    solver: str | SolverOptions,
-    newton: NewtonOptions | None = None,
+def make_body(
+    recording: Recording, element: str, solver: str | SolverOptions, newton: NewtonOptions | None
 ) -> SoftBody:
     """Return the body of a recording."""
     spec = recording.material

@@ -22,8 +22,6 @@ from tactorch.inverse.parameterization import Bounds, Log
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.regularization.base import Quadratic
 from tactorch.linalg import map_cases
-from tactorch.mesh import TetMesh
-from tactorch.recording import Press
 
 _log = logging.getLogger(__name__)
 START_MPA = 0.2
@@ -64,7 +62,7 @@ class Uniform(Options):
 
 
 class UniformFit(NamedTuple):
-    """The uniform modulus (MPa) and the nuisance values that fit best together."""
+    """The uniform modulus and the nuisance values that fit best together."""
 
     youngs_mpa: float
     nuisance: Nuisance
@@ -87,14 +85,9 @@ def uniform_fit(
         ConvergenceError: no modulus within the bounds carries the presses.
     """
     bounds = bounds or Bounds()
+    prior, groups = Quadratic(sp.csr_matrix((1, 1))), np.zeros(problem.n_elements, dtype=np.int64)
     objective = Objective(
-        problem,
-        Log(bounds),
-        Quadratic(sp.csr_matrix((1, 1))),
-        nuisance or NuisancePrior(),
-        weight=0.0,
-        groups=np.zeros(problem.n_elements, dtype=np.int64),
-        stable_only=True,
+        problem, Log(bounds), prior, nuisance or NuisancePrior(), 0.0, groups, stable_only=True
     )
     first = _first_mpa(problem) if first_mpa is None else first_mpa
     x, upper = np.zeros(objective.size), np.log(bounds.upper)
@@ -128,27 +121,21 @@ def small_step(tolerance: float) -> StopCondition:
 
 def _first_mpa(problem: InverseProblem) -> float:
     """First modulus, MPa: a much too soft body would collapse, which takes long to detect."""
-    recording = problem.recording
-    estimates = [_stress_over_strain(recording.mesh, press) for press in recording.presses]
-    known = [value for value in estimates if value is not None]
-    guess = float(np.median(known)) if known else START_MPA
+    mesh, estimates = problem.recording.mesh, []
+    for press in problem.recording.presses:
+        total = press.forces.sum(axis=0)
+        force = float(np.linalg.norm(total))
+        contact = np.any(press.forces != 0, axis=1)
+        area = float(mesh.surface.areas[contact[mesh.surface.triangles].all(axis=1)].sum())
+        observed = press.observed.all(axis=1) & contact
+        if force == 0.0 or area == 0.0 or not observed.any():
+            continue
+        inward = total / force
+        depth = float((press.displacement[observed] @ inward).mean())
+        if depth > 0.0:  # pressure over displacement of the contact relative to the body's length
+            estimates.append(force / area * float(np.ptp(mesh.points @ inward)) / depth)
+    guess = float(np.median(estimates)) if estimates else START_MPA
     return guess if guess > _STIFFENING * START_MPA else START_MPA
-
-
-def _stress_over_strain(mesh: TetMesh, press: Press) -> float | None:
-    """Mean pressure over the mean displacement of the contact relative to the body's length."""
-    total = press.forces.sum(axis=0)
-    force = float(np.linalg.norm(total))
-    contact = np.any(press.forces != 0, axis=1)
-    surface = mesh.surface
-    area = float(surface.areas[contact[surface.triangles].all(axis=1)].sum())
-    observed = press.observed.all(axis=1) & contact
-    if force == 0.0 or area == 0.0 or not observed.any():
-        return None
-    inward = total / force
-    depth = float((press.displacement[observed] @ inward).mean())
-    length = float(np.ptp(mesh.points @ inward))
-    return force / area * length / depth if depth > 0.0 else None
 
 
 def best_uniform(
@@ -169,15 +156,11 @@ def homogeneous(problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " 
 
 
 def monte_carlo(
-    draw: Callable[[np.random.Generator], Float[np.ndarray, " m"]],
-    *,
-    draws: int = 16,
-    seed: int = 0,
+    draw: Callable[[np.random.Generator], np.ndarray], *, draws: int = 16, seed: int = 0
 ) -> Callable[[InverseProblem, Bounds], np.ndarray]:
     """Return a start that draws maps and takes the one that fits best.
 
-    Draws without an equilibrium are skipped. Draws are solved side by side where there are
-    fewer presses than cores, else the presses of each.
+    Draws without an equilibrium are skipped.
 
     Args:
         draw: Draws a map, MPa, such as `sample` of a prior.

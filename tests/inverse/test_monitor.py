@@ -97,10 +97,7 @@ def test_an_interrupted_run_goes_on(
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
     ("error", "reason"),
-    [
-        (KeyboardInterrupt(), "interrupted"),
-        (StopOptimization(), "time limit reached"),
-    ],
+    [(KeyboardInterrupt(), "interrupted"), (StopOptimization(), "time limit reached")],
 )
 def test_whatever_ends_it_keeps_the_best_so_far(
     noisy: Recording, fail_evaluation: Fail, name: str, error: BaseException, reason: str

@@ -22,7 +22,7 @@ from tactorch.inverse import (
 )
 from tactorch.inverse.optimizers.damped import PriorSolver
 from tactorch.inverse.optimizers.newton_cg import data_trace
-from tactorch.inverse.optimizers.schedule import dominating_weight
+from tactorch.inverse.optimizers.schedule import RegularizationSchedule
 from tactorch.recording import Recording
 
 Make = Callable[..., Recording]
@@ -176,8 +176,8 @@ def test_the_trace_is_estimated(objective: Objective, moduli: np.ndarray) -> Non
     exact = float((point.jacobian**2).sum())
     assert data_trace(point, probes=200) == pytest.approx(exact, rel=0.1)
     assert data_trace(point) == data_trace(point)
-    rough = dominating_weight(point) * data_trace(point) / exact
-    assert rough == pytest.approx(dominating_weight(point), rel=0.6)
+    rough = RegularizationSchedule.start(point, {}, trace=data_trace(point))
+    assert rough.weight == pytest.approx(RegularizationSchedule.start(point, {}).weight, rel=0.6)
 
 
 def test_the_preconditioner_holds_what_is_fixed(objective: Objective, moduli: np.ndarray) -> None:

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.config import Options
+from tactorch.config import Options, Registry
 from tactorch.inverse.monitor import Monitor, StopReason
 from tactorch.inverse.objective import Objective
 
@@ -31,3 +31,17 @@ class Optimizer(Options, ABC):
             ConvergenceError: the start itself has no equilibrium.
             StopOptimization: raised by the monitor.
         """
+
+
+_HERE = "tactorch.inverse.optimizers"
+#: Settings of the optimizers by name.
+OPTIMIZERS = Registry(
+    "optimizer",
+    {
+        "gauss_newton": f"{_HERE}.gauss_newton:GaussNewton",
+        "newton_cg": f"{_HERE}.newton_cg:NewtonCG",
+        "tnc": f"{_HERE}.scipy_methods:TNC",
+        "lbfgs": f"{_HERE}.scipy_methods:LBFGS",
+    },
+    "optimizers",
+)

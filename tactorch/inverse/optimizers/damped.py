@@ -29,52 +29,37 @@ _MAX_RISE = 2.0
 # Directions that the data do not determine are the prior's; damping is for the nonlinearity alone,
 # so it starts small, falls after every step of sufficient gain, and jumps where a step failed.
 _MIN_DAMPING, _MIN_RAISED_DAMPING = 1e-12, 1e-4
+Vector = Float[np.ndarray, " size"]
+Mask = Bool[np.ndarray, " size"]
 
 
 class StepSolver(ABC):
-    """Solves the linear systems of one run.
+    """Solves the linear systems of one run."""
 
-    Attributes:
-        leaps: Whether the weight of the prior may fall by leaps.
-        takes_over: Whether a trial takes the factorisations of the present point over.
-        weight_rule: Rule that chooses the weight of the prior.
-        trace: Trace of J^T J, where the sensitivity matrix J is not formed.
-    """
+    leaps = True  # the weight of the prior may fall by leaps
+    takes_over = False  # a trial takes the factorisations of the present point over
+    weight_rule = "discrepancy"  # chooses the weight of the prior
+    trace: float | None = None  # of J^T J, where the sensitivity matrix J is not formed
 
-    leaps = True
-    takes_over = False
-    weight_rule = "discrepancy"
-    trace: float | None = None
-
-    def data_gradient(self, point: Point) -> Float[np.ndarray, " size"]:
+    def data_gradient(self, point: Point) -> Vector:
         """Return the gradient of the misfit."""
         return point.jacobian.T @ point.evaluation.residuals
 
     @abstractmethod
     def linearize(
-        self,
-        point: Point,
-        weight: float,
-        gradient: Float[np.ndarray, " size"],
-        free: Bool[np.ndarray, " size"],
-        lowering: bool,
+        self, point: Point, weight: float, gradient: Vector, free: Mask, lowering: bool
     ) -> None:
-        """Set up the linear system at a point.
+        """Set up the system at a point, with the objective's gradient, for the free parameters.
 
-        Args:
-            point: Where.
-            weight: Weight of the prior.
-            gradient: Gradient of the objective.
-            free: Parameters that are not held at a bound.
-            lowering: Whether the weight still falls, so that the step need not be accurate.
+        While the weight is `lowering`, a step need not be accurate.
         """
 
     @abstractmethod
-    def solve(self, damping: float) -> Float[np.ndarray, " size"] | None:
+    def solve(self, damping: float) -> Vector | None:
         """Return the damped step, zero at held parameters; None where the system is singular."""
 
     @abstractmethod
-    def predicted_fall(self, change: Float[np.ndarray, " size"]) -> float:
+    def predicted_fall(self, change: Vector) -> float:
         """Return the fall of the quadratic model along a change."""
 
     def state(self) -> dict[str, float]:
@@ -93,12 +78,7 @@ class PriorSolver:
         self._indices: tuple[np.ndarray, np.ndarray] | None = None
         self._fixed: np.ndarray | None = None
 
-    def factor(
-        self,
-        prior: sp.csr_matrix,
-        shift: Float[np.ndarray, " size"],
-        fixed: Bool[np.ndarray, " size"] | None = None,
-    ) -> bool:
+    def factor(self, prior: sp.csr_matrix, shift: Vector, fixed: Mask | None = None) -> bool:
         """Factor prior + diagonal with parameters held; return whether it is definite."""
         prior = prior.tocsr()
         indices = prior.indptr, prior.indices
@@ -126,10 +106,8 @@ class PriorSolver:
 
 
 class _Step(NamedTuple):
-    """An accepted step: its end, the next damping, and its gain."""
-
     point: Point
-    damping: float
+    damping: float  # the next one
     gain: float
 
 
@@ -146,9 +124,7 @@ class DampedNewton(Optimizer):
     def step_solver(self, point: Point, state: dict[str, float]) -> StepSolver:
         """Return the solver of a run that starts at a point or from a stored state."""
 
-    def minimize(
-        self, objective: Objective, start: Float[np.ndarray, " size"], monitor: Monitor
-    ) -> StopReason:
+    def minimize(self, objective: Objective, start: Vector, monitor: Monitor) -> StopReason:
         """See `Optimizer.minimize`."""
         point = objective.at(start)
         solver = self.step_solver(point, monitor.state)
@@ -227,17 +203,15 @@ class DampedNewton(Optimizer):
 
 
 def projected_gradient(
-    x: Float[np.ndarray, " m"],
-    gradient: Float[np.ndarray, " m"],
-    limits: tuple[float | np.ndarray, float | np.ndarray],
-) -> Float[np.ndarray, " m"]:
+    x: Vector, gradient: Vector, limits: tuple[float | np.ndarray, float | np.ndarray]
+) -> Vector:
     """Return the gradient without the components that push against a bound."""
     low, high = limits
     blocked = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
     return np.where(blocked, 0.0, gradient)
 
 
-def _within_limits(point: Point, step: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+def _within_limits(point: Point, step: Vector) -> Vector:
     """Cut a step to the bounds and to the largest for which the linearisation is meaningful."""
     cap, (low, high) = point.objective.max_step, point.objective.limits
     capped = np.clip(step, -cap, cap)

@@ -5,11 +5,11 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from tactorch.config import option
 from tactorch.inverse.objective import Point
-from tactorch.inverse.optimizers.damped import DampedNewton, PriorSolver, StepSolver
+from tactorch.inverse.optimizers.damped import DampedNewton, Mask, PriorSolver, StepSolver, Vector
 from tactorch.linalg import DenseCholesky
 
 # Data space divides by the damping where the prior is zero (a uniform shift).
@@ -38,19 +38,14 @@ class _DenseSteps(StepSolver):
         self._space, self.weight_rule = settings.space, settings.weight_rule
 
     def linearize(
-        self,
-        point: Point,
-        weight: float,
-        gradient: Float[np.ndarray, " size"],
-        free: Bool[np.ndarray, " size"],
-        lowering: bool,
+        self, point: Point, weight: float, gradient: Vector, free: Mask, lowering: bool
     ) -> None:
         self._jacobian, self._prior = point.jacobian, point.prior_curvature(weight)
         self._gradient, self._free = gradient, free
         squares = np.einsum("ij,ij->j", self._jacobian, self._jacobian)
         self._diagonal = squares + self._prior.diagonal()
 
-    def solve(self, damping: float) -> Float[np.ndarray, " size"] | None:
+    def solve(self, damping: float) -> Vector | None:
         free, jacobian, prior = self._free, self._jacobian, self._prior
         if not free.all():
             jacobian, prior = jacobian[:, free], prior[free][:, free]
@@ -64,18 +59,15 @@ class _DenseSteps(StepSolver):
         change[free] = step
         return change
 
-    def predicted_fall(self, change: Float[np.ndarray, " size"]) -> float:
+    def predicted_fall(self, change: Vector) -> float:
         image = self._jacobian @ change
         curvature = image @ image + change @ (self._prior @ change)
         return -float(self._gradient @ change + 0.5 * curvature)
 
 
 def parameter_space_step(
-    jacobian: Float[np.ndarray, "p m"],
-    gradient: Float[np.ndarray, " m"],
-    prior: sp.csr_matrix,
-    shift: Float[np.ndarray, " m"],
-) -> Float[np.ndarray, " m"] | None:
+    jacobian: Float[np.ndarray, "p size"], gradient: Vector, prior: sp.csr_matrix, shift: Vector
+) -> Vector | None:
     """Solve (J^T J + prior + shift) step = -gradient by Cholesky; None if it breaks down."""
     matrix = jacobian.T @ jacobian
     coo = prior.tocoo()
@@ -86,11 +78,8 @@ def parameter_space_step(
 
 
 def data_space_step(
-    jacobian: Float[np.ndarray, "p m"],
-    gradient: Float[np.ndarray, " m"],
-    prior: sp.csr_matrix,
-    shift: Float[np.ndarray, " m"],
-) -> Float[np.ndarray, " m"] | None:
+    jacobian: Float[np.ndarray, "p size"], gradient: Vector, prior: sp.csr_matrix, shift: Vector
+) -> Vector | None:
     """Solve the same system through p x p matrices (Woodbury), for fewer data than parameters.
 
     With A = prior + shift, sparse: step = -A^-1 g + A^-1 J^T (1 + J A^-1 J^T)^-1 J A^-1 g, then

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.inverse.objective import Point
-from tactorch.inverse.optimizers.damped import DampedNewton, PriorSolver, StepSolver
+from tactorch.inverse.optimizers.damped import DampedNewton, Mask, PriorSolver, StepSolver, Vector
 from tactorch.linalg import conjugate_gradients
 
 # Shift of the preconditioner where the prior is zero (a uniform change), relative to the mean
@@ -59,16 +58,11 @@ class _CGSteps(StepSolver):
         self._gradient_size = state.get("gradient_size", np.inf)
         self._products = 0
 
-    def data_gradient(self, point: Point) -> Float[np.ndarray, " size"]:
+    def data_gradient(self, point: Point) -> Vector:
         return point.data_gradient
 
     def linearize(
-        self,
-        point: Point,
-        weight: float,
-        gradient: Float[np.ndarray, " size"],
-        free: Bool[np.ndarray, " size"],
-        lowering: bool,
+        self, point: Point, weight: float, gradient: Vector, free: Mask, lowering: bool
     ) -> None:
         # Eisenstat and Walker's second choice, from the sizes of this gradient and the last.
         last, forcing = self._gradient_size, self._settings.forcing
@@ -87,7 +81,7 @@ class _CGSteps(StepSolver):
             image = image + point.second_order_times(change)
         return image
 
-    def solve(self, damping: float) -> Float[np.ndarray, " size"] | None:
+    def solve(self, damping: float) -> Vector | None:
         mean, free = self._trace / len(self._gradient), self._free
         shift = self._shift = damping * (mean + self._prior.diagonal())
         base = shift + _BASE_SHIFT * mean + np.finfo(float).tiny
@@ -106,7 +100,7 @@ class _CGSteps(StepSolver):
         step: np.ndarray = self._solved.solution
         return step if np.all(np.isfinite(step)) else None
 
-    def predicted_fall(self, change: Float[np.ndarray, " size"]) -> float:
+    def predicted_fall(self, change: Vector) -> float:
         uncut = np.array_equal(change, self._solved.solution)
         image = self._solved.image - self._shift * change if uncut else self._product(change)
         return -float(self._gradient @ change + 0.5 * change @ image)

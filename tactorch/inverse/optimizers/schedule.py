@@ -37,7 +37,7 @@ _MAX_RAISE = 100.0
 _MAX_RATIO, _MARGIN = 0.9, 1.05
 # Largest change of a chosen weight per step; largest number of choices; change that ends them.
 _MAX_CHANGE, _MAX_CHOICES, _CHANGE_TOLERANCE = 3.0, 30, 1.2
-_DOMINANCE = 30.0
+_DOMINANCE = 30.0  # of the prior's trace over that of J^T J at the first weight
 # Attribute of the schedule for each number of its state.
 _STATE = {"weight": "weight", "first_weight": "first"} | {
     f"weight_{name}": name
@@ -47,56 +47,41 @@ _STATE = {"weight": "weight", "first_weight": "first"} | {
 
 @dataclass
 class RegularizationSchedule:
-    """A weight that is lowered from step to step, or fixed.
-
-    Attributes:
-        weight: Present weight.
-        first: Weight at the start.
-        fixed: Whether the weight was given.
-        ended: Why the weight falls no further; None while it falls, or where it was given.
-        rule: Rule that chooses it: "discrepancy", "l_curve" or "gcv".
-        rounds: Weights tried since the first end, or choices by another rule.
-        below: Largest weight that overfitted once converged; zero if none did.
-        above: Smallest weight that misfitted once converged; infinite if none did.
-        last: Mean squared residual of the last iterate, if the weight was the same; else zero.
-        before: The same of the iterate before.
-        held: Whether the weight was kept because the last step had too small a gain.
-        leapt: Whether the weight has just fallen by a leap.
-    """
+    """A weight that is lowered from step to step, or fixed."""
 
     weight: float
-    first: float
-    fixed: bool
-    ended: StopReason | None = None
-    rule: str = "discrepancy"
-    rounds: int = 0
-    below: float = 0.0
-    above: float = np.inf
-    last: float = 0.0
-    before: float = 0.0
-    held: bool = False
-    leapt: bool = False
+    first: float  # weight at the start
+    fixed: bool  # the weight was given
+    ended: StopReason | None = None  # why the weight falls no further; None where it was given
+    rule: str = "discrepancy"  # or "l_curve", "gcv"
+    rounds: int = 0  # weights tried since the first end, or choices by another rule
+    below: float = 0.0  # largest weight that overfitted once converged
+    above: float = np.inf  # smallest weight that misfitted once converged
+    last: float = 0.0  # mean squared residual of the last iterate, if at this weight; else zero
+    before: float = 0.0  # that of the iterate before
+    held: bool = False  # the weight was kept because the last step had too small a gain
+    leapt: bool = False  # the weight has just fallen by a leap
 
     @staticmethod
     def start(
         point: Point,
-        state: dict[str, float],
+        state: Mapping[str, float],
         rule: str = "discrepancy",
         trace: float | None = None,
     ) -> "RegularizationSchedule":
         """Start from the given weight, a stored one, or one at which the prior dominates.
 
-        Args:
-            point: Start of the optimization; its objective holds the given weight.
-            state: What `state` has returned, or nothing.
-            rule: Rule that chooses the weight.
-            trace: Trace of J^T J, where the sensitivity matrix J is not formed.
+        `trace` is that of J^T J, where the sensitivity matrix J is not formed.
         """
         weight = point.objective.weight
         if weight is not None:
             return RegularizationSchedule(weight, weight, True)
         if "weight" not in state:
-            first = dominating_weight(point, trace)
+            prior, first = float(point.penalty_curvature.diagonal().sum()), 0.0
+            if prior > 0:  # there is a prior, and more than a single element, which has no jumps
+                if trace is None:
+                    trace = float(np.einsum("ij,ij->", point.jacobian, point.jacobian))
+                first = _DOMINANCE * (trace / prior)
             return RegularizationSchedule(first, first, fixed=first == 0.0, rule=rule)
         schedule = RegularizationSchedule(0.0, 0.0, False, _ENDS[int(state["ended"])], rule)
         for key, name in _STATE.items():
@@ -117,11 +102,9 @@ class RegularizationSchedule:
         return self.fixed or self.ended is not None
 
     def update(self, point: Point, gain: float = np.nan) -> None:
-        """Take the next weight by the rule, after a step.
+        """Take the next weight by the rule, after a step to this point.
 
-        Args:
-            point: End of the step.
-            gain: Fall of the objective over the predicted fall; NaN where the weight must not leap.
+        The gain is the fall of the objective over the predicted one; NaN forbids leaps.
         """
         chi2 = point.evaluation.chi2
         if self.rule == "discrepancy":
@@ -132,7 +115,7 @@ class RegularizationSchedule:
         if chi2 > _NEAR and self.weight >= _EXHAUSTED * self.first:
             self.weight *= _FAST  # far from the data, the linearised problem is uninformative
             return
-        spectrum = Spectrum.of(point)
+        spectrum = Spectrum.at(point)
         wanted = self.weight if spectrum is None else RULES[self.rule](spectrum)
         change = float(np.clip(wanted / self.weight, 1.0 / _MAX_CHANGE, _MAX_CHANGE))
         self.weight *= change
@@ -232,16 +215,3 @@ def warm_start_state(state: Mapping[str, float], growth: float) -> dict[str, flo
         "first_weight": dominating,
         "ended": 0.0 if chosen else state["ended"],
     }
-
-
-def dominating_weight(point: Point, trace: float | None = None) -> float:
-    """Return a weight at which the prior dominates: thirty times the ratio of the traces.
-
-    The trace of J^T J is by default that of the sensitivity matrix.
-    """
-    prior = float(point.penalty_curvature.diagonal().sum())
-    if prior <= 0:  # no prior; or a single element, which has no jumps
-        return 0.0
-    if trace is None:
-        trace = float(np.einsum("ij,ij->", point.jacobian, point.jacobian))
-    return _DOMINANCE * (trace / prior)

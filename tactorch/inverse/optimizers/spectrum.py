@@ -22,35 +22,23 @@ _DECADES, _PER_DECADE = 8, 8
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The linearised problem in the coordinates where it is diagonal.
+    """The linearised problem in the coordinates where it is diagonal."""
 
-    Attributes:
-        squares: Squared singular values S^2, k of them.
-        pull: S U^T r.
-        push: V^T L^-1 g.
-        misfit: |r|^2 at the point.
-        n_data: Number of data.
-    """
-
-    squares: Float[np.ndarray, " k"]
-    pull: Float[np.ndarray, " k"]
-    push: Float[np.ndarray, " k"]
-    misfit: float
+    squares: Float[np.ndarray, " k"]  # squared singular values S^2
+    pull: Float[np.ndarray, " k"]  # S U^T r
+    push: Float[np.ndarray, " k"]  # V^T L^-1 g
+    misfit: float  # |r|^2 at the point
     n_data: int
 
     @staticmethod
-    def of(point: Point) -> "Spectrum | None":
-        """Decompose at `point`, for the map alone; None where the prior cannot be factored."""
+    def at(point: Point) -> "Spectrum | None":
+        """Decompose at a point, for the map alone; None where the prior cannot be factored."""
         m = len(point.youngs)
-        return Spectrum.decomposed(
-            point.jacobian[:, :m],
-            point.evaluation.residuals,
-            point.penalty_curvature[:m, :m],
-            point.penalty_gradient[:m],
-        )
+        gradient, curvature = point.penalty_gradient[:m], point.penalty_curvature[:m, :m]
+        return Spectrum.of(point.jacobian[:, :m], point.evaluation.residuals, curvature, gradient)
 
     @staticmethod
-    def decomposed(
+    def of(
         jacobian: Float[np.ndarray, "p m"],
         residuals: Float[np.ndarray, " p"],
         curvature: sp.csr_matrix,

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
 
-from tactorch.config import Options, option
+from tactorch.config import Options, Registry, option
 from tactorch.mesh import TetMesh
 
 
@@ -134,3 +134,22 @@ def relative(sizes: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 def log_level(level_mpa: float | None) -> float | None:
     """Return the logarithm of a modulus (MPa); None stays None."""
     return None if level_mpa is None else float(np.log(level_mpa))
+
+
+_HERE = "tactorch.inverse.regularization"
+#: Settings of the priors by name.
+PRIORS = Registry(
+    "regularization",
+    {
+        "none": f"{_HERE}.base:NoPrior",
+        "smoothness": f"{_HERE}.gaussian:Smoothness",
+        "total_variation": f"{_HERE}.sharp:TotalVariation",
+        "log_jumps": f"{_HERE}.sharp:LogJumps",
+        "tikhonov": f"{_HERE}.gaussian:Tikhonov",
+        "sparsity": f"{_HERE}.sharp:Sparsity",
+        "binary_well": f"{_HERE}.binary_well:BinaryWell",
+        "matern": f"{_HERE}.gaussian:Matern",
+        "composite": f"{_HERE}.combined:Composite",
+    },
+    "priors on the map",
+)

@@ -20,18 +20,11 @@ _Function = Callable[[np.ndarray], np.ndarray]
 
 
 class _ReweightedPenalty(Regularizer):
-    """Sum of weight * cost(difference), with the differences linear in the field.
+    """Sum of weight * cost(difference), with difference = matrix (field - level).
 
     The curvature at a field belongs to the quadratic majorant that touches the penalty there. It
-    exists where the cost is concave in the squared difference. A level that minimises the penalty
-    adds nothing to the gradient (envelope theorem).
-
-    Args:
-        matrix: Differences by the field, (n, m).
-        weights: Weight of each difference, (n,).
-        cost: Cost of differences.
-        stiffness: Derivative of the cost by the difference, over the difference.
-        level: Level that is subtracted from a field: minimises the penalty, or is constant.
+    exists where the cost is concave in the squared difference. A level that depends on the field
+    minimises the penalty, so that it adds nothing to the gradient (envelope theorem).
     """
 
     def __init__(
@@ -39,7 +32,7 @@ class _ReweightedPenalty(Regularizer):
         matrix: sp.csr_matrix,
         weights: Float[np.ndarray, " n"],
         cost: _Function,
-        stiffness: _Function,
+        stiffness: _Function,  # derivative of the cost by the difference, over the difference
         level: Callable[[np.ndarray], float] = lambda _: 0.0,
     ) -> None:
         self._matrix, self._weights, self._level = matrix, weights, level
