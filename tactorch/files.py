@@ -108,19 +108,22 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compressed: boo
         temporary.write_bytes(memory.getvalue())
 
 
-def read_arrays(path: str | Path, what: str, remedy: str) -> "dict[str, np.ndarray]":
+def read_arrays(
+    path: str | Path, what: str, remedy: str, max_bytes: float = float("inf")
+) -> "dict[str, np.ndarray]":
     """Read all arrays of an .npz file; their checksums are verified.
 
     Args:
         path: The file.
         what: What the file should be, for messages.
         remedy: What to do if it cannot be read, for messages.
+        max_bytes: Limit of the size of the unpacked arrays.
 
     Returns:
         Array by name.
 
     Raises:
-        FileError: The file is missing, damaged or no such file.
+        FileError: The file is missing, damaged, too large or no such file.
     """
     import numpy as np
 
@@ -128,6 +131,9 @@ def read_arrays(path: str | Path, what: str, remedy: str) -> "dict[str, np.ndarr
     arrays = {}
     try:
         with ZipFile(source) as archive:
+            size = sum(part.file_size for part in archive.infolist())
+            if size > max_bytes:
+                raise ValueError(f"its arrays have {size} bytes, more than {max_bytes}")
             for name in archive.namelist():
                 # NumPy stops reading where the array ends, before the checksum is compared.
                 content = io.BytesIO(archive.read(name))

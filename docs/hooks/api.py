@@ -16,8 +16,8 @@ from typing import NamedTuple
 import configuration
 
 import tactorch
+from tactorch.cli.schema import describe_settings
 from tactorch.config import Options
-from tactorch.config.schema import describe_settings
 
 _ROOT = Path(__file__).resolve().parents[2]
 #: Pages: title, and the packages (or modules) on it.

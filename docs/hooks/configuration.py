@@ -4,9 +4,9 @@ import html
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from tactorch.cli.main import COMMANDS
-from tactorch.cli.schema import EXPERIMENT, Schema, app_name, load_schema
-from tactorch.config.schema import text_of
+from tactorch.cli.commands import COMMANDS
+from tactorch.cli.presets import EXPERIMENT
+from tactorch.cli.schema import Schema, app_name, load_schema, text_of
 
 _INTRODUCTION = """\
 # Configuration reference

@@ -11,7 +11,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from tactorch.cli.help import about
+from tactorch.cli.commands import COMMANDS, GROUPS, VERBS
+from tactorch.cli.help import describe_entry
+from tactorch.cli.overrides import POSITIONAL
 from tactorch.cli.schema import Schema, load_schema
 from tactorch.errors import ConfigError
 
@@ -46,11 +48,7 @@ class Candidate(NamedTuple):
 
 
 def completed(words: Sequence[str]) -> list[Candidate]:
-    """Return the candidates for the last of the words, which may be empty.
-
-    Args:
-        words: Words after `tactorch`.
-    """
+    """Return the candidates for the last of the words after `tactorch`, which may be empty."""
     *before, current = words or [""]
     return [c for c in _candidates(before, current) if c.word.startswith(current)]
 
@@ -68,35 +66,32 @@ def typed(line: str) -> list[str]:
 
 
 def _candidates(before: Sequence[str], current: str) -> Iterator[Candidate]:
-    from tactorch.cli.main import COMMANDS, GROUPS, VERBS
-    from tactorch.cli.positional import POSITIONAL
-
     if not before:
-        yield from (Candidate(*pair) for pair in VERBS.items())
+        yield from map(Candidate._make, VERBS.items())
         if current:
             yield from (Candidate("--help", "the commands"), Candidate("--version"))
         return
     verb, given = before[0], list(before[1:])
     if verb == "help" and not given:
-        yield from (Candidate(*pair) for pair in VERBS.items())
+        yield from map(Candidate._make, VERBS.items())
     elif verb == "completion" and not given:
         yield from map(Candidate, SHELLS)
     elif verb == "doctor":
         yield Candidate("json=true", "for programs")
     elif verb in GROUPS and not given:
-        yield from (Candidate(*pair) for pair in GROUPS[verb].items())
+        yield from map(Candidate._make, GROUPS[verb].items())
     elif verb in GROUPS and f"{verb} {given[0]}" in COMMANDS:
         yield from _settings(f"{verb} {given[0]}", given[1:], current)
     elif verb in COMMANDS:
         if verb in POSITIONAL and not given and "=" not in current:
-            yield from _values(load_schema(verb), given, POSITIONAL[verb].first, current)
+            yield from _values(load_schema(verb), given, POSITIONAL[verb][0], current)
         yield from _settings(verb, given, current)
 
 
 def _settings(verb: str, given: Sequence[str], current: str) -> Iterator[Candidate]:
     """Flags, settings of a command, and values of a setting."""
     if current.startswith("-"):
-        yield from (Candidate(*pair) for pair in _FLAGS.items())
+        yield from map(Candidate._make, _FLAGS.items())
         return
     if given and given[-1] == "--cfg":
         yield from map(Candidate, _CFG)
@@ -109,8 +104,8 @@ def _settings(verb: str, given: Sequence[str], current: str) -> Iterator[Candida
         for candidate in _values(schema, given, key, value.removeprefix(prefix)):
             yield Candidate(f"{key}={prefix}{candidate.word}", candidate.about)
         return
-    known = {word.partition("=")[0] for word in given}
-    yield from (c for c in _keys(schema, given, key) if c.word.rstrip("=") not in known)
+    used = {word.partition("=")[0] for word in given}
+    yield from (c for c in _keys(schema, given, key) if c.word.rstrip("=") not in used)
 
 
 def _keys(schema: Schema, given: Sequence[str], typed_key: str) -> Iterator[Candidate]:
@@ -123,7 +118,7 @@ def _keys(schema: Schema, given: Sequence[str], typed_key: str) -> Iterator[Cand
     names += [n for n in tables if n.rpartition(".")[0] == prefix and n not in schema.defaults]
     for key in dict.fromkeys(names if dot else [*names, *choices]):
         if key in entries:
-            yield Candidate(f"{key}=", about(entries[key]))
+            yield Candidate(f"{key}=", describe_entry(entries[key]))
         elif key in choices:
             yield Candidate(f"{key}=", f"now {choices[key] or 'none'}")
         if key in tables:
@@ -141,13 +136,15 @@ def _values(schema: Schema, given: Sequence[str], key: str, value: str) -> Itera
         return
     yield from map(Candidate, entry["choices"])
     if entry["is_path"]:
-        yield from map(Candidate, _sensors() if key == "sensor" else ())
-        yield from map(Candidate, _files(value))
+        # The sensors that come with tactorch have names.
+        folder = Path(__file__).parents[1] / "sensor" / "sensors"
+        names = sorted(path.stem for path in folder.glob("*.yaml")) if key == "sensor" else ()
+        yield from map(Candidate, (*names, *_files(value)))
 
 
-def _files(begin: str) -> Iterator[str]:
-    """Files and folders whose path starts so, except names that need quotes."""
-    folder, name = os.path.split(begin)
+def _files(prefix: str) -> Iterator[str]:
+    """Files and folders next to a path that is being typed, except names that need quotes."""
+    folder, name = os.path.split(prefix)
     try:
         entries = sorted(os.scandir(folder or "."), key=lambda entry: entry.name)
     except OSError:
@@ -156,12 +153,6 @@ def _files(begin: str) -> Iterator[str]:
         hidden = entry.name.startswith(".") and not name.startswith(".")
         if not hidden and not _SPECIAL & set(entry.name):
             yield os.path.join(folder, entry.name) + ("/" if entry.is_dir() else "")
-
-
-def _sensors() -> list[str]:
-    """Names of the sensors that come with tactorch."""
-    folder = Path(__file__).parents[1] / "sensor" / "description"
-    return sorted(path.stem for path in folder.glob("*.yaml"))
 
 
 def run(words: Sequence[str]) -> None:

@@ -11,19 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tactorch.cli.invert import InversionOptions, invert_recording
-from tactorch.cli.options import CommandOptions
-from tactorch.cli.settings import log, run_folder
+from tactorch.cli import invert
+from tactorch.cli.console import log
+from tactorch.cli.settings import CommandOptions, run_folder, select
 from tactorch.cli.simulate import SimulationOptions, simulate_recording
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.importers import FORMATS  # noqa: F401  (the registry of the section)
 from tactorch.inverse import Reconstruction
-from tactorch.recording import Recording
 
 
 @dataclass(frozen=True, kw_only=True)
-class DemoOptions(SimulationOptions, InversionOptions, CommandOptions):
+class DemoOptions(SimulationOptions, invert.InversionOptions, CommandOptions):
     """Settings of the command."""
 
     source: Literal["simulated", "published"] = option("simulated", "Source of the recording")
@@ -34,18 +33,14 @@ class DemoOptions(SimulationOptions, InversionOptions, CommandOptions):
 
 def run(options: DemoOptions) -> Reconstruction:
     """Simulate or read a recording, and invert it."""
-    recording = _recording(options)
+    if options.source == "simulated":
+        log.info("Simulating noisy presses on a finer mesh than that of the inversion ...")
+        recording = simulate_recording(options)
+    elif options.path is None:
+        raise ConfigError("source=published needs path=FOLDER, the folder of a published case.")
+    else:
+        recording = options.format(folder=options.path)
     path = run_folder() / "recording.h5"
     recording.save(path)
     log.info("%s\n", recording.summary())
-    return invert_recording(options, recording, path)
-
-
-def _recording(options: DemoOptions) -> Recording:
-    if options.source == "simulated":
-        log.info("Simulating noisy presses on a finer mesh than that of the inversion ...")
-        return simulate_recording(options)
-    if options.path is None:
-        raise ConfigError("source=published needs path=FOLDER, the folder of a published case.")
-    recording: Recording = options.format(folder=options.path)
-    return recording
+    return invert.run(select(options, invert.InvertOptions, recording=path, check_units=False))

@@ -10,10 +10,9 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from tactorch.cli.logs import log_text
-from tactorch.cli.options import CommandOptions, UnitCheck
+from tactorch.cli.console import log, log_text
 from tactorch.cli.outputs import score_table, write_json
-from tactorch.cli.settings import log
+from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
 from tactorch.errors import FileError, RecordingError
 from tactorch.inverse import Reconstruction
@@ -44,12 +43,12 @@ def run(options: EvaluateOptions) -> dict[str, float]:
             f"recording '{source}' and reconstruction '{path}' are on different meshes; give the "
             "recording that was inverted."
         )
-    columns = score_table(recording, {"reconstruction": reconstruction.youngs})
-    log_text(columns.table.text(), columns.table)
+    values, table = score_table(recording, {"reconstruction": reconstruction.youngs})
+    log_text(table)
     out = options.out or path.parent / "scores.json"
-    write_json(out, columns.values)
+    write_json(out, values)
     log.info("scores: %s", out)
-    return columns.values["reconstruction"]
+    return values["reconstruction"]
 
 
 def _recording_path(path: Path) -> Path:

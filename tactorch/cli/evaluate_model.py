@@ -7,19 +7,34 @@ The run folder gets scores.json, calibration.png and examples.png, and for a rec
 confusion.png. A run of several splits is evaluated on the test part of each.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-from tactorch.cli.compose import saved_options
-from tactorch.cli.networks import make_data, make_model, model_name
-from tactorch.cli.options import CommandOptions
+import numpy as np
+import torch
+from scipy.special import ndtri
+from torch.nn import functional
+
+from tactorch.cli.console import Table, log, log_text
+from tactorch.cli.networks import TrainOptions, check_data, read_facts
 from tactorch.cli.outputs import write_json
-from tactorch.cli.settings import run_folder
-from tactorch.cli.train import TrainOptions, check_data, read_data
+from tactorch.cli.resume import saved_options
+from tactorch.cli.settings import CommandOptions, run_folder
+from tactorch.cli.train import split_folder
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.files import require_folder
+from tactorch.learning.recognizer.scores import class_scores
+from tactorch.learning.surrogate.features import SHARED_CHANNELS
+from tactorch.learning.surrogate.network import correlation, load_surrogate
+from tactorch.learning.training import BEST, load_weights
+from tactorch.viz.calibration import plot_coverage, plot_reliability
+from tactorch.viz.learning import plot_confusion, plot_examples, plot_predictions
+
+_BATCH = 32
+_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,49 +48,146 @@ class EvaluateModelOptions(CommandOptions):
     part: Literal["train", "val", "test"] = option("test", "Part of the run's own dataset")
 
 
+class _Split(NamedTuple):
+    """A trained network, its data module, the part to evaluate on, and facts of its training."""
+
+    model: Any
+    data: Any
+    part: str
+    facts: dict[str, Any]
+
+
 def run(options: EvaluateModelOptions) -> dict[str, Any]:
     """Evaluate a trained network; writes numbers and pictures."""
-    place = require_folder(options.run, "run to evaluate")
-    trained: TrainOptions = saved_options("train", place)
-    results = [_load_split(trained, place, n, options) for n in range(trained.splits)]
-    if model_name(trained) == "recognizer":
-        from tactorch.cli.evaluate_recognizer import evaluate
-    else:
-        from tactorch.cli.evaluate_surrogate import evaluate
-    scores = evaluate(results, run_folder())
-    write_json(run_folder() / "scores.json", scores)
+    folder, out = require_folder(options.run, "run to evaluate"), run_folder()
+    trained: TrainOptions = saved_options("train", folder)
+    splits = [_load_split(trained, folder, n, options) for n in range(trained.splits)]
+    evaluate = _evaluate_recognizer if trained.model_name == "recognizer" else _evaluate_surrogate
+    scores = evaluate(splits, out)
+    write_json(out / "scores.json", scores)
     return scores
 
 
 def _load_split(
-    trained: TrainOptions, place: Path, number: int, options: EvaluateModelOptions
-) -> tuple[Any, Any, str, dict[str, Any]]:
-    """Return a split's network, its data, the part to evaluate on, and the stored facts.
-
-    The data are the run's own, or all of another dataset.
-    """
+    trained: TrainOptions, folder: Path, number: int, options: EvaluateModelOptions
+) -> _Split:
+    """Return a split with the run's own data, or all of another dataset."""
     part: str = options.part
     if options.folder is not None:
         data = replace(trained.data, folder=options.folder, shares=(0.0, 0.0, 1.0))
         trained, part = replace(trained, data=data), "test"
-    module = make_data(trained, number)
-    own = place if trained.splits == 1 else place / f"split-{number:02d}"
-    facts = read_data(own)
+    module = trained.make_data(number)
+    own = split_folder(folder, number, trained.splits)
+    facts = read_facts(own)
     if options.folder is None:
         check_data(own, module)
     if not module.parts[part]:
         raise ConfigError(f"part={part} of the run's dataset is empty; choose another.")
-    return _network(trained, module, facts, own), module, part, facts
-
-
-def _network(trained: TrainOptions, data: Any, facts: dict[str, Any], own: Path) -> Any:
-    """Return the best network of a run."""
-    from tactorch.learning.training import BEST, load_weights
-
-    if model_name(trained) == "surrogate":  # refuses weights of an older version of its input
-        from tactorch.learning.surrogate.network import load_surrogate
-
-        return load_surrogate(own / BEST)
-    model = make_model(trained, data, facts)
+    if trained.model_name == "surrogate":  # refuses weights of an older version of its input
+        return _Split(load_surrogate(own / BEST), module, part, facts)
+    model = trained.make_model(module, facts)
     load_weights(model, own / BEST)
-    return model.eval()
+    return _Split(model.eval(), module, part, facts)
+
+
+def _evaluate_recognizer(splits: Sequence[_Split], out: Path) -> dict[str, Any]:
+    """Return the scores over all splits; writes confusion.png, calibration.png, examples.png."""
+    classes = splits[0].facts["classes"]
+    results = [_classify(split) for split in splits]
+    by_split = [class_scores(probabilities, truth).accuracy for probabilities, truth, _ in results]
+    probabilities, truth, maps = map(np.concatenate, zip(*results, strict=True))
+    scores = class_scores(probabilities, truth)
+    plot_confusion(scores.confusion, classes, out / "confusion.png")
+    bins = scores.bin_confidence, scores.bin_accuracy, scores.bin_counts
+    plot_reliability(*bins, out / "calibration.png")
+    predicted = probabilities.argmax(axis=1)
+    titles = [
+        f"{classes[t]}: {classes[n]} {p:.0%}"
+        for t, n, p in zip(truth, predicted, probabilities.max(axis=1), strict=True)
+    ]
+    plot_examples(maps, titles, (predicted == truth).tolist(), out / "examples.png")
+    deviation = float(np.std(by_split, ddof=len(by_split) > 1))
+    log.info(
+        "accuracy %.1f %% of %d predictions (%d splits: %.1f +- %.1f %%), calibration error %.3f",
+        100 * scores.accuracy, len(truth), len(by_split), 100 * np.mean(by_split),
+        100 * deviation, scores.calibration_error,
+    )  # fmt: skip
+    by_class = {
+        name: {"precision": scores.precision[i], "recall": scores.recall[i], "f1": scores.f1[i]}
+        for i, name in enumerate(classes)
+    }
+    rows = [(name, *(f"{v:.3f}" for v in values.values())) for name, values in by_class.items()]
+    log_text(Table(("class", "precision", "recall", "f1"), rows))
+    return {
+        "samples": len(truth),
+        "accuracy": scores.accuracy,
+        "accuracy_by_split": by_split,
+        "accuracy_deviation": deviation,
+        "calibration_error": scores.calibration_error,
+        "classes": by_class,
+        "confusion": scores.confusion.tolist(),
+    }
+
+
+def _classify(split: _Split) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the probabilities that a network predicts, the true classes, and the maps."""
+    data, classes = split.data, split.facts["classes"]
+    unknown = set(data.classes) - set(classes)
+    if unknown:
+        raise ConfigError(
+            f"the dataset contains {', '.join(sorted(unknown))}, and the network distinguishes"
+            f" {', '.join(classes)} only; evaluate it on a dataset of these."
+        )
+    truth = np.array([classes.index(name) for name in data.classes])
+    rows = data.parts[split.part]
+    with torch.inference_mode():
+        logits = torch.cat([split.model(maps) for maps in data.maps[rows].split(_BATCH)])
+    probabilities = logits.softmax(dim=1).double().numpy()
+    return probabilities, truth[data.labels[rows].numpy()], data.maps[rows][:, 0].double().numpy()
+
+
+def _evaluate_surrogate(splits: Sequence[_Split], out: Path) -> dict[str, Any]:
+    """Return the scores over all splits; writes calibration.png and examples.png."""
+    batches = [batch for split in splits for batch in _predict(split)]
+    truth, mean, deviation, image, inside = map(torch.cat, zip(*batches, strict=True))
+    correlations = correlation(mean.exp(), truth.exp(), inside)
+    correlation_of_image = float(correlation(image.exp(), truth.exp(), inside).mean())
+    errors = ((truth - mean).abs() / deviation)[inside]
+    covered = [float((errors < ndtri(0.5 + 0.5 * level)).double().mean()) for level in _LEVELS]
+    plot_coverage(_LEVELS, covered, out / "calibration.png")
+    plot_predictions(
+        truth.double().numpy(), image.double().numpy(), mean.double().numpy(),
+        deviation.double().numpy(), inside.numpy(), correlations.tolist(), out / "examples.png",
+    )  # fmt: skip
+    quartiles = np.quantile(correlations.numpy(), (0.25, 0.5, 0.75)).tolist()
+    result = {
+        "samples": len(truth),
+        "correlation": float(correlations.mean()),
+        "correlation_quartiles": quartiles,
+        "correlation_of_linear_image": correlation_of_image,
+        "rms_log": float((truth - mean)[inside].double().square().mean().sqrt()),
+        "rms_log_of_uniform": float(truth[inside].double().square().mean().sqrt()),
+        "coverage": dict(zip(map(str, _LEVELS), covered, strict=True)),
+    }
+    log.info(
+        "%d objects: correlation %.3f (quartiles %s), of the linear image %.3f",
+        len(truth), result["correlation"], ", ".join(f"{q:.3f}" for q in quartiles),
+        correlation_of_image,
+    )  # fmt: skip
+    log.info(
+        "log-modulus: RMS error %.3f (uniform map: %.3f); coverage of 90 %% intervals %.1f %%",
+        result["rms_log"], result["rms_log_of_uniform"], 100 * covered[_LEVELS.index(0.9)],
+    )  # fmt: skip
+    return result
+
+
+def _predict(split: _Split) -> list[tuple[torch.Tensor, ...]]:
+    """Return truth, mean, deviation, linear image and validity of each batch of a part."""
+    batches: list[tuple[torch.Tensor, ...]] = []
+    image = SHARED_CHANNELS.index("image")
+    with torch.inference_mode():
+        for presses, mask, shared, truth, inside in split.data.loader(split.part):
+            mean, deviation = split.model(presses, mask, shared)
+            fine = functional.interpolate(shared, scale_factor=2, mode="trilinear")[:, image]
+            batches.append((truth, mean, deviation, fine, inside))
+    return batches

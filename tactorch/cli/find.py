@@ -11,13 +11,11 @@ folder.
 from dataclasses import dataclass
 from pathlib import Path
 
-from tactorch.cli.options import CommandOptions, UnitCheck
-from tactorch.cli.outputs import write_json
-from tactorch.cli.runs import with_settings
-from tactorch.cli.settings import log
+from tactorch.cli.console import log
+from tactorch.cli.outputs import write_json, write_text
+from tactorch.cli.settings import CommandOptions, UnitCheck, with_settings
 from tactorch.config import option
 from tactorch.errors import FileError
-from tactorch.files import atomic_path
 from tactorch.findings import Finding, build_finding
 from tactorch.inverse import settings_from
 from tactorch.recording import Recording
@@ -44,40 +42,36 @@ class FindOptions(UnitCheck, CommandOptions):
 
 def run(options: FindOptions) -> Finding:
     """Describe the lumps in a run's map."""
-    place = options.run
-    found = load_run(
-        place, name=place.name, recording=options.recording, check_units=options.check_units
-    )
-    if found.recording is None:
+    folder = options.run
+    inverted = load_run(folder, recording=options.recording, check_units=options.check_units)
+    if inverted.recording is None:
         raise FileError(
-            f"{found.missing} Give recording=FILE.h5: depths are measured from its presses."
+            f"{inverted.missing} Give recording=FILE.h5: depths are measured from its presses."
         )
-    youngs = found.result.youngs
-    posterior = _posterior(found, found.recording) if options.uncertainty else None
-    finding = build_finding(found.recording, youngs, posterior, max_lumps=options.max_lumps)
+    youngs = inverted.result.youngs
+    posterior = _posterior(inverted, inverted.recording) if options.uncertainty else None
+    finding = build_finding(inverted.recording, youngs, posterior, max_lumps=options.max_lumps)
     values, text = finding.plain(), finding.text()
     if options.recognizer is not None:
         from tactorch.findings.recognition import load_recognizer, recognise
 
         network = load_recognizer(str(options.recognizer))
-        probabilities = recognise(found.result.mesh, youngs, network)
+        probabilities = recognise(inverted.result.mesh, youngs, network)
         values["shapes"] = probabilities
-        named = ", ".join(f"{name} {share:.0%}" for name, share in probabilities.items())
-        text += f"\nOf the shapes that the recognizer knows it looks like: {named}."
-    out = options.out or place
+        shapes = ", ".join(f"{name} {share:.0%}" for name, share in probabilities.items())
+        text += f"\nOf the shapes that the recognizer knows it looks like: {shapes}."
+    out = options.out or folder
     write_json(out / "finding.json", values)
-    with atomic_path(out / "finding.txt") as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(out / "finding.txt", text)
     log.info("%s", text)
     return finding
 
 
-def _posterior(found: Run, recording: Recording) -> GaussianPosterior | None:
+def _posterior(run: Run, recording: Recording) -> GaussianPosterior | None:
     """Return the posterior of the map; None, with the reason in the log, where it has none."""
-    complete = with_settings(found)
     try:
-        settings = complete.settings or settings_from(complete.result.config)
-        return compute_posterior(recording, complete.result, settings)
+        settings = with_settings(run).settings or settings_from(run.result.config)
+        return compute_posterior(recording, run.result, settings)
     except UNCOMPUTABLE as error:
         reason = str(error) or "not enough memory"
         log.warning("the confidence cannot be computed: %s", reason)

@@ -8,13 +8,12 @@ A run that was stopped or killed continues where it was when the same command is
 Settings of optimizer, regularization and so on are those of the reconstructions, if there are any.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tactorch.cli.options import CommandOptions
-from tactorch.cli.progress import progress
-from tactorch.cli.settings import inversion_settings, log, material_spec
+from tactorch.cli.console import log, progress
+from tactorch.cli.settings import CommandOptions, material_spec, select
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.generation import Recipe, SampleSet, generate
@@ -84,11 +83,8 @@ def make_recipe(options: GenerateOptions) -> Recipe:
     inversion: Settings | str | None = None
     if options.dataset.reconstruct:
         is_linear = options.dataset.reconstruct == LINEAR
-        inversion = LINEAR if is_linear else inversion_settings(options)
-    values = {f.name: getattr(options.dataset, f.name) for f in fields(Recipe)}
-    others = {
-        "material": material_spec(options.material),
-        "element": options.element,
-        "inversion": inversion,
-    }
-    return Recipe(**{**values, **others})
+        inversion = LINEAR if is_linear else select(options, Settings)
+    material = material_spec(options.material)
+    return select(
+        options.dataset, Recipe, material=material, element=options.element, inversion=inversion
+    )

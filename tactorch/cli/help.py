@@ -1,11 +1,12 @@
 """`tactorch COMMAND --help`: settings with their help, and the options of each group."""
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import takewhile
+from typing import Any
 
-from tactorch.cli.schema import EXPERIMENT, Entry, Schema, load_schema
-from tactorch.config.schema import text_of
+from tactorch.cli.presets import EXPERIMENT, Entry
+from tactorch.cli.schema import load_schema, text_of
 
 _WIDTH = 98
 _FOOTER = """\
@@ -21,30 +22,30 @@ def help_text(command: str, words: Sequence[str] = ()) -> str:
     schema = load_schema(command)
     choices = schema.choices(words)
     known = {g: o for g, o in choices.items() if o is None or o in schema.options(g)}
-    parts = [
-        schema.header,
-        "Settings (KEY=VALUE) and their defaults:",
-        "\n".join(_lines(schema.settings, "  ")),
-    ]
-    groups = [_group(schema, g, o) for g, o in known.items() if schema.options(g)]
+    parts = [schema.header, "Settings (KEY=VALUE) and their defaults:"]
+    parts.append("\n".join(_settings(schema.settings, "  ")))
+    groups = [line for g, o in known.items() for line in _group(schema.options(g), g, o)]
     if groups:
         parts += ["Groups (GROUP=OPTION); * marks what is chosen:", "\n".join(groups)]
-    chosen = list(_chosen(schema, known))
+    chosen: list[str] = []
+    for group, option in known.items():
+        settings = schema.option_settings(group, option)
+        if settings and group != EXPERIMENT:
+            chosen += [f"  {group}: ({option})", *_settings(settings, "    ")]
     if chosen:
         parts += ["Settings of these options (GROUP.KEY=VALUE):", "\n".join(chosen)]
     return "\n\n".join((*parts, _FOOTER))
 
 
-def about(entry: Entry) -> str:
+def describe_entry(entry: Entry) -> str:
     """Return the help of a setting with its choices, range and unit."""
     choices = [choice for choice in entry["choices"] if choice not in ("true", "false")]
-    values = " | ".join(choices) if len(choices) > 1 else ""
-    notes = [note for note in (entry["range"], entry["unit"]) if note]
-    text = entry["help"] + (f" ({', '.join(notes)})" if notes else "")
-    return f"{text}: {values}" if values else text
+    values = f": {' | '.join(choices)}" if len(choices) > 1 else ""
+    notes = ", ".join(note for note in (entry["range"], entry["unit"]) if note)
+    return entry["help"] + (f" ({notes})" if notes else "") + values
 
 
-def _lines(settings: Iterable[Entry], indent: str) -> Iterable[str]:
+def _settings(settings: Iterable[Entry], indent: str) -> Iterator[str]:
     """Yield the settings as YAML with comments, those of a table under its name."""
     table = ""
     for entry in settings:
@@ -52,38 +53,26 @@ def _lines(settings: Iterable[Entry], indent: str) -> Iterable[str]:
         if outer and outer != table:
             yield f"{indent}{outer}:"
         table = outer
-        head = f"{indent}{'  ' if outer else ''}{leaf}: {text_of(entry['default'])}"
-        yield from _commented(head, about(entry))
+        inner, comment = indent + ("  " if outer else ""), describe_entry(entry)
+        head = f"{inner}{leaf}: {text_of(entry['default'])}"
+        if len(head) + len(comment) + 4 <= _WIDTH:
+            yield f"{head}  # {comment}".removesuffix("  # ")
+            continue
+        yield head
+        start = f"{inner}    # "
+        yield from textwrap.wrap(comment, _WIDTH, initial_indent=start, subsequent_indent=start)
 
 
-def _commented(head: str, comment: str) -> Iterable[str]:
-    if len(head) + len(comment) + 4 <= _WIDTH or not comment:
-        yield f"{head}  # {comment}".removesuffix("  # ")
-        return
-    indent = " " * (len(head) - len(head.lstrip()) + 4)
-    yield head
-    for line in textwrap.wrap(comment, _WIDTH - len(indent) - 2):
-        yield f"{indent}# {line}"
-
-
-def _group(schema: Schema, group: str, chosen: str | None) -> str:
-    options = schema.options(group)
-    width = max(map(len, options))
-    lines = [f"  {group}"]
+def _group(options: Mapping[str, Any], group: str, chosen: str | None) -> Iterator[str]:
+    """Yield the name of a group and its options with their help."""
+    width = max(map(len, options), default=0)
+    if options:
+        yield f"  {group}"
     for option, described in options.items():
         head = f"  {'*' if option == chosen else ' '} {option:<{width}}  "
-        wrapped = textwrap.wrap(described["help"], _WIDTH - len(head)) or [""]
-        lines += [(head + wrapped[0]).rstrip()]
-        lines += [" " * len(head) + line for line in wrapped[1:]]
-    return "\n".join(lines)
-
-
-def _chosen(schema: Schema, choices: Mapping[str, str | None]) -> Iterable[str]:
-    for group, option in choices.items():
-        settings = schema.option_settings(group, option)
-        if settings and group != EXPERIMENT:
-            yield f"  {group}: ({option})"
-            yield from _lines(settings, "    ")
+        rest = " " * len(head)
+        text = textwrap.fill(described["help"], _WIDTH, initial_indent=head, subsequent_indent=rest)
+        yield text or head.rstrip()
 
 
 def wants_help(words: Sequence[str]) -> bool:

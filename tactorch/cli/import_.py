@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactorch.cli.options import CommandOptions
-from tactorch.cli.settings import log
+from tactorch.cli.console import log
+from tactorch.cli.settings import CommandOptions
 from tactorch.config import option
 from tactorch.importers import FORMATS  # noqa: F401  (the registry of the section)
 

@@ -17,10 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactorch.cli.options import CommandOptions, UnitCheck
-from tactorch.cli.outputs import DERIVED_RESULTS, RESULTS, read_histories, write_outputs
-from tactorch.cli.resume import CHECKPOINT, checkpoint_of
-from tactorch.cli.settings import inversion_settings, make_start, run_folder
+from tactorch.cli.outputs import read_histories, remove_results, write_outputs
+from tactorch.cli.resume import CHECKPOINT
+from tactorch.cli.settings import CommandOptions, UnitCheck, make_start, run_folder
 from tactorch.config import option
 from tactorch.inverse import OPTIMIZERS, Reconstruction, Settings, StopReason, invert
 from tactorch.recording import Recording
@@ -44,42 +43,21 @@ class InvertOptions(InversionOptions, UnitCheck, CommandOptions):
 
 
 def run(options: InvertOptions) -> Reconstruction:
-    """Invert a recording and write its results."""
-    recording = Recording.load(options.recording, check_units=options.check_units)
-    return invert_recording(options, recording, options.recording)
-
-
-def invert_recording(
-    options: InversionOptions, recording: Recording, source: Path
-) -> Reconstruction:
-    """Invert a recording; results go to the run's folder.
-
-    Args:
-        options: Settings of the inversion.
-        recording: The recording.
-        source: File of the recording, for the summary.
+    """Invert a recording and write the results to the run's folder.
 
     Raises:
         KeyboardInterrupt: Ctrl-C ended the inversion; the results of its best map are written.
     """
-    out, settings = run_folder(), inversion_settings(options)
-    others = read_histories(options.compare, OPTIMIZERS.name_of(type(settings.optimizer)))
-    start, settings = make_start(options, settings, recording)
-    resume = None if options.resume is None else checkpoint_of(options.resume)
-    _remove_results(out, resume)
-    reconstruction = invert(
-        recording, settings, start_mpa=start, checkpoint=out / CHECKPOINT, resume=resume
-    )
-    path = str(source.resolve())
-    write_outputs(out, recording, reconstruction, source=path, others=others, plots=options.plots)
-    if reconstruction.stop_reason == StopReason.INTERRUPTED:
+    out, path = run_folder(), options.recording
+    recording = Recording.load(path, check_units=options.check_units)
+    others = read_histories(options.compare, OPTIMIZERS.name_of(type(options.optimizer)))
+    start, settings = make_start(options, recording)
+    resume = None if options.resume is None else options.resume / CHECKPOINT
+    remove_results(out, resume)
+    checkpoint = out / CHECKPOINT
+    result = invert(recording, settings, start_mpa=start, checkpoint=checkpoint, resume=resume)
+    source = str(path.resolve())
+    write_outputs(out, recording, result, source=source, others=others, plots=options.plots)
+    if result.stop_reason == StopReason.INTERRUPTED:
         raise KeyboardInterrupt
-    return reconstruction
-
-
-def _remove_results(out: Path, resume: Path | None) -> None:
-    """Remove the results of an earlier run: a killed run must not seem to have them."""
-    for name in (*RESULTS, *DERIVED_RESULTS, CHECKPOINT):
-        stale = out / name
-        if resume is None or resume.resolve() != stale.resolve():
-            stale.unlink(missing_ok=True)
+    return result

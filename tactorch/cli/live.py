@@ -9,23 +9,22 @@ Append presses with tactorch.recording.append_press. Open live.html in the run f
 itself. The folder also gets live.png, reconstruction.h5 and history.jsonl.
 """
 
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from threading import Event, Thread
 from typing import Literal
 
+from tactorch.cli.console import log, log_text
 from tactorch.cli.live_view import PAGE, Screen
-from tactorch.cli.logs import log_text
-from tactorch.cli.options import CommandOptions, UnitCheck
-from tactorch.cli.settings import inversion_settings, log, run_folder
-from tactorch.config import option, settings_of
+from tactorch.cli.outputs import score_table
+from tactorch.cli.settings import CommandOptions, UnitCheck, run_folder, select
+from tactorch.config import option
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import Settings, Start, homogeneous
-from tactorch.inverse.starts import START_MPA
+from tactorch.inverse.starts import START_MPA, Uniform
 from tactorch.recording import Recording
 from tactorch.sampling import (
     LoopOptions,
@@ -53,22 +52,27 @@ class LiveOptions(LoopOptions, Settings, UnitCheck, CommandOptions):
         None, "Whole recording to replay into `recording` press by press, to try without a robot"
     )
     pause_seconds: float = option(4.0, "Pause between replayed presses", unit="s", ge=0)
-    start_mpa: float | Literal["homogeneous"] = option(
-        START_MPA, "Modulus of the start; homogeneous: the one that fits best", unit="MPa", gt=0
+    # The setting of initialization=uniform.
+    start_mpa: float | Literal["homogeneous"] = field(
+        default=START_MPA, metadata=fields(Uniform)[0].metadata
     )
     plots: bool = option(True, "Draw live.png")
 
 
 def run(options: LiveOptions) -> LoopResult:
     """Follow a recording; Ctrl-C ends the run and keeps its results."""
-    out, settings = run_folder(), inversion_settings(options)
-    loop = LoopOptions(**{s.name: getattr(options, s.name) for s in settings_of(LoopOptions)})
+    out, settings = run_folder(), select(options, Settings)
     replayed = None if options.replay is None else Recording.load(options.replay)
-    path = _path(options, out)
+    path = options.recording or out / "recording.h5"
+    if options.recording is None and options.replay is None:
+        raise ConfigError(
+            "'recording' is missing; give recording=FILE.h5 or a folder, or replay=FILE.h5 to "
+            "replay a whole recording (see tactorch live --help)."
+        )
     start: Start = homogeneous if isinstance(options.start_mpa, str) else options.start_mpa
     with (
         Screen(out, path, plots=options.plots) as screen,
-        _replaying(options, replayed, path, screen),
+        _replaying(replayed, path, options.pause_seconds, screen),
     ):
         source = RecordingSource(
             path,
@@ -76,30 +80,24 @@ def run(options: LiveOptions) -> LoopResult:
             check_units=options.check_units,
             report=screen.show_message,
         )
-        suggester = Suggester(settings, options.suggest)
+        suggester, loop = Suggester(settings, options.suggest), select(options, LoopOptions)
         result = SamplingLoop(
             source, settings, out, screen, options=loop, suggester=suggester, start_mpa=start
         ).run()
         screen.ended(result)
-    _log_result(result, out)
+    log.info("The run ended: %s.", result.reason)
+    update = result.update
+    if update is not None:
+        log.info("%s", summarize_inclusion(update.lump, update.entry["youngs_median_mpa"]))
+        if update.recording.truth is not None:
+            log_text(score_table(update.recording, {"live": update.youngs})[1])
+    log.info("results: %s", out / PAGE)
     return result
-
-
-def _path(options: LiveOptions, out: Path) -> Path:
-    """Return the path of the recording to follow."""
-    if options.recording is not None:
-        return options.recording
-    if options.replay is None:
-        raise ConfigError(
-            "'recording' is missing; give recording=FILE.h5 or a folder, or replay=FILE.h5 to "
-            "replay a whole recording (see tactorch live --help)."
-        )
-    return out / "recording.h5"
 
 
 @contextmanager
 def _replaying(
-    options: LiveOptions, recording: Recording | None, path: Path, screen: Screen
+    recording: Recording | None, path: Path, pause_seconds: float, screen: Screen
 ) -> Iterator[None]:
     """Replay a recording during the run, if one is given."""
     if recording is None:
@@ -113,7 +111,7 @@ def _replaying(
 
     def play() -> None:
         try:
-            replay(recording, path, options.pause_seconds, stop)
+            replay(recording, path, pause_seconds, stop)
         except TactorchError as error:
             screen.show_message(f"the replay failed: {error}")
 
@@ -124,17 +122,3 @@ def _replaying(
     finally:
         stop.set()
         thread.join()
-
-
-def _log_result(result: LoopResult, out: Path) -> None:
-    """Log how the run ended, the finding, and the scores if the truth is known."""
-    logging.getLogger("tactorch").info("The run ended: %s.", result.reason)
-    update = result.update
-    if update is not None:
-        log.info("%s", summarize_inclusion(update.lump, update.entry["youngs_median_mpa"]))
-        if update.recording.truth is not None:
-            from tactorch.cli.outputs import score_table
-
-            table = score_table(update.recording, {"live": update.youngs}).table
-            log_text(table.text(), table)
-    log.info("results: %s", out / PAGE)

@@ -1,5 +1,6 @@
 """Display of a live run: a table at a terminal, log lines elsewhere, a figure and a page."""
 
+import base64
 import logging
 import math
 import sys
@@ -9,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jinja2 import Environment, StrictUndefined
 
-from tactorch.cli.live_page import page
-from tactorch.cli.settings import log
+from tactorch.cli.console import log
 from tactorch.files import atomic_path
 from tactorch.findings.text import summarize_inclusion, summarize_plain
 from tactorch.sampling import LoopResult, Observer, Update
@@ -24,6 +25,40 @@ PAGE, PICTURE = "live.html", "live.png"
 COLUMNS = ("press", "seconds", "chi2", "inclusion", "deviation", "next press")
 _ROWS = 14  # of the table at a terminal
 _NOTES = 3
+_PAGE_TEMPLATE = """\
+<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8">
+{%- if refresh %}<meta http-equiv="refresh" content="2">{% endif %}
+<title>tactorch live: {{ source.name }}</title><style>
+body { font: 15px/1.45 system-ui, sans-serif; color: #1b1f24; margin: 1.5rem auto; max-width: 66rem;
+       padding: 0 1rem; }
+h1 { font-size: 1.25rem; margin: 0; }
+.status { color: #57606a; margin: 0.2rem 0 1rem; }
+.finding { font-size: 1.1rem; font-weight: 600; margin: 0.4rem 0; }
+.next { font-size: 1.1rem; margin: 0.4rem 0 1rem; color: #8a1f63; }
+.note { background: #fff4e5; border-left: 4px solid #d55e00; padding: 0.3rem 0.7rem; }
+img { width: 100%; height: auto; }
+table { border-collapse: collapse; width: 100%; font-size: 13px; margin-top: 1rem; }
+th, td { text-align: left; padding: 0.25rem 0.6rem; border-bottom: 1px solid #d0d7de; }
+th { color: #57606a; font-weight: 600; }
+</style></head>
+<body><h1>{{ source }}</h1>
+<p class="status">{{ status }}</p>
+{% if finding %}<p class="finding">{{ finding }}</p>{% endif %}
+{% if rows and rows[0][-1] != "-" %}<p class="next">Press next: {{ rows[0][-1] }}</p>{% endif %}
+{% for note in notes %}<p class="note">{{ note }}</p>{% endfor %}
+{% if picture %}
+<img alt="slices of the map" src="data:image/png;base64,{{ picture }}">
+{% endif %}
+{% if rows %}
+<table><tr>{% for name in columns %}<th>{{ name }}</th>{% endfor %}</tr>
+{% for row in rows %}
+<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}
+</table>
+{% endif %}
+</body></html>
+"""
 
 
 class Screen(Observer):
@@ -46,13 +81,12 @@ class Screen(Observer):
     def __enter__(self) -> "Screen":
         """Start the table, at a terminal."""
         at_terminal = sys.stdout.isatty()
-        _quieten(self._stack, everything=at_terminal)
+        _filter_log(self._stack, everything=at_terminal)
         if at_terminal:
             from rich.live import Live
 
-            self._live = Live(self._table(), refresh_per_second=4)
-            self._stack.enter_context(self._live)
-        self._write_page(refresh=True)
+            self._live = self._stack.enter_context(Live(self._table(), refresh_per_second=4))
+        self._show()
         log.info("following %s; open %s", self._source, self._folder / PAGE)
         return self
 
@@ -71,41 +105,37 @@ class Screen(Observer):
         presses = history[-1]["press"] if history else 0
         self._status = f"continues a run of {presses} presses"
         log.info("continuing a run of %d presses in %s", presses, self._folder)
-        self._write_page(refresh=True)
+        self._show()
 
     def show_message(self, text: str) -> None:
         """See `Observer.show_message`."""
         self._notes.append(text)
         log.warning("%s", text)
-        self._write_page(refresh=True)
-        self._refresh()
+        self._show()
 
     def updated(self, update: Update) -> None:
         """See `Observer.updated`."""
         self._entries.append(update.entry)
         self._finding = summarize_inclusion(update.lump, update.entry["youngs_median_mpa"])
         self._status = f"{update.entry['press']} presses; choosing the next place"
-        number, seconds, chi2, lump = cells(update.entry)[:4]
+        number, seconds, chi2, lump = _cells(update.entry)[:4]
         log.info("press %s: %s, chi2 %s, %s", number, seconds, chi2, lump)
         self._refresh()
         self._draw(update)
-        self._write_page(refresh=True)
+        self._show()
 
     def suggested(self, update: Update) -> None:
         """See `Observer.suggested`."""
         self._status = f"{update.entry['press']} presses; waiting for the next"
-        row = cells(update.entry)
-        log.info("  deviation %s; next press %s", row[4], row[5])
-        self._refresh()
+        log.info("  deviation %s; next press %s", *_cells(update.entry)[4:])
         if update.suggestion is not None and update.suggestion.patch is not None:
             self._draw(update)
-        self._write_page(refresh=True)
+        self._show()
 
     def ended(self, result: LoopResult) -> None:
         """Show the end; the page no longer reloads itself."""
         self._status = f"ended: {result.reason}"
-        self._write_page(refresh=False)
-        self._refresh()
+        self._show(reload=False)
 
     def _draw(self, update: Update) -> None:
         if not self._plots:
@@ -113,12 +143,11 @@ class Screen(Observer):
         from tactorch.viz import save_figure
         from tactorch.viz.live import live_figure
 
-        recording = update.recording
         patch = None if update.suggestion is None else update.suggestion.patch
         figure = live_figure(
-            recording.mesh,
+            update.recording.mesh,
             update.youngs,
-            pressed=np.sum([np.abs(press.forces) for press in recording.presses], axis=0),
+            pressed=np.sum([np.abs(press.forces) for press in update.recording.presses], axis=0),
             inclusion_mm=None if update.lump is None else update.lump.center_mm,
             next_mm=None if patch is None else patch.center,
             inward=None if patch is None else patch.inward,
@@ -127,20 +156,24 @@ class Screen(Observer):
         )
         save_figure(figure, self._folder / PICTURE, dpi=110)
 
-    def _write_page(self, refresh: bool) -> None:
-        rows = [cells(entry) for entry in reversed(self._entries)]
-        text = page(
-            source=str(self._source),
+    def _show(self, *, reload: bool = True) -> None:
+        """Update the table and write the page, which may reload itself."""
+        self._refresh()
+        path = self._folder / PICTURE
+        picture = path.read_bytes() if self._entries and path.is_file() else b""
+        environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+        text = environment.from_string(_PAGE_TEMPLATE).render(
+            source=self._source,
             status=self._status,
             finding=self._finding,
             notes=self._notes[-_NOTES:],
             columns=COLUMNS,
-            rows=rows,
-            picture=self._folder / PICTURE if self._entries else None,
-            refresh=refresh,
+            rows=[_cells(entry) for entry in reversed(self._entries)],
+            picture=base64.b64encode(picture).decode("ascii"),
+            refresh=reload,
         )
-        with atomic_path(self._folder / PAGE) as path:
-            path.write_text(text, encoding="utf-8")
+        with atomic_path(self._folder / PAGE) as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
     def _refresh(self) -> None:
         if self._live is not None:
@@ -156,24 +189,24 @@ class Screen(Observer):
         for name in COLUMNS:
             table.add_column(name, justify="right" if name in COLUMNS[:3] else "left")
         for entry in self._entries[-_ROWS:]:
-            table.add_row(*map(escape, cells(entry)))
+            table.add_row(*map(escape, _cells(entry)))
         return table
 
 
-def cells(entry: dict[str, Any]) -> tuple[str, ...]:
+def _cells(entry: dict[str, Any]) -> tuple[str, ...]:
     """Return the cells of a history entry, in the order of `COLUMNS`."""
     return (
         str(entry["press"]) if entry["names"] else f"{entry['press']}, refined",
         f"{entry['seconds']:.1f} s",
         f"{entry['chi2']:.2g}",
         summarize_plain(entry["inclusion"], entry["youngs_median_mpa"]),
-        _deviation(entry),
-        _next(entry),
+        _format_deviation(entry),
+        _format_suggestion(entry),
     )
 
 
-def _deviation(entry: dict[str, Any]) -> str:
-    """Standard deviation of the modulus as a factor: over the map, and over the inclusion."""
+def _format_deviation(entry: dict[str, Any]) -> str:
+    """Return the standard deviation of the modulus as a factor: of the map and the inclusion."""
     overall, within = entry.get("deviation"), entry.get("deviation_inclusion")
     if overall is None:
         return "-"
@@ -181,7 +214,7 @@ def _deviation(entry: dict[str, Any]) -> str:
     return f"×{math.exp(overall):.2f}{inside}"
 
 
-def _next(entry: dict[str, Any]) -> str:
+def _format_suggestion(entry: dict[str, Any]) -> str:
     if "next" not in entry:
         return "-"
     place = entry["next"]
@@ -194,7 +227,7 @@ def _next(entry: dict[str, Any]) -> str:
     return f"({point}) mm along ({normal})"
 
 
-def _quieten(stack: ExitStack, everything: bool) -> None:
+def _filter_log(stack: ExitStack, everything: bool) -> None:
     """Keep log lines off the terminal: the optimizer's, or all if there is a table."""
 
     def is_shown(record: logging.LogRecord) -> bool:

@@ -2,43 +2,35 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import lightning
 
-from tactorch.config import ArgumentOptions, Registry, options_from_arguments
-from tactorch.errors import ConfigError
+from tactorch.cli.settings import CommandOptions
+from tactorch.config import Registry, option, options_from_arguments
+from tactorch.errors import ConfigError, FileError
+from tactorch.files import read_json
 from tactorch.learning.recognizer.data import RecognitionData
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.surrogate.data import SurrogateData
 from tactorch.learning.surrogate.network import Surrogate
+from tactorch.learning.training import TrainerOptions
 
-if TYPE_CHECKING:
-    from tactorch.cli.train import TrainOptions
+DATA_FILE = "data.json"
+#: What to do about a damaged file of a training.
+REMEDY = "restore it, or train again."
 
 _HERE = "tactorch.cli.networks"
+_NETWORKS = {"recognizer": "RecognizerOptions", "surrogate": "SurrogateOptions"}
+_DATA = {"recognition": "RecognitionDataOptions", "warmstart": "SurrogateDataOptions"}
 #: Networks by name.
-MODELS = Registry(
-    "model",
-    {
-        "recognizer": f"{_HERE}:RecognizerOptions",
-        "surrogate": f"{_HERE}:SurrogateOptions",
-    },
-    "networks",
-)
+MODELS = Registry("model", {n: f"{_HERE}:{c}" for n, c in _NETWORKS.items()}, "networks")
 #: Data modules by name.
-DATA = Registry(
-    "data",
-    {
-        "recognition": f"{_HERE}:RecognitionDataOptions",
-        "warmstart": f"{_HERE}:SurrogateDataOptions",
-    },
-    "data to learn from",
-)
+DATA = Registry("data", {n: f"{_HERE}:{c}" for n, c in _DATA.items()}, "data to learn from")
 
 
-@dataclass(frozen=True)
-class DataUse:
+class DataUse(NamedTuple):
     """Use of data by a network.
 
     Attributes:
@@ -66,54 +58,73 @@ RecognitionDataOptions = options_from_arguments(RecognitionData, "data", without
 SurrogateDataOptions = options_from_arguments(SurrogateData, "data", without=("seed",))
 
 
-def model_name(options: "TrainOptions") -> str:
-    """Return the name of the network."""
-    return MODELS.name_of(type(options.model))
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions(CommandOptions):
+    """Settings of a training."""
+
+    model: Any = option("recognizer", "Network", section="model")
+    data: Any = option("recognition", "Data to learn from", section="data")
+    trainer: TrainerOptions = option(factory=TrainerOptions, help="Training", preset="cpu")
+    resume: Path | None = option(None, "Run folder to continue")
+    seed: int = option(0, "Seed of weights, order, augmentation and dropout", ge=0)
+    splits: int = option(1, "Trainings, each on another split", ge=1)
+
+    @property
+    def model_name(self) -> str:
+        """Name of the network."""
+        return MODELS.name_of(type(self.model))
+
+    def data_use(self) -> DataUse:
+        """Return how the network uses its data.
+
+        Raises:
+            ConfigError: the data are not what the network learns from.
+        """
+        model, data = self.model_name, DATA.name_of(type(self.data))
+        use = _USES[model]
+        if data != use.data:
+            raise ConfigError(
+                f"model={model} learns from data={use.data}, not from data={data}; give that."
+            )
+        return use
+
+    def make_data(self, number: int) -> Any:
+        """Return the data module of a split."""
+        self.data_use()
+        return replace(self.data, split=self.data.split + number)(seed=self.seed)
+
+    def make_model(self, data: Any, stored: Mapping[str, Any] | None = None) -> Any:
+        """Return the network for the data, with weights that depend on the seed only.
+
+        Facts that a run stored of its data take precedence.
+        """
+        lightning.seed_everything(self.seed, verbose=False)
+        facts, names = stored or {}, self.data_use().arguments
+        return self.model(**{name: facts.get(name, getattr(data, name, None)) for name in names})
 
 
-def check_network(options: "TrainOptions") -> DataUse:
-    """Return how the network uses its data.
+def read_facts(folder: Path) -> dict[str, Any]:
+    """Return the facts that a run stored of its data.
 
     Raises:
-        ConfigError: the data are not what the network learns from.
+        FileError: the file is missing or damaged.
     """
-    model, data = model_name(options), DATA.name_of(type(options.data))
-    use = _USES[model]
-    if data != use.data:
+    path = folder / DATA_FILE
+    facts = read_json(path, "record of the training data", REMEDY, "fingerprint")
+    classes = facts.get("classes", [])
+    if not isinstance(classes, list) or not all(isinstance(name, str) for name in classes):
+        raise FileError(f"'{path}': classes={classes!r} is no list of names; {REMEDY}")
+    return facts
+
+
+def check_data(folder: Path, data: Any) -> None:
+    """Refuse data or a split other than those of the training, whose parts may overlap.
+
+    Raises:
+        ConfigError: they differ.
+    """
+    if (folder / DATA_FILE).is_file() and read_facts(folder)["fingerprint"] != data.fingerprint:
         raise ConfigError(
-            f"model={model} learns from data={use.data}, not from data={data}; give that."
+            f"'{folder}' was trained on other data, or on another split of them; give the same"
+            " data.folder, data.split and data.shares, or train again."
         )
-    return use
-
-
-def make_data(options: "TrainOptions", number: int) -> Any:
-    """Return the data module of a split."""
-    data: ArgumentOptions = options.data
-    check_network(options)
-    return with_split(data, number)(seed=options.seed)
-
-
-def with_split(data: Any, number: int) -> Any:
-    """Return the settings of the data with the seed of another split."""
-    return replace(data, split=data.split + number)
-
-
-def make_model(options: "TrainOptions", data: Any, stored: Mapping[str, Any] | None = None) -> Any:
-    """Return the network for the data, with weights that depend on the seed only.
-
-    Args:
-        options: Settings of the training.
-        data: The data module.
-        stored: Facts that a run stored of its data; they take precedence.
-    """
-    lightning.seed_everything(options.seed, verbose=False)
-    facts = stored or {}
-    names = check_network(options).arguments
-    given = {name: facts.get(name, getattr(data, name, None)) for name in names}
-    return options.model(**given)
-
-
-def data_facts(options: "TrainOptions", data: Any) -> dict[str, Any]:
-    """Return the facts of the data that a run stores."""
-    facts = {name: getattr(data, name) for name in check_network(options).facts}
-    return {"fingerprint": data.fingerprint, **facts}

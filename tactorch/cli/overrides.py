@@ -1,22 +1,20 @@
 """Settings as typed, KEY=VALUE: checked against the schema before Hydra composes them."""
 
 import difflib
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactorch.cli.schema import EXPERIMENT, Entry, Schema
-from tactorch.config.registry import MISSING, missing_setting, unknown_choice
+from tactorch.cli.presets import EXPERIMENT, Entry, leaves
+from tactorch.cli.schema import Schema
+from tactorch.config.registry import NO_VALUE, missing_setting, unknown_choice
 from tactorch.errors import ConfigError
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
 
-#: What runs a function, or reads the environment, when settings are resolved: all but ${NAME} and
-#: the time.
-PROGRAM = re.compile(r"_target_|\$\{(?!now:|[\w.]+\})")
-_HYDRA = ("hydra.", "hydra/")
+#: Settings of which leading words without a key are values: of the first word, and of the others.
+POSITIONAL = {"find": ("run", ""), "report": ("run", "compare"), "reproduce": ("exhibit", "")}
 #: Names of settings up to version 0.1, and their names now.
 _RENAMED = {
     "most": "max_lumps",
@@ -26,6 +24,23 @@ _RENAMED = {
     "dataset.sizes": "dataset.mesh",
     "material.parameters": "material",
 }
+
+
+def named(command: str, words: Sequence[str]) -> list[str]:
+    """Return the settings, with their keys put before the leading words that have none.
+
+    Words beyond those that the command takes stay as they are, and are refused later.
+    """
+    first, others = POSITIONAL.get(command, ("", ""))
+    limit = len(words) if others else int(bool(first))
+    count = 0
+    while count < min(limit, len(words)) and "=" not in words[count] and words[count][:1] != "-":
+        count += 1
+    quoted = ["'{}'".format(w.replace("\\", r"\\").replace("'", r"\'")) for w in words[:count]]
+    settings = [f"{first}={value}" for value in quoted[:1]]
+    if len(quoted) > 1:
+        settings.append(f"{others}=[{','.join(quoted[1:])}]")
+    return [*settings, *words[count:]]
 
 
 def check_overrides(
@@ -44,12 +59,23 @@ def check_overrides(
     """
     words = [_renamed(word, schema) for word in words]
     overrides = [_parse(word, schema) for word in words]
-    for override in overrides:
-        if override.key_or_group in schema.defaults:
-            _check_options(override, override.key_or_group, schema)
-    entries, chosen = _reachable(schema, overrides)
+    chosen = {o.key_or_group: _values(o) for o in overrides if o.key_or_group in schema.defaults}
+    for group, options in chosen.items():
+        known = schema.options(group)
+        for option in options:
+            if option not in known and not (group == EXPERIMENT and option in (None, "null")):
+                raise ConfigError(unknown_choice(group, str(option), sorted(known)))
+    # The settings of all options that are chosen; a sweep chooses several.
+    first = {group: str(options[0]) for group, options in chosen.items() if options}
+    choices = schema.resolve(first)
+    entries = schema.entries(choices)
+    for group, options in chosen.items():
+        for option in options[1:]:
+            entries |= schema.entries(schema.resolve({**first, group: str(option)}))
     return [
-        _checked(override, word, schema, entries, chosen, multirun, trusted)
+        word
+        if trusted and key_of(word).startswith(("hydra.", "hydra/"))
+        else _checked(override, word, schema, entries, choices, multirun)
         for override, word in zip(overrides, words, strict=True)
     ]
 
@@ -60,25 +86,23 @@ def check_required(schema: Schema, words: Sequence[str]) -> None:
     Raises:
         ConfigError: names the setting.
     """
-    given = {key_of(word) for word in words}
     experiment = schema.experiments.get(schema.choices(words)[EXPERIMENT] or "", {})
+    given = {*map(key_of, words), *experiment.get("values", ())}
     for entry in schema.settings:
-        name = entry["name"]
-        if entry["default"] == MISSING and name not in {*given, *experiment.get("values", ())}:
-            message = missing_setting(name, entry["expectation"])
+        if entry["default"] == NO_VALUE and entry["name"] not in given:
+            message = missing_setting(entry["name"], entry["expectation"])
             raise ConfigError(f"{message} See tactorch {schema.command} --help.")
 
 
 def key_of(word: str) -> str:
     """Return the name of the setting in a word."""
-    return word.split("=", 1)[0].lstrip("+~")
+    return word.partition("=")[0].lstrip("+~")
 
 
 def _renamed(word: str, schema: Schema) -> str:
     """Return a word with the present name of its setting."""
-    key = word.partition("=")[0]
+    name = word.partition("=")[0].lstrip("+")
     for old, new in _RENAMED.items():
-        name = key.lstrip("+")
         is_known = new.split(".")[0] in schema.groups or new == "max_lumps"
         if is_known and (name == old or name.startswith(f"{old}.")):
             return word.replace(old, new, 1)
@@ -89,42 +113,22 @@ def _parse(word: str, schema: Schema) -> "Override":
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import OverrideParseException
 
-    key, equals, _ = word.partition("=")
+    key, equals, value = word.partition("=")
+    problem, override = "", None
     try:
         (override,) = OverridesParser.create().parse_overrides([word])
     except OverrideParseException as error:
-        if not equals:
-            raise ConfigError(_no_setting(word, schema)) from error
-        reason = error.message.splitlines()[0]
-        value = word.partition("=")[2]
+        problem = error.message.splitlines()[0]
+    if not equals and (override is None or not override.is_delete()):
+        first = next((e["name"] for e in schema.settings if e["default"] == NO_VALUE), None)
+        hint = f", here perhaps {first}={word}" if first and Path(word).exists() else ""
+        raise ConfigError(f"'{word}' is not a setting; write KEY=VALUE{hint}.")
+    if override is None:
         raise ConfigError(
-            f"'{word}' cannot be read ({reason}); put a value with spaces, =, brackets or the like "
-            f"in its own quotes: \"{key}='{value}'\"."
-        ) from error
-    if not equals and not override.is_delete():
-        raise ConfigError(_no_setting(word, schema))
+            f"'{word}' cannot be read ({problem}); put a value with spaces, =, brackets or the "
+            f"like in its own quotes: \"{key}='{value}'\"."
+        )
     return override
-
-
-def _no_setting(word: str, schema: Schema) -> str:
-    required = (e["name"] for e in schema.settings if e["default"] == MISSING)
-    first = next(required, None)
-    hint = f", here perhaps {first}={word}" if first and Path(word).exists() else ""
-    return f"'{word}' is not a setting; write KEY=VALUE{hint}."
-
-
-def _reachable(
-    schema: Schema, overrides: Sequence["Override"]
-) -> tuple[dict[str, Entry], dict[str, str | None]]:
-    """Return the settings of all options that are chosen (in a sweep: of each), and the first."""
-    chosen = {o.key_or_group: _values(o) for o in overrides if o.key_or_group in schema.defaults}
-    first = {group: str(options[0]) for group, options in chosen.items() if options}
-    resolved = schema.resolve(first)
-    entries = schema.entries(resolved)
-    for group, options in chosen.items():
-        for option in options[1:]:
-            entries |= schema.entries(schema.resolve({**first, group: str(option)}))
-    return entries, resolved
 
 
 def _values(override: "Override") -> list[Any]:
@@ -139,37 +143,30 @@ def _checked(
     word: str,
     schema: Schema,
     entries: Mapping[str, Entry],
-    chosen: Mapping[str, str | None],
+    choices: Mapping[str, str | None],
     multirun: bool,
-    trusted: bool,
 ) -> str:
-    key = override.get_key_element().lstrip("+~")
-    if key.startswith(_HYDRA) and trusted:
-        return word
+    key, value = override.get_key_element().lstrip("+~"), word.partition("=")[2]
     if override.is_sweep_override() and not multirun:
-        value = word.partition("=")[2]
         raise ConfigError(
             f"'{word}' has several values: add -m to run with each, write {key}=[{value}] for a "
             f"list, or \"{key}='{value}'\" for one value with a comma in it."
         )
-    if key in schema.defaults:
-        pass
-    elif table := _table_of(key, entries):
-        plain = word.lstrip("+")
+    plain, table = word.lstrip("+"), _table_of(key, entries)
+    if table and key not in schema.defaults:
         return word if override.is_delete() else f"++{plain}" if key != table else plain
-    else:
-        _check_names(override, key, schema, entries, chosen)
+    if key not in {*schema.defaults, *entries}:
+        if not any(name.startswith(f"{key}.") for name in entries):
+            raise ConfigError(_unknown_setting(key, schema, entries, choices))
+        nested = override.value()
+        if not isinstance(nested, Mapping):
+            raise ConfigError(f"{key}={nested}: it holds several settings; give {key}.KEY=VALUE.")
+        for name, _ in leaves(nested, prefix=f"{key}."):
+            if name not in entries and not _table_of(name, entries):
+                raise ConfigError(_unknown_setting(name, schema, entries, choices))
     if override.is_delete():
         raise ConfigError(f"'{word}' would remove a setting; give it another value instead.")
-    return word.lstrip("+")
-
-
-def _check_options(override: "Override", group: str, schema: Schema) -> None:
-    known = schema.options(group)
-    for option in _values(override):
-        is_none = group == EXPERIMENT and option in (None, "null")
-        if option not in known and not is_none:
-            raise ConfigError(unknown_choice(group, str(option), sorted(known)))
+    return plain
 
 
 def _table_of(key: str, entries: Mapping[str, Entry]) -> str:
@@ -179,55 +176,25 @@ def _table_of(key: str, entries: Mapping[str, Entry]) -> str:
     return next((name for name in names if entries.get(name, {}).get("is_table")), "")
 
 
-def _check_names(
-    override: "Override",
-    key: str,
-    schema: Schema,
-    entries: Mapping[str, Entry],
-    chosen: Mapping[str, str | None],
-) -> None:
-    """Refuse an unknown name, and a table's name with a plain value."""
-    if key in entries:
-        return
-    if not any(name.startswith(f"{key}.") for name in entries):
-        raise ConfigError(unknown_setting(key, schema, entries, chosen))
-    value = override.value()
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"{key}={value}: it holds several settings; give {key}.KEY=VALUE.")
-    for name in _leaves(value, f"{key}."):
-        if name not in entries and not _table_of(name, entries):
-            raise ConfigError(unknown_setting(name, schema, entries, chosen))
-
-
-def _leaves(values: Mapping[Any, Any], prefix: str) -> Iterator[str]:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}"
-
-
-def unknown_setting(
-    key: str, schema: Schema, entries: Mapping[str, Entry], chosen: Mapping[str, str | None]
+def _unknown_setting(
+    key: str, schema: Schema, entries: Mapping[str, Entry], choices: Mapping[str, str | None]
 ) -> str:
-    """Return the message for an unknown setting, with the one likely meant."""
-    text = f"unknown setting '{key}'."
-    group = key.split(".")[0]
-    inside = [name for name in entries if name.startswith(f"{group}.")]
-    match = nearest(key, [*entries, *schema.defaults])
-    if match is not None:
+    """Return the message for an unknown setting, with the closest name."""
+    text, group = f"unknown setting '{key}'.", key.split(".")[0]
+    if match := _nearest(key, [*entries, *schema.defaults]):
         text += f" Did you mean '{match}'?"
     elif group in schema.groups and "." in key:
-        names = ", ".join(name.removeprefix(f"{group}.") for name in inside) or "none"
-        text += f" Settings of {group}={chosen.get(group)}: {names}."
+        inside = [n.removeprefix(f"{group}.") for n in entries if n.startswith(f"{group}.")]
+        text += f" Settings of {group}={choices.get(group)}: {', '.join(inside) or 'none'}."
     return f"{text} See tactorch {schema.command} --help."
 
 
-def nearest(key: str, known: Sequence[str]) -> str | None:
+def _nearest(key: str, known: Sequence[str]) -> str | None:
     """Return the known name that a key most likely means: its group left out, or misspelt."""
     group, _, leaf = key.rpartition(".")
     inside = [name for name in known if group and name.startswith(f"{group}.")]
     # The last part of a name counts: in a group all names begin alike.
-    leaves = {name.rpartition(".")[2]: name for name in reversed(inside or known)}
-    matches = difflib.get_close_matches(leaf, list(leaves), n=1, cutoff=0.6 if inside else 0.75)
-    return leaves[matches[0]] if matches else None
+    leaf_names = {name.rpartition(".")[2]: name for name in reversed(inside or known)}
+    cutoff = 0.6 if inside else 0.75
+    matches = difflib.get_close_matches(leaf, list(leaf_names), n=1, cutoff=cutoff)
+    return leaf_names[matches[0]] if matches else None

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from tactorch.cli.options import CommandOptions, UnitCheck
-from tactorch.cli.progress import progress
-from tactorch.cli.runs import with_settings
-from tactorch.cli.settings import log
+from tactorch.cli.console import log, progress
+from tactorch.cli.settings import CommandOptions, UnitCheck, with_settings
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.report import load_run, run_names, write_report
@@ -43,24 +41,18 @@ def run(options: ReportOptions) -> Path:
     folders = [options.run, *options.compare]
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise ConfigError("compare: a run is named twice; give each run once.")
-    runs = [
-        load_run(
-            folder,
-            name=name,
-            recording=options.recording if folder is folders[0] else None,
-            check_units=options.check_units,
-        )
-        for folder, name in zip(folders, run_names(folders), strict=True)
-    ]
-    for run in runs:
+    runs = []
+    for folder, name in zip(folders, run_names(folders), strict=True):
+        moved = options.recording if folder is folders[0] else None
+        run = load_run(folder, name=name, recording=moved, check_units=options.check_units)
         if run.missing:
             log.warning(
-                "%s: the report lacks truth, presses and uncertainty: %s Give recording=FILE"
-                ".h5 if it was moved.",
+                "%s: the report lacks truth, presses and uncertainty: %s Give recording=FILE.h5 if "
+                "it was moved.",
                 run.name,
                 run.missing,
             )
-    runs = [with_settings(run) for run in runs]
+        runs.append(with_settings(run))
     complete = [run for run in runs if run.recording is not None]
     if options.uncertainty and complete:
         log.info(

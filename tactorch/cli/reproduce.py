@@ -15,12 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from tactorch.cli.options import CommandOptions
-from tactorch.cli.progress import progress
-from tactorch.cli.settings import log
+from tactorch.cli.console import ProgressCallback, log, progress
+from tactorch.cli.settings import CommandOptions
 from tactorch.config import option, to_mapping
 from tactorch.reproduce import reproduce
-from tactorch.reproduce.cases import ProgressCallback
 from tactorch.reproduce.options import StudySizes
 
 
@@ -51,4 +49,4 @@ def run(options: ReproduceOptions) -> list[Path]:
 @contextmanager
 def _progress(study: str) -> Iterator[ProgressCallback]:
     with progress(study, "cases") as update:
-        yield lambda done, total, note: update(done, total, note)
+        yield update

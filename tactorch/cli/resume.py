@@ -8,15 +8,14 @@ refused.
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tactorch.cli.overrides import PROGRAM, check_overrides, key_of
+from tactorch.cli.compose import build_options
+from tactorch.cli.overrides import check_overrides, key_of
+from tactorch.cli.presets import PROGRAM
 from tactorch.cli.schema import Schema, app_name
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 CHECKPOINT = "checkpoint.npz"
 # Files that show that a run of a command got as far as having a state.
@@ -25,6 +24,7 @@ _STATES = {
     "demo": (CHECKPOINT,),
     "train": ("last.ckpt", "split-*/last.ckpt"),
 }
+_INPUT_PATHS = ("recording", "path", "data.folder", "initialization.weights")
 
 
 def with_resume(schema: Schema, words: list[str], *, multirun: bool = False) -> list[str]:
@@ -47,45 +47,44 @@ def with_resume(schema: Schema, words: list[str], *, multirun: bool = False) -> 
         return words
     if multirun:
         raise ConfigError("resume continues one run; leave out -m.")
-    return _repeated(schema, Path(chosen[-1].strip("'\"")), words)
-
-
-def _repeated(schema: Schema, run: Path, words: list[str]) -> list[str]:
-    require_folder(run, "run to resume")
-    place = run / ".hydra"
-    earlier, hydra = _load(place / "overrides.yaml"), _load(place / "hydra.yaml")
-    try:
-        made_by, started_in = hydra["hydra"]["job"]["name"], hydra["hydra"]["runtime"]["cwd"]
-        is_sound = isinstance(earlier, list) and all(isinstance(w, str) for w in earlier)
-    except (KeyError, TypeError):
-        is_sound = False
-    if not is_sound or not isinstance(started_in, str):
-        raise FileError(f"'{place}' does not hold a run's settings; start the run again.")
-    if made_by != app_name(schema.command):
-        raise ConfigError(f"'{run}' is a run of {made_by}; continue it with tactorch {made_by}.")
+    run = require_folder(chosen[-1].strip("'\""), "run to resume")
+    earlier, started_in = _read_start(schema.command, run)
     if not has_state(schema.command, run):
         notice = f"'{run}' was stopped before its first checkpoint; it starts from the beginning."
         print(notice, file=sys.stderr)
         words = [word for word in words if key_of(word) != "resume"]
-    given = {key_of(word) for word in words}
-    kept = [word for word in earlier if key_of(word) not in {*given, "resume", "run_dir"}]
-    checked = _check_plain(schema, kept, words, place / "overrides.yaml")
-    here = [] if "run_dir" in given else [f"run_dir='{run}'"]
-    return [*(_moved(word, Path(started_in)) for word in checked), *words, *here]
-
-
-def _check_plain(schema: Schema, kept: list[str], given: list[str], path: Path) -> list[str]:
-    """Return the settings of a run folder; the given ones may choose other options."""
+    given = {*map(key_of, words), "resume"}
+    repeated = [word for word in earlier if key_of(word) not in {*given, "run_dir"}]
+    path = run / ".hydra" / "overrides.yaml"
     try:
-        for word in kept:
+        for word in repeated:
             if PROGRAM.search(word):
                 raise ConfigError(f"'{word}' is no plain value.")
-        return check_overrides(schema, [*kept, *given], trusted=False)[: len(kept)]
+        # The given settings may choose other options.
+        checked = check_overrides(schema, [*repeated, *words], trusted=False)[: len(repeated)]
     except ConfigError as error:
         raise ConfigError(
             f"'{path}' holds more than plain settings of tactorch {schema.command}: {error} Remove "
             "it from that file if you trust the rest, or start the run again."
         ) from error
+    here = [] if "run_dir" in given else [f"run_dir='{run}'"]
+    return [*(_moved(word, Path(started_in)) for word in checked), *words, *here]
+
+
+def _read_start(command: str, run: Path) -> tuple[list[str], str]:
+    """Return the settings as typed, and the folder in which a run was started."""
+    place = run / ".hydra"
+    words, hydra = _load(place / "overrides.yaml"), _load(place / "hydra.yaml")
+    try:
+        name, started_in = hydra["hydra"]["job"]["name"], hydra["hydra"]["runtime"]["cwd"]
+        is_sound = isinstance(words, list) and all(isinstance(w, str) for w in (*words, started_in))
+    except (KeyError, TypeError):
+        is_sound = False
+    if not is_sound:
+        raise FileError(f"'{place}' does not hold a run's settings; start the run again.")
+    if name != app_name(command):
+        raise ConfigError(f"'{run}' is a run of {name}; continue it with tactorch {name}.")
+    return words, started_in
 
 
 def has_state(command: str, run: Path) -> bool:
@@ -93,11 +92,12 @@ def has_state(command: str, run: Path) -> bool:
     return any(any(run.glob(pattern)) for pattern in _STATES.get(command, ()))
 
 
-def read_settings(run: Path) -> "DictConfig":
-    """Return the settings that a run folder holds.
+def saved_options(command: str, run: Path) -> Any:
+    """Return the typed options that a run folder holds.
 
     Raises:
         FileError: there are none, they are damaged, or they hold more than plain values.
+        ConfigError: a setting cannot be used.
     """
     from omegaconf import OmegaConf
 
@@ -111,7 +111,7 @@ def read_settings(run: Path) -> "DictConfig":
             f"'{path}' holds '{reference[0]}', which is no plain value; remove it, or start the "
             "run again."
         )
-    return OmegaConf.create(content)
+    return build_options(command, OmegaConf.create(content))
 
 
 def _load(path: Path) -> Any:
@@ -127,17 +127,8 @@ def _load(path: Path) -> Any:
 
 def _moved(word: str, started_in: Path) -> str:
     """Return a setting whose relative path, of a file that is read, points where it did before."""
-    key, value = word.split("=", 1) if "=" in word else (word, "")
+    key, _, value = word.partition("=")
     path = value.strip("'\"")
-    if (
-        key not in ("recording", "path", "data.folder", "initialization.weights")
-        or os.path.isabs(path)
-        or Path.cwd() == started_in
-    ):
+    if key not in _INPUT_PATHS or os.path.isabs(path) or Path.cwd() == started_in:
         return word
     return f"{key}='{os.path.relpath(started_in / path)}'"
-
-
-def checkpoint_of(run: str | Path) -> Path:
-    """Return the checkpoint in a run folder."""
-    return Path(run) / CHECKPOINT

@@ -5,42 +5,33 @@ from the presets and experiments in `conf/`. The result is stored in the cache f
 components takes seconds, and help and completion must not.
 """
 
-import importlib
-import importlib.util
 import inspect
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from hashlib import sha256
+from importlib import import_module
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from tactorch.cli.presets import (
+    EXPERIMENT,
+    Entry,
+    add_presets,
+    check_plain,
+    conf_folder,
+    read_experiments,
+)
+from tactorch.config import REGISTRIES, Options, Registry, Setting, settings_of
+from tactorch.config.options import plain_value
+from tactorch.config.registry import NO_VALUE
+from tactorch.config.values import leaf_types
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import atomic_path, cache_folder
-
-PACKAGE = "tactorch.conf"
-EXPERIMENT = "experiment"
-#: Commands whose module has another name.
-_MODULES = {"import": "import_", "evaluate-model": "evaluate_model"}
-_OVERRIDE = "override /"
-
-Entry = dict[str, Any]
-
-
-def conf_folder() -> Path:
-    """Return the folder of presets and experiments: in the package, or beside it in a checkout.
-
-    Raises:
-        FileError: they are in neither place.
-    """
-    spec = importlib.util.find_spec(PACKAGE)
-    places = [] if spec is None else [Path(p) for p in spec.submodule_search_locations or ()]
-    for place in (*places, Path(__file__).resolve().parents[2] / "conf"):
-        if (place / EXPERIMENT).is_dir():
-            return place
-    raise FileError(f"the presets ({PACKAGE}) are not installed; reinstall tactorch.")
+from tactorch.files import atomic_path, cache_folder, require_folder
 
 
 def app_name(command: str) -> str:
@@ -50,18 +41,18 @@ def app_name(command: str) -> str:
 
 def command_module(command: str) -> Any:
     """Import the module of a command."""
-    return importlib.import_module(
-        f"tactorch.cli.{_MODULES.get(command, command).replace(' ', '.')}"
-    )
+    name = command.replace("-", "_").replace(" ", ".")
+    return import_module(f"tactorch.cli.{name}{'_' if iskeyword(name) else ''}")
 
 
-def options_class(command: str) -> type:
+def options_class(command: str) -> type[Options]:
     """Return the options class of a command: the type of the argument of its `run`."""
     run = command_module(command).run
-    options: type = get_type_hints(run)[next(iter(inspect.signature(run).parameters))]
+    options: type[Options] = get_type_hints(run)[next(iter(inspect.signature(run).parameters))]
     return options
 
 
+@dataclass
 class Schema:
     """Settings and groups of one command.
 
@@ -73,28 +64,25 @@ class Schema:
         experiments: Experiments that apply to the command.
     """
 
-    def __init__(self, content: Mapping[str, Any]) -> None:
-        self.command: str = content["command"]
-        self.header: str = content["header"]
-        self.settings: list[Entry] = content["settings"]
-        self.groups: dict[str, Any] = content["groups"]
-        self.experiments: dict[str, Any] = content["experiments"]
+    command: str
+    header: str
+    settings: list[Entry]
+    groups: dict[str, Any]
+    experiments: dict[str, Any]
 
     @property
     def defaults(self) -> dict[str, str | None]:
         """The option of each group that is chosen by default."""
-        chosen = {group: found["default"] for group, found in self.groups.items()}
-        return {**chosen, EXPERIMENT: None}
+        return {**{name: group["default"] for name, group in self.groups.items()}, EXPERIMENT: None}
 
     def options(self, group: str) -> dict[str, Any]:
         """Return the options of a group, or the experiments, by name."""
-        found = self.experiments if group == EXPERIMENT else self.groups[group]["options"]
-        return dict(found)
+        return dict(self.experiments if group == EXPERIMENT else self.groups[group]["options"])
 
     def option_settings(self, group: str, option: str | None) -> list[Entry]:
         """Return the settings of an option; none of the user's own options."""
-        found = self.groups[group]["options"].get(option) if group in self.groups else None
-        return [] if found is None else list(found["settings"])
+        options = self.groups[group]["options"] if group in self.groups else {}
+        return list(options[option]["settings"]) if option in options else []
 
     def choices(self, words: Sequence[str]) -> dict[str, str | None]:
         """Return the option of each group once the words (GROUP=OPTION among them) are applied."""
@@ -112,11 +100,28 @@ class Schema:
 
     def entries(self, choices: Mapping[str, str | None]) -> dict[str, Entry]:
         """Return every setting by its full name, such as "optimizer.tolerance"."""
-        found = {entry["name"]: entry for entry in self.settings}
+        entries = {entry["name"]: entry for entry in self.settings}
         for group, option in choices.items():
             for entry in self.option_settings(group, option):
-                found[f"{group}.{entry['name']}"] = entry
-        return found
+                entries[f"{group}.{entry['name']}"] = entry
+        return entries
+
+    def add_folder(self, folder: Path) -> None:
+        """Add the presets and experiments of a folder of the user.
+
+        Raises:
+            FileError: there is no such folder.
+            ConfigError: a file holds more than plain settings, an unknown setting, or has the name
+                of an option of tactorch.
+        """
+        check_plain(require_folder(folder, "folder of settings (--config-dir)"))
+        for group in (*self.groups, EXPERIMENT):
+            for path in (folder / group).glob("*.yaml"):
+                if path.stem in self.options(group):
+                    raise ConfigError(f"'{path}' has the name of an option of tactorch; rename it.")
+        for name, group in self.groups.items():
+            add_presets(folder / name, group)
+        self.experiments |= read_experiments(folder, self.settings, self.groups)
 
 
 def load_schema(command: str) -> Schema:
@@ -124,68 +129,56 @@ def load_schema(command: str) -> Schema:
     path = cache_folder() / "schema" / f"{app_name(command)}-{_code_key()}.json"
     with suppress(OSError, ValueError, KeyError):
         content = json.loads(path.read_text(encoding="utf-8"))
-        if all(_file_key(file) == key.encode() for file, key in content["extensions"].items()):
-            return Schema(content)
-    content = {**describe_command(command), "extensions": _extension_keys()}
+        if all(_file_key(f) == key for f, key in content.pop("extensions").items()):
+            return Schema(**content)
+    content = describe_command(command)
     with suppress(FileError, OSError):
         for outdated in path.parent.glob(f"{app_name(command)}-*.json"):
             if len(outdated.name) == len(path.name):
                 outdated.unlink(missing_ok=True)
         with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(content), encoding="utf-8")
-    return Schema(content)
+            stored = json.dumps({**content, "extensions": _extension_keys()})
+            temporary.write_text(stored, encoding="utf-8")
+    return Schema(**content)
 
 
 def _code_key() -> str:
     """Return a digest that changes with the code, the presets and the installed packages."""
-    package = Path(__file__).resolve().parents[1]
-    digest = sha256(sys.version.encode())
-    for root in (package, conf_folder()):
+    keys = [sys.version]
+    for root in (Path(__file__).resolve().parents[1], conf_folder()):
         for folder, folders, files in os.walk(root):
             folders[:] = sorted(f for f in folders if f not in ("__pycache__", "shells"))
-            for name in sorted(files):
-                if name.endswith((".py", ".yaml")):
-                    digest.update(_file_key(os.path.join(folder, name)))
+            names = sorted(name for name in files if name.endswith((".py", ".yaml")))
+            keys += [_file_key(os.path.join(folder, name)) for name in names]
     for place in sys.path:  # an installed package may add components by entry points
         with suppress(OSError):
-            for name in sorted(n for n in os.listdir(place or ".") if n.endswith(".dist-info")):
-                digest.update(_file_key(os.path.join(place, name)))
-    return digest.hexdigest()[:16]
+            names = sorted(n for n in os.listdir(place or ".") if n.endswith(".dist-info"))
+            keys += [_file_key(os.path.join(place, name)) for name in names]
+    return sha256("".join(keys).encode()).hexdigest()[:16]
 
 
 def _extension_keys() -> dict[str, str]:
     """Return the key of each file that declares a component of another package."""
-    from tactorch.config import REGISTRIES
-
     modules = {path.partition(":")[0] for r in REGISTRIES.values() for path in r.extensions()}
     loaded = (getattr(sys.modules.get(module), "__file__", None) for module in modules)
-    return {file: _file_key(file).decode() for file in loaded if file}
+    return {file: _file_key(file) for file in loaded if file}
 
 
-def _file_key(path: str) -> bytes:
+def _file_key(path: str) -> str:
     status = os.stat(path)
-    return f"{path} {status.st_mtime_ns} {status.st_size};".encode()
-
-
-# ------------------------------------------------------------------ describing
+    return f"{path} {status.st_mtime_ns} {status.st_size};"
 
 
 def describe_command(command: str) -> dict[str, Any]:
-    """Return the schema of a command as plain values; imports all its components."""
-    from tactorch.config import settings_of
-    from tactorch.config.schema import describe_settings
-
+    """Return the fields of a command's schema as plain values; imports all its components."""
     options = options_class(command)
     settings: list[Entry] = []
     groups: dict[str, Any] = {}
-    ordered = sorted(settings_of(options), key=lambda s: _order(s, options))
-    for setting in ordered:
-        if _is_group(setting):
+    for setting in sorted(settings_of(options), key=lambda s: _order(s, options)):
+        if setting.constraint.section in REGISTRIES or setting.constraint.preset:
             groups[setting.name] = _describe_group(setting)
-        elif setting.nested is not None:
-            settings += describe_settings(setting.nested, f"{setting.name}.")
         else:
-            settings += [e for e in describe_settings(options) if e["name"] == setting.name]
+            settings += _describe(setting)
     for entry in settings:
         if isinstance(entry["default"], str):
             entry["default"] = entry["default"].replace("${hydra:job.name}", app_name(command))
@@ -200,145 +193,83 @@ def describe_command(command: str) -> dict[str, Any]:
     }
 
 
-def _order(setting: Any, options: type) -> tuple[bool, int]:
+def _order(setting: Setting, options: type) -> tuple[bool, int]:
     """Sort required settings first, from the bases; of the others, a command's own come first."""
     classes = options.__mro__
     rank = next(i for i, c in enumerate(classes) if setting.name in inspect.get_annotations(c))
     return (not setting.required, -rank if setting.required else rank)
 
 
-def _is_group(setting: Any) -> bool:
-    from tactorch.config import REGISTRIES
-
-    return setting.constraint.section in REGISTRIES or bool(setting.constraint.preset)
-
-
-def _describe_group(setting: Any) -> dict[str, Any]:
-    from tactorch.config import REGISTRIES
-    from tactorch.config.schema import default_of, describe_settings
-
+def _describe_group(setting: Setting) -> dict[str, Any]:
     registry = REGISTRIES.get(setting.constraint.section)
-    group: dict[str, Any] = {"help": setting.constraint.help, "settings": None}
-    if registry is None:
-        group["settings"], group["options"] = list(describe_settings(setting.nested)), {}
-    else:
-        group["options"] = {name: _describe_component(registry, name) for name in registry.names()}
-    group["default"] = setting.constraint.preset or default_of(setting)
+    group: dict[str, Any] = {"help": setting.constraint.help, "settings": None, "options": {}}
+    if registry is not None:
+        group["options"] = {name: _describe_component(registry, name) for name in registry}
+    elif setting.nested is not None:
+        group["settings"] = list(describe_settings(setting.nested))
+    group["default"] = setting.constraint.preset or _default(setting)
     add_presets(conf_folder() / setting.name, group)
     return group
 
 
-def _describe_component(registry: Any, name: str) -> dict[str, Any]:
-    from tactorch.config.schema import describe_settings, summary_of
-
-    found: dict[str, Any] = {"component": name, "settings": [], "overrides": {}}
+def _describe_component(registry: Registry, name: str) -> dict[str, Any]:
     try:
         component = registry[name]
+        text = (inspect.getdoc(component) or "").partition("\n\n")[0].replace("\n", " ").strip()
+        settings = list(describe_settings(component))
     except ConfigError as error:  # of another package; choosing it says the same
-        return {**found, "help": str(error)}
-    return {
-        **found,
-        "help": summary_of(component),
-        "settings": list(describe_settings(component)),
+        text, settings = str(error), []
+    return {"component": name, "overrides": {}, "help": text, "settings": settings}
+
+
+def describe_settings(options: type, prefix: str = "") -> Iterator[Entry]:
+    """Yield the settings of a class as plain values, nested ones by their full names.
+
+    Settings that are chosen by name from a registry are plain settings with the registry's names as
+    choices.
+    """
+    for setting in settings_of(options):
+        yield from _describe(setting, prefix)
+
+
+def _describe(setting: Setting, prefix: str = "") -> Iterator[Entry]:
+    registry = REGISTRIES.get(setting.constraint.section)
+    if setting.nested is not None and registry is None:
+        yield from describe_settings(setting.nested, f"{prefix}{setting.name}.")
+        return
+    types, default = leaf_types(setting.annotation), _default(setting)
+    names = setting.choices if registry is None else registry.names()
+    # A component with settings is a table: its name alone is no value.
+    is_component = registry is not None and any(settings_of(registry[name]) for name in names)
+    yield {
+        "name": f"{prefix}{setting.name}",
+        "default": {"name": default} if is_component else default,
+        "help": setting.constraint.help,
+        "unit": setting.constraint.unit,
+        "range": setting.constraint.describe(),
+        "expectation": setting.expectation if registry is None else " or ".join(names),
+        "choices": [text_of(name) for name in names],
+        "is_path": Path in types,
+        "is_table": dict in types or is_component,
     }
 
 
-# ------------------------------------------------------------------ presets and experiments
+def _default(setting: Setting) -> Any:
+    """Return the default as a plain value: a component by its name, "???" where there is none."""
+    registry, default = REGISTRIES.get(setting.constraint.section), setting.default
+    if registry is not None and isinstance(default, Options):
+        return registry.name_of(type(default))
+    return NO_VALUE if setting.required else plain_value(default)
 
 
-def add_presets(folder: Path, group: dict[str, Any]) -> None:
-    """Add the presets in a folder to the options of a group.
-
-    A preset names a component (`name`), or inherits from another option, or changes the settings of
-    a group that has one class; what it leaves out has the typed defaults.
-
-    Raises:
-        ConfigError: a preset cannot be read, or has an unknown setting.
-    """
-    for path in sorted(folder.glob("*.yaml")):
-        _add_preset(path, group)
-
-
-def _add_preset(path: Path, group: dict[str, Any]) -> None:
-    from tactorch.config.schema import with_values
-
-    values, options = read_yaml(path), group["options"]
-    inherited, overrides = _read_defaults(values.pop("defaults", ()), path)
-    component = inherited
-    if group["settings"] is None and not inherited:
-        component = str(values.pop("name", path.stem))
-    if inherited and inherited not in options:
-        _add_preset(path.with_name(f"{inherited}.yaml"), group)
-    if component and component not in options:
-        raise ConfigError(
-            f"'{path}': name={component} is unknown; choose one of {', '.join(options)}."
-        )
-    base = options[component] if component else {"component": "", "help": ""}
-    options[path.stem] = {
-        "component": base["component"],
-        "help": _leading_comment(path) or base["help"],
-        "settings": with_values(base.get("settings", group["settings"]), values, str(path)),
-        "overrides": overrides,
-    }
-
-
-def _read_defaults(entries: Sequence[Any], path: Path) -> tuple[str, dict[str, str]]:
-    """Return the option that a defaults list inherits from, and what it chooses elsewhere."""
-    inherited, overrides = "", {}
-    for entry in entries:
-        names = [str(name) for name in entry] if isinstance(entry, Mapping) else []
-        if isinstance(entry, str) and "/" not in entry and not inherited:
-            inherited = "" if entry == "_self_" else entry
-        elif entry != "_self_" and not (names and all(n.startswith(_OVERRIDE) for n in names)):
-            raise ConfigError(
-                f"'{path}': defaults: {entry!r} is neither an option of the same group nor an entry"
-                f" '{_OVERRIDE}GROUP: OPTION'; change it."
-            )
-        for name in names:
-            overrides[name.removeprefix(_OVERRIDE).partition("@")[0]] = entry[name]
-    return inherited, overrides
-
-
-def read_experiments(
-    folder: Path, settings: Sequence[Entry], groups: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return the experiments in a folder all of whose settings a command has."""
-    tops = {entry["name"].split(".")[0] for entry in settings} | set(groups)
-    found = {}
-    for path in sorted((folder / EXPERIMENT).glob("*.yaml")):
-        values = read_yaml(path)
-        _, overrides = _read_defaults(values.pop("defaults", ()), path)
-        if {*values, *overrides} <= tops:
-            about = _leading_comment(path)
-            found[path.stem] = {"help": about, "values": values, "overrides": overrides}
-    return found
-
-
-def _leading_comment(path: Path) -> str:
-    """Return the comment lines of a file that stand before its first setting."""
-    lines = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if line.startswith("# @package"):
-            continue
-        if not line.startswith("#"):
-            break
-        lines.append(line.lstrip("# "))
-    return " ".join(lines)
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the table in a YAML file.
-
-    Raises:
-        ConfigError: it is no table of settings.
-    """
-    import yaml
-
-    try:
-        content = yaml.load(path.read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"'{path}' cannot be read ({reason}); repair it.") from error
-    if not isinstance(content, dict | None):
-        raise ConfigError(f"'{path}' does not hold a table of settings; write KEY: VALUE lines.")
-    return {str(key): value for key, value in (content or {}).items()}
+def text_of(value: Any) -> str:
+    """Return a plain value as it is written in YAML and on the command line."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(text_of, value))}]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {text_of(v)}" for key, v in value.items()) + "}"
+    return str(value)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tactorch.cli.options import CommandOptions
-from tactorch.cli.progress import progress
-from tactorch.cli.settings import log, material_spec, run_folder
+from tactorch.cli.console import log, progress
+from tactorch.cli.settings import CommandOptions, material_spec, run_folder
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.fem import MATERIALS  # noqa: F401  (the registry of the section)
@@ -63,7 +62,7 @@ def simulate_recording(options: SimulationOptions) -> Recording:
     """Simulate a recording."""
     try:
         phantom = options.phantom.build()
-    except ConfigError as error:  # of shapes, which know no settings
+    except ConfigError as error:  # of shapes, which do not name the setting
         raise ConfigError(f"phantom: {error}") from error
     mesh, fine = options.mesh.build(phantom)
     with progress("simulating", "presses") as update:

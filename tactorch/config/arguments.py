@@ -10,11 +10,7 @@ from tactorch.config.options import Options, option, settings_of
 
 
 class ArgumentOptions(Options):
-    """Settings that are arguments of a function; calling them calls it.
-
-    Attributes:
-        function: The function or class.
-    """
+    """Settings that are arguments of a function; calling them calls it."""
 
     function: ClassVar[Callable[..., Any]]
 
@@ -33,10 +29,13 @@ def options_from_arguments(
         function: Function or class, with annotations, and with `Args` in its docstring.
         section: Section of the settings.
         without: Arguments that are no settings.
+
+    Returns:
+        A class of settings; its objects call the function.
     """
-    called = function.__init__ if inspect.isclass(function) else function
-    hints = get_type_hints(called)
-    help_texts = _argument_help(inspect.getdoc(function) or "")
+    hints = get_type_hints(function.__init__ if inspect.isclass(function) else function)
+    documentation = inspect.getdoc(function) or ""
+    help_texts = _argument_help(documentation)
     fields = []
     for name, parameter in inspect.signature(function).parameters.items():
         if name not in without:
@@ -46,16 +45,15 @@ def options_from_arguments(
     namespace = {
         "section": section,
         "function": staticmethod(function),
-        "__doc__": (inspect.getdoc(function) or "").partition("\n")[0],
+        "__doc__": documentation.partition("\n")[0],
     }
-    name = f"{function.__name__}Options"
-    return make_dataclass(
-        name, fields, bases=(ArgumentOptions,), frozen=True, kw_only=True, namespace=namespace
-    )
+    name, bases = f"{function.__name__}Options", (ArgumentOptions,)
+    return make_dataclass(name, fields, bases=bases, frozen=True, kw_only=True, namespace=namespace)
 
 
 def _argument_help(text: str) -> dict[str, str]:
     """Return the descriptions in the `Args` section of a docstring."""
     section = re.search(r"^Args:\n((?:[ \t].*\n?|\n)+)", text, flags=re.MULTILINE)
-    found = re.findall(r"^ {4}(\w+): ((?:.|\n {8,})+)", section[1] if section else "", re.MULTILINE)
-    return {name: " ".join(words.split()).rstrip(".") for name, words in found}
+    entries = section[1] if section else ""
+    pairs = re.findall(r"^ {4}(\w+): ((?:.|\n {8,})+)", entries, re.MULTILINE)
+    return {name: " ".join(words.split()).rstrip(".") for name, words in pairs}

@@ -12,42 +12,34 @@ error messages read the same fields (`settings_of`).
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from typing import Any, ClassVar, get_args, get_type_hints
 
-from tactorch.config.values import INVALID, accepts_none, choices_of, convert, describe
+from tactorch.config.registry import NO_VALUE, REGISTRIES, missing_setting, unknown_setting
+from tactorch.config.values import INVALID, choices_of, convert, describe
 from tactorch.errors import ConfigError
 
 _KEY = "option"
+#: Factor from another unit, in which a number may be given by mistake, by unit of a setting.
+_OTHER_UNITS = {"mm": {"metres": 1e3}, "MPa": {"kPa": 1e-3, "Pa": 1e-6}}
 
 
 @dataclass(frozen=True)
 class Constraint:
-    """Range, unit and help of a setting.
+    """Range, unit and help of a setting: the arguments of `option`."""
 
-    Attributes:
-        help: Description, a phrase without a full stop.
-        unit: Physical unit, or empty.
-        gt: Exclusive lower limit, or None.
-        ge: Inclusive lower limit, or None.
-        lt: Exclusive upper limit, or None.
-        le: Inclusive upper limit, or None.
-        section: Registry that the value is chosen from by name, or empty.
-        preset: Name of the preset in `conf/` that holds the defaults of nested settings, or empty.
-    """
-
-    help: str = ""
-    unit: str = ""
-    gt: float | None = None
-    ge: float | None = None
-    lt: float | None = None
-    le: float | None = None
-    section: str = ""
-    preset: str = ""
+    help: str
+    unit: str
+    gt: float | None
+    ge: float | None
+    lt: float | None
+    le: float | None
+    section: str
+    preset: str
 
     def holds(self, value: Any) -> bool:
-        """Whether all numbers in a value are within the range."""
+        """Return whether all numbers in a value are within the range."""
         return all(
             (self.gt is None or number > self.gt)
             and (self.ge is None or number >= self.ge)
@@ -56,14 +48,23 @@ class Constraint:
             for number in _numbers(value)
         )
 
+    def unit_hint(self, value: Any) -> str:
+        """Return a question about the unit of a value out of range; empty if there is none."""
+        for unit, factor in _OTHER_UNITS.get(self.unit, {}).items():
+            converted = [factor * number for number in _numbers(value)]
+            if self.holds(converted):
+                shown = ", ".join(f"{number:g}" for number in converted)
+                return f" Is it in {unit}? Then give {shown}."
+        return ""
+
     def describe(self) -> str:
         """Return the range in words, such as "above 0, up to 1"; empty where there is none."""
-        low = f"above {self.gt:g}" if self.gt is not None else ""
-        low = f"at least {self.ge:g}" if self.ge is not None else low
+        if self.gt is None and self.ge is not None and self.le is not None:
+            return f"{self.ge:g} to {self.le:g}"
+        low = f"at least {self.ge:g}" if self.ge is not None else ""
+        low = f"above {self.gt:g}" if self.gt is not None else low
         high = f"below {self.lt:g}" if self.lt is not None else ""
         high = f"up to {self.le:g}" if self.le is not None else high
-        if self.le is not None and low.startswith("at least"):
-            return f"{self.ge:g} to {self.le:g}"
         return ", ".join(part for part in (low, high) if part)
 
 
@@ -134,16 +135,16 @@ class Setting:
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """Values the type lists, for completion."""
+        """Values that the type lists, for completion."""
         return choices_of(self.annotation)
 
     @property
     def expectation(self) -> str:
-        """What to give, in words: "a number above 0, or null"."""
+        """Description of valid values, such as "a number above 0, or null"."""
         kind, limits = describe(self.annotation), self.constraint.describe()
-        between = " " if limits.startswith(("above", "below")) else ", "
-        or_null = ", or null" if accepts_none(self.annotation) else ""
-        return f"{kind}{between if limits else ''}{limits}{or_null}"
+        separator = " " if limits.startswith(("above", "below")) else ", "
+        or_null = ", or null" if convert(None, self.annotation) is None else ""
+        return f"{kind}{separator if limits else ''}{limits}{or_null}"
 
     def check(self, value: Any, prefix: str = "") -> Any:
         """Return the value converted to the setting's type.
@@ -158,24 +159,19 @@ class Setting:
             ConfigError: the value is of another type or out of range.
         """
         name = f"{prefix}.{self.name}" if prefix else self.name
-        value = self._built(value, name)
-        converted = convert(value, self.annotation)
-        if converted is INVALID or not self.constraint.holds(converted):
-            if self.nested is not None:
-                raise ConfigError(
-                    f"{name}={_shown(value)}: several settings; give {name}.KEY=VALUE."
-                )
-            raise ConfigError(f"{name}={_shown(value)}: give {self.expectation}.")
-        return converted
-
-    def _built(self, value: Any, name: str) -> Any:
-        from tactorch.config.registry import REGISTRIES, build
-
         if self.constraint.section in REGISTRIES:
-            return REGISTRIES[self.constraint.section].build(value, name)
-        if self.nested is not None and isinstance(value, Mapping):
-            return build(self.nested, value, name)
-        return value
+            value = REGISTRIES[self.constraint.section].build(value, name)
+        elif self.nested is not None and isinstance(value, Mapping):
+            value = self.nested.from_mapping(value, name)
+        converted = convert(value, self.annotation)
+        if converted is not INVALID and self.constraint.holds(converted):
+            return converted
+        text = repr(value)
+        text = text if len(text) <= 60 else f"{text[:57]}..."
+        if self.nested is not None:
+            raise ConfigError(f"{name}={text}: several settings; give {name}.KEY=VALUE.")
+        hint = "" if converted is INVALID else self.constraint.unit_hint(converted)
+        raise ConfigError(f"{name}={text}: give {self.expectation}.{hint}")
 
 
 class Options:
@@ -197,6 +193,30 @@ class Options:
             value = getattr(self, setting.name)
             object.__setattr__(self, setting.name, setting.check(value, self.section))
 
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any], section: str = "", chosen: str = "") -> Any:
+        """Return settings from a table of values, such as a part of a Hydra config.
+
+        Args:
+            values: Value by name; settings that are left out have their defaults. Settings with a
+                section, and nested settings, may be names or tables. The text "???" is no value.
+            section: Section of the settings, for messages.
+            chosen: Choice of the class, such as "optimizer=tnc", for messages.
+
+        Raises:
+            ConfigError: a setting is unknown or missing, or a value cannot be used.
+        """
+        settings = {setting.name: setting for setting in settings_of(cls)}
+        values = {n: v for n, v in values.items() if not (isinstance(v, str) and v == NO_VALUE)}
+        prefix = f"{section}." if section else ""
+        for name in values:
+            if name not in settings:
+                raise ConfigError(unknown_setting(f"{prefix}{name}", settings, chosen or section))
+        for setting in settings.values():
+            if setting.required and setting.name not in values:
+                raise ConfigError(missing_setting(f"{prefix}{setting.name}", setting.expectation))
+        return cls(**{name: settings[name].check(v, section) for name, v in values.items()})
+
 
 def settings_of(options: type) -> tuple[Setting, ...]:
     """Return the settings of an `Options` class, in their order.
@@ -210,30 +230,44 @@ def settings_of(options: type) -> tuple[Setting, ...]:
 def _settings(options: Any) -> tuple[Setting, ...]:
     hints = get_type_hints(options)
     return tuple(
-        Setting(f.name, hints[f.name], _default(f), f.metadata[_KEY])
+        Setting(
+            f.name,
+            hints[f.name],
+            f.default if f.default_factory is MISSING else f.default_factory(),
+            f.metadata[_KEY],
+        )
         for f in fields(options)
         if _KEY in f.metadata
     )
 
 
-def _default(declared: "Field[Any]") -> Any:
-    if declared.default_factory is not MISSING:
-        return declared.default_factory()
-    return declared.default
+def to_mapping(options: Any) -> dict[str, Any]:
+    """Return settings as a table of plain values, the reverse of `Options.from_mapping`."""
+    values = {}
+    for setting in settings_of(type(options)):
+        value = getattr(options, setting.name)
+        registry = REGISTRIES.get(setting.constraint.section)
+        plain = plain_value(value)
+        if registry is not None and isinstance(value, Options):
+            plain = {"name": registry.name_of(type(value)), **plain}
+        values[setting.name] = plain
+    return values
+
+
+def plain_value(value: Any) -> Any:
+    """Return a value as lists, tables, text, numbers, booleans or None."""
+    if isinstance(value, Options):
+        return to_mapping(value)
+    if isinstance(value, tuple | list):
+        return [plain_value(item) for item in value]
+    if isinstance(value, dict):
+        return {key: plain_value(item) for key, item in value.items()}
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    if isinstance(value, bool | str):
-        return
-    if isinstance(value, int | float):
+    if isinstance(value, int | float) and not isinstance(value, bool):
         yield value
-    elif isinstance(value, tuple | list):
-        for item in value:
+    elif isinstance(value, tuple | list | dict):
+        for item in value.values() if isinstance(value, dict) else value:
             yield from _numbers(item)
-    elif isinstance(value, dict):
-        yield from _numbers(list(value.values()))
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

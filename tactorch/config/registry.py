@@ -1,4 +1,4 @@
-"""Named components of a kind, built in or from installed packages, and settings that choose one."""
+"""Named components of a kind, built in or from installed packages."""
 
 import difflib
 import sys
@@ -7,11 +7,10 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
-from tactorch.config.options import Options, settings_of
 from tactorch.errors import ConfigError
 
-#: What a configuration file says where a value must be given.
-MISSING = "???"
+#: Text of a required value in a configuration file.
+NO_VALUE = "???"
 #: All registries by section, in the order in which they were made.
 REGISTRIES: dict[str, "Registry"] = {}
 
@@ -27,7 +26,7 @@ class Registry:
     Args:
         section: Name of the kind, and of the settings' group, such as "regularization".
         builtin: Import path "module:attribute" of each built-in component.
-        about: What the components are, for messages and documentation.
+        about: Description of the components.
     """
 
     def __init__(self, section: str, builtin: Mapping[str, str], about: str = "") -> None:
@@ -35,11 +34,6 @@ class Registry:
         self._paths = dict(builtin)
         self._added: dict[str, Any] = {}
         REGISTRIES[section] = self
-
-    @property
-    def group(self) -> str:
-        """Group of the entry points that add components."""
-        return f"tactorch.{self.section}"
 
     def names(self) -> tuple[str, ...]:
         """Return all names: built-in ones in their order, then those of other packages."""
@@ -64,7 +58,7 @@ class Registry:
         Raises:
             ConfigError: there is a component of this name.
         """
-        if name in self.names():
+        if name in self:
             raise ConfigError(f"{self.section} '{name}' exists; give the component another name.")
         self._added[name] = component
         return component
@@ -107,7 +101,10 @@ class Registry:
         Args:
             given: A name, a table with the key "name" and other settings, or an object made
                 already, which is returned as it is.
-            section: Where the settings stand, for messages; that of the registry by default.
+            section: Section of the settings, for messages; that of the registry by default.
+
+        Returns:
+            Settings of the component, an object of its class.
 
         Raises:
             ConfigError: the name or a setting is unknown, or a value cannot be used.
@@ -123,62 +120,10 @@ class Registry:
             raise ConfigError(f"{section}.name={name!r}: choose one of {names}.")
         if name not in self:
             raise ConfigError(unknown_choice(section, name, self.names()))
-        return build(self[name], values, section, f"{section}={name}")
+        return self[name].from_mapping(values, section, f"{section}={name}")
 
     def _plugins(self) -> dict[str, Any]:
-        return {entry.name: entry for entry in entry_points(group=self.group)}
-
-
-def build(
-    options: type[Options], values: Mapping[str, Any], section: str = "", chosen: str = ""
-) -> Any:
-    """Make settings from a table of values, such as a part of a Hydra config.
-
-    Args:
-        options: The settings' class.
-        values: Value by name; settings that are left out have their defaults. Settings with a
-            section, and nested settings, may be names or tables. The text "???" is no value.
-        section: Where the settings stand, for messages.
-        chosen: How the class was chosen, for messages.
-
-    Raises:
-        ConfigError: a setting is unknown or missing, or a value cannot be used.
-    """
-    settings = {setting.name: setting for setting in settings_of(options)}
-    values = {n: v for n, v in values.items() if not (isinstance(v, str) and v == MISSING)}
-    prefix = f"{section}." if section else ""
-    for name in values:
-        if name not in settings:
-            raise ConfigError(unknown_setting(f"{prefix}{name}", settings, chosen or section))
-    for setting in settings.values():
-        if setting.required and setting.name not in values:
-            raise ConfigError(missing_setting(f"{prefix}{setting.name}", setting.expectation))
-    return options(**{name: settings[name].check(v, section) for name, v in values.items()})
-
-
-def to_mapping(options: Any) -> dict[str, Any]:
-    """Return settings as a table of plain values that `build` turns into the same settings."""
-    values = {}
-    for setting in settings_of(type(options)):
-        value = getattr(options, setting.name)
-        section = setting.constraint.section
-        if isinstance(value, Options):
-            registry = REGISTRIES.get(section)
-            name = {} if registry is None else {"name": registry.name_of(type(value))}
-            value = {**name, **to_mapping(value)}
-        values[setting.name] = plain_value(value)
-    return values
-
-
-def plain_value(value: Any) -> Any:
-    """Return a value as lists, tables, text, numbers, booleans or None."""
-    if isinstance(value, Options):
-        return to_mapping(value)
-    if isinstance(value, tuple | list):
-        return [plain_value(item) for item in value]
-    if isinstance(value, dict):
-        return {key: plain_value(item) for key, item in value.items()}
-    return value if isinstance(value, str | int | float | bool | None) else str(value)
+        return {entry.name: entry for entry in entry_points(group=f"tactorch.{self.section}")}
 
 
 def missing_setting(name: str, expectation: str) -> str:
@@ -189,13 +134,12 @@ def missing_setting(name: str, expectation: str) -> str:
 def unknown_choice(section: str, name: str, names: Iterable[str]) -> str:
     """Return the message for a name that a registry does not have."""
     names = tuple(names)
-    return (
-        f"{section}={name} is unknown; choose one of {', '.join(names)}.{did_you_mean(name, names)}"
-    )
+    hint = did_you_mean(name, names)
+    return f"{section}={name} is unknown; choose one of {', '.join(names)}.{hint}"
 
 
 def unknown_setting(name: str, known: Iterable[str], chosen: str = "") -> str:
-    """Return the message for a setting that does not exist, with the one likely meant."""
+    """Return the message for a setting that does not exist, with the closest name."""
     known, leaf = tuple(known), str(name).rpartition(".")[2]
     prefix = name.removesuffix(leaf)
     match = difflib.get_close_matches(leaf, known, n=1)
@@ -206,7 +150,7 @@ def unknown_setting(name: str, known: Iterable[str], chosen: str = "") -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a question to end a message with, or nothing."""
+    """Return a question that suggests the closest name, or nothing."""
     lowered = {name.lower(): name for name in known}
     match = difflib.get_close_matches(word.lower(), lowered, n=1)
     return f" Did you mean '{lowered[match[0]]}'?" if match else ""

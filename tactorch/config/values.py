@@ -1,30 +1,24 @@
-"""Types of settings: the test for a value, its conversion, and the words for it in messages."""
+"""Types of settings: conversion of values, and descriptions for messages."""
 
 import math
 import types
 from collections.abc import Mapping, Sequence
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
-#: Stands for a value that is not of the type.
+#: Result of `convert` for a value of another type.
 INVALID = object()
 _COUNTS = {2: "two", 3: "three", 4: "four"}
 _LETTERS = "XYZW"
 
 
 def convert(value: Any, annotation: Any) -> Any:
-    """Convert a value to the type of a setting.
+    """Return a value converted to the type of a setting, or `INVALID`.
 
     Whole numbers are accepted as numbers, lists as tuples, and text as a path; booleans are not
-    numbers, and numbers are finite.
-
-    Args:
-        value: Value from Python, YAML or the command line.
-        annotation: Type of the setting, as `typing.get_type_hints` returns it. Types that are
-            neither plain nor a container of plain ones are checked by `isinstance`.
-
-    Returns:
-        The converted value, or `INVALID`.
+    numbers, and numbers are finite. Types that are neither plain nor a container of plain ones are
+    checked by `isinstance`.
     """
     origin, arguments = get_origin(annotation), get_args(annotation)
     if annotation is Any:
@@ -58,6 +52,7 @@ def _convert_union(value: Any, members: tuple[Any, ...]) -> Any:
 
 
 def _convert_sequence(value: Any, origin: type, arguments: tuple[Any, ...]) -> Any:
+    value = value.tolist() if hasattr(value, "tolist") else value  # of NumPy
     if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
         return INVALID
     if origin is tuple and arguments[-1] is not Ellipsis:
@@ -77,13 +72,17 @@ def _convert_mapping(value: Any, arguments: tuple[Any, ...]) -> Any:
 
 
 def _number(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, Real):
         return INVALID
-    return float(value) if math.isfinite(value) else INVALID
+    try:
+        number = float(value)
+    except OverflowError:  # an integer beyond the floats
+        return INVALID
+    return number if math.isfinite(number) else INVALID
 
 
 def _path(value: Any) -> Any:
-    """A file may be called 7."""
+    # Numbers are valid names of files.
     if isinstance(value, bool) or not isinstance(value, str | int | float | Path) or value == "":
         return INVALID
     return value if isinstance(value, Path) else Path(str(value))
@@ -91,7 +90,7 @@ def _path(value: Any) -> Any:
 
 _PLAIN: dict[Any, Any] = {
     bool: lambda value: value if isinstance(value, bool) else INVALID,
-    int: lambda v: v if isinstance(v, int) and not isinstance(v, bool) else INVALID,
+    int: lambda v: INVALID if isinstance(v, bool) or not isinstance(v, Integral) else int(v),
     float: _number,
     str: lambda value: value if isinstance(value, str) else INVALID,
     Path: _path,
@@ -128,11 +127,6 @@ def describe(annotation: Any) -> str:
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return f"a table of {_plural(arguments[1])}: {{NAME: VALUE}}"
     return getattr(annotation, "__name__", str(annotation))
-
-
-def accepts_none(annotation: Any) -> bool:
-    """Whether null is a value of the type."""
-    return convert(None, annotation) is None
 
 
 def choices_of(annotation: Any) -> tuple[Any, ...]:

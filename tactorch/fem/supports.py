@@ -18,11 +18,12 @@ class Supports:
         prescribed: Prescribed displacement, mm; zero by default.
         springs: Stiffness k of zero-length springs to the rest position, N/mm: the energy is
             k u^2 / 2 per degree of freedom (eq. 3 with k_c = 1000 N/m read as the stiffness).
+            Given at all nodes, midside nodes included, they are not redistributed.
     """
 
     fixed: Bool[np.ndarray, "*cases n 3"] | None = None
     prescribed: Float[np.ndarray, "*cases n 3"] | None = None
-    springs: Float[np.ndarray, "*cases n 3"] | None = None
+    springs: Float[np.ndarray, "*cases nodes 3"] | None = None
 
     def require_cases(self, count: int) -> None:
         """Check that the supports are for `count` load cases, or for all.
@@ -48,7 +49,7 @@ class Supports:
         zeros = np.zeros((n, 3))
         fixed = _select(self.fixed, index, n, "fixed", zeros.astype(bool)).astype(bool)
         prescribed = _select(self.prescribed, index, n, "prescribed", zeros)
-        springs = _select(self.springs, index, n, "springs", zeros)
+        springs = _select(self.springs, index, n, "springs", zeros, discretisation.n_nodes)
         if np.any(springs < 0) or not np.all(np.isfinite(springs)):
             raise ConfigError("supports.springs must be finite and not negative (N/mm).")
         if not np.all(np.isfinite(prescribed[fixed])):
@@ -82,11 +83,11 @@ class CaseSupports:
 
 
 def _select(
-    values: np.ndarray | None, index: int, n: int, name: str, default: np.ndarray
+    values: np.ndarray | None, index: int, n: int, name: str, default: np.ndarray, n_nodes: int = 0
 ) -> np.ndarray:
     if values is None:
         return default
-    if values.ndim not in (2, 3) or values.shape[-2:] != (n, 3):
+    if values.ndim not in (2, 3) or values.shape[-2:] not in ((n, 3), (n_nodes, 3)):
         raise ConfigError(
             f"supports.{name} has shape {values.shape}; expected ({n}, 3), one row per mesh node, "
             f"or (cases, {n}, 3)."

@@ -1,27 +1,13 @@
 """Findings: lumps of a map with depth, confidence and text.
 
 - `find_lumps`, `find_lump`: regions that stand out of a map, the most conspicuous first.
-- `measure_depth`: depth of a region below the pressed surface.
-- `compute_confidence`: probability and intervals of a lump by the posterior.
 - `build_finding`: lumps with depths and confidences, as numbers and text.
 - `tactorch.findings.text`: sentences and facts that the command line, report and live runs show.
 - `tactorch.findings.recognition`: probability of each shape that a recognizer knows; imported
   separately, because it loads Lightning.
 """
 
-from tactorch.findings.confidence import Confidence, compute_confidence
-from tactorch.findings.depth import Depth, measure_depth
-from tactorch.findings.finding import Finding, Lump, build_finding
+from tactorch.findings.finding import Confidence, Depth, Finding, Lump, build_finding
 from tactorch.findings.lumps import find_lump, find_lumps
 
-__all__ = [
-    "Confidence",
-    "Depth",
-    "Finding",
-    "Lump",
-    "build_finding",
-    "compute_confidence",
-    "find_lump",
-    "find_lumps",
-    "measure_depth",
-]
+__all__ = ["Confidence", "Depth", "Finding", "Lump", "build_finding", "find_lump", "find_lumps"]

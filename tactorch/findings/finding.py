@@ -1,19 +1,82 @@
-"""Lumps of a map as numbers with intervals."""
+"""Lumps of a map with their depth below the presses and their confidence."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.special import ndtr
 
-from tactorch.findings.confidence import Confidence, compute_confidence
-from tactorch.findings.depth import Depth, measure_depth
-from tactorch.findings.lumps import find_lumps
-from tactorch.findings.text import describe_lump
+from tactorch.errors import ConfigError
+from tactorch.findings.lumps import adjacent_elements, find_lumps
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
-from tactorch.recording import Recording
+from tactorch.metrics.segment import Side, volume_mean
+from tactorch.recording import Press, Recording
 from tactorch.uncertainty import GaussianPosterior
+
+_MIN_AXIS_COSINE = 0.95  # between push and axis, for a press on a named side
+_MIN_NET_FORCE = 0.1  # net force over the sum of nodal forces; below, a press grips
+_TAIL = 0.05  # probability outside a 90 % interval, on either side
+# Probabilities above which a lump is certain, and below which it is doubtful.
+_CERTAIN, _DOUBTFUL = 0.99, 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Depth:
+    """Depth of a region along the push of a press.
+
+    Attributes:
+        center_mm: Depth of the region's centre, mm.
+        cover_mm: Depth of its nearest element's centroid, mm.
+        inward: Unit vector of the push, (3,).
+        above_mm: Point of the contact above the centre, (3,), mm.
+    """
+
+    center_mm: float
+    cover_mm: float
+    inward: Float[np.ndarray, "3"]
+    above_mm: Float[np.ndarray, "3"]
+
+    @property
+    def face(self) -> str:
+        """Pressed side, such as "z+"; empty if the push is along no axis."""
+        axis = int(np.abs(self.inward).argmax())
+        if abs(self.inward[axis]) < _MIN_AXIS_COSINE:
+            return ""
+        return f"{'xyz'[axis]}{'+' if self.inward[axis] < 0 else '-'}"
+
+    @property
+    def surface(self) -> str:
+        """Pressed surface in words."""
+        return f"the pressed side {self.face}" if self.face else "the pressed surface"
+
+
+@dataclass(frozen=True, eq=False)
+class Confidence:
+    """Probability and intervals of a lump.
+
+    They account for the stated noise and the prior, but not for model errors. The lump was
+    selected as the most conspicuous one, so its probability is optimistic.
+
+    Attributes:
+        probability: Probability that the lump is stiffer (or softer) than its surroundings.
+        contrast: 90 % interval of the ratio of the moduli's geometric means.
+        center_deviation_mm: Standard deviation of the centre along x, y and z, (3,), mm.
+    """
+
+    probability: float
+    contrast: tuple[float, float]
+    center_deviation_mm: Float[np.ndarray, "3"]
+
+    def at_least(self, side: Side) -> float:
+        """Return the 95 % lower bound of the contrast as a ratio above 1.
+
+        An upper bound is not given: total variation shrinks contrasts, so that the true one is
+        often larger.
+        """
+        return self.contrast[0] if side == "stiff" else 1.0 / self.contrast[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,25 +101,47 @@ class Lump:
         values: dict[str, Any] = {
             **inclusion.plain(),
             "contrast": float(inclusion.contrast),
-            "size_mm": [float(x) for x in self.size_mm],
+            "size_mm": self.size_mm.tolist(),
         }
         if depth is not None:
             values |= {
                 "depth_mm": depth.center_mm,
                 "cover_mm": depth.cover_mm,
-                "under": depth.face or [float(x) for x in depth.above_mm],
+                "under": depth.face or depth.above_mm.tolist(),
             }
         if confidence is not None:
             values |= {
                 "probability": confidence.probability,
                 "contrast_90": list(confidence.contrast),
-                "center_deviation_mm": [float(x) for x in confidence.center_deviation_mm],
+                "center_deviation_mm": confidence.center_deviation_mm.tolist(),
             }
         return values
 
     def text(self) -> str:
-        """Return the lump as text, see `tactorch.findings.text.describe_lump`."""
-        return describe_lump(self.inclusion, self.size_mm, self.depth, self.confidence)
+        """Return location, depth, size, contrast and confidence in up to three sentences."""
+        inclusion, side, depth = self.inclusion, self.inclusion.side, self.depth
+        ratio = inclusion.contrast if side == "stiff" else 1.0 / inclusion.contrast
+        point = ", ".join(f"{x:.2f}" for x in inclusion.center_mm)
+        below = "" if depth is None else f", {depth.center_mm:.2f} mm below {depth.surface}"
+        text = (
+            f"A {side} lump at ({point}) mm{below}, {' x '.join(f'{x:.2g}' for x in self.size_mm)} "
+            f"mm (the volume of a ball of radius {inclusion.equivalent_radius_mm:.2g} mm), "
+            f"{ratio:.2g} times as {side} as its surroundings ({inclusion.mean_mpa:.3g} in "
+            f"{inclusion.background_mpa:.3g} MPa)."
+        )
+        if self.confidence is None:
+            return text
+        probability = self.confidence.probability
+        percent = "more than 99.9 %" if probability > 0.999 else f"{100 * probability:.3g} %"
+        deviation = float(np.linalg.norm(self.confidence.center_deviation_mm))
+        text += (
+            f" Given noise and prior, its probability is {percent}, it is at least "
+            f"{self.confidence.at_least(side):.2g} times as {side} (95 %), and the standard "
+            f"deviation of its centre is {deviation:.2g} mm."
+        )
+        if probability < _DOUBTFUL:
+            return f"{text} Do not rely on it without more presses."
+        return text if probability >= _CERTAIN else f"{text} More presses can confirm it."
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +158,8 @@ class Finding:
 
     def plain(self) -> dict[str, Any]:
         """Return plain values."""
-        return {
-            "background_mpa": self.background_mpa,
-            "lumps": [lump.plain() for lump in self.lumps],
-        }
+        lumps = [lump.plain() for lump in self.lumps]
+        return {"background_mpa": self.background_mpa, "lumps": lumps}
 
     def text(self) -> str:
         """Return the finding as text, one line per lump."""
@@ -107,27 +190,75 @@ def build_finding(
         MeshError: The map does not fit the recording's mesh, or a modulus is not above 0.
     """
     mesh = recording.mesh
-    lumps = [
-        Lump(
-            inclusion=inclusion,
-            size_mm=_size(mesh, inclusion),
-            depth=measure_depth(mesh, recording.presses, inclusion.center_mm, inclusion.elements),
-            confidence=(
-                None if posterior is None else compute_confidence(mesh, inclusion, posterior)
-            ),
-        )
-        for inclusion in find_lumps(mesh, youngs, max_lumps=max_lumps)
-    ]
+    inclusions = find_lumps(mesh, youngs, max_lumps=max_lumps)
+    lumps = (build_lump(mesh, recording.presses, one, posterior) for one in inclusions)
     return Finding(tuple(lumps), float(np.median(youngs)))
 
 
-def _size(mesh: TetMesh, inclusion: Inclusion) -> Float[np.ndarray, "3"]:
-    """Axes of the ellipsoid with the second moments of the elements.
-
-    The bounding box of the elements would be too large: it holds corners far from the lump.
-    """
-    weights = mesh.volumes * inclusion.elements
+def build_lump(
+    mesh: TetMesh,
+    presses: Sequence[Press],
+    inclusion: Inclusion,
+    posterior: GaussianPosterior | None = None,
+) -> Lump:
+    """Measure size, depth and confidence of an inclusion."""
+    # The size is that of the ellipsoid with the second moments of the elements. Their bounding box
+    # would be too large: it holds corners far from the lump.
     offsets = mesh.centroids - inclusion.center_mm
     within = np.ptp(mesh.points[mesh.tets], axis=1) ** 2 / 20.0  # approximate moment of an element
-    moments = (weights @ (offsets**2 + within)) / weights.sum()
-    return 2.0 * np.sqrt(5.0 * moments)
+    size = 2.0 * np.sqrt(5.0 * volume_mean(mesh, offsets**2 + within, inclusion.elements))
+    depth = measure_depth(mesh, presses, inclusion.center_mm, inclusion.elements)
+    confidence = None if posterior is None else compute_confidence(mesh, inclusion, posterior)
+    return Lump(inclusion, size, depth, confidence)
+
+
+def measure_depth(
+    mesh: TetMesh,
+    presses: Sequence[Press],
+    center_mm: Float[np.ndarray, "3"],
+    elements: Bool[np.ndarray, " m"],
+) -> Depth | None:
+    """Return the depth of a region below the press that is nearest to it; None if no press pushes.
+
+    The surface of a press is that of the nodes it loads; above the region it is taken at the node
+    nearest to the line through the centre along the push.
+
+    Raises:
+        ConfigError: The region is empty.
+    """
+    if not elements.any():
+        raise ConfigError("the region has no element; give one with at least one.")
+    depths = []
+    for press in presses:
+        total = press.forces.sum(axis=0)
+        length = float(np.linalg.norm(total))
+        if not length > _MIN_NET_FORCE * np.linalg.norm(press.forces, axis=1).sum():
+            continue  # forces cancel: gripping is no push
+        inward, loaded = total / length, mesh.points[np.any(press.forces != 0, axis=1)]
+        across = loaded - center_mm
+        across = across - (across @ inward)[:, None] * inward
+        above = loaded[np.argmin(np.linalg.norm(across, axis=1))]
+        center = float((center_mm - above) @ inward)
+        cover = float(((mesh.centroids[elements] - above) @ inward).min())
+        if center > 0:
+            depths.append(Depth(center, cover, inward, center_mm - center * inward))
+    return min(depths, key=lambda depth: depth.center_mm, default=None)
+
+
+def compute_confidence(
+    mesh: TetMesh, lump: Inclusion, posterior: GaussianPosterior, *, draws: int = 400, seed: int = 0
+) -> Confidence:
+    """Estimate the confidence of a lump of the posterior's map from samples of the posterior."""
+    rng = np.random.default_rng(seed)
+    x = np.clip(posterior.sample(rng, draws), *posterior.parameterization.limits)
+    log_youngs = np.log(np.array([posterior.parameterization.youngs(row) for row in x]))
+    near, sign = adjacent_elements(mesh, lump.elements), 1.0 if lump.side == "stiff" else -1.0
+    background = volume_mean(mesh, log_youngs.T, ~near)
+    contrasts = volume_mean(mesh, log_youngs.T, lump.elements) - background
+    low, high = np.exp(np.quantile(contrasts, [_TAIL, 1.0 - _TAIL]))
+    deviation = float(contrasts.std())
+    probability = ndtr(sign * float(contrasts.mean()) / deviation) if deviation > 0 else 1.0
+    # Centres are weighted by the excess over the background.
+    excess = np.maximum(sign * (log_youngs - background[:, None]), 0.0) * (mesh.volumes * near)
+    centers = excess @ mesh.centroids / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)
+    return Confidence(float(probability), (float(low), float(high)), centers.std(axis=0))

@@ -60,7 +60,7 @@ def find_lumps(
             "and 0 to below 1."
         )
     sides: tuple[Side, ...] = ("stiff", "soft") if side is None else (side,)
-    masks = {kind: threshold(mesh, youngs, kind) for kind in sides}
+    masks = {kind: _segment(mesh, youngs, kind) for kind in sides}
     rest = ~np.any(list(masks.values()), axis=0)
     # In noise without a background, every element may be stiff or soft.
     background = (
@@ -69,16 +69,14 @@ def find_lumps(
         else weighted_median(youngs, mesh.volumes)
     )
     lumps = [
-        lump
+        _measure(mesh, youngs, elements, kind, background)
         for kind, mask in masks.items()
-        for lump in _regions(mesh, youngs, mask, background, kind, min_volume_fraction)
+        for elements in connected_parts(mesh, mask)
+        if mesh.volumes[elements].sum() >= min_volume_fraction * mesh.volumes.sum()
     ]
-    ordered = sorted(lumps, key=_conspicuity, reverse=True)[:max_lumps]
-    return [
-        lump
-        for lump in ordered
-        if _log_contrast(lump) > _MIN_RELATIVE_CONTRAST * _log_contrast(ordered[0])
-    ]
+    lumps.sort(key=lambda lump: _log_contrast(lump) * lump.equivalent_radius_mm, reverse=True)
+    min_contrast = _MIN_RELATIVE_CONTRAST * _log_contrast(lumps[0]) if lumps else 0.0
+    return [lump for lump in lumps[:max_lumps] if _log_contrast(lump) > min_contrast]
 
 
 def find_lump(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> Inclusion | None:
@@ -86,7 +84,7 @@ def find_lump(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> Inclusion | Non
     return next(iter(find_lumps(mesh, youngs, max_lumps=1)), None)
 
 
-def threshold(mesh: TetMesh, youngs: Float[np.ndarray, " m"], side: Side) -> Bool[np.ndarray, " m"]:
+def _segment(mesh: TetMesh, youngs: Float[np.ndarray, " m"], side: Side) -> Bool[np.ndarray, " m"]:
     """Return the elements beyond the threshold on one side."""
     sign = 1.0 if side == "stiff" else -1.0
     values, volumes = sign * np.log(youngs), mesh.volumes
@@ -98,9 +96,8 @@ def threshold(mesh: TetMesh, youngs: Float[np.ndarray, " m"], side: Side) -> Boo
     level = _level(values, volumes, background)
     for _ in range(_MAX_ITERATIONS):
         moved = values > (background + level) / 2
-        if not moved.any() or volumes[moved].sum() > _MAX_VOLUME_FRACTION * volumes.sum():
-            break
-        if (moved == mask).all():
+        too_large = volumes[moved].sum() > _MAX_VOLUME_FRACTION * volumes.sum()
+        if not moved.any() or too_large or (moved == mask).all():
             break
         mask = moved
         level = weighted_median(values[mask], volumes[mask])
@@ -112,12 +109,9 @@ def _level(
     values: Float[np.ndarray, " m"], volumes: Float[np.ndarray, " m"], background: float
 ) -> float:
     """Return the second level that minimises the absolute deviation, given the background."""
-    cuts = (
-        background
-        + (values.max() - background) * (np.arange(_CANDIDATE_LEVELS) + 0.5) / _CANDIDATE_LEVELS
-    )
+    fractions = (np.arange(_CANDIDATE_LEVELS) + 0.5) / _CANDIDATE_LEVELS
     best_gain, best_level = -np.inf, float(values.max())
-    for cut in cuts:
+    for cut in background + (values.max() - background) * fractions:
         above = values > cut
         if volumes[above].sum() > _MAX_VOLUME_FRACTION * volumes.sum():
             continue
@@ -129,34 +123,22 @@ def _level(
     return best_level
 
 
-def _regions(
+def _measure(
     mesh: TetMesh,
     youngs: Float[np.ndarray, " m"],
-    mask: Bool[np.ndarray, " m"],
-    background: float,
+    elements: Bool[np.ndarray, " m"],
     side: Side,
-    min_volume_fraction: float,
-) -> list[Inclusion]:
-    """Face-connected parts of a mask that are large enough."""
-    min_volume = min_volume_fraction * float(mesh.volumes.sum())
-    sign = 1.0 if side == "stiff" else -1.0
-    above = sign * np.log(youngs / background)
-    return [
-        Inclusion.measure(mesh, youngs, elements, side, background, _center(mesh, above, elements))
-        for elements in connected_parts(mesh, mask)
-        if float(mesh.volumes[elements].sum()) >= min_volume
-    ]
+    background: float,
+) -> Inclusion:
+    """Return a part as an inclusion.
 
-
-def _center(
-    mesh: TetMesh, above: Float[np.ndarray, " m"], elements: Bool[np.ndarray, " m"]
-) -> Float[np.ndarray, "3"]:
-    """Centroid of a part and the adjacent elements, weighted by the excess over the background.
-
-    The weights make the centre continuous where an element passes the threshold.
+    Its centre is the centroid of the part and the adjacent elements, weighted by the excess over
+    the background, so that it is continuous where an element passes the threshold.
     """
-    weights = np.maximum(above, 0.0) * mesh.volumes * adjacent_elements(mesh, elements)
-    return weights @ mesh.centroids / weights.sum()
+    excess = (1.0 if side == "stiff" else -1.0) * np.log(youngs / background)
+    weights = np.maximum(excess, 0.0) * mesh.volumes * adjacent_elements(mesh, elements)
+    center = weights @ mesh.centroids / weights.sum()
+    return Inclusion.measure(mesh, youngs, elements, side, background, center)
 
 
 def adjacent_elements(mesh: TetMesh, elements: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
@@ -169,7 +151,3 @@ def adjacent_elements(mesh: TetMesh, elements: Bool[np.ndarray, " m"]) -> Bool[n
 
 def _log_contrast(lump: Inclusion) -> float:
     return abs(float(np.log(lump.contrast)))
-
-
-def _conspicuity(lump: Inclusion) -> float:
-    return _log_contrast(lump) * lump.equivalent_radius_mm

@@ -11,8 +11,6 @@ from tactorch.learning.training import BEST, load_network
 from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.metrics.checks import check_on_mesh
 
-_VOXELS = 24  # default of training; the network accepts any number
-
 
 def load_recognizer(path: str | Path) -> Recognizer:
     """Read a trained recognizer: the folder of its run, of one of its splits, or a checkpoint.
@@ -29,21 +27,12 @@ def load_recognizer(path: str | Path) -> Recognizer:
 
 
 def recognise(
-    mesh: TetMesh,
-    youngs: Float[np.ndarray, " m"],
-    recognizer: Recognizer,
-    *,
-    voxels: int = _VOXELS,
+    mesh: TetMesh, youngs: Float[np.ndarray, " m"], recognizer: Recognizer, *, voxels: int = 24
 ) -> dict[str, float]:
     """Return the probability of each shape, in descending order.
 
-    Only shapes that the recognizer was trained on are considered.
-
-    Args:
-        mesh: The body.
-        youngs: Moduli, (m,), MPa.
-        recognizer: Trained network, see `load_recognizer`.
-        voxels: Voxels in each direction, as in training.
+    Only shapes that the recognizer was trained on are considered. The map has `voxels` in each
+    direction, 24 by default as in training; the network accepts any number.
 
     Raises:
         MeshError: The map does not fit the mesh.

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from tactorch.config import REGISTRIES, Options, build, option, settings_of
+from tactorch.config import REGISTRIES, Options, option, settings_of
 from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import NoiseModel
@@ -99,7 +99,7 @@ def settings_from(config: Mapping[str, Any]) -> Settings:
         if "prior" in values:
             values = _converted(values, dict(config["optimizer"]))
         values["newton"] = NewtonOptions(**values["newton"])
-        settings: Settings = build(Settings, values)
+        settings: Settings = Settings.from_mapping(values)
         return settings
     except (KeyError, TypeError, ConfigError) as error:
         raise ConfigError(f"the settings of the result cannot be read ({error})") from error

@@ -3,24 +3,15 @@
 from tactorch.mesh.io import read_mesh, read_surface, write_mesh, write_surface
 from tactorch.mesh.locate import locate
 from tactorch.mesh.meshing import tetrahedralize
-from tactorch.mesh.revolved import Cone, Hemisphere, Hyperboloid, Lathe, Torus
-from tactorch.mesh.shapes import Box, Cylinder, Ellipsoid, Rotated, Shape, Sphere, Union
+from tactorch.mesh.revolved import Cone, Cylinder, Hemisphere, Hyperboloid, Lathe, Torus
+from tactorch.mesh.shapes import Box, Ellipsoid, Rotated, Shape, Sphere, Union
 from tactorch.mesh.structured import box_mesh
-from tactorch.mesh.surfaces import (
-    box_surface,
-    cylinder_surface,
-    revolved_surface,
-    shape_surface,
-    torus_surface,
-)
 from tactorch.mesh.tetmesh import FACE_NAMES, TetMesh, compact, face_nodes, select_face
-from tactorch.mesh.topology import LOCAL_EDGES, LOCAL_FACES, Adjacency, Surface
+from tactorch.mesh.topology import Adjacency, Surface
 from tactorch.mesh.voxels import VoxelGrid
 
 __all__ = [
     "FACE_NAMES",
-    "LOCAL_EDGES",
-    "LOCAL_FACES",
     "Adjacency",
     "Box",
     "Cone",
@@ -38,18 +29,13 @@ __all__ = [
     "Union",
     "VoxelGrid",
     "box_mesh",
-    "box_surface",
     "compact",
-    "cylinder_surface",
     "face_nodes",
     "locate",
     "read_mesh",
     "read_surface",
-    "revolved_surface",
     "select_face",
-    "shape_surface",
     "tetrahedralize",
-    "torus_surface",
     "write_mesh",
     "write_surface",
 ]

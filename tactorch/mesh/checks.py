@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -16,7 +16,7 @@ from tactorch.mesh.geometry import (
     signed_volumes,
 )
 from tactorch.mesh.topology import FaceMatch
-from tactorch.mesh.values import Rows
+from tactorch.mesh.values import Points, Rows, Tets, Triangles
 
 #: An element is degenerate where six times its volume is below this fraction of its longest edge
 #: cubed (a regular tetrahedron has 0.71): its stiffness would dominate that of its neighbours.
@@ -29,9 +29,10 @@ def as_points(points: Rows, what: str = "points") -> Float[np.ndarray, "n 3"]:
     if array.dtype.kind not in "fiu":
         raise MeshError(f"{what} must be real numbers, not {array.dtype}.")
     array = array.astype(np.float64)
-    _refuse_rows(
+    _refuse(
         ~np.isfinite(array).all(axis=1),
         what + " hold NaN or infinite coordinates in {}. Repair them, or mesh the shape again.",
+        "rows",
     )
     return array
 
@@ -42,40 +43,40 @@ def as_cells(cells: Rows, width: int, n_points: int, what: str = "tets") -> Int[
     if array.dtype.kind not in "iu":
         raise MeshError(f"{what} must be integer indices, not {array.dtype}.")
     array = array.astype(np.int64)
-    _refuse_rows(
+    _refuse(
         ((array < 0) | (array >= n_points)).any(axis=1),
         f"{what} index points outside 0..{n_points - 1} in {{}}; indices count from 0.",
+        "rows",
     )
-    ordered = np.sort(array, axis=1)
-    repeats = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
-    _refuse_rows(repeats, what + " repeat a vertex within {}.")
+    repeats = (np.diff(np.sort(array, axis=1), axis=1) == 0).any(axis=1)
+    _refuse(repeats, what + " repeat a vertex within {}.", "rows")
     return array
 
 
-def check_elements(points: Float[np.ndarray, "n 3"], tets: Int[np.ndarray, "m 4"]) -> None:
+def check_elements(points: Points, tets: Tets) -> None:
     """Refuse unreferenced nodes, duplicate, degenerate and inverted elements."""
     _refuse(
         unreferenced(len(points), tets),
-        len(points),
         "No element uses {}: their displacement would be undetermined. Drop them"
         " (tactorch.mesh.compact does, and renumbers).",
         "nodes",
     )
-    _check_unique(tets)
+    ordered = np.sort(tets, axis=1)
+    order = np.lexsort(ordered.T)
+    repeated = np.zeros(len(tets), dtype=bool)
+    repeated[order[1:]] = (ordered[order[1:]] == ordered[order[:-1]]).all(axis=1)
+    _refuse(repeated, "The mesh repeats elements: {} appear earlier too.")
     volumes = signed_volumes(points, tets)
     longest = longest_edges(points, tets)
     # Coordinates are known to rounding only, which far from the origin hides a small height.
     rounding = 64 * np.finfo(np.float64).eps * np.abs(points).max() * longest**2
-    smallest = np.maximum(MIN_RELATIVE_VOLUME * longest**3, rounding)
     _refuse(
-        np.flatnonzero(6 * np.abs(volumes) <= smallest),
-        len(tets),
+        6 * np.abs(volumes) <= np.maximum(MIN_RELATIVE_VOLUME * longest**3, rounding),
         "The mesh has degenerate elements (no volume): {}. Mesh the shape again, or merge nodes"
         " that coincide.",
     )
     _refuse(
-        np.flatnonzero(volumes < 0),
-        len(tets),
+        volumes < 0,
         "The mesh has inverted elements (negative volume): {}. TetMesh.create(points, tets)"
         " reorders their vertices.",
     )
@@ -84,22 +85,26 @@ def check_elements(points: Float[np.ndarray, "n 3"], tets: Int[np.ndarray, "m 4"
 def check_faces(faces: FaceMatch, n_tets: int) -> None:
     """Refuse overlapping elements, folded elements and parts that share no face."""
     _refuse(
-        np.unique(faces.crowded // 4),
-        n_tets,
+        np.bincount(faces.crowded // 4, minlength=n_tets) > 0,
         "A face is shared by three or more elements: {} overlap others.",
     )
     _refuse(
-        np.unique(faces.folded // 4),
-        n_tets,
+        np.bincount(faces.folded // 4, minlength=n_tets) > 0,
         "The mesh folds over itself: {} are on the same side of a shared face as their neighbour."
         " Mesh the shape again.",
     )
-    _check_connected(faces.pairs // 4, n_tets)
+    links = coo_array((np.ones(len(faces.pairs), bool), (faces.pairs // 4).T), (n_tets, n_tets))
+    count, labels = connected_components(links, directed=False)
+    if count > 1:
+        sizes = np.sort(np.bincount(labels))[::-1]
+        shown = ", ".join(str(s) for s in sizes[:5]) + (", ..." if count > 5 else "")
+        raise MeshError(
+            f"The mesh is in {count} disconnected parts (of {shown} elements) that share no face."
+            " Keep one part, or merge the nodes where the parts should be glued."
+        )
 
 
-def closed_surface(
-    vertices: Rows, triangles: Rows
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "k 3"]]:
+def closed_surface(vertices: Rows, triangles: Rows) -> tuple[Points, Triangles]:
     """Check a closed triangle surface and orient it outward.
 
     Each edge must belong to exactly two triangles of opposite orientation, and the surface must
@@ -107,9 +112,6 @@ def closed_surface(
 
     Returns:
         Vertices as float64 and triangles as int64.
-
-    Raises:
-        MeshError: The surface is open, not a manifold, not finite or encloses no volume.
     """
     points = as_points(vertices, "vertices")
     faces = as_cells(triangles, 3, len(points), "triangles")
@@ -120,28 +122,23 @@ def closed_surface(
     return points, faces if volume > 0 else faces[:, ::-1].copy()
 
 
-def listing(indices: Int[np.ndarray, " k"], total: int, noun: str = "elements") -> str:
+def listing(selected: Bool[np.ndarray, " k"], noun: str) -> str:
     """Return a count and the first indices: '3 of 40 elements (4, 7, 9)'."""
+    indices = np.flatnonzero(selected)
     first = ", ".join(str(i) for i in indices[:5])
     more = ", ..." if len(indices) > 5 else ""
-    return f"{len(indices)} of {total} {noun} ({first}{more})"
+    return f"{len(indices)} of {len(selected)} {noun} ({first}{more})"
 
 
-def unreferenced(n_points: int, cells: Int[np.ndarray, "m w"]) -> Int[np.ndarray, " k"]:
-    """Return the points that no cell uses."""
-    return np.flatnonzero(np.bincount(cells.ravel(), minlength=n_points) == 0)
+def unreferenced(n_points: int, cells: Int[np.ndarray, "m w"]) -> Bool[np.ndarray, " n"]:
+    """Return whether no cell uses each point."""
+    return np.bincount(cells.ravel(), minlength=n_points) == 0
 
 
-def _refuse(
-    invalid: Int[np.ndarray, " k"], total: int, message: str, noun: str = "elements"
-) -> None:
-    """Raise `MeshError` with the listing of invalid indices in place of {}, if there are any."""
-    if invalid.size:
-        raise MeshError(message.format(listing(invalid, total, noun)))
-
-
-def _refuse_rows(invalid: Any, message: str) -> None:
-    _refuse(np.flatnonzero(invalid), len(invalid), message, "rows")
+def _refuse(invalid: Any, message: str, noun: str = "elements") -> None:
+    """Raise `MeshError` with the listing of invalid rows in place of {}, if there are any."""
+    if invalid.any():
+        raise MeshError(message.format(listing(invalid, noun)))
 
 
 def _as_rows(values: Rows, width: int, what: str) -> NDArray:
@@ -156,34 +153,13 @@ def _as_rows(values: Rows, width: int, what: str) -> NDArray:
     return array
 
 
-def _check_unique(tets: Int[np.ndarray, "m 4"]) -> None:
-    ordered = np.sort(tets, axis=1)
-    order = np.lexsort(ordered.T)
-    duplicate = (ordered[order[1:]] == ordered[order[:-1]]).all(axis=1)
-    invalid = np.sort(order[1:][duplicate])
-    _refuse(invalid, len(tets), "The mesh repeats elements: {} appear earlier too.")
-
-
-def _check_connected(pairs: Int[np.ndarray, "f 2"], n_tets: int) -> None:
-    links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (n_tets, n_tets))
-    count, labels = connected_components(links, directed=False)
-    if count > 1:
-        sizes = np.sort(np.bincount(labels))[::-1]
-        shown = ", ".join(str(s) for s in sizes[:5]) + (", ..." if count > 5 else "")
-        raise MeshError(
-            f"The mesh is in {count} disconnected parts (of {shown} elements) that share no face."
-            " Keep one part, or merge the nodes where the parts should be glued."
-        )
-
-
-def _check_edges(faces: Int[np.ndarray, "k 3"], n_points: int) -> None:
+def _check_edges(faces: Triangles, n_points: int) -> None:
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     keys = np.minimum(start, end) * n_points + np.maximum(start, end)
     unique, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    owners = np.arange(len(keys)) // 3
 
-    def refuse(edges: NDArray, message: str) -> None:
-        _refuse(np.unique(owners[edges[inverse]]), len(faces), message, "triangles")
+    def refuse(edges: Bool[np.ndarray, " e"], message: str) -> None:
+        _refuse(edges[inverse].reshape(-1, 3).any(axis=1), message, "triangles")
 
     refuse(
         counts == 1,

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from tactorch.errors import ConfigError, FileError, MeshError
@@ -20,7 +19,7 @@ from tactorch.files import atomic_path, require_file
 from tactorch.mesh.checks import as_cells, as_points, listing, unreferenced
 from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.tetmesh import TetMesh, compact
-from tactorch.mesh.values import Rows
+from tactorch.mesh.values import Points, Rows, Triangles
 
 if TYPE_CHECKING:
     import meshio
@@ -38,7 +37,8 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
     """Read a tetrahedral mesh from .msh (gmsh), .vtu or .inp (Abaqus, CalculiX).
 
     Nodes and tetrahedra keep the order of the file, because other files refer to them by index.
-    Points, lines and surface cells are ignored; inverted tetrahedra are reoriented.
+    Points, lines and surface cells are ignored; inverted tetrahedra are reoriented. A warning names
+    the likely unit of an object that is implausibly small or large.
 
     Args:
         path: Path of the file.
@@ -52,27 +52,21 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
     Raises:
         FileError: The file is missing, damaged or of an unknown format.
         MeshError: The file contains no linear tetrahedra, other solid elements, unreferenced
-            nodes, or an invalid mesh. Every message names the file.
-        ConfigError: The unit is unknown.
-
-    Warns:
-        UserWarning: The object is implausibly small or large; the likely unit is named.
+            nodes, or an invalid mesh.
     """
-    scale = _mm_per(unit)
-    source = require_file(path, "Mesh")
+    scale, source = _mm_per(unit), require_file(path, "Mesh")
     content = _read(source, _MESH_FORMATS)
     with _naming(source):
         points = as_points(content.points) * scale
         tets = as_cells(_solid_cells(content), 4, len(points))
         unused = unreferenced(len(points), tets)
-        if unused.size and not drop_unreferenced:
+        if unused.any() and not drop_unreferenced:
             raise MeshError(
-                f"no tetrahedron uses {listing(unused, len(points), 'nodes')}."
+                f"no tetrahedron uses {listing(unused, 'nodes')}."
                 " Remove them from the file, or read it with drop_unreferenced=True, which"
                 " renumbers the others."
             )
-        if unused.size:
-            points, tets, _ = compact(points, tets)
+        points, tets, _ = compact(points, tets)
         mesh = TetMesh.create(points, tets)
     _warn_of_unit(f"Mesh '{source}'", mesh.diagonal, unit)
     return mesh
@@ -91,39 +85,22 @@ def write_mesh(
         mesh: Mesh to write.
         cell_data: Fields of m values or m rows, such as Young's modulus; not for .inp.
         point_data: Fields of n values or n rows, such as displacement; not for .inp.
-
-    Raises:
-        FileError: The format is unknown, cannot hold data, or the file cannot be written.
-        MeshError: A field does not fit the mesh.
     """
-    target = Path(path)
     cells = _fields("cell_data", cell_data, mesh.n_tets)
     nodes = _fields("point_data", point_data, mesh.n_points)
-    name = _format(target, _MESH_FORMATS)
-    if name == "abaqus" and (cells or nodes):
-        raise FileError(f"'{target}': .inp files cannot hold fields; write .vtu or .msh instead.")
-    import meshio
-
-    content = meshio.Mesh(
-        np.array(mesh.points),
-        [("tetra", np.array(mesh.tets))],
-        point_data=nodes,
-        cell_data={key: [values] for key, values in cells.items()},
-    )
-    _write(target, name, content)
+    if _format(path, _MESH_FORMATS) == "abaqus" and (cells or nodes):
+        raise FileError(f"'{path}': .inp files cannot hold fields; write .vtu or .msh instead.")
+    blocks = [("tetra", np.array(mesh.tets))]
+    data = {key: [values] for key, values in cells.items()}
+    _write(path, _MESH_FORMATS, np.array(mesh.points), blocks, point_data=nodes, cell_data=data)
 
 
-def read_surface(
-    path: str | Path, unit: str = "mm"
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "k 3"]]:
+def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]:
     """Read a triangle surface from .stl, .obj or .ply.
 
     Vertices with equal coordinates are merged, as STL stores the vertices of each triangle
-    separately; quadrangles are halved. Vertices keep the order of the file.
-
-    Args:
-        path: Path of the file.
-        unit: Length unit of the file: "mm", "cm" or "m".
+    separately; quadrangles are halved. Vertices keep the order of the file. See `read_mesh` for the
+    unit.
 
     Returns:
         Vertices in mm and triangles, ready for `tetrahedralize`.
@@ -131,39 +108,28 @@ def read_surface(
     Raises:
         FileError: The file is missing, damaged or of an unknown format.
         MeshError: The file contains no triangles, polygons of more than four sides, or
-            non-finite coordinates. Every message names the file.
-        ConfigError: The unit is unknown.
-
-    Warns:
-        UserWarning: The object is implausibly small or large; the likely unit is named.
+            non-finite coordinates.
     """
-    scale = _mm_per(unit)
-    source = require_file(path, "Surface")
+    scale, source = _mm_per(unit), require_file(path, "Surface")
     content = _read(source, _SURFACE_FORMATS)
     with _naming(source):
-        vertices, triangles = _merged(as_points(content.points, "vertices"), _triangles(content))
+        vertices = as_points(content.points, "vertices")
+        faces = as_cells(_triangles(content), 3, len(vertices), "triangles")
+        _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+        vertices, triangles, _ = compact(vertices, first[same.reshape(-1)][faces])
     _warn_of_unit(f"Surface '{source}'", bounding_diagonal(vertices) * scale, unit)
     return vertices * scale, triangles
 
 
 def write_surface(path: str | Path, vertices: Rows, triangles: Rows) -> None:
-    """Write a triangle surface, in mm, to .stl, .obj or .ply; the file is replaced atomically.
-
-    Raises:
-        FileError: The format is unknown or the file cannot be written.
-        MeshError: The arrays are not a surface.
-    """
-    target = Path(path)
-    name = _format(target, _SURFACE_FORMATS)
+    """Write a triangle surface, in mm, to .stl, .obj or .ply; the file is replaced atomically."""
     points = as_points(vertices, "vertices")
-    faces = as_cells(triangles, 3, len(points), "triangles")
-    import meshio
-
-    _write(target, name, meshio.Mesh(points, [("triangle", faces.astype(np.int32))]))
+    faces = as_cells(triangles, 3, len(points), "triangles").astype(np.int32)
+    _write(path, _SURFACE_FORMATS, points, [("triangle", faces)])
 
 
-def _format(path: Path, formats: Mapping[str, str]) -> str:
-    suffix = path.suffix.lower()
+def _format(path: str | Path, formats: Mapping[str, str]) -> str:
+    suffix = Path(path).suffix.lower()
     if suffix not in formats:
         raise FileError(
             f"'{path}' has the unknown suffix '{suffix}'; use one of {', '.join(formats)}."
@@ -181,8 +147,6 @@ def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
         if name == "obj":
             content = meshio.Mesh(*_read_obj(path))
         else:
-            if name == "ply" and b"\nend_header" not in path.read_bytes():
-                raise ValueError("its header has no end")  # meshio reads on forever
             content = importlib.import_module(f"meshio.{name}").read(str(path))
     if not len(content.points):
         raise FileError(f"'{path}' contains no points: it is empty, or not of the {name} format.")
@@ -208,11 +172,20 @@ def _check_header(path: Path, name: str) -> None:
             start += 20 + 32 * nodes
 
 
-def _write(path: Path, name: str, content: "meshio.Mesh") -> None:
+def _write(
+    path: str | Path,
+    formats: Mapping[str, str],
+    points: NDArray,
+    blocks: list[tuple[str, NDArray]],
+    **data: Any,
+) -> None:
+    import meshio
+
+    name = _format(path, formats)
     options = {"binary": True} if name == "stl" else {}
     writer = importlib.import_module(f"meshio.{name}")
     with _meshio(f"'{path}' cannot be written as {name}"), atomic_path(path) as temporary:
-        writer.write(str(temporary), content, **options)
+        writer.write(str(temporary), meshio.Mesh(points, blocks, **data), **options)
 
 
 @contextlib.contextmanager
@@ -248,10 +221,11 @@ def _naming(path: Path) -> Iterator[None]:
 
 def _solid_cells(content: "meshio.Mesh") -> NDArray:
     tets = [block.data for block in content.cells if block.type == "tetra" and len(block.data)]
-    solid = {b.type for b in content.cells if b.dim == 3 and b.type != "tetra"}
-    others = ", ".join(sorted(solid))
-    if others:
-        raise MeshError(f"it contains solid elements other than 4-node tetrahedra: {others}.")
+    solid = sorted({b.type for b in content.cells if b.dim == 3 and b.type != "tetra"})
+    if solid:
+        raise MeshError(
+            f"it contains solid elements other than 4-node tetrahedra: {', '.join(solid)}."
+        )
     if not tets:
         types = ", ".join(sorted({b.type for b in content.cells})) or "no cells"
         raise MeshError(
@@ -276,16 +250,6 @@ def _triangles(content: "meshio.Mesh") -> NDArray:
     if not triangles:
         raise MeshError("it contains no triangles.")
     return np.concatenate(triangles)
-
-
-def _merged(
-    vertices: Float[np.ndarray, "n 3"], triangles: NDArray
-) -> tuple[Float[np.ndarray, "r 3"], Int[np.ndarray, "k 3"]]:
-    """Merge vertices of equal coordinates, and drop those that no triangle uses."""
-    faces = as_cells(triangles, 3, len(vertices), "triangles")
-    _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    points, cells, _ = compact(vertices, first[same.reshape(-1)][faces])
-    return points, cells
 
 
 def _fields(what: str, data: Mapping[str, Rows] | None, rows: int) -> dict[str, NDArray]:
@@ -324,18 +288,11 @@ def _warn_of_unit(what: str, diagonal_mm: float, unit: str) -> None:
     )
 
 
-def _read_obj(path: Path) -> tuple[Float[np.ndarray, "n 3"], list[tuple[str, NDArray]]]:
-    """Read vertices and faces of a Wavefront .obj file; other content is ignored.
+def _read_obj(path: Path) -> tuple[Points, list[tuple[str, NDArray]]]:
+    """Read vertices and runs of faces of one kind of a Wavefront .obj file, in its order.
 
     meshio refuses files whose texture or normal lists differ in length from the vertex list, which
     is most files that have any.
-
-    Returns:
-        Vertices, and runs of faces of one kind in the order of the file: "triangle", "quad" or
-        "polygon", with indices from 0.
-
-    Raises:
-        ValueError: A line is invalid; the message gives its number.
     """
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
@@ -348,17 +305,14 @@ def _read_obj(path: Path) -> tuple[Float[np.ndarray, "n 3"], list[tuple[str, NDA
                         raise ValueError(f"a vertex needs three coordinates, not {len(fields)}")
                     vertices.append([float(field) for field in fields[:3]])
                 elif key == "f":
-                    faces.append([_obj_index(field, len(vertices)) for field in fields])
+                    # Vertices count from 1, or back from the latest from -1.
+                    indices = [int(field.split("/")[0]) for field in fields]
+                    for index in indices:
+                        if index == 0 or index < -len(vertices):
+                            raise ValueError(f"there is no vertex {index}")
+                    faces.append([i - 1 if i > 0 else len(vertices) + i for i in indices])
             except ValueError as error:
                 raise ValueError(f"line {number}: {error}") from error
     kinds = {3: "triangle", 4: "quad"}
     runs = [(kinds.get(n, "polygon"), np.array(list(run))) for n, run in groupby(faces, key=len)]
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), runs
-
-
-def _obj_index(field: str, count: int) -> int:
-    """Read `vertex/texture/normal`; vertices count from 1, or back from the latest from -1."""
-    index = int(field.split("/")[0])
-    if index == 0 or index < -count:
-        raise ValueError(f"there is no vertex {index}")
-    return index - 1 if index > 0 else count + index

@@ -1,4 +1,4 @@
-"""Tetrahedral meshing of closed surfaces (fTetWild, through pytetwild), with a cache on disk."""
+"""Tetrahedral meshing of shapes and closed surfaces (fTetWild, through pytetwild), with a cache."""
 
 import hashlib
 import importlib.util
@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError, MeshError, TactorchError
-from tactorch.files import atomic_path, cache_folder
+from tactorch.files import cache_folder, read_arrays, write_arrays
 from tactorch.mesh.checks import closed_surface
 from tactorch.mesh.geometry import (
     bounding_box,
@@ -21,14 +20,54 @@ from tactorch.mesh.geometry import (
     enclosed_volume,
     surface_area,
 )
+from tactorch.mesh.shapes import Box, Shape
+from tactorch.mesh.structured import box_mesh
 from tactorch.mesh.tetmesh import TetMesh, compact
-from tactorch.mesh.values import Real, Rows, positive
+from tactorch.mesh.values import Points, Real, Rows, Tets, Triangles, positive
 
 logger = logging.getLogger(__name__)
 
 #: A larger expected number of elements indicates a mistake in the edge length.
 MAX_ELEMENTS = 5_000_000
+#: The same for the cells of a structured mesh.
+MAX_CELLS = 1_000_000
+GENERATORS = ("auto", "structured", "tetwild")
+# Mean edge of a cube divided into five tetrahedra, per side: as many sides as diagonals.
+_MEAN_EDGE = (1.0 + np.sqrt(2.0)) / 2.0
 _WORKER = Path(__file__).with_name("_tetwild_worker.py")
+
+
+def mesh_shape(
+    shape: Shape,
+    edge_length_mm: Real | None,
+    relative_edge_length: Real,
+    generator: str,
+    inner: Sequence[Shape] = (),
+    cache: bool = True,
+) -> TetMesh:
+    """Mesh a shape, conforming to the surfaces of `inner` shapes; see `Phantom.mesh`."""
+    if generator not in GENERATORS:
+        raise ConfigError(f"generator={generator!r}: choose one of {', '.join(GENERATORS)}.")
+    diagonal = bounding_diagonal(shape.bounds())
+    length = _edge_length(edge_length_mm, relative_edge_length, diagonal)
+    if generator == "structured" and inner:
+        raise ConfigError("generator='structured' cannot follow inclusions; use 'tetwild'.")
+    if generator == "tetwild" or inner or (generator == "auto" and not isinstance(shape, Box)):
+        surfaces = [part.surface() for part in inner]
+        return tetrahedralize(*shape.surface(), length, inner=surfaces, cache=cache)
+    if not isinstance(shape, Box):
+        raise ConfigError(
+            f"generator='structured' meshes boxes only, not a {type(shape).__name__};"
+            " use 'tetwild' or 'auto'."
+        )
+    # The subtraction keeps rounding from adding a layer of cells.
+    counts = np.ceil(np.array(shape.size_mm) * _MEAN_EDGE / length - 1e-9).clip(1)
+    if np.prod(counts) > MAX_CELLS:
+        raise ConfigError(
+            f"An edge length of {length:.4g} mm would take {np.prod(counts):.2g} cells"
+            f" (limit {MAX_CELLS:.0e}); choose a larger one, and check the units."
+        )
+    return box_mesh(shape.size_mm, counts.astype(int), center_mm=shape.center_mm, tets_per_cell=5)
 
 
 def tetrahedralize(
@@ -66,31 +105,52 @@ def tetrahedralize(
             meshing fails, loses part of the volume or returns degenerate elements.
         ConfigError: A setting has an invalid value, or pytetwild is not installed.
     """
-    points, faces = closed_surface(vertices, triangles)
-    points, faces, _ = compact(points, faces)
-    diagonal = bounding_diagonal(points)
+    points, faces, _ = compact(*closed_surface(vertices, triangles))
+    diagonal, volume = bounding_diagonal(points), enclosed_volume(points, faces)
     length = _edge_length(edge_length_mm, relative_edge_length, diagonal)
+    if length > diagonal:
+        raise ConfigError(
+            f"The edge length {length:.4g} mm exceeds the object's diagonal {diagonal:.4g} mm;"
+            " choose a smaller one, and check the units of the surface."
+        )
     tolerance = positive("epsilon", epsilon)
-    volume = enclosed_volume(points, faces)
-    _check_count(volume, length)
+    expected = volume / (0.118 * length**3)  # regular tetrahedra
+    if expected > MAX_ELEMENTS:
+        raise ConfigError(
+            f"An edge length of {length:.4g} mm would take about {expected:.2g} elements"
+            f" (limit {MAX_ELEMENTS:.0e}); choose a larger one, and check the units."
+        )
     all_points, all_faces = _with_inner(points, faces, inner)
-    key = _key(all_points, all_faces, length, tolerance)
-    mesh = _load_cached(key) if cache else None
+    digest = hashlib.sha256(f"tetwild 1 {len(all_points)} {length!r} {tolerance!r} ".encode())
+    digest.update(all_points.astype("<f8").tobytes())
+    digest.update(all_faces.astype("<i8").tobytes())
+    path = cache_folder() / "meshes" / f"{digest.hexdigest()}.npz"
+    mesh = _load_cached(path) if cache else None
     if mesh is None:
         mesh = _validated(*_run_tetwild(all_points, all_faces, length, tolerance))
         # The result stays within epsilon of the surface, so this much volume may differ.
-        _check_volume(mesh, volume, 2 * tolerance * diagonal * surface_area(points, faces))
+        allowed = 2 * tolerance * diagonal * surface_area(points, faces)
+        if abs(mesh.volumes.sum() - volume) > allowed:
+            raise MeshError(
+                f"The mesh fills {mesh.volumes.sum():.4g} mm^3 where the surface encloses"
+                f" {volume:.4g} mm^3: the surface intersects itself, or has parts thinner than"
+                " epsilon. Repair it, or choose a smaller epsilon."
+            )
         logger.info("Meshed: %r, target edge length %.4g mm.", mesh, length)
         if cache:
-            _store_cached(key, mesh)
+            _store_cached(path, mesh)
     return mesh
 
 
+def _edge_length(edge_length_mm: Real | None, relative: Real, diagonal: float) -> float:
+    if edge_length_mm is None:
+        return positive("relative_edge_length", relative) * diagonal
+    return positive("edge_length_mm", edge_length_mm)
+
+
 def _with_inner(
-    points: Float[np.ndarray, "n 3"],
-    faces: Int[np.ndarray, "k 3"],
-    inner: Sequence[tuple[Rows, Rows]],
-) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "q 3"]]:
+    points: Points, faces: Triangles, inner: Sequence[tuple[Rows, Rows]]
+) -> tuple[np.ndarray, np.ndarray]:
     """Append closed surfaces, which must be inside, to the outer one."""
     all_points, all_faces, count = [points], [faces], len(points)
     low, high = bounding_box(points)
@@ -108,51 +168,15 @@ def _with_inner(
     return np.concatenate(all_points), np.concatenate(all_faces)
 
 
-def _edge_length(edge_length_mm: Real | None, relative: Real, diagonal: float) -> float:
-    if edge_length_mm is None:
-        length = positive("relative_edge_length", relative) * diagonal
-    else:
-        length = positive("edge_length_mm", edge_length_mm)
-    if length > diagonal:
-        raise ConfigError(
-            f"The edge length {length:.4g} mm exceeds the object's diagonal {diagonal:.4g} mm;"
-            " choose a smaller one, and check the units of the surface."
-        )
-    return length
-
-
-def _check_count(volume: float, length: float) -> None:
-    expected = volume / (0.118 * length**3)  # regular tetrahedra
-    if expected > MAX_ELEMENTS:
-        raise ConfigError(
-            f"An edge length of {length:.4g} mm would take about {expected:.2g} elements"
-            f" (limit {MAX_ELEMENTS:.0e}); choose a larger one, and check the units."
-        )
-
-
-def _key(
-    points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "k 3"], length: float, epsilon: float
-) -> str:
-    digest = hashlib.sha256(f"tetwild 1 {len(points)} {length!r} {epsilon!r} ".encode())
-    digest.update(points.astype("<f8").tobytes())
-    digest.update(faces.astype("<i8").tobytes())
-    return digest.hexdigest()
-
-
 def _run_tetwild(
-    points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "k 3"], length: float, epsilon: float
-) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "m 4"]]:
+    points: Points, faces: Triangles, length: float, epsilon: float
+) -> tuple[np.ndarray, np.ndarray]:
     if importlib.util.find_spec("pytetwild") is None:
         raise ConfigError("Meshing a surface needs pytetwild: pip install pytetwild.")
     with tempfile.TemporaryDirectory(prefix="tactorch-") as folder:
         source, target = Path(folder, "surface.npz"), Path(folder, "tets.npz")
-        np.savez(
-            source,
-            vertices=points,
-            triangles=faces.astype(np.int32),
-            edge_length_mm=length,
-            epsilon=epsilon,
-        )
+        surface = {"vertices": points, "triangles": faces.astype(np.int32)}
+        write_arrays(source, {**surface, "edge_length_mm": length, "epsilon": epsilon})
         # -P: keeps the worker's folder off the module search path.
         process = subprocess.run(
             [sys.executable, "-P", str(_WORKER), str(source), str(target)],
@@ -163,18 +187,16 @@ def _run_tetwild(
             check=False,
         )
         if process.returncode or not target.is_file():
-            reason = (
-                process.stderr.strip() or process.stdout.strip() or "no message"
-            ).splitlines()[-1]
+            output = process.stderr.strip() or process.stdout.strip() or "no message"
             raise MeshError(
                 f"fTetWild could not mesh the surface of {len(faces)} triangles"
-                f" (exit status {process.returncode}): {reason}"
+                f" (exit status {process.returncode}): {output.splitlines()[-1]}"
             )
         with np.load(target) as result:
             return result["points"], result["tets"]
 
 
-def _validated(points: Float[np.ndarray, "p 3"], tets: Int[np.ndarray, "m 4"]) -> TetMesh:
+def _validated(points: Points, tets: Tets) -> TetMesh:
     """Drop unreferenced points, reorient and check the elements."""
     if not len(tets):
         raise MeshError(
@@ -193,47 +215,25 @@ def _validated(points: Float[np.ndarray, "p 3"], tets: Int[np.ndarray, "m 4"]) -
         ) from error
 
 
-def _check_volume(mesh: TetMesh, expected: float, allowed: float) -> None:
-    volume = float(mesh.volumes.sum())
-    if abs(volume - expected) > allowed:
-        raise MeshError(
-            f"The mesh fills {volume:.4g} mm^3 where the surface encloses {expected:.4g} mm^3:"
-            " the surface intersects itself, or has parts thinner than epsilon. Repair it, or"
-            " choose a smaller epsilon."
-        )
-
-
-def _load_cached(key: str) -> TetMesh | None:
-    """Return the mesh stored under `key`; None if it is missing or damaged."""
-    path = _cache_path(key)
+def _load_cached(path: Path) -> TetMesh | None:
+    """Return a stored mesh; None if it is missing or damaged."""
     if not path.is_file():
         return None
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            mesh = TetMesh(stored["points"], stored["tets"])
-            digest = str(stored["content_hash"])
-    except Exception as error:  # damaged archives raise errors of many types
+        stored = read_arrays(path, "Cached mesh", "it is computed again.")
+        mesh = TetMesh(stored["points"], stored["tets"])
+        if str(stored["content_hash"]) != mesh.content_hash():
+            raise MeshError("Its content does not match its hash.")
+    except (KeyError, TactorchError) as error:
         logger.warning("Ignoring the damaged cached mesh '%s': %s", path, error)
-        return None
-    if digest != mesh.content_hash():
-        logger.warning("Ignoring the cached mesh '%s': its content does not match its hash.", path)
         return None
     return mesh
 
 
-def _store_cached(key: str, mesh: TetMesh) -> None:
-    """Store the mesh under `key`; failure to write is logged only."""
+def _store_cached(path: Path, mesh: TetMesh) -> None:
+    """Store a mesh; failure to write is logged only."""
+    arrays = {"points": mesh.points, "tets": mesh.tets, "content_hash": mesh.content_hash()}
     try:
-        with atomic_path(_cache_path(key)) as temporary:
-            np.savez_compressed(
-                temporary,
-                points=mesh.points,
-                tets=mesh.tets,
-                content_hash=np.array(mesh.content_hash()),
-            )
+        write_arrays(path, arrays, compressed=True)
     except (OSError, TactorchError) as error:
         logger.warning("The mesh could not be cached in '%s': %s", cache_folder(), error)
-
-
-def _cache_path(key: str) -> Path:
-    return cache_folder() / "meshes" / f"{key}.npz"

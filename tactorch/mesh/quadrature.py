@@ -18,15 +18,12 @@ def lattice(samples: int) -> Float[np.ndarray, "p 4"]:
     There are `samples` points along an edge, samples (samples + 1) (samples + 2) / 6 in all: the
     centroid alone for 1, four for 2, ten for 3. The margin to the faces makes the mean of a
     quadratic exact; for 2 this is the four-point Gauss rule.
-
-    Raises:
-        ConfigError: `samples` is below 1.
     """
     if samples < 1:
         raise ConfigError(f"samples={samples} must be at least 1.")
     n = samples - 1
-    r = range(samples)
-    counts = np.array([(i, j, k, n - i - j - k) for i in r for j in r for k in r])
+    ijk = np.indices((samples,) * 3).reshape(3, -1).T
+    counts = np.column_stack((ijk, n - ijk.sum(axis=1)))
     counts = counts[counts[:, 3] >= 0]
     # The positive root of margin^2 + n margin / 2 = n / 4 makes the mean of L^2 one tenth.
     margin = (np.sqrt(0.25 * n * n + n) - 0.5 * n) / 2.0 if n else 0.25
@@ -38,13 +35,7 @@ def element_means(
     values_at: Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]],
     samples: int,
 ) -> Float[np.ndarray, " m"]:
-    """Return the mean of a field over each element.
-
-    Args:
-        mesh: Mesh of m elements.
-        values_at: Values of the field at points, mm.
-        samples: Number of points along an edge, see `lattice`.
-    """
+    """Return the mean of a field over each element, from `samples` points along an edge."""
     weights = lattice(samples)
     means = np.empty(mesh.n_tets)
     step = max(1, _MAX_POINTS // len(weights))

@@ -34,35 +34,35 @@ def box_mesh(
 
     Returns:
         The mesh; node (ix, iy, iz) has index (ix (ny + 1) + iy) (nz + 1) + iz.
-
-    Raises:
-        ConfigError: A value is invalid.
     """
-    size = np.array(sizes("size_mm", size_mm))
-    counts = _counts(divisions)
-    origin = _origin(size, origin_mm, center_mm)
+    size, origin = np.array(sizes("size_mm", size_mm)), np.zeros(3)
+    if origin_mm is not None and center_mm is not None:
+        raise ConfigError("Give origin_mm or center_mm, not both.")
+    if origin_mm is not None:
+        origin = np.array(vector("origin_mm", origin_mm))
+    if center_mm is not None:
+        origin = np.array(vector("center_mm", center_mm)) - size / 2
+    three = np.asarray(divisions)
+    three = np.broadcast_to(three, 3) if three.ndim == 0 else three
+    if three.shape != (3,) or three.dtype.kind not in "iu" or three.min() < 1:
+        raise ConfigError(f"divisions={divisions!r} must be one or three positive integers.")
+    counts = three.tolist()
     axes = [o + s * np.arange(n + 1) / n for o, s, n in zip(origin, size, counts, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    cells, odd = _cells(counts)
+    # The eight nodes of each cell, from its index (ix, iy, iz).
+    cells = np.indices(counts).reshape(3, -1).T
+    strides = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
+    nodes = (cells @ strides)[:, None] + np.indices((2, 2, 2)).reshape(3, -1).T @ strides
     if tets_per_cell == 6:
-        tets = cells[:, _six()]
+        tets = nodes[:, _six()]
     elif tets_per_cell == 5:
         # 7 - corner mirrors a cell through its centre: diagonals of neighbours then agree.
         mirrored = 7 - _FIVE[:, [0, 1, 3, 2]]
-        tets = np.where(odd[:, None, None], cells[:, mirrored], cells[:, _FIVE])
+        odd = cells.sum(axis=1) % 2 == 1
+        tets = np.where(odd[:, None, None], nodes[:, mirrored], nodes[:, _FIVE])
     else:
         raise ConfigError(f"tets_per_cell={tets_per_cell} must be 5 or 6.")
     return TetMesh.create(points, tets.reshape(-1, 4))
-
-
-def _cells(
-    counts: tuple[int, int, int],
-) -> tuple[Int[np.ndarray, "c 8"], np.ndarray]:
-    """Return the eight nodes of each cell, and whether ix + iy + iz is odd."""
-    index = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), -1).reshape(-1, 3)
-    strides = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
-    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]) @ strides
-    return (index @ strides)[:, None] + corners, index.sum(axis=1) % 2 == 1
 
 
 def _six() -> Int[np.ndarray, "6 4"]:
@@ -73,19 +73,3 @@ def _six() -> Int[np.ndarray, "6 4"]:
     odd = [(a < b) ^ (b < c) ^ (a < c) for a, b, c in permutations(steps)]
     paths[odd] = paths[odd][:, [0, 1, 3, 2]]
     return paths
-
-
-def _counts(divisions: int | Sequence[int] | np.ndarray) -> tuple[int, int, int]:
-    array = np.asarray(divisions)
-    three = np.broadcast_to(array, 3) if array.ndim == 0 else array
-    if three.shape != (3,) or three.dtype.kind not in "iu" or three.min() < 1:
-        raise ConfigError(f"divisions={divisions!r} must be one or three positive integers.")
-    return (int(three[0]), int(three[1]), int(three[2]))
-
-
-def _origin(size: np.ndarray, origin_mm: Vector | None, center_mm: Vector | None) -> np.ndarray:
-    if center_mm is None:
-        return np.array(vector("origin_mm", (0.0, 0.0, 0.0) if origin_mm is None else origin_mm))
-    if origin_mm is not None:
-        raise ConfigError("Give origin_mm or center_mm, not both.")
-    return np.array(vector("center_mm", center_mm)) - size / 2

@@ -19,7 +19,7 @@ from tactorch.mesh.topology import (
     match_edges,
     match_faces,
 )
-from tactorch.mesh.values import Real, Rows
+from tactorch.mesh.values import Corners, Points, Real, Rows, Tets
 
 logger = logging.getLogger(__name__)
 
@@ -42,8 +42,8 @@ class TetMesh:
         tets: Node indices of each element, positively oriented, int64.
     """
 
-    points: Float[np.ndarray, "n 3"]
-    tets: Int[np.ndarray, "m 4"]
+    points: Points
+    tets: Tets
 
     def __post_init__(self) -> None:
         points = as_points(self.points)
@@ -55,19 +55,10 @@ class TetMesh:
 
     @classmethod
     def create(cls, points: Rows, tets: Rows, repair: bool = True) -> "TetMesh":
-        """Build a mesh from array-likes.
+        """Build a mesh from array-likes of shape (n, 3) and (m, 4).
 
-        Args:
-            points: (n, 3) node positions, mm.
-            tets: (m, 4) node indices.
-            repair: Whether to swap the last two vertices of inverted elements rather than
-                refuse them. The order of nodes and elements is kept.
-
-        Returns:
-            The mesh.
-
-        Raises:
-            MeshError: The mesh is invalid; the message names the nodes or elements.
+        `repair` swaps the last two vertices of inverted elements rather than refusing them. The
+        order of nodes and elements is kept.
         """
         nodes = as_points(points)
         cells = as_cells(tets, 4, len(nodes))
@@ -107,7 +98,7 @@ class TetMesh:
         return frozen(self.points[self.tets].mean(axis=1))
 
     @cached_property
-    def bounds(self) -> Float[np.ndarray, "2 3"]:
+    def bounds(self) -> Corners:
         """Lowest and highest corner of the bounding box, mm."""
         return frozen(bounding_box(self.points))
 
@@ -119,19 +110,17 @@ class TetMesh:
     @cached_property
     def surface(self) -> Surface:
         """Boundary triangles, oriented outward."""
-        owners, local = np.divmod(self._faces.boundary, 4)
-        triangles = self.tets[owners[:, None], LOCAL_FACES[local]]
+        triangles = self._triangles(self._faces.boundary)
         vectors = area_vectors(self.points, triangles)
         areas = np.linalg.norm(vectors, axis=1)
-        normals = vectors / areas[:, None]
-        return Surface(frozen(triangles), frozen(normals), frozen(areas), frozen(owners))
+        arrays = triangles, vectors / areas[:, None], areas, self._faces.boundary // 4
+        return Surface(*map(frozen, arrays))
 
     @cached_property
     def adjacency(self) -> Adjacency:
         """Pairs of elements that share a face."""
         pairs = self._faces.pairs // 4
-        owners, local = np.divmod(self._faces.pairs[:, 0], 4)
-        shared = self.tets[owners[:, None], LOCAL_FACES[local]]
+        shared = self._triangles(self._faces.pairs[:, 0])
         areas = np.linalg.norm(area_vectors(self.points, shared), axis=1)
         offsets = self.centroids[pairs[:, 0]] - self.centroids[pairs[:, 1]]
         return Adjacency(frozen(pairs), frozen(areas), frozen(np.linalg.norm(offsets, axis=1)))
@@ -164,26 +153,22 @@ class TetMesh:
     def _faces(self) -> FaceMatch:
         return match_faces(self.tets, self.n_points)
 
+    def _triangles(self, faces: Int[np.ndarray, " k"]) -> Int[np.ndarray, "k 3"]:
+        """Nodes of flat faces, see `FaceMatch`."""
+        return self.tets[faces[:, None] // 4, LOCAL_FACES[faces % 4]]
+
     @cached_property
     def _edges(self) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "m 6"]]:
-        edges, tet_edges = match_edges(self.tets, self.n_points)
-        return frozen(edges), frozen(tet_edges)
+        return match_edges(self.tets, self.n_points)
 
 
 def compact(
     points: Rows, cells: Rows
 ) -> tuple[Float[np.ndarray, "r 3"], Int[np.ndarray, "m w"], Int[np.ndarray, " r"]]:
-    """Drop the points that no cell uses, and renumber the cells; the order is kept.
-
-    Args:
-        points: (n, 3) positions.
-        cells: (m, w) indices: tetrahedra or triangles.
+    """Drop the points (n, 3) that no cell (m, w) uses, and renumber the cells; order is kept.
 
     Returns:
         The remaining points, the renumbered cells, and the old index of each remaining point.
-
-    Raises:
-        MeshError: An array has a wrong shape, or an index is out of range.
     """
     nodes = as_points(points)
     width = np.shape(cells)[-1] if np.ndim(cells) == 2 else 4
@@ -205,7 +190,6 @@ def select_face(mesh: TetMesh, name: str, tolerance: Real = 2e-3) -> Int[np.ndar
         Ascending indices into `mesh.surface.triangles`; at least one.
 
     Raises:
-        ConfigError: The name or the tolerance is invalid.
         MeshError: No triangle is on that side: the object is round there.
     """
     if name not in FACE_NAMES:

@@ -1,16 +1,18 @@
 """Faces and edges of tetrahedra: matching, boundary and adjacency, vectorised over all elements."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
+
+from tactorch.mesh.geometry import frozen
+from tactorch.mesh.values import Tets, Triangles
 
 #: Face `i` is opposite vertex `i`; counter-clockwise from outside a positive tetrahedron.
-LOCAL_FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
+LOCAL_FACES = frozen(np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]))
 #: The six edges, in the order of `TetMesh.tet_edges`.
-LOCAL_EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
-LOCAL_FACES.setflags(write=False)
-LOCAL_EDGES.setflags(write=False)
+LOCAL_EDGES = frozen(np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +26,7 @@ class Surface:
         owners: Index of the tetrahedron that each triangle belongs to.
     """
 
-    triangles: Int[np.ndarray, "k 3"]
+    triangles: Triangles
     normals: Float[np.ndarray, "k 3"]
     areas: Float[np.ndarray, " k"]
     owners: Int[np.ndarray, " k"]
@@ -49,15 +51,14 @@ class Adjacency:
     distances: Float[np.ndarray, " f"]
 
 
-@dataclass(frozen=True, eq=False)
-class FaceMatch:
-    """Result of `match_faces`. Flat face `4 * tet + i` is opposite local vertex `i`.
+class FaceMatch(NamedTuple):
+    """Matched element faces; flat face `4 * tet + i` is opposite local vertex `i`.
 
     Attributes:
-        boundary: Flat faces of one element only, ascending.
-        pairs: Flat faces that coincide, one row per shared face, sorted by elements (i, j), i < j.
-        crowded: Flat faces shared by three or more elements; empty in a valid mesh.
-        folded: Flat faces of `pairs` whose two elements are on the same side of the face.
+        boundary: Faces of one element only, ascending.
+        pairs: Faces that coincide, one row per shared face, sorted by elements (i, j), i < j.
+        crowded: Faces shared by three or more elements; empty in a valid mesh.
+        folded: Faces of `pairs` whose two elements are on the same side of the face.
     """
 
     boundary: Int[np.ndarray, " k"]
@@ -66,7 +67,7 @@ class FaceMatch:
     folded: Int[np.ndarray, " g"]
 
 
-def match_faces(tets: Int[np.ndarray, "m 4"], n_points: int) -> FaceMatch:
+def match_faces(tets: Tets, n_points: int) -> FaceMatch:
     """Match the 4m element faces with one another."""
     faces = tets[:, LOCAL_FACES].reshape(-1, 3)
     keys = row_keys(np.sort(faces, axis=1), n_points)
@@ -77,24 +78,22 @@ def match_faces(tets: Int[np.ndarray, "m 4"], n_points: int) -> FaceMatch:
     first = np.flatnonzero(like_next & ~like_previous)
     pairs = np.column_stack((order[first], order[first + 1]))
     pairs = pairs[np.argsort(row_keys(pairs // 4, len(tets)))]
-    odd = _is_odd(faces)
+    # Seen from its two elements, a shared face must turn in opposite senses.
+    a, b, c = faces.T
+    odd = (a > b) ^ (a > c) ^ (b > c)
     return FaceMatch(
         boundary=np.sort(order[~like_previous & ~like_next]),
         pairs=pairs,
         crowded=np.sort(order[like_previous & like_next]),
-        # Seen from its two elements, a shared face must turn in opposite senses.
         folded=pairs[odd[pairs[:, 0]] == odd[pairs[:, 1]]].ravel(),
     )
 
 
-def match_edges(
-    tets: Int[np.ndarray, "m 4"], n_points: int
-) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "m 6"]]:
+def match_edges(tets: Tets, n_points: int) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "m 6"]]:
     """Return the unique edges (smaller node first, sorted) and the six edges of each element."""
     ends = np.sort(tets[:, LOCAL_EDGES].reshape(-1, 2), axis=1)
-    keys = row_keys(ends, n_points)
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    return ends[first], inverse.reshape(-1, 6)
+    _, first, inverse = np.unique(row_keys(ends, n_points), return_index=True, return_inverse=True)
+    return frozen(ends[first]), frozen(inverse.reshape(-1, 6))
 
 
 def row_keys(rows: Int[np.ndarray, "r w"], n_points: int) -> Int[np.ndarray, " r"]:
@@ -105,9 +104,3 @@ def row_keys(rows: Int[np.ndarray, "r w"], n_points: int) -> Int[np.ndarray, " r
     for column in rows.T[1:]:
         keys = keys * n_points + column
     return keys
-
-
-def _is_odd(faces: Int[np.ndarray, "r 3"]) -> Bool[np.ndarray, " r"]:
-    """Whether sorting each triple takes an odd number of swaps."""
-    a, b, c = faces.T
-    return (a > b) ^ (a > c) ^ (b > c)

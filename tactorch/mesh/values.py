@@ -1,10 +1,11 @@
-"""Validated numbers and vectors of shapes and generators."""
+"""Validated numbers and vectors of shapes and generators, and types of their arrays."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, field, fields
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
 
@@ -13,6 +14,10 @@ Rows = np.ndarray | Sequence[Any]
 #: Three numbers, likewise.
 Vector = np.ndarray | Sequence[Any]
 Real = float | int | np.floating | np.integer
+Points = Float[np.ndarray, "n 3"]
+Triangles = Int[np.ndarray, "k 3"]
+Tets = Int[np.ndarray, "m 4"]
+Corners = Float[np.ndarray, "2 3"]
 
 
 def vector(name: str, value: Vector) -> tuple[float, float, float]:
@@ -60,11 +65,7 @@ class Checked:
     """Base of frozen dataclasses whose `checked` fields are validated on construction."""
 
     def __post_init__(self) -> None:
-        """Convert every checked field.
-
-        Raises:
-            ConfigError: A value is invalid; the message names the field.
-        """
+        """Convert every checked field; a `ConfigError` names the field."""
         for declared in fields(self):  # type: ignore[arg-type]
             if check := declared.metadata.get("check"):
                 value = check(declared.name, getattr(self, declared.name))

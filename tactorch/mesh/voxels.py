@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh.locate import locate
@@ -14,15 +15,7 @@ from tactorch.mesh.tetmesh import TetMesh
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Bounding box of a mesh, divided into `count` voxels in each direction.
-
-    Attributes:
-        mesh: Body of m elements.
-        count: Number of voxels in each direction.
-
-    Raises:
-        ConfigError: The count is below 1.
-    """
+    """Bounding box of a mesh of m elements, divided into `count` voxels in each direction."""
 
     mesh: TetMesh
     count: int
@@ -52,8 +45,6 @@ class VoxelGrid:
     @cached_property
     def nearest(self) -> Int[np.ndarray, "v v v"]:
         """Element of nearest centroid for each voxel, inside the body or not."""
-        from scipy.spatial import cKDTree
-
         _, elements = cKDTree(self.mesh.centroids).query(self.centres.reshape(-1, 3))
         return elements.reshape(self.shape).astype(np.int64)
 

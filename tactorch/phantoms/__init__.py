@@ -3,8 +3,7 @@
 from tactorch.phantoms.background import Background, Gradient, Layers, RandomField
 from tactorch.phantoms.families import FAMILIES, RandomPhantom, draw_phantom
 from tactorch.phantoms.library import PHANTOMS, make_phantom
-from tactorch.phantoms.meshing import MeshSize
-from tactorch.phantoms.phantom import HOLE_MPA, Inclusion, Phantom
+from tactorch.phantoms.phantom import HOLE_MPA, Inclusion, MeshSize, Phantom
 
 __all__ = [
     "FAMILIES",

@@ -8,15 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
-from tactorch.mesh.values import (
-    Checked,
-    Real,
-    Vector,
-    checked,
-    positive,
-    unit_vector,
-    vector,
-)
+from tactorch.mesh.values import Checked, Real, Vector, checked, positive, unit_vector, vector
 
 _N_WAVES = 128
 
@@ -50,6 +42,17 @@ class Gradient(Checked):
         return self.low_mpa + position * (self.high_mpa - self.low_mpa)
 
 
+def _levels(name: str, values: Sequence[Real]) -> tuple[float, ...]:
+    levels = tuple(float(value) for value in values)
+    if not (np.isfinite(levels).all() and (np.diff(levels) > 0).all()):
+        raise ConfigError(f"{name}={list(levels)} must increase.")
+    return levels
+
+
+def _moduli(name: str, values: Sequence[Real]) -> tuple[float, ...]:
+    return tuple(positive(f"{name}[{i}]", value) for i, value in enumerate(values))
+
+
 @dataclass(frozen=True)
 class Layers(Checked):
     """Homogeneous layers across `axis`, separated at the increasing `levels_mm`.
@@ -60,23 +63,17 @@ class Layers(Checked):
         axis: Normal of the layers.
     """
 
-    levels_mm: Sequence[Real]
-    youngs_mpa: Sequence[Real]
+    levels_mm: Sequence[Real] = checked(_levels)
+    youngs_mpa: Sequence[Real] = checked(_moduli)
     axis: Vector = checked(unit_vector, (0.0, 0.0, 1.0))
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        levels = tuple(float(level) for level in self.levels_mm)
-        moduli = tuple(positive(f"youngs_mpa[{i}]", e) for i, e in enumerate(self.youngs_mpa))
-        if not (np.isfinite(levels).all() and (np.diff(levels) > 0).all()):
-            raise ConfigError(f"levels_mm={list(levels)} must increase.")
-        if len(moduli) != len(levels) + 1:
+        if len(self.youngs_mpa) != len(self.levels_mm) + 1:
             raise ConfigError(
-                f"youngs_mpa has {len(moduli)} moduli for {len(levels)} levels between layers;"
-                f" give {len(levels) + 1}."
+                f"youngs_mpa has {len(self.youngs_mpa)} moduli for {len(self.levels_mm)} levels"
+                f" between layers; give {len(self.levels_mm) + 1}."
             )
-        object.__setattr__(self, "levels_mm", levels)
-        object.__setattr__(self, "youngs_mpa", moduli)
 
     def at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return Young's modulus at points (mm), MPa."""

@@ -1,40 +1,20 @@
 """Shapes and backgrounds as plain dictionaries, for configuration files and provenance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+from tactorch import mesh
 from tactorch.errors import ConfigError
-from tactorch.mesh import (
-    Box,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Hemisphere,
-    Hyperboloid,
-    Lathe,
-    Rotated,
-    Sphere,
-    Torus,
-    Union,
-)
 from tactorch.phantoms.background import Gradient, Layers, RandomField
 
+_SHAPES = (
+    mesh.Box, mesh.Cone, mesh.Cylinder, mesh.Ellipsoid, mesh.Hemisphere, mesh.Hyperboloid,
+    mesh.Lathe, mesh.Rotated, mesh.Sphere, mesh.Torus, mesh.Union,
+)  # fmt: skip
 #: Classes by name, for each key that a dictionary gives the name under.
 CLASSES: dict[str, dict[str, type[Any]]] = {
-    "shape": {
-        "box": Box,
-        "cone": Cone,
-        "cylinder": Cylinder,
-        "ellipsoid": Ellipsoid,
-        "hemisphere": Hemisphere,
-        "hyperboloid": Hyperboloid,
-        "lathe": Lathe,
-        "rotated": Rotated,
-        "sphere": Sphere,
-        "torus": Torus,
-        "union": Union,
-    },
+    "shape": {cls.__name__.lower(): cls for cls in _SHAPES},
     "field": {"gradient": Gradient, "layers": Layers, "random": RandomField},
 }
 
@@ -43,9 +23,6 @@ def to_config(value: Any) -> dict[str, Any]:
     """Return a shape or background as `{"shape": name, field: number, list or shape, ...}`.
 
     Backgrounds have the key "field" in place of "shape".
-
-    Raises:
-        ConfigError: The class is none of `CLASSES`.
     """
     for key, classes in CLASSES.items():
         for name, cls in classes.items():
@@ -58,19 +35,13 @@ def to_config(value: Any) -> dict[str, Any]:
 def from_config(key: str, config: Any, where: str) -> Any:
     """Make a shape or background from what `to_config` returns; other fields have defaults.
 
-    Args:
-        key: "shape" or "field".
-        config: Dictionary.
-        where: Name of the dictionary in messages.
-
-    Raises:
-        ConfigError: The name or a field is unknown or missing, or a value is invalid.
+    `key` is "shape" or "field", and `where` is the name of the dictionary in messages.
     """
     values = as_mapping(config, where)
     name, classes = values.pop(key, None), CLASSES[key]
-    if name not in classes:
+    if not isinstance(name, str) or name not in classes:
         raise ConfigError(f"{where}: {key} is {name!r}; choose one of {', '.join(classes)}.")
-    refuse_unknown(values, {field.name for field in fields(classes[name])}, where)
+    values = as_mapping(values, where, {field.name for field in fields(classes[name])})
     arguments = {k: _nested(key, value, f"{where}.{k}") for k, value in values.items()}
     try:
         return classes[name](**arguments)
@@ -83,7 +54,7 @@ def from_config(key: str, config: Any, where: str) -> Any:
 def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
-    return to_config(value) if isinstance(value, tuple(CLASSES["shape"].values())) else value
+    return to_config(value) if isinstance(value, _SHAPES) else value
 
 
 def _nested(key: str, value: Any, where: str) -> Any:
@@ -95,17 +66,13 @@ def _nested(key: str, value: Any, where: str) -> Any:
     return value
 
 
-def as_mapping(config: Any, where: str) -> dict[str, Any]:
-    """Return a copy as a dictionary, or raise `ConfigError`."""
+def as_mapping(config: Any, where: str, known: Collection[str] = ()) -> dict[str, Any]:
+    """Return a copy as a dictionary, or raise `ConfigError`; `known` are the accepted keys."""
     if not isinstance(config, Mapping):
         raise ConfigError(f"{where} is {config!r}; give a dictionary.")
-    return dict(config)
-
-
-def refuse_unknown(values: Mapping[str, Any], known: set[str], where: str) -> None:
-    """Raise `ConfigError` for unknown keys, such as misspelt ones."""
-    unknown = sorted(str(key) for key in values if key not in known)
+    unknown = sorted(str(key) for key in config if known and key not in known)
     if unknown:
         raise ConfigError(
             f"{where}: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}."
         )
+    return dict(config)

@@ -29,11 +29,8 @@ def cube_body(side_mm: float) -> Box:
 def two_tiers(center: Vector, radius: Real, height: Real, axis: Vector = _UP) -> Union:
     """Return two coaxial cylinders of equal height, the upper half as wide (Fig. 4a); mm.
 
-    Args:
-        center: Centre of both tiers.
-        radius: Radius of the lower tier.
-        height: Height of both tiers together.
-        axis: Direction from the lower to the upper tier.
+    `center` and `height` are those of both tiers together; `radius` is that of the lower tier,
+    and `axis` points from it to the upper one.
     """
     up = np.array(unit_vector("axis", axis)) * float(height) / 4
     middle = np.array(vector("center", center))
@@ -50,17 +47,15 @@ class UniformCube(Options):
     side_mm: float = option(10.0, "Side of the cube", unit="mm", gt=0)
     youngs_mpa: float = option(_SOFT, "Young's modulus of the cube", unit="MPa", gt=0)
 
-    def scaled(self, *fractions: float) -> tuple[float, ...]:
-        """Return fractions of the side in mm."""
-        return tuple(self.side_mm * fraction for fraction in fractions)
-
-    def inclusions(self) -> list[tuple[Shape, float]]:
-        """Return pairs of a shape and its Young's modulus, MPa."""
-        return []
-
     def build(self) -> Phantom:
         """Return the phantom."""
-        return Phantom(cube_body(self.side_mm), self.inclusions(), self.youngs_mpa)
+        return Phantom(cube_body(self.side_mm), self._inclusions(), self.youngs_mpa)
+
+    def _inclusions(self) -> list[tuple[Shape, float]]:
+        return []
+
+    def _mm(self, *fractions: float) -> tuple[float, ...]:
+        return tuple(self.side_mm * fraction for fraction in fractions)
 
 
 @dataclass(frozen=True)
@@ -68,11 +63,10 @@ class _CubeWithInclusion(UniformCube, ABC):
     inclusion_mpa: float = option(_HARD, "Young's modulus of the inclusion", unit="MPa", gt=0)
 
     @abstractmethod
-    def shape(self) -> Shape:
-        """Return the inclusion's shape, mm."""
+    def _shape(self) -> Shape: ...
 
-    def inclusions(self) -> list[tuple[Shape, float]]:
-        return [(self.shape(), self.inclusion_mpa)]
+    def _inclusions(self) -> list[tuple[Shape, float]]:
+        return [(self._shape(), self.inclusion_mpa)]
 
 
 @dataclass(frozen=True)
@@ -82,8 +76,8 @@ class CubeSphere(_CubeWithInclusion):
     depth: float = option(0.5, "Depth of the ball's centre below the top, in sides")
     radius: float = option(0.2, "Radius of the ball, in sides", gt=0)
 
-    def shape(self) -> Shape:  # noqa: D102
-        return Sphere(self.scaled(0.5, 0.5, 1.0 - self.depth), self.radius * self.side_mm)
+    def _shape(self) -> Shape:
+        return Sphere(self._mm(0.5, 0.5, 1.0 - self.depth), *self._mm(self.radius))
 
 
 @dataclass(frozen=True)
@@ -116,8 +110,8 @@ class CubeBox(_CubeWithCenteredInclusion):
 
     size: Triple = option((0.4, 0.4, 0.4), "Edge lengths of the cuboid, in sides", gt=0)
 
-    def shape(self) -> Shape:  # noqa: D102
-        return Box(self.scaled(*self.center), self.scaled(*self.size))
+    def _shape(self) -> Shape:
+        return Box(self._mm(*self.center), self._mm(*self.size))
 
 
 @dataclass(frozen=True)
@@ -127,13 +121,9 @@ class CubeCylinder(_CubeWithAxialInclusion):
     radius: float = option(0.2, "Radius of the cylinder, in sides", gt=0)
     height: float = option(0.4, "Height of the cylinder, in sides", gt=0)
 
-    def shape(self) -> Shape:  # noqa: D102
-        return Cylinder(
-            self.scaled(*self.center),
-            self.radius * self.side_mm,
-            self.height * self.side_mm,
-            self.axis,
-        )
+    def _shape(self) -> Shape:
+        radius, height = self._mm(self.radius, self.height)
+        return Cylinder(self._mm(*self.center), radius, height, self.axis)
 
 
 @dataclass(frozen=True)
@@ -142,8 +132,8 @@ class CubeEllipsoid(_CubeWithCenteredInclusion):
 
     radii: Triple = option((0.3, 0.2, 0.15), "Semi-axes of the ellipsoid, in sides", gt=0)
 
-    def shape(self) -> Shape:  # noqa: D102
-        return Ellipsoid(self.scaled(*self.center), self.scaled(*self.radii))
+    def _shape(self) -> Shape:
+        return Ellipsoid(self._mm(*self.center), self._mm(*self.radii))
 
 
 @dataclass(frozen=True)
@@ -153,13 +143,9 @@ class CubeTwoTiers(_CubeWithAxialInclusion):
     radius: float = option(0.3, "Radius of the lower tier, in sides", gt=0)
     height: float = option(0.4, "Height of both tiers together, in sides", gt=0)
 
-    def shape(self) -> Shape:  # noqa: D102
-        return two_tiers(
-            self.scaled(*self.center),
-            self.radius * self.side_mm,
-            self.height * self.side_mm,
-            self.axis,
-        )
+    def _shape(self) -> Shape:
+        radius, height = self._mm(self.radius, self.height)
+        return two_tiers(self._mm(*self.center), radius, height, self.axis)
 
 
 @dataclass(frozen=True)
@@ -169,13 +155,9 @@ class CubeTorus(_CubeWithAxialInclusion):
     radius: float = option(0.25, "Major radius of the torus, in sides", gt=0)
     tube: float = option(0.1, "Minor radius of the torus, in sides", gt=0)
 
-    def shape(self) -> Shape:  # noqa: D102
-        return Torus(
-            self.scaled(*self.center),
-            self.radius * self.side_mm,
-            self.tube * self.side_mm,
-            self.axis,
-        )
+    def _shape(self) -> Shape:
+        radius, tube = self._mm(self.radius, self.tube)
+        return Torus(self._mm(*self.center), radius, tube, self.axis)
 
 
 @dataclass(frozen=True)
@@ -185,13 +167,9 @@ class CubeCone(_CubeWithAxialInclusion):
     radius: float = option(0.3, "Radius of the cone's base, in sides", gt=0)
     height: float = option(0.5, "Height of the cone, in sides", gt=0)
 
-    def shape(self) -> Shape:  # noqa: D102
-        return Cone(
-            self.scaled(*self.center),
-            self.radius * self.side_mm,
-            self.height * self.side_mm,
-            self.axis,
-        )
+    def _shape(self) -> Shape:
+        radius, height = self._mm(self.radius, self.height)
+        return Cone(self._mm(*self.center), radius, height, self.axis)
 
 
 @dataclass(frozen=True)
@@ -246,9 +224,9 @@ class DepthCube(_CubeWithInclusion):
         (0.0, 0.0), "Offset of the ball's centre along x and y, in sides"
     )
 
-    def shape(self) -> Shape:  # noqa: D102
+    def _shape(self) -> Shape:
         x, y = (0.5 + offset for offset in self.offset)
-        return Sphere(self.scaled(x, y, 1.0 - self.depth), 0.2 * self.side_mm)
+        return Sphere(self._mm(x, y, 1.0 - self.depth), *self._mm(0.2))
 
 
 @dataclass(frozen=True)
@@ -261,8 +239,8 @@ class SiliconeBall(_CubeWithCenteredInclusion):
     side_mm: float = option(15.0, "Side of the cube", unit="mm", gt=0)
     inclusion_mpa: float = option(2500.0, "Young's modulus of the ball", unit="MPa", gt=0)
 
-    def shape(self) -> Shape:  # noqa: D102
-        return Sphere(self.scaled(*self.center), 2.0)
+    def _shape(self) -> Shape:
+        return Sphere(self._mm(*self.center), 2.0)
 
 
 @dataclass(frozen=True)
@@ -272,5 +250,5 @@ class SiliconeHole(UniformCube):
     side_mm: float = option(15.0, "Side of the cube", unit="mm", gt=0)
     center: Triple = option((0.75, 0.75, 0.75), "Centre of the hole, in sides")
 
-    def inclusions(self) -> list[tuple[Shape, float]]:  # noqa: D102
-        return [(Sphere(self.scaled(*self.center), 2.0), HOLE_MPA)]
+    def _inclusions(self) -> list[tuple[Shape, float]]:
+        return [(Sphere(self._mm(*self.center), 2.0), HOLE_MPA)]

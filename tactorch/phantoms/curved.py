@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactorch.config import Options, option
-from tactorch.mesh import Cylinder, Hemisphere, Hyperboloid, Lathe, Sphere
+from tactorch.mesh import Cylinder, Hemisphere, Hyperboloid, Lathe, Shape, Sphere
 from tactorch.phantoms.background import RandomField
 from tactorch.phantoms.phantom import HOLE_MPA, Phantom
 
@@ -21,6 +21,9 @@ class _SoftBody(Options):
     youngs_mpa: float = option(0.2, "Young's modulus of the body", unit="MPa", gt=0)
     inclusion_mpa: float = option(1.0, "Young's modulus of the balls", unit="MPa", gt=0)
 
+    def _phantom(self, body: Shape, *balls: Sphere) -> Phantom:
+        return Phantom(body, [(ball, self.inclusion_mpa) for ball in balls], self.youngs_mpa)
+
 
 @dataclass(frozen=True)
 class _UprightCylinder(_SoftBody):
@@ -28,7 +31,7 @@ class _UprightCylinder(_SoftBody):
     height_mm: float = option(10.0, "Height of the cylinder", unit="mm", gt=0)
 
     @property
-    def body(self) -> Cylinder:
+    def _body(self) -> Cylinder:
         radius = self.diameter_mm / 2
         return Cylinder((radius, radius, self.height_mm / 2), radius, self.height_mm)
 
@@ -44,7 +47,7 @@ class CylinderSphere(_UprightCylinder):
         """Return the phantom."""
         wide, high = self.diameter_mm, self.height_mm
         ball = Sphere((wide / 2, wide / 2, high * (1.0 - self.depth)), self.radius * wide)
-        return Phantom(self.body, [(ball, self.inclusion_mpa)], self.youngs_mpa)
+        return self._phantom(self._body, ball)
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,10 @@ class CylinderHoleSphere(_UprightCylinder):
     def build(self) -> Phantom:
         """Return the phantom."""
         wide, high = self.diameter_mm, self.height_mm
-        r = self.radius * wide
-        hole = Sphere((0.28 * wide, wide / 2, 0.6 * high), r)
-        ball = Sphere((0.72 * wide, wide / 2, 0.6 * high), r)
+        hole = Sphere((0.28 * wide, wide / 2, 0.6 * high), self.radius * wide)
+        ball = Sphere((0.72 * wide, wide / 2, 0.6 * high), self.radius * wide)
         parts = [(hole, self.hole_mpa), (ball, self.inclusion_mpa)]
-        return Phantom(self.body, parts, self.youngs_mpa)
+        return Phantom(self._body, parts, self.youngs_mpa)
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class HyperboloidSphere(_SoftBody):
         rim, high = self.rim_mm, self.height_mm
         body = Hyperboloid((rim, rim, high / 2), self.waist_mm, rim, high)
         ball = Sphere((rim, rim, self.height * high), self.radius_mm)
-        return Phantom(body, [(ball, self.inclusion_mpa)], self.youngs_mpa)
+        return self._phantom(body, ball)
 
 
 @dataclass(frozen=True)
@@ -96,12 +98,10 @@ class HemisphereSpheres(_SoftBody):
     def build(self) -> Phantom:
         """Return the phantom."""
         r = self.radius_mm
-        angles = 2.0 * np.pi * np.arange(self.count) / self.count if self.count else ()
-        centers = [
-            (np.cos(a) * self.distance, np.sin(a) * self.distance, self.height) for a in angles
-        ]
-        balls = [(Sphere(r * np.array(c), self.ball * r), self.inclusion_mpa) for c in centers]
-        return Phantom(Hemisphere(_ORIGIN, r), balls, self.youngs_mpa)
+        angles = 2.0 * np.pi * np.arange(self.count) / max(self.count, 1)
+        ring = np.column_stack((np.cos(angles), np.sin(angles))) * self.distance
+        balls = [Sphere(r * np.array((x, y, self.height)), self.ball * r) for x, y in ring]
+        return self._phantom(Hemisphere(_ORIGIN, r), *balls)
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,7 @@ class HemisphereTwoSpheres(_SoftBody):
         r = self.radius_mm
         shallow = Sphere((0.45 * r, 0.0, 0.45 * r), 0.28 * r)
         deep = Sphere((-0.4 * r, 0.15 * r, 0.38 * r), 0.28 * r)
-        parts = [(shallow, self.inclusion_mpa), (deep, self.inclusion_mpa)]
-        return Phantom(Hemisphere(_ORIGIN, r), parts, self.youngs_mpa)
+        return self._phantom(Hemisphere(_ORIGIN, r), shallow, deep)
 
 
 @dataclass(frozen=True)
@@ -147,24 +146,18 @@ class ToyTwoSpheres(_SoftBody):
     def build(self) -> Phantom:
         """Return the phantom."""
         h = self.height_mm
-        body = Lathe(_ORIGIN, h * _toy_outline())
         belly = Sphere((0.1 * h, 0.0, 0.3 * h), 0.12 * h)
         head = Sphere((0.0, 0.05 * h, 0.76 * h), 0.09 * h)
-        parts = [(belly, self.inclusion_mpa), (head, self.inclusion_mpa)]
-        return Phantom(body, parts, self.youngs_mpa)
+        return self._phantom(Lathe(_ORIGIN, h * _toy_outline()), belly, head)
 
 
 def _toy_outline() -> np.ndarray:
     """Profile of two intersecting balls, the lower one cut flat below; of height 1."""
     belly, head = (0.36, 0.34), (0.24, 0.76)  # radius, height of the centre
-    outline = [(0.0, 0.0)]
-    for radius, middle in (belly, head):
+    outline = [np.array([(0.0, 0.0), (np.sqrt(belly[0] ** 2 - belly[1] ** 2), 0.0)])]
+    for (radius, middle), (other_radius, other_middle) in ((belly, head), (head, belly)):
         angles = np.linspace(-np.pi / 2, np.pi / 2, 65)
         arc = np.column_stack((radius * np.cos(angles), middle + radius * np.sin(angles)))
-        other = head if (radius, middle) == belly else belly
-        outside = np.hypot(arc[:, 0], arc[:, 1] - other[1]) >= other[0]
-        points = arc[outside & (arc[:, 1] > 0) & (arc[:, 0] > 1e-9)]
-        if middle == belly[1]:
-            points = np.concatenate(([(np.sqrt(radius**2 - middle**2), 0.0)], points))
-        outline += [tuple(point) for point in points]
-    return np.array([*outline, (0.0, 1.0)])
+        outside = np.hypot(arc[:, 0], arc[:, 1] - other_middle) >= other_radius
+        outline.append(arc[outside & (arc[:, 1] > 0) & (arc[:, 0] > 1e-9)])
+    return np.concatenate([*outline, [(0.0, 1.0)]])

@@ -25,13 +25,7 @@ _MAX_DRAWS = 200
 
 @dataclass(frozen=True)
 class RandomPhantom:
-    """Random phantom.
-
-    Attributes:
-        phantom: The phantom.
-        label: Class for recognition.
-        parameters: Random parameters, as plain values.
-    """
+    """Random phantom, its class for recognition and its random parameters as plain values."""
 
     phantom: Phantom
     label: str
@@ -55,11 +49,7 @@ class RecognitionFamily(Options):
     contrast: Range = option((4.0, 6.0), "Range of the ratio of the inclusion's modulus", gt=0)
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ConfigError: A value is invalid.
-        """
+        """Check the names and ranges."""
         super().__post_init__()
         _check_names("shape", self.shapes, _RECOGNITION_SHAPES)
         for name in ("size", "depth", "youngs_mpa", "contrast"):
@@ -98,10 +88,7 @@ class InclusionsFamily(Options):
     side_mm: float = option(10.0, "Side of the cube", unit="mm", gt=0)
     size: Range = option((0.12, 0.28), "Range of the inclusions' half-widths, in sides", gt=0)
     youngs_mpa: Range = option(
-        (0.1, 0.4),
-        "Range of the background's median modulus, log-uniform",
-        unit="MPa",
-        gt=0,
+        (0.1, 0.4), "Range of the background's median modulus, log-uniform", unit="MPa", gt=0
     )
     contrast: Range = option(
         (0.2, 8.0),
@@ -116,11 +103,7 @@ class InclusionsFamily(Options):
     gap: float = option(0.03, "Minimum distance between inclusions, in sides", ge=0)
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ConfigError: A value is invalid.
-        """
+        """Check the names and ranges."""
         super().__post_init__()
         _check_names("shape", self.shapes, _SHAPES)
         _check_names("background", self.backgrounds, _BACKGROUNDS)
@@ -144,8 +127,8 @@ class InclusionsFamily(Options):
                 pose = {"shape": name, "half_mm": half, "center_mm": center.tolist()}
                 return _SHAPES[name](rng, center, half), pose
 
+            others = [shape for shape, _ in inclusions]
             try:
-                others = [shape for shape, _ in inclusions]
                 shape, pose = _draw_inside(body, propose, others, self.gap * side)
             except ConfigError:
                 if inclusions:
@@ -171,18 +154,10 @@ FAMILIES = Registry(
 
 
 def draw_phantom(family: str, rng: Rng, **options: Any) -> RandomPhantom:
-    """Draw a phantom of a family.
+    """Draw a phantom of one of `FAMILIES`, with settings of the family.
 
-    Args:
-        family: Name in `FAMILIES`.
-        rng: Generator; the same state gives the same phantom.
-        options: Settings of the family.
-
-    Returns:
-        The phantom, its label and its random parameters.
-
-    Raises:
-        ConfigError: The family or a setting is unknown, or leaves no room for inclusions.
+    The same state of the generator gives the same phantom. A `ConfigError` is raised where the
+    settings leave no room for inclusions.
     """
     return FAMILIES.build({"name": family, **options}).draw(rng)
 
@@ -219,9 +194,7 @@ def _draw_inside(
     """Draw until a shape is inside the body and clear of the others."""
     for _ in range(_MAX_DRAWS):
         shape, pose = propose()
-        if protrusion(shape, body) > 0.0:
-            continue
-        if all(clearance(shape, other) >= gap for other in others):
+        if protrusion(shape, body) <= 0.0 and all(clearance(shape, o) >= gap for o in others):
             return shape, pose
     raise ConfigError(
         f"No inclusion fits in {_MAX_DRAWS} draws; make size, shift or count smaller."

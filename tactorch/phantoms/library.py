@@ -37,16 +37,5 @@ PHANTOMS = Registry(
 
 
 def make_phantom(name: str, **changes: Any) -> Phantom:
-    """Make a phantom by name.
-
-    Args:
-        name: Name in `PHANTOMS`.
-        changes: Settings of that phantom, such as `inclusion_mpa=2.0`.
-
-    Returns:
-        The phantom.
-
-    Raises:
-        ConfigError: The name or a setting is unknown, or a value is invalid.
-    """
+    """Make one of `PHANTOMS`, with settings of that phantom such as `inclusion_mpa=2.0`."""
     return PHANTOMS.build({"name": name, **changes}).build()

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.mesh import Hyperboloid, Lathe, Shape, Union, shape_surface
+from tactorch.mesh import Hyperboloid, Lathe, Shape, Union
 
 # Sides of round shapes: results are short by 0.1 % of the radius at most.
 _SEGMENTS = 72
@@ -32,7 +32,7 @@ def _surface_points(shape: Shape, segments: int, steps: int) -> Float[np.ndarray
     """Points on the surface (of a union: of its parts), up to `steps` along a triangle's edge."""
     if isinstance(shape, Union):
         return np.concatenate([_surface_points(part, segments, steps) for part in shape.parts])
-    vertices, triangles = shape_surface(shape, segments)
+    vertices, triangles = shape.surface(segments)
     if steps == 1:
         return vertices
     corners = vertices[triangles]

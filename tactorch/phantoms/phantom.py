@@ -2,20 +2,24 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError, MeshError
-from tactorch.mesh import Shape, TetMesh
+from tactorch.mesh import Box, Cylinder, Hemisphere, Hyperboloid, Lathe, Shape, TetMesh
+from tactorch.mesh.geometry import bounding_diagonal
+from tactorch.mesh.meshing import mesh_shape
 from tactorch.mesh.quadrature import element_means
 from tactorch.mesh.values import Real, positive
 from tactorch.phantoms.background import Background
-from tactorch.phantoms.config import as_mapping, from_config, refuse_unknown, to_config
-from tactorch.phantoms.meshing import BODIES, mesh_body
+from tactorch.phantoms.config import as_mapping, from_config, to_config
 from tactorch.phantoms.overlap import protrusion
 
+#: Bodies: each can have a flat side for supports.
+BODIES = (Box, Cylinder, Hemisphere, Hyperboloid, Lathe)
 #: Young's modulus of a hole: the lower bound of the paper's inversions (Section IV-A), MPa.
 HOLE_MPA = 1e-3
 #: Maximum difference of a mesh's bounding box from the body's, as a fraction of its diagonal.
@@ -39,10 +43,6 @@ class Phantom:
             last one applies. They may touch the body's surface but not protrude from it.
         youngs_mpa: Young's modulus elsewhere, MPa; a number or a `Background`. A hole is an
             inclusion of negligible modulus, such as `HOLE_MPA`.
-
-    Raises:
-        ConfigError: A modulus is not positive, an inclusion protrudes from the body, or the body
-            cannot be meshed; the message names it.
     """
 
     body: Shape
@@ -58,14 +58,8 @@ class Phantom:
             )
         if not isinstance(self.youngs_mpa, Background):
             object.__setattr__(self, "youngs_mpa", positive("youngs_mpa", self.youngs_mpa))
-        inclusions = tuple(self._inclusion(i, pair) for i, pair in enumerate(self.inclusions))
+        inclusions = tuple(self._inclusion(i, *pair) for i, pair in enumerate(self.inclusions))
         object.__setattr__(self, "inclusions", inclusions)
-
-    @property
-    def diagonal(self) -> float:
-        """Length of the diagonal of the body's bounding box, mm."""
-        low, high = self.body.bounds()
-        return float(np.linalg.norm(high - low))
 
     def youngs_at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return Young's modulus at points (mm), MPa; outside the body, that of the background.
@@ -91,10 +85,18 @@ class Phantom:
                 inclusion have the volume average.
 
         Raises:
-            MeshError: The mesh is not one of this body.
-            ConfigError: `samples` is below 1.
+            MeshError: The mesh is not one of this body: their bounding boxes differ.
         """
-        self.check_mesh(mesh)
+        bounds = self.body.bounds()
+        if np.abs(mesh.bounds - bounds).max() > MAX_BOUNDS_DIFFERENCE * bounding_diagonal(bounds):
+            spans = [
+                " to ".join(f"({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in corners)
+                for corners in (mesh.bounds, bounds)
+            ]
+            raise MeshError(
+                f"The mesh spans {spans[0]} mm but the phantom's body {spans[1]} mm; mesh the"
+                " phantom itself, or check position and units."
+            )
         return element_means(mesh, self.youngs_at, samples)
 
     def mesh(
@@ -117,33 +119,12 @@ class Phantom:
             conforming: Whether element faces conform to the surfaces of the inclusions; with
                 tetwild only. An inversion on such a mesh has prior knowledge of the truth.
             cache: Whether `tetrahedralize` looks up and stores its result.
-
-        Raises:
-            ConfigError: A setting is invalid, or pytetwild is not installed.
-            MeshError: Meshing failed.
         """
         inner = [shape for shape, _ in self.inclusions] if conforming else []
-        return mesh_body(self.body, edge_length_mm, relative_edge_length, generator, cache, inner)
-
-    def check_mesh(self, mesh: TetMesh) -> None:
-        """Refuse a mesh whose bounding box is not that of the body.
-
-        Raises:
-            MeshError: The bounding boxes differ; the message gives both.
-        """
-        bounds = self.body.bounds()
-        if float(np.abs(mesh.bounds - bounds).max()) > MAX_BOUNDS_DIFFERENCE * self.diagonal:
-            raise MeshError(
-                f"The mesh spans {_corners(mesh.bounds)} mm but the phantom's body"
-                f" {_corners(bounds)} mm; mesh the phantom itself, or check position and units."
-            )
+        return mesh_shape(self.body, edge_length_mm, relative_edge_length, generator, inner, cache)
 
     def to_config(self) -> dict[str, Any]:
-        """Return a dictionary of plain values, from which `from_config` makes an equal phantom.
-
-        Raises:
-            ConfigError: A shape or the background has no configuration.
-        """
+        """Return a dictionary of plain values, from which `from_config` makes an equal phantom."""
         youngs = self.youngs_mpa
         return {
             "body": to_config(self.body),
@@ -160,12 +141,8 @@ class Phantom:
                 a background: key `field` and its fields), and `inclusions` (shapes, each with a
                 `youngs_mpa`). Only `body` and the `youngs_mpa` of inclusions are required. See
                 `tactorch.phantoms.config.CLASSES` for the names.
-
-        Raises:
-            ConfigError: A key is missing or unknown, or a value is invalid.
         """
-        values = as_mapping(config, "phantom")
-        refuse_unknown(values, {"body", "youngs_mpa", "inclusions"}, "phantom")
+        values = as_mapping(config, "phantom", {"body", "youngs_mpa", "inclusions"})
         if "body" not in values:
             raise ConfigError("phantom: body is missing; give its shape and size.")
         body = from_config("shape", values["body"], "phantom.body")
@@ -179,16 +156,55 @@ class Phantom:
             raise ConfigError(f"phantom.inclusions is {entries!r}; give a list of shapes.")
         return cls(body, [_entry(entry, i) for i, entry in enumerate(entries)], youngs)
 
-    def _inclusion(self, index: int, pair: tuple[Shape, Real]) -> Inclusion:
-        shape, youngs = pair
+    def _inclusion(self, index: int, shape: Shape, youngs: Real) -> Inclusion:
         modulus = positive(f"inclusions[{index}].youngs_mpa", youngs)
         outside = protrusion(shape, self.body)
-        if outside > 1e-9 * self.diagonal:  # tolerates the rounding of flush surfaces
+        if outside > 1e-9 * bounding_diagonal(self.body.bounds()):  # rounding of flush surfaces
             raise ConfigError(
                 f"inclusions[{index}] ({shape}) protrudes {outside:.4g} mm out of the body"
                 f" ({self.body}); move or shrink it."
             )
         return Inclusion(shape, modulus)
+
+
+@dataclass(frozen=True)
+class MeshSize(Options):
+    """Edge lengths of the recording's mesh and of the mesh that presses are solved on."""
+
+    section = "mesh"
+    edge_length_mm: float | None = option(
+        None, "Edge length of the recording's mesh; null: relative_edge_length", unit="mm", gt=0
+    )
+    relative_edge_length: float = option(
+        0.1, "Edge length as a fraction of the bounding box's diagonal", gt=0
+    )
+    fine_edge_length_mm: float | None = option(
+        None, "Edge length of the simulation's mesh; null: fine_relative", unit="mm", gt=0
+    )
+    fine_relative: float | None = option(
+        0.05,
+        "Edge length of the simulation's mesh as a fraction of the diagonal; null: the recording's "
+        "mesh (an inverse crime)",
+        gt=0,
+    )
+    generator: Literal["auto", "structured", "tetwild"] = option(
+        "auto", "Mesh generator; auto: structured for boxes, tetwild for other bodies"
+    )
+
+    def build(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
+        """Mesh a phantom.
+
+        Returns:
+            The recording's mesh, and the mesh to solve on; None where it is the same.
+        """
+
+        def mesh(edge_mm: float | None, relative: float) -> TetMesh:
+            return phantom.mesh(edge_mm, relative_edge_length=relative, generator=self.generator)
+
+        coarse = mesh(self.edge_length_mm, self.relative_edge_length)
+        if self.fine_edge_length_mm is None and self.fine_relative is None:
+            return coarse, None
+        return coarse, mesh(self.fine_edge_length_mm, self.fine_relative or 0.1)
 
 
 def _entry(entry: Any, index: int) -> tuple[Shape, float]:
@@ -204,8 +220,3 @@ def _number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ConfigError(f"{where} is {value!r}; give a number in MPa.")
     return float(value)
-
-
-def _corners(bounds: Float[np.ndarray, "2 3"]) -> str:
-    low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in bounds)
-    return f"({low}) to ({high})"

@@ -1,7 +1,7 @@
 """Uncertainty of the map of a run and residuals of its presses."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import TactorchError
-from tactorch.findings import Confidence, compute_confidence, find_lump
+from tactorch.findings import Lump, find_lump
+from tactorch.findings.finding import build_lump
 from tactorch.inverse import NoiseModel, Nuisance, Point, Settings, settings_from
 from tactorch.inverse.invert import solution
 from tactorch.inverse.nuisance import PressModel
 from tactorch.recording import Recording
 from tactorch.report.runs import Run
-from tactorch.uncertainty import credibility
+from tactorch.uncertainty import GaussianPosterior, credibility
 from tactorch.uncertainty.select import UNCOMPUTABLE, posterior_at
 
 LEVEL = 0.95
@@ -29,26 +30,14 @@ _log = logging.getLogger("tactorch")
 
 @dataclass(frozen=True, eq=False)
 class UncertaintySummary:
-    """Uncertainty of the modulus of each element.
+    """Uncertainty of the modulus of each element."""
 
-    Attributes:
-        credibility: L of eq. (15) of the paper, mm/MPa (m,).
-        low: Lower end of the 95 % interval, MPa (m,).
-        high: Upper end of the 95 % interval, MPa (m,).
-        resolution: Diagonal of the resolution matrix (m,): 1 if the data determine the modulus, 0
-            if the prior does.
-        at_bound: Elements at a bound of the moduli, which truncates the interval (m,).
-        kind: Class of the posterior.
-        confidence: Confidence of the most conspicuous inclusion; None if there is none.
-    """
-
-    credibility: Float[np.ndarray, " m"]
-    low: Float[np.ndarray, " m"]
+    credibility: Float[np.ndarray, " m"]  # L of eq. (15) of the paper, mm/MPa
+    low: Float[np.ndarray, " m"]  # ends of the 95 % interval, MPa
     high: Float[np.ndarray, " m"]
-    resolution: Float[np.ndarray, " m"]
-    at_bound: Bool[np.ndarray, " m"]
-    kind: str
-    confidence: Confidence | None = None
+    resolution: Float[np.ndarray, " m"]  # 1 if the data determine the modulus, 0 if the prior does
+    at_bound: Bool[np.ndarray, " m"]  # whether a bound of the moduli truncates the interval
+    kind: str  # class of the posterior
 
     @property
     def relative_half_width(self) -> Float[np.ndarray, " m"]:
@@ -58,15 +47,10 @@ class UncertaintySummary:
 
 @dataclass(frozen=True, eq=False)
 class PressFit:
-    """Residual of one press.
+    """Residual of one press: predicted less observed displacement; NaN if not observed."""
 
-    Attributes:
-        residual: Predicted less observed displacement, mm (n, 3); NaN if not observed.
-        deviations: Residual in standard deviations, weighted as in the inversion (n, 3).
-    """
-
-    residual: Float[np.ndarray, "n 3"]
-    deviations: Float[np.ndarray, "n 3"]
+    residual: Float[np.ndarray, "n 3"]  # mm
+    deviations: Float[np.ndarray, "n 3"]  # in standard deviations, weighted as in the inversion
 
     @property
     def rms_mm(self) -> float:
@@ -81,20 +65,15 @@ class PressFit:
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """Uncertainty of a map and residuals of its presses.
+    """Uncertainty of a map, its most conspicuous lump and residuals of its presses."""
 
-    Attributes:
-        uncertainty: Uncertainty of the map; None if it was not computed.
-        fits: Residual of each press; empty without a recording.
-        missing: Reason why something is missing; empty if nothing is.
-        corrected: Whether the discretisation error is removed from the residuals; None if the
-            inversion does not correct it.
-    """
-
-    uncertainty: UncertaintySummary | None
-    fits: list[PressFit]
-    missing: str
-    corrected: bool | None
+    lump: Lump | None
+    uncertainty: UncertaintySummary | None = None
+    fits: Sequence[PressFit] = ()
+    missing: str = ""  # reason why something is missing
+    # Whether the discretisation error is removed from the residuals; None if the inversion does
+    # not correct it.
+    corrected: bool | None = False
 
 
 def assess(
@@ -102,17 +81,12 @@ def assess(
 ) -> Assessment:
     """Compute the uncertainty of the map of a run and the residuals of its presses.
 
-    Args:
-        run: The run.
-        uncertainty: Whether the presses are solved again for credibility and posterior, which
-            takes about 10 s for 2,000 elements and minutes for 10,000.
-        progress: Called before each step.
-
-    Returns:
-        The assessment; a posterior that cannot be computed is logged and omitted.
+    With `uncertainty` the presses are solved again for credibility and posterior, which takes about
+    10 s for 2,000 elements and minutes for 10,000. A posterior that cannot be computed is logged
+    and omitted. `progress` is called before each step.
     """
     if run.recording is None:
-        return Assessment(None, [], run.missing, False)
+        return Assessment(_find_lump(run), missing=run.missing)
     reason = "switched off"
     if uncertainty:
         try:
@@ -120,7 +94,14 @@ def assess(
         except UNCOMPUTABLE as error:
             reason = str(error) or "not enough memory"
             _log.warning("%s: no uncertainty: %s", run.name, reason)
-    return Assessment(None, _uncorrected_fits(run, run.recording), reason, False)
+    fits = _uncorrected_fits(run, run.recording)
+    return Assessment(_find_lump(run), fits=fits, missing=reason)
+
+
+def _find_lump(run: Run, posterior: GaussianPosterior | None = None) -> Lump | None:
+    mesh, inclusion = run.result.mesh, find_lump(run.result.mesh, run.result.youngs)
+    presses = () if run.recording is None else run.recording.presses
+    return None if inclusion is None else build_lump(mesh, presses, inclusion, posterior)
 
 
 def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallback) -> Assessment:
@@ -137,29 +118,22 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     low, high = posterior.interval(LEVEL)
     resolution = np.clip(posterior.resolution_diagonal(), 0.0, 1.0)
     step(4)
-    bounds = posterior.parameterization.bounds
-    at_bound = (point.youngs < (1 + _AT_BOUND) * bounds.lower) | (
-        point.youngs > (1 - _AT_BOUND) * bounds.upper
-    )
+    bounds, youngs = posterior.parameterization.bounds, point.youngs
+    at_bound = youngs < (1 + _AT_BOUND) * bounds.lower
+    at_bound |= youngs > (1 - _AT_BOUND) * bounds.upper
     at_bound |= low == high  # the whole interval is beyond a bound
-    inclusion = find_lump(recording.mesh, run.result.youngs)
-    confidence = (
-        None if inclusion is None else compute_confidence(recording.mesh, inclusion, posterior)
-    )
-    summary = UncertaintySummary(
-        metric, low, high, resolution, at_bound, type(posterior).__name__, confidence
-    )
+    kind = type(posterior).__name__
+    summary = UncertaintySummary(metric, low, high, resolution, at_bound, kind)
     corrected = None if point.objective.problem.data.model_deviation is None else True
-    return Assessment(summary, _corrected_fits(recording, point), "", corrected)
+    fits = _corrected_fits(recording, point)
+    return Assessment(_find_lump(run, posterior), summary, fits, corrected=corrected)
 
 
 def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:
     evaluation, fits = point.evaluation, []
+    observations = point.objective.problem.data.observations
     for observation, reported, deviations in zip(
-        point.objective.problem.data.observations,
-        evaluation.reported,
-        evaluation.deviations,
-        strict=True,
+        observations, evaluation.reported, evaluation.deviations, strict=True
     ):
         index = observation.index
         values = np.full((2, recording.mesh.n_points * 3), np.nan)
@@ -172,11 +146,10 @@ def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:
 def _uncorrected_fits(run: Run, recording: Recording) -> list[PressFit]:
     """Return residuals without the corrections that require solving the presses again."""
     values = _nuisance(run, recording)
-    deviations = _noise_model(run).deviations(recording)
+    deviations = noise_model(run).deviations(recording)
     fits = []
-    for i, (press, displacement) in enumerate(
-        zip(recording.presses, run.result.displacements, strict=True)
-    ):
+    pairs = zip(recording.presses, run.result.displacements, strict=True)
+    for i, (press, displacement) in enumerate(pairs):
         weights = np.ones_like(press.forces) if press.weights is None else press.weights
         used = press.data & (weights > 0)
         reported = PressModel.of(press, recording.mesh, values).reported(displacement)
@@ -187,17 +160,18 @@ def _uncorrected_fits(run: Run, recording: Recording) -> list[PressFit]:
 
 def _nuisance(run: Run, recording: Recording) -> Nuisance:
     """Return the estimates of the run, or the values of the recording."""
-    values: dict[str, Any] = {name: one.value for name, one in run.result.nuisance.items()}
+    values: dict[str, Any] = {k: estimate.value for k, estimate in run.result.nuisance.items()}
     for name in {"poisson", "force_scale"} & values.keys():
         values[name] = float(values[name][0])
     return replace(Nuisance.assumed(recording), **values)
 
 
-def _noise_model(run: Run) -> NoiseModel:
+def noise_model(run: Run) -> NoiseModel:
+    """Return the noise of the inversion; the default for a run of another version."""
     if run.settings is not None:
         return run.settings.noise
     stored = run.result.config.get("settings", {}).get("noise", {})
     try:
         return NoiseModel(**stored)
-    except (TypeError, TactorchError):  # of another version
+    except (TypeError, TactorchError):
         return Settings().noise

@@ -1,30 +1,21 @@
 """Texts of the page: finding, warnings, limitations and tables."""
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import yaml
 from jaxtyping import Float
 
-from tactorch.findings import find_lump, measure_depth
-from tactorch.findings.text import (
-    Fact,
-    describe_inclusion,
-    format_modulus,
-    headline,
-    inclusion_facts,
-)
+from tactorch.findings.text import Fact, describe_lump, format_modulus, headline, lump_facts
 from tactorch.metrics import Inclusion, scores
 from tactorch.recording import Press, Recording
-from tactorch.report.assessment import Assessment
+from tactorch.report.assessment import Assessment, noise_model
 from tactorch.report.runs import Run
 from tactorch.text import one_line
 
-_WARNING = "DO NOT TRUST THIS MAP"
 _MAX_FACTOR = 2.0  # an interval of a larger factor is reported as a limitation
 _MIN_VOLUME = 0.02  # fraction of the volume from which it is reported
 _MAX_FIT = 1.5  # standard deviations; a larger residual is reported
@@ -48,46 +39,31 @@ _Column = dict[str, float]
 
 @dataclass(frozen=True)
 class Table:
-    """Table whose first column has the names of the rows.
-
-    Attributes:
-        caption: Content of the table.
-        header: Titles of the columns.
-        rows: Cells of each row.
-        best: Columns of the best values by row.
-    """
+    """Table whose first column has the names of the rows."""
 
     caption: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
-    best: Mapping[int, set[int]] = field(default_factory=dict)
+    best: Mapping[int, set[int]] = field(default_factory=dict)  # columns of the best values by row
 
 
 @dataclass(frozen=True, eq=False)
 class RunReport:
-    """Texts of one run.
-
-    Attributes:
-        run: The run.
-        assessment: Uncertainty of its map and residuals of its presses.
-        inclusion: Most conspicuous inclusion, or None.
-        headline: The finding in one line.
-        description: The finding in one sentence.
-        facts: Location, size, modulus, probability and fit.
-        warnings: Reasons not to trust the map at all.
-        limitations: Further limitations of the map.
-        omitted: What the report omits and why, or empty.
-    """
+    """Texts of one run."""
 
     run: Run
     assessment: Assessment
-    inclusion: Inclusion | None
-    headline: str
-    description: str
-    facts: list[Fact]
-    warnings: list[str]
-    limitations: list[str]
-    omitted: str
+    headline: str  # the finding in one line
+    description: str  # the finding in one sentence
+    facts: list[Fact]  # location, size, modulus, probability and fit
+    warnings: list[str]  # reasons not to trust the map at all
+    limitations: list[str]  # further limitations of the map
+    omitted: str  # what the report omits and why, or empty
+
+    @property
+    def inclusion(self) -> Inclusion | None:
+        """Most conspicuous inclusion."""
+        return None if self.assessment.lump is None else self.assessment.lump.inclusion
 
     @property
     def presses(self) -> Table | None:
@@ -114,41 +90,24 @@ class RunReport:
 
 def describe_run(run: Run, assessment: Assessment) -> RunReport:
     """Return the texts of a run."""
-    mesh, youngs = run.result.mesh, run.result.youngs
-    inclusion = find_lump(mesh, youngs)
-    modulus = format_modulus(float(np.median(youngs)))
+    lump, inclusion = assessment.lump, None
+    modulus = format_modulus(float(np.median(run.result.youngs)))
+    description = f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
+    facts = [Fact("Young's modulus", modulus, "median")]
+    if lump is not None:
+        inclusion, description, facts = lump.inclusion, describe_lump(lump), lump_facts(lump)
     fit = math.sqrt(float(run.summary.get("chi2", math.nan)))
-    if inclusion is None:
-        description = (
-            f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
-        )
-        facts = [Fact("Young's modulus", modulus, "median")]
-    else:
-        presses = () if run.recording is None else run.recording.presses
-        depth = measure_depth(mesh, presses, inclusion.center_mm, inclusion.elements)
-        uncertainty = assessment.uncertainty
-        confidence = None if uncertainty is None else uncertainty.confidence
-        description = describe_inclusion(inclusion, depth)
-        facts = inclusion_facts(inclusion, depth, confidence)
     note = "RMS residual over the noise of the displacements; a good fit is near 1 or below"
     return RunReport(
         run=run,
         assessment=assessment,
-        inclusion=inclusion,
         headline=headline(inclusion),
         description=description,
         facts=[*facts, Fact("Fit", f"{fit:.2g} SD", note)],
-        warnings=_warnings(run.text),
-        limitations=_limitations(run, assessment, inclusion, fit),
+        warnings=[str(warning) for warning in run.summary.get("warnings", ())],
+        limitations=_limitations(run, assessment, fit),
         omitted=_omitted(run, assessment),
     )
-
-
-def _warnings(summary: str) -> list[str]:
-    """Return the warnings in the text summary of a run, without their common beginning."""
-    lines = [line for line in summary.splitlines() if line.startswith(_WARNING)]
-    reasons = [re.sub(rf"^{_WARNING}:?\s*", "", line) for line in lines]
-    return [reason[:1].upper() + reason[1:] for reason in reasons]
 
 
 def _omitted(run: Run, assessment: Assessment) -> str:
@@ -161,9 +120,7 @@ def _omitted(run: Run, assessment: Assessment) -> str:
     return f"Omitted: {parts} ({assessment.missing})."
 
 
-def _limitations(
-    run: Run, assessment: Assessment, inclusion: Inclusion | None, fit: float
-) -> list[str]:
+def _limitations(run: Run, assessment: Assessment, fit: float) -> list[str]:
     lines = []
     settings = run.result.config.get("settings", {})
     if fit > _MAX_FIT:
@@ -180,13 +137,15 @@ def _limitations(
                 f"In {100 * fraction:.0f} % of the volume the uncertainty of the modulus exceeds a"
                 " factor of two."
             )
-    if inclusion is not None and _prior_name(settings) == "total_variation":
+    prior = settings.get("regularization", "")
+    prior_name = prior.get("name") if isinstance(prior, Mapping) else prior
+    if assessment.lump is not None and prior_name == "total_variation":
         lines.append(
             "Contrast of the inclusion: the prior (total variation) biases it towards the"
             " surroundings, so that the true contrast is often larger than shown and intervals"
             " within the inclusion are too narrow."
         )
-    if run.recording is not None and _is_noise_assumed(settings, run.recording):
+    if run.recording is not None and noise_model(run).assumed(run.recording):
         lines.append(
             "The noise of the displacements is an assumption; if it is larger, fine detail of the"
             " map is noise and intervals are too narrow."
@@ -199,19 +158,6 @@ def _limitations(
     return lines
 
 
-def _prior_name(settings: Mapping[str, Any]) -> str:
-    prior = settings.get("regularization", "")
-    return str(prior.get("name", "") if isinstance(prior, Mapping) else prior)
-
-
-def _is_noise_assumed(settings: Mapping[str, Any], recording: Recording) -> bool:
-    return (
-        settings.get("noise", {}).get("mm") is None
-        and recording.unloaded is None
-        and any(press.noise_mm is None for press in recording.presses)
-    )
-
-
 def press_label(number: int, press: Press) -> str:
     """Return the number and, if it differs, the name of a press."""
     name = one_line(press.name)
@@ -221,7 +167,6 @@ def press_label(number: int, press: Press) -> str:
 def score_table(runs: Sequence[Run]) -> Table:
     """Return scores against the truth and cost, with the best values marked."""
     columns = {run.name: _scores(run, run.result.youngs) | _cost(run) for run in runs}
-    comparable = _distinct(runs, "truth") <= 1
     shared = _distinct(runs, "reference") <= 1 and all(run.name != "reference" for run in runs)
     for run in runs:
         if run.recording is not None and run.recording.reference is not None:
@@ -231,11 +176,9 @@ def score_table(runs: Sequence[Run]) -> Table:
     names = [name for name in titles if any(name in column for column in columns.values())]
     rows = [[titles[name][0], *(_cell(c.get(name)) for c in columns.values())] for name in names]
     caption = "Scores against the truth" if set(names) & set(_SCORES) else "Fit and cost"
-    if not comparable:
-        return Table(
-            f"{caption}; the truths differ, so that no best is marked", ["", *columns], rows
-        )
     best = {row: _best(titles[name][1], name, columns) for row, name in enumerate(names)}
+    if _distinct(runs, "truth") > 1:
+        caption, best = f"{caption}; the truths differ, so that no best is marked", {}
     return Table(caption, ["", *columns], rows, best)
 
 
@@ -248,10 +191,8 @@ def _scores(run: Run, youngs: Float[np.ndarray, " m"]) -> _Column:
 def _distinct(runs: Sequence[Run], attribute: str) -> int:
     """Return the number of distinct maps of an attribute of the recordings."""
     recordings = [run.recording for run in runs if run.recording is not None]
-    maps = [(one.mesh, getattr(one, attribute)) for one in recordings]
-    return len(
-        {(mesh.content_hash(), values.tobytes()) for mesh, values in maps if values is not None}
-    )
+    maps = [(recording.mesh, getattr(recording, attribute)) for recording in recordings]
+    return len({(mesh.content_hash(), v.tobytes()) for mesh, v in maps if v is not None})
 
 
 def _cost(run: Run) -> _Column:
@@ -280,63 +221,54 @@ def _cell(value: float | None) -> str:
 def press_table(recording: Recording, assessment: Assessment) -> Table:
     """Return force, displacement and residual of each press."""
     rows = []
-    for number, (press, fit) in enumerate(
-        zip(recording.presses, assessment.fits, strict=True), start=1
-    ):
-        size = float(np.sqrt(np.nanmean(press.displacement[press.data] ** 2)))
-        rows.append(
-            [
-                press_label(number, press),
-                f"{np.linalg.norm(press.total_force):.3g}",
-                f"{1e3 * size:.4g}",
-                f"{1e3 * fit.rms_mm:.3g}",
-                f"{fit.rms_deviations:.2g}",
-            ]
-        )
+    pairs = zip(recording.presses, assessment.fits, strict=True)
+    for number, (press, fit) in enumerate(pairs, start=1):
+        force = f"{np.linalg.norm(press.total_force):.3g}"
+        size = f"{1e3 * float(np.sqrt(np.nanmean(press.displacement[press.data] ** 2))):.4g}"
+        residual = [f"{1e3 * fit.rms_mm:.3g}", f"{fit.rms_deviations:.2g}"]
+        rows.append([press_label(number, press), force, size, *residual])
     header = ["Press", "Force (N)", "Displacement, RMS (µm)", "Residual, RMS (µm)", "Residual (SD)"]
     return Table("Residual of each press (SD: standard deviations)", header, rows)
 
 
 def history_table(run: Run) -> Table:
     """Return the iterations of a run."""
-    rows = [
-        [
-            f"{record['iteration']}",
-            f"{record.get('seconds', math.nan):.1f}",
-            f"{record['misfit']:.4g}",
-            f"{math.sqrt(record['chi2']):.3g}",
-        ]
-        for record in run.result.history
-    ]
+    rows = []
+    for record in run.result.history:
+        seconds, residual = record.get("seconds", math.nan), math.sqrt(record["chi2"])
+        cells = (f"{seconds:.1f}", f"{record['misfit']:.4g}", f"{residual:.3g}")
+        rows.append([f"{record['iteration']}", *cells])
     return Table(run.name, ["Iteration", "Time (s)", "Misfit (mm²)", "Residual (SD)"], rows)
 
 
 def versions_table(runs: Sequence[Run]) -> Table:
     """Return the versions of the packages that computed the maps."""
     versions = {run.name: run.result.config.get("versions", {}) for run in runs}
-    names = list(dict.fromkeys(name for found in versions.values() for name in found))
-    rows = [[name, *(str(found.get(name, "–")) for found in versions.values())] for name in names]
-    return Table("Versions at the time of the inversion", ["", *versions], rows)
+    return _compare("Versions at the time of the inversion", versions)
+
+
+def _compare(caption: str, columns: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Return a table of several columns, each with values by name of the row."""
+    names = list(dict.fromkeys(name for column in columns.values() for name in column))
+    rows = [[name, *(str(c.get(name, "–")) for c in columns.values())] for name in names]
+    return Table(caption, ["", *columns], rows)
 
 
 def difference_table(runs: Sequence[Run]) -> Table:
     """Return the settings in which runs differ; without rows if all are the same."""
-    flat = {run.name: dict(_flatten(_compared_settings(run))) for run in runs}
-    names = list(dict.fromkeys(name for found in flat.values() for name in found))
-    rows = [[name, *(found.get(name, "–") for found in flat.values())] for name in names]
-    differing = [row for row in rows if len(set(row[1:])) > 1]
-    return Table("Settings in which the runs differ", ["", *flat], differing)
+    settings = {run.name: dict(_flatten(_compared_settings(run))) for run in runs}
+    table = _compare("Settings in which the runs differ", settings)
+    return replace(table, rows=[row for row in table.rows if len(set(row[1:])) > 1])
 
 
 def _compared_settings(run: Run) -> dict[str, Any]:
     config = dict(run.result.config)
     settings = dict(config.pop("settings", {}))
     settings.pop("optimizer", None)  # also under its own name
-    return (
-        {"recording": {"file": run.summary.get("recording")}}
-        | settings
-        | {name: config[name] for name in ("start_mpa", "optimizer", "material") if name in config}
-    )
+    others = {
+        name: config[name] for name in ("start_mpa", "optimizer", "material") if name in config
+    }
+    return {"recording": {"file": run.summary.get("recording")}} | settings | others
 
 
 def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -11,12 +11,7 @@ _STEPS = 65_535
 
 
 def packed(array: Shaped[np.ndarray, "..."], dtype: str) -> dict[str, Any]:
-    """Return the little-endian bytes of an array in base64.
-
-    Args:
-        array: Numbers within the range of `dtype`.
-        dtype: "float32", "uint32", "uint16", "int16" or "uint8".
-    """
+    """Return the little-endian bytes of an array, within the range of `dtype`, in base64."""
     data = np.ascontiguousarray(array, dtype=np.dtype(dtype).newbyteorder("<")).tobytes()
     return {"dtype": dtype, "data": base64.b64encode(data).decode("ascii")}
 

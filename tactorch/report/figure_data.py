@@ -5,11 +5,11 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from tactorch.mesh import TetMesh
 from tactorch.mesh.topology import LOCAL_FACES
-from tactorch.recording import Press, Recording
+from tactorch.recording import Recording
 from tactorch.report.assessment import Assessment, UncertaintySummary
 from tactorch.report.content import RunReport, press_label
 from tactorch.report.encode import indices, packed, quantised, rows
@@ -58,12 +58,7 @@ _CALIBRATION = {
 
 
 def figure_data(reports: Sequence[RunReport], colours: str) -> dict[str, Any]:
-    """Return the data of the figures of all runs as JSON values.
-
-    Args:
-        reports: Runs with their assessments.
-        colours: Initial colour map of the modulus.
-    """
+    """Return the data of the figures of all runs as JSON values; `colours` are shown first."""
     return {
         "runs": [_run_data(report) for report in reports],
         "fields": {
@@ -79,26 +74,21 @@ def figure_data(reports: Sequence[RunReport], colours: str) -> dict[str, Any]:
 def _run_data(report: RunReport) -> dict[str, Any]:
     run, assessment, inclusion = report.run, report.assessment, report.inclusion
     mesh, recording, uncertainty = run.result.mesh, run.recording, assessment.uncertainty
-    return {
+    data = {
         "name": run.name,
         "points": packed(mesh.points, "float32"),
         "tets": indices(mesh.tets, mesh.n_points),
         "surface": indices(mesh.surface.triangles, mesh.n_points),
         "bounds": mesh.bounds.tolist(),
-        "center": None if inclusion is None else [float(x) for x in inclusion.center_mm],
-        # Half way between the modulus of the inclusion and that of its surroundings, MPa.
-        "level": None
-        if inclusion is None
-        else 0.5 * (inclusion.mean_mpa + inclusion.background_mpa),
+        "center": None,
+        "level": None,
         "fields": {name: quantised(values) for name, values in _fields(run, uncertainty).items()},
-        "interval": None
-        if uncertainty is None
-        else [quantised(uncertainty.low), quantised(uncertainty.high)],
-        "posterior": "" if uncertainty is None else _CALIBRATION.get(uncertainty.kind, ""),
-        "inclusion": _boundary(mesh, None if inclusion is None else inclusion.elements),
-        "trueInclusion": _boundary(mesh, _true_inclusion(mesh, recording)),
-        "contact": [] if recording is None else _contact(mesh, recording),
-        "presses": [] if recording is None else _presses(recording, assessment),
+        "interval": None,
+        "posterior": "",
+        "inclusion": None,
+        "trueInclusion": None,
+        "contact": [],
+        "presses": [],
         "corrected": assessment.corrected,
         "history": [
             {
@@ -110,15 +100,27 @@ def _run_data(report: RunReport) -> dict[str, Any]:
             for record in run.result.history
         ],
     }
+    if inclusion is not None:
+        data["center"] = inclusion.center_mm.tolist()
+        # Half way between the modulus of the inclusion and that of its surroundings, MPa.
+        data["level"] = 0.5 * (inclusion.mean_mpa + inclusion.background_mpa)
+        data["inclusion"] = _boundary(mesh, inclusion.elements)
+    if uncertainty is not None:
+        data["interval"] = [quantised(uncertainty.low), quantised(uncertainty.high)]
+        data["posterior"] = _CALIBRATION.get(uncertainty.kind, "")
+    if recording is not None:
+        outline = None if recording.truth is None else Outline.of(mesh, recording.truth)
+        data["trueInclusion"] = None if outline is None else _boundary(mesh, outline.inside)
+        data["contact"] = _contact(mesh, recording)
+        data["presses"] = _presses(recording, assessment)
+    return data
 
 
 def _fields(run: Run, uncertainty: UncertaintySummary | None) -> dict[str, np.ndarray]:
-    fields = {"youngs": run.result.youngs}
-    if run.recording is not None:
-        for name in ("truth", "reference"):
-            values = getattr(run.recording, name)
-            if values is not None:
-                fields[name] = values
+    fields, recording = {"youngs": run.result.youngs}, run.recording
+    if recording is not None:
+        known = {"truth": recording.truth, "reference": recording.reference}
+        fields |= {name: values for name, values in known.items() if values is not None}
     if uncertainty is not None:
         width = 100.0 * uncertainty.relative_half_width
         fields["uncertainty"] = np.nan_to_num(width, nan=UNDEFINED)
@@ -127,54 +129,37 @@ def _fields(run: Run, uncertainty: UncertaintySummary | None) -> dict[str, np.nd
     return fields
 
 
-def _true_inclusion(mesh: TetMesh, recording: Recording | None) -> Bool[np.ndarray, " m"] | None:
-    if recording is None or recording.truth is None:
-        return None
-    outline = Outline.of(mesh, recording.truth)
-    return None if outline is None else outline.inside
-
-
-def _boundary(mesh: TetMesh, elements: Bool[np.ndarray, " m"] | None) -> dict[str, Any] | None:
-    """Return the triangles around some elements."""
-    if elements is None:
-        return None
-    return indices(_boundary_faces(mesh.tets[elements]), mesh.n_points)
-
-
-def _boundary_faces(tets: Int[np.ndarray, "k 4"]) -> Int[np.ndarray, "f 3"]:
-    """Return the faces that belong to exactly one element."""
-    faces = tets[:, LOCAL_FACES].reshape(-1, 3)
-    _, first, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    return faces[first[count == 1]]
+def _boundary(mesh: TetMesh, elements: Bool[np.ndarray, " m"]) -> dict[str, Any]:
+    """Return the triangles around some elements: the faces of exactly one of them."""
+    faces = mesh.tets[elements][:, LOCAL_FACES].reshape(-1, 3)
+    nodes = np.sort(faces, axis=1)
+    _, first, count = np.unique(nodes, axis=0, return_index=True, return_counts=True)
+    return indices(faces[first[count == 1]], mesh.n_points)
 
 
 def _contact(mesh: TetMesh, recording: Recording) -> list[dict[str, Any]]:
     forces = total_forces(recording.presses)
-    if not forces.any():
-        return []
     return [
         {
             "triangles": indices(patch.triangles, mesh.n_points),
-            "direction": [float(x) for x in patch.direction],
+            "direction": patch.direction.tolist(),
         }
-        for patch in contact_patches(mesh, forces)
+        for patch in (contact_patches(mesh, forces) if forces.any() else [])
     ]
 
 
 def _presses(recording: Recording, assessment: Assessment) -> list[dict[str, Any]]:
     count, data = recording.mesh.n_points, []
-    pairs: zip[tuple[Press, Any]] = zip(recording.presses, assessment.fits, strict=True)
+    pairs = zip(recording.presses, assessment.fits, strict=True)
     for number, (press, fit) in enumerate(pairs, start=1):
         nodes = np.flatnonzero(np.isfinite(fit.residual).any(axis=1))
         force = press.total_force
-        direction = press.direction if press.direction is not None else force
+        direction = force if press.direction is None else press.direction
         data.append(
             {
                 "name": press_label(number, press),
                 "force": float(np.linalg.norm(force)),
-                "direction": [float(x) for x in direction],
+                "direction": direction.tolist(),
                 "nodes": indices(nodes, count),
                 "observed": rows(press.displacement[nodes]),
                 "residual": rows(fit.residual[nodes]),
@@ -193,22 +178,23 @@ def _colour_table(cmap: str) -> dict[str, Any]:
 
 def _limits(reports: Sequence[RunReport]) -> dict[str, list[float]]:
     """Return the ends of the colour scale of each field, the same for all runs."""
-    maps = {"reconstruction": np.concatenate([one.run.result.youngs for one in reports])}
-    recordings = [one.run.recording for one in reports if one.run.recording is not None]
-    truths = [recording.truth for recording in recordings if recording.truth is not None]
-    if truths:
-        maps["truth"] = np.concatenate(truths)
+    runs = [report.run for report in reports]
+    maps = {"reconstruction": np.concatenate([run.result.youngs for run in runs])}
+    truths = [run.recording.truth for run in runs if run.recording is not None]
+    known_truths = [truth for truth in truths if truth is not None]
+    if known_truths:
+        maps["truth"] = np.concatenate(known_truths)
     norm = colour_scale(maps, "linear", None)
     limits = {name: [float(norm.vmin or 0.0), float(norm.vmax or 1.0)] for name in _MODULI}
-    known = [one.assessment.uncertainty for one in reports]
-    summaries = [summary for summary in known if summary is not None]
-    if summaries:
-        width = np.concatenate([100.0 * one.relative_half_width for one in summaries])
-        credibility = np.concatenate([one.credibility for one in summaries])
+    uncertainties = [report.assessment.uncertainty for report in reports]
+    known = [uncertainty for uncertainty in uncertainties if uncertainty is not None]
+    if known:
+        width = np.concatenate([100.0 * one.relative_half_width for one in known])
+        credibility = np.concatenate([one.credibility for one in known])
+        resolution = np.concatenate([100.0 * one.resolution for one in known])
         top = _upper_limit(credibility)
         limits["uncertainty"] = [0.0, _upper_limit(width[np.isfinite(width)])]
         limits["credibility"] = [max(float(credibility.min()), 1e-4 * top), top]
-        resolution = np.concatenate([100.0 * one.resolution for one in summaries])
         limits["resolution"] = [0.0, _upper_limit(resolution)]
     return limits
 

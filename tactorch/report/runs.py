@@ -1,17 +1,17 @@
 """Run folders of inversions."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tactorch.errors import FileError, RecordingError
-from tactorch.files import require_file, require_folder
+from tactorch.files import read_json, require_file, require_folder
 from tactorch.inverse import Reconstruction, Settings
 from tactorch.recording import Recording
 from tactorch.text import one_line
 
+_FILES = ("reconstruction.h5", "summary.json")  # of a finished inversion
 _LOG_LINES = 200
 _MAX_NAME_LENGTH = 255
 
@@ -66,8 +66,14 @@ def load_run(
         RecordingError: The given recording is on another mesh.
     """
     path = require_folder(folder, "run")
-    result = Reconstruction.load(_required_file(path, "reconstruction.h5"))
-    summary = _load_summary(_required_file(path, "summary.json"))
+    try:
+        files = [require_file(path / file, "result of an inversion") for file in _FILES]
+    except FileError as error:
+        raise FileError(
+            f"{error} Give the folder of a finished `tactorch invert` or `tactorch demo`."
+        ) from error
+    result = Reconstruction.load(files[0])
+    summary = read_json(files[1], "summary", "run the inversion again.")
     text = path / "summary.txt"
     loaded, missing = _load_recording(path, result, summary, recording, check_units)
     return Run(
@@ -90,26 +96,6 @@ def run_names(folders: Sequence[Path]) -> list[str]:
         if len(set(names)) == len(names):
             return names
     return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
-
-
-def _required_file(folder: Path, name: str) -> Path:
-    """Return the path of a file of a finished inversion."""
-    try:
-        return require_file(folder / name, "result of an inversion")
-    except FileError as error:
-        raise FileError(
-            f"{error} Give the folder of a finished `tactorch invert` or `tactorch demo`."
-        ) from error
-
-
-def _load_summary(path: Path) -> dict[str, Any]:
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(summary, dict):
-            raise ValueError("not a table")
-    except (OSError, ValueError) as error:
-        raise FileError(f"'{path}' cannot be read ({error}); run the inversion again.") from error
-    return summary
 
 
 def _load_recording(

@@ -63,9 +63,8 @@ def write_report(
         raise ConfigError("write_report: no run given; pass at least one.")
     if colours not in COLOURS:
         raise ConfigError(f"colours={colours} is unknown; choose one of {', '.join(COLOURS)}.")
-    reports = [
-        describe_run(run, assess(run, uncertainty=uncertainty, progress=progress)) for run in runs
-    ]
+    assessments = [assess(run, uncertainty=uncertainty, progress=progress) for run in runs]
+    reports = [describe_run(*pair) for pair in zip(runs, assessments, strict=True)]
     page = render(reports, colours)
     with atomic_path(out) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -81,16 +80,14 @@ def render(reports: Sequence[RunReport], colours: str) -> str:
         trim_blocks=True, lstrip_blocks=True, finalize=_printable,
     )  # fmt: skip
     runs = [report.run for report in reports]
+    recordings = [run.recording for run in runs if run.recording is not None]
+    title = f"{runs[0].name}: {reports[0].headline}"
+    now = datetime.now().astimezone()
     return environment.get_template("page.html").render(
-        title=f"{runs[0].name}: {reports[0].headline}"
-        if len(runs) == 1
-        else f"{len(runs)} runs compared",
-        created=f"{datetime.now().astimezone():%d %B %Y, %H:%M} by tactorch"
-        f" {versions()['tactorch']}",
+        title=title if len(runs) == 1 else f"{len(runs)} runs compared",
+        created=f"{now:%d %B %Y, %H:%M} by tactorch {versions()['tactorch']}",
         reports=reports,
-        has_truth=any(
-            run.recording is not None and run.recording.truth is not None for run in runs
-        ),
+        has_truth=any(recording.truth is not None for recording in recordings),
         scores=score_table(runs),
         histories=[history_table(run) for run in runs],
         differences=difference_table(runs),

@@ -1,6 +1,5 @@
 """Contacts from frames: markers and depth, deformation of the gel, forces."""
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,19 +107,14 @@ class SensorChain:
         self.sensor, self.calibration, self.reference = sensor, calibration, reference
         self.model = model or GelModel(sensor.gel)
         self.options = options or ChainOptions()
-        x, y = sensor.mm_per_px
-        self.mm_per_px = (float(x), float(y))
-        diameter_px = float(sensor.markers.diameter_mm) / float(np.sqrt(x * y))
+        diameter_px = sensor.markers.diameter_mm / float(np.sqrt(np.prod(sensor.mm_per_px)))
         appearance = calibration.markers or MarkerAppearance(diameter_px)
         self.tracker = MarkerTracker(reference, appearance, self.options.track)
 
-    def measure_all(self, frames: Iterable[Frame]) -> Iterator[Measurement]:
-        """Yield the measurement of each frame; frames without an image have no contact."""
-        for frame in frames:
-            yield self.measure(frame)
-
     def measure(self, frame: Frame) -> Measurement:
         """Return the measurement of the next frame, including forces.
+
+        A frame without an image has no contact.
 
         Raises:
             ConfigError: The frame has another size than the reference.
@@ -135,15 +129,16 @@ class SensorChain:
         Raises:
             ConfigError: The frame has another size than the reference.
         """
-        untouched = np.zeros(len(self.model.points), dtype=bool)
-        if frame.image is None:
-            missing = np.full(self.tracker.reference_px.shape, np.nan)
-            return Measurement(frame, missing, None, None, untouched)
         markers_px = self.tracker.track(frame.image)
+        untouched = Measurement(
+            frame, markers_px, None, None, np.zeros(len(self.model.points), dtype=bool)
+        )
+        if frame.image is None:
+            return untouched
         slopes = self.calibration.slopes(frame.image, self.reference)
-        height = reconstruct_height(slopes, self.mm_per_px, self.options.min_slope)
+        height = reconstruct_height(slopes, self.sensor.mm_per_px, self.options.min_slope)
         if height.depth_mm < self.options.min_depth_mm:
-            return Measurement(frame, markers_px, height, None, untouched)
+            return replace(untouched, height=height)
         displacement = self._face_displacement(markers_px, height)
         in_contact = self._contact_nodes(height, displacement)
         known = displacement if in_contact.any() else None
@@ -158,16 +153,12 @@ class SensorChain:
         if measurement.displacement is None:
             return None
         # Slopes determine depth up to a constant, and the gel also moves outside the contact.
+        noise_mm, in_contact = self.options.noise_mm, measurement.in_contact
         return self.model.smooth_forces(
-            measurement.displacement,
-            self.options.noise_mm,
-            measurement.in_contact,
-            free_plane=True,
+            measurement.displacement, noise_mm, in_contact, free_plane=True
         )
 
-    def _face_displacement(
-        self, markers_px: np.ndarray, height: HeightMap
-    ) -> Float[np.ndarray, "k 3"]:
+    def _face_displacement(self, markers_px: np.ndarray, height: HeightMap) -> np.ndarray:
         """Displacements of the gel's nodes: in the plane from markers, along z from depth."""
         points, in_plane = marker_displacements(
             self.sensor, self.tracker.reference_px, markers_px, height.height_mm
@@ -180,19 +171,16 @@ class SensorChain:
         displacement[np.isnan(displacement[:, 0])] = np.nan  # outside the hull of the markers
         return displacement
 
-    def _contact_nodes(
-        self, height: HeightMap, displacement: Float[np.ndarray, "k 3"]
-    ) -> Bool[np.ndarray, " k"]:
-        radii = [max(1, round(self.options.margin_mm / size)) for size in self.mm_per_px]
+    def _contact_nodes(self, height: HeightMap, displacement: np.ndarray) -> np.ndarray:
+        """Nodes of the gel's face in the widened contact region."""
+        radii = [max(1, round(self.options.margin_mm / size)) for size in self.sensor.mm_per_px]
         rows, columns = np.mgrid[-radii[1] : radii[1] + 1, -radii[0] : radii[0] + 1]
         disc = (rows / radii[1]) ** 2 + (columns / radii[0]) ** 2 <= 1
         widened = binary_dilation(height.contact, disc).astype(float)
         current = self.model.points[:, :2] + np.nan_to_num(displacement[:, :2])
         return np.asarray(np.nan_to_num(self._sample(widened, current)) > 0.5)
 
-    def _sample(
-        self, field: Float[np.ndarray, "h w"], positions_mm: Float[np.ndarray, "k 2"]
-    ) -> Float[np.ndarray, " k"]:
+    def _sample(self, field: np.ndarray, positions_mm: np.ndarray) -> np.ndarray:
         """Interpolate an image at positions; NaN outside the image."""
         columns, rows = self.sensor.to_px(positions_mm).T
         return map_coordinates(field, [rows, columns], order=1, cval=np.nan)
@@ -208,10 +196,9 @@ def _check_consistency(
                 f" the sensor '{sensor.name}' are {sensor.shape[1]} x {sensor.shape[0]}; give that"
                 " of this sensor."
             )
-    described = np.array(sensor.mm_per_px, dtype=float)
-    if np.abs(np.array(calibration.mm_per_px) / described - 1).max() > _MAX_SCALE_ERROR:
+    ratio = np.array(calibration.mm_per_px) / np.array(sensor.mm_per_px)
+    if np.abs(ratio - 1).max() > _MAX_SCALE_ERROR:
         raise ConfigError(
             f"the sensor '{sensor.name}' was calibrated with mm_per_px={calibration.mm_per_px}, its"
-            f" description has {tuple(described.tolist())}; calibrate again, or correct one of"
-            " them."
+            f" description has {sensor.mm_per_px}; calibrate again, or correct one of them."
         )

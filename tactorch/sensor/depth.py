@@ -1,12 +1,13 @@
 """Depth of the gel's outer face: integration of slopes, and pixels covered by markers."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
 from scipy.fft import dctn, idctn
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import splu
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.linalg import conjugate_gradients
@@ -73,14 +74,12 @@ def reconstruct_height(
     return HeightMap(height, zero_mean, undeformed, np.asarray(contact), float(magnitude.max()))
 
 
-def _undeformed(
-    steep: Bool[np.ndarray, "h w"], mm_per_px: tuple[float, float]
-) -> Bool[np.ndarray, "h w"]:
+def _undeformed(steep: np.ndarray, mm_per_px: tuple[float, float]) -> np.ndarray:
     import cv2
     from scipy.ndimage import binary_fill_holes
 
-    sizes = [2 * max(1, round(_MARGIN_MM / size)) + 1 for size in mm_per_px]
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (sizes[0], sizes[1]))
+    width, height = (2 * max(1, round(_MARGIN_MM / size)) + 1 for size in mm_per_px)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, height))
     # Isolated steep pixels are noise. The center of a ball is level within a ring of steep slopes.
     opened = cv2.morphologyEx(steep.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     return np.asarray(~binary_fill_holes(cv2.dilate(opened, disc) > 0))
@@ -109,9 +108,6 @@ def integrate_slopes(
         zero_deviation_mm: Standard deviation of the height at these pixels, mm.
         slope_deviation: Standard deviation of the slopes.
 
-    Returns:
-        The heights.
-
     Raises:
         ConfigError: A slope is not finite, or a size or deviation is not positive.
         ConvergenceError: The linear solver does not converge.
@@ -119,17 +115,20 @@ def integrate_slopes(
     if not (np.isfinite(slope_x).all() and np.isfinite(slope_y).all()):
         raise ConfigError("slopes are not finite everywhere; fill them in first (`fill_masked`).")
     x, y = (positive("mm_per_px", size) for size in mm_per_px)
-    rhs = -_divergence(slope_x, slope_y, x, y)
-    eigenvalues = _laplacian_eigenvalues(slope_x.shape, x, y)
+    edge_x, edge_y = slope_x[:, 1:] + slope_x[:, :-1], slope_y[1:] + slope_y[:-1]
+    rhs = -_divergence(0.5 * edge_x / x, 0.5 * edge_y / y)
+    shape = slope_x.shape
+    rows, columns = (2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in shape)
+    eigenvalues = rows[:, None] / y**2 + columns[None] / x**2
     if zero is None or not zero.any():
         return _solve_shifted(rhs, eigenvalues, 0.0)
     deviation = positive("zero_deviation_mm", zero_deviation_mm)
     weight = (positive("slope_deviation", slope_deviation) / deviation) ** 2
-    shape = slope_x.shape
 
     def apply(z: np.ndarray) -> np.ndarray:
         z = z.reshape(shape)
-        return (_negative_laplacian(z, x, y) + weight * np.where(zero, z, 0.0)).ravel()
+        laplacian = _divergence(np.diff(z, axis=1) / x**2, np.diff(z, axis=0) / y**2)
+        return (weight * np.where(zero, z, 0.0) - laplacian).ravel()
 
     def precondition(z: np.ndarray) -> np.ndarray:
         return _solve_shifted(z.reshape(shape), eigenvalues, weight * float(zero.mean())).ravel()
@@ -145,91 +144,53 @@ def integrate_slopes(
     return result.solution.reshape(shape)
 
 
-def _divergence(slope_x: np.ndarray, slope_y: np.ndarray, x: float, y: float) -> np.ndarray:
-    """Divergence of slopes averaged to pixel edges: the transpose of finite differences."""
-    flux_x = 0.5 * (slope_x[:, 1:] + slope_x[:, :-1]) / x
-    flux_y = 0.5 * (slope_y[1:] + slope_y[:-1]) / y
-    result = np.zeros(slope_x.shape)
-    result[:, :-1] += flux_x
-    result[:, 1:] -= flux_x
-    result[:-1] += flux_y
-    result[1:] -= flux_y
-    return result
-
-
-def _negative_laplacian(z: np.ndarray, x: float, y: float) -> np.ndarray:
-    """Negative Laplacian with free edges."""
-    result = np.zeros(z.shape)
-    flux_x, flux_y = np.diff(z, axis=1) / x**2, np.diff(z, axis=0) / y**2
-    result[:, :-1] -= flux_x
-    result[:, 1:] += flux_x
-    result[:-1] -= flux_y
-    result[1:] += flux_y
-    return result
-
-
-def _laplacian_eigenvalues(shape: tuple[int, ...], x: float, y: float) -> np.ndarray:
-    rows, columns = (2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in shape)
-    return rows[:, None] / y**2 + columns[None] / x**2
+def _divergence(flux_x: np.ndarray, flux_y: np.ndarray) -> np.ndarray:
+    """Divergence of fluxes between neighboring pixels, without flux through the image's edges."""
+    divergence = np.zeros((len(flux_x), flux_y.shape[1]))
+    divergence[:, :-1] += flux_x
+    divergence[:, 1:] -= flux_x
+    divergence[:-1] += flux_y
+    divergence[1:] -= flux_y
+    return divergence
 
 
 def _solve_shifted(rhs: np.ndarray, eigenvalues: np.ndarray, shift: float) -> np.ndarray:
     """Solve (negative Laplacian + shift) z = rhs; with a zero shift, the mean of z is zero."""
-    coefficients = dctn(rhs, norm="ortho")
-    denominator = eigenvalues + shift
+    coefficients, denominator = dctn(rhs, norm="ortho"), eigenvalues + shift
     if shift == 0.0:
-        coefficients[0, 0], denominator = 0.0, denominator.copy()
-        denominator[0, 0] = 1.0
+        coefficients[0, 0], denominator[0, 0] = 0.0, 1.0
     return idctn(coefficients / denominator, norm="ortho")
 
 
 def fill_masked(
-    values: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]
-) -> Float[np.ndarray, "h w"]:
+    values: Float[np.ndarray, "h w *c"], known: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w *c"]:
     """Fill unknown pixels by the solution of Laplace's equation, with free image edges.
 
     Args:
-        values: Field; its values at unknown pixels are ignored.
+        values: One or several fields; their values at unknown pixels are ignored.
         known: Pixels whose values are known.
-
-    Returns:
-        The field with unknown pixels filled.
 
     Raises:
         ConfigError: The shapes differ, or no pixel is known.
     """
-    if values.shape != known.shape:
+    if values.shape[:2] != known.shape:
         raise ConfigError(f"values are {values.shape}, known is {known.shape}.")
     if not known.any():
         raise ConfigError("no pixel is known; is everything masked as a marker?")
     if known.all():
         return values.copy()
-    unknown_index = np.full(values.shape, -1)
-    unknown_index[~known] = np.arange(int((~known).sum()))
-    matrix, rhs = _laplace_equations(values, unknown_index)
-    result = values.copy()
-    result[~known] = spsolve(matrix.tocsc(), rhs)
-    return result
+    filled, inner = values.copy(), known.ravel()
+    rows = _grid_laplacian(known.shape)[~inner]
+    rhs = rows[:, inner] @ -values[known].reshape(inner.sum(), -1)
+    solution = splu(rows[:, ~inner].tocsc()).solve(rhs)
+    filled[~known] = solution.reshape(filled[~known].shape)
+    return filled
 
 
-def _laplace_equations(
-    values: np.ndarray, unknown_index: np.ndarray
-) -> tuple[sp.coo_matrix, np.ndarray]:
-    count = int(unknown_index.max()) + 1
-    rhs, degree = np.zeros(count), np.zeros(count)
-    rows, columns = [], []
-    flat, index = values.ravel(), unknown_index.ravel()
-    pixels = np.arange(values.size).reshape(values.shape)
-    pairs = [(pixels[:, 1:], pixels[:, :-1]), (pixels[1:], pixels[:-1])]
-    for first, second in [*pairs, *[(b, a) for a, b in pairs]]:
-        center, neighbor = first.ravel(), second.ravel()
-        selected = index[center] >= 0
-        center, neighbor = center[selected], neighbor[selected]
-        np.add.at(degree, index[center], 1.0)
-        unknown = index[neighbor] >= 0
-        np.add.at(rhs, index[center[~unknown]], flat[neighbor[~unknown]])
-        rows.append(index[center[unknown]])
-        columns.append(index[neighbor[unknown]])
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    off_diagonal = sp.coo_matrix((-np.ones(len(row)), (row, column)), shape=(count, count))
-    return (off_diagonal + sp.diags(degree)).tocoo(), rhs
+@lru_cache(maxsize=4)
+def _grid_laplacian(shape: tuple[int, int]) -> sp.csr_matrix:
+    """Negative Laplacian of an image with free edges and pixels of unit size."""
+    differences = (sp.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in shape)
+    along_rows, along_columns = (difference.T @ difference for difference in differences)
+    return sp.kronsum(along_columns, along_rows).tocsr()

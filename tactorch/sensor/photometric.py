@@ -45,9 +45,6 @@ class Photometric:
             known: Pixels whose slopes are known.
             smooth_px: Standard deviation of the smoothing of images.
 
-        Returns:
-            The map.
-
         Raises:
             ConfigError: There are fewer than three lamps, or too few known pixels.
         """
@@ -75,12 +72,11 @@ class Photometric:
 def _terms(images: Float[np.ndarray, "h w lamps"], smooth_px: float) -> np.ndarray:
     import cv2
 
-    smooth = images
     if smooth_px > 0:
         channels = np.moveaxis(images, 2, 0)
         blurred = [cv2.GaussianBlur(channel, (0, 0), smooth_px) for channel in channels]
-        smooth = np.stack(blurred, axis=-1)
-    ratio = smooth / np.maximum(smooth.mean(axis=-1, keepdims=True), 1e-9)
+        images = np.stack(blurred, axis=-1)
+    ratio = images / np.maximum(images.mean(axis=-1, keepdims=True), 1e-9)
     rows, columns = ratio.shape[:2]
     y, x = (v[..., None] for v in np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : columns * 1j])
     linear = np.concatenate([np.ones((rows, columns, 1)), ratio], axis=-1)

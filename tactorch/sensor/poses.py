@@ -38,17 +38,15 @@ class Poses:
     def __post_init__(self) -> None:
         if not len(self.time_s):
             raise ConfigError("there is no pose; give one or more.")
-        if not np.isfinite(self.time_s).all():
-            i = int(np.argmin(np.isfinite(self.time_s)))
+        for i in np.flatnonzero(~np.isfinite(self.time_s)):
             raise ConfigError(f"pose {i} has no time: time_s is {self.time_s[i]:g}; give seconds.")
-        bad = np.flatnonzero(~(np.diff(self.time_s) > 0))
-        if len(bad):
+        for i in np.flatnonzero(np.diff(self.time_s) <= 0):
             raise ConfigError(
-                f"time_s must rise: pose {bad[0] + 1} is at {self.time_s[bad[0] + 1]:g} s, the one"
-                f" before it at {self.time_s[bad[0]]:g} s."
+                f"time_s must rise: pose {i + 1} is at {self.time_s[i + 1]:g} s, the one before it"
+                f" at {self.time_s[i]:g} s."
             )
-        for i, pose in enumerate(self.T_object_sensor):
-            check_pose(pose, f"pose {i}")
+        for number, pose in enumerate(self.T_object_sensor):
+            check_pose(pose, f"pose {number}")
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -64,29 +62,26 @@ class Poses:
             ConfigError: A time is before the first pose, after the last, or unknown.
         """
         times = np.asarray(times_s, dtype=float)
-        untimed = ~np.isfinite(times)
-        if untimed.any():
+        untimed = int((~np.isfinite(times)).sum())
+        if untimed:
             raise ConfigError(
-                f"{int(untimed.sum())} of {len(times)} frames have no time, which is needed to find"
+                f"{untimed} of {len(times)} frames have no time, which is needed to find"
                 " their poses; give frame_rate_hz in the sensor's description."
             )
-        outside = (times < self.time_s[0]) | (times > self.time_s[-1])
-        if outside.any():
+        outside = int(((times < self.time_s[0]) | (times > self.time_s[-1])).sum())
+        if outside:
             raise ConfigError(
-                f"{int(outside.sum())} of {len(times)} frames have no pose: frames are from"
+                f"{outside} of {len(times)} frames have no pose: frames are from"
                 f" {times.min():.3f} to {times.max():.3f} s, poses from {self.time_s[0]:.3f} to"
                 f" {self.time_s[-1]:.3f} s. Leave such frames out, or set both to one clock."
             )
-        poses = np.tile(np.eye(4), (len(times), 1, 1))
-        translations = self.T_object_sensor[:, :3, 3]
         if len(self) == 1:
-            poses[:] = self.T_object_sensor[0]
-            return poses
+            return np.tile(self.T_object_sensor, (len(times), 1, 1))
+        poses = np.tile(np.eye(4), (len(times), 1, 1))
         rotations = Slerp(self.time_s, Rotation.from_matrix(self.T_object_sensor[:, :3, :3]))
         poses[:, :3, :3] = rotations(times).as_matrix()
-        poses[:, :3, 3] = np.column_stack(
-            [np.interp(times, self.time_s, translations[:, k]) for k in range(3)]
-        )
+        for k in range(3):
+            poses[:, k, 3] = np.interp(times, self.time_s, self.T_object_sensor[:, k, 3])
         return poses
 
 
@@ -152,10 +147,9 @@ def read_poses(path: str | Path, *, growing: bool = False) -> Poses:
     table = table.reshape(-1, len(_COLUMNS))
     with np.errstate(over="ignore"):
         lengths = np.linalg.norm(table[:, 4:], axis=1)
-    bad = np.flatnonzero(~(np.abs(lengths - 1.0) < 1e-2))
-    if len(bad):
+    for i in np.flatnonzero(~(np.abs(lengths - 1.0) < 1e-2)):
         raise FileError(
-            f"{rows[bad[0]].location}: the quaternion has length {lengths[bad[0]]:.4g}, not 1; give"
+            f"{rows[i].location}: the quaternion has length {lengths[i]:.4g}, not 1; give"
             " qw, qx, qy, qz in the columns of these names."
         )
     poses = np.tile(np.eye(4), (len(table), 1, 1))

@@ -2,8 +2,8 @@
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from tactorch.errors import FileError
 from tactorch.files import require_file
@@ -11,35 +11,21 @@ from tactorch.files import require_file
 _MAX_BYTES = 256_000_000
 
 
-@dataclass(frozen=True)
-class Row:
-    """A line of a table.
-
-    Attributes:
-        location: File and line, for messages.
-        values: Text of each column; None where the line ends early.
-    """
+class Row(NamedTuple):
+    """A line of a table: the file and line, for messages, and the text of each column."""
 
     location: str
     values: Mapping[str, str | None]
 
     def text(self, column: str) -> str:
-        """Return the text in a column.
-
-        Raises:
-            FileError: The column is empty.
-        """
+        """Return the text in a column; raise `FileError` if it is empty."""
         value = self.values[column]
         if value is None or not value.strip():
             raise FileError(f"{self.location}: {column} is missing.")
         return value.strip()
 
     def number(self, column: str) -> float:
-        """Return the number in a column.
-
-        Raises:
-            FileError: The column does not contain a number.
-        """
+        """Return the number in a column; raise `FileError` if there is none."""
         try:
             return float(self.text(column))
         except ValueError as error:
@@ -64,17 +50,12 @@ def read_rows(
         growing: Whether another program still appends lines; an unterminated last line is then
             ignored.
 
-    Yields:
-        Each line.
-
     Raises:
         FileError: The file is missing, too large or not text, or lacks a column.
     """
-    file = require_file(path, kind)
+    file, what = require_file(path, kind), f"{kind} '{path}'"
     if file.stat().st_size > _MAX_BYTES:
-        raise FileError(
-            f"{kind} '{path}' has {file.stat().st_size} bytes; give one of up to {_MAX_BYTES}."
-        )
+        raise FileError(f"{what} has {file.stat().st_size} bytes; give one of up to {_MAX_BYTES}.")
     try:
         # Spreadsheets start files with a byte order mark.
         with open(file, newline="", encoding="utf-8-sig") as text:
@@ -84,13 +65,12 @@ def read_rows(
             missing = [name for name in columns if name not in header]
             if missing:
                 raise FileError(
-                    f"{kind} '{path}' lacks the column {missing[0]}; it needs"
-                    f" {', '.join(columns)}, separated by commas."
+                    f"{what} lacks the column {missing[0]}; it needs {', '.join(columns)},"
+                    " separated by commas."
                 )
             lines.fieldnames = header
             for values in lines:
-                yield Row(f"{kind} '{path}', line {lines.line_num}", values)
+                yield Row(f"{what}, line {lines.line_num}", values)
     except (UnicodeDecodeError, csv.Error) as error:
-        raise FileError(
-            f"{kind} '{path}' is not readable text ({error}); save it as CSV in UTF-8."
-        ) from error
+        reason = f"{what} is not readable text ({error})"
+        raise FileError(f"{reason}; save it as CSV in UTF-8.") from error

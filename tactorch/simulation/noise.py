@@ -8,11 +8,7 @@ from tactorch.mesh.values import Real
 
 
 def noise_level(signal: Float[np.ndarray, " k"], snr_db: Real) -> float:
-    """Return the standard deviation sigma with 20 log10(rms(signal) / sigma) = `snr_db`.
-
-    Raises:
-        ConfigError: `snr_db` is not finite.
-    """
+    """Return the standard deviation sigma with 20 log10(rms(signal) / sigma) = `snr_db`."""
     if not np.isfinite(snr_db):
         raise ConfigError(f"snr_db={snr_db!r} must be a finite number of decibels, or None.")
     return float(np.sqrt(np.mean(np.square(signal))) * 10.0 ** (-float(snr_db) / 20.0))
@@ -34,9 +30,6 @@ def add_noise(
 
     Returns:
         The noisy displacement, mm, and the standard deviation of the noise, mm.
-
-    Raises:
-        ConfigError: `snr_db` is not finite.
     """
     sigma = noise_level(displacement[observed], snr_db)
     noisy = displacement.copy()

@@ -15,19 +15,14 @@ from tactorch.mesh.values import Real
 from tactorch.simulation.plan import PressSite
 
 _N_SIDES = 96
+Polygon = Float[np.ndarray, "k 2"]
 
 
 def patch_center(mesh: TetMesh, site: PressSite) -> Float[np.ndarray, "3"]:
-    """Return the centre of the patch on the face, mm; by default the middle of the face.
-
-    Raises:
-        ConfigError: The centre is outside the face's rectangle.
-    """
+    """Return the centre of the patch on the face, mm; by default the middle of the face."""
     low, high = mesh.bounds
-    middle = (low + high) / 2
-    center = middle if site.center_mm is None else np.array(site.center_mm)
-    tangential = [i for i in range(3) if i != site.axis]
-    if ((center < low) | (center > high))[tangential].any():
+    center = (low + high) / 2 if site.center_mm is None else np.array(site.center_mm)
+    if ((center < low) | (center > high))[site.tangential].any():
         raise ConfigError(
             f"The patch {site.name} is outside the object, which spans"
             f" {np.round(low, 4).tolist()} to {np.round(high, 4).tolist()} mm; move its centre."
@@ -39,13 +34,8 @@ def patch_center(mesh: TetMesh, site: PressSite) -> Float[np.ndarray, "3"]:
 def nodes_within(
     mesh: TetMesh, nodes: Int[np.ndarray, " k"], site: PressSite, radius_mm: Real
 ) -> Int[np.ndarray, " q"]:
-    """Return the `nodes` within the patch.
-
-    Raises:
-        ConfigError: The patch contains no node.
-    """
-    tangential = [i for i in range(3) if i != site.axis]
-    offsets = (mesh.points[nodes] - patch_center(mesh, site))[:, tangential]
+    """Return the `nodes` within the patch; at least one."""
+    offsets = (mesh.points[nodes] - patch_center(mesh, site))[:, site.tangential]
     inside = nodes[np.linalg.norm(offsets, axis=1) <= radius_mm]
     if not len(inside):
         raise ConfigError(
@@ -58,39 +48,27 @@ def nodes_within(
 def patch_forces(
     discretisation: Discretisation, site: PressSite, radius_mm: Real
 ) -> Float[np.ndarray, "nodes 3"]:
-    """Return the nodal forces of a pressure of 1 MPa on the patch, N.
-
-    Raises:
-        ConfigError: The patch's centre is outside the face.
-        MeshError: The object has no flat face there.
-    """
+    """Return the nodal forces of a pressure of 1 MPa on the patch, N."""
     mesh = discretisation.mesh
-    tangential = [i for i in range(3) if i != site.axis]
-    circle = _circle(patch_center(mesh, site)[tangential], float(radius_mm))
+    # A regular polygon of the circle's area, counter-clockwise.
+    angles = 2.0 * np.pi * np.arange(_N_SIDES) / _N_SIDES
+    area = _N_SIDES * np.sin(2.0 * np.pi / _N_SIDES)  # twice that of the unit polygon
+    outer = float(radius_mm) * np.sqrt(2.0 * np.pi / area)
+    center = patch_center(mesh, site)[site.tangential]
+    circle = center + outer * np.column_stack((np.cos(angles), np.sin(angles)))
     forces = np.zeros((discretisation.n_nodes, 3))
     for index in select_face(mesh, site.face):
         triangle = mesh.surface.triangles[index]
-        corners = mesh.points[triangle][:, tangential]
+        corners = mesh.points[triangle][:, site.tangential]
         polygon = _clip(corners, circle)
-        if len(polygon) < 3:
-            continue
-        integrals = _shape_integrals(discretisation, triangle, corners, polygon)
-        inward = -mesh.surface.normals[index] * mesh.surface.areas[index]
-        for node, integral in integrals:
-            forces[node] += integral * inward
+        if len(polygon) >= 3:
+            nodes, integrals = _shape_integrals(discretisation, triangle, corners, polygon)
+            inward = -mesh.surface.normals[index] * mesh.surface.areas[index]
+            forces[nodes] += integrals[:, None] * inward
     return forces
 
 
-def _circle(center: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "k 2"]:
-    """Regular polygon of the circle's area, counter-clockwise."""
-    angles = 2.0 * np.pi * np.arange(_N_SIDES) / _N_SIDES
-    outer = radius * np.sqrt(2.0 * np.pi / (_N_SIDES * np.sin(2.0 * np.pi / _N_SIDES)))
-    return center + outer * np.column_stack((np.cos(angles), np.sin(angles)))
-
-
-def _clip(
-    polygon: Float[np.ndarray, "k 2"], convex: Float[np.ndarray, "s 2"]
-) -> Float[np.ndarray, "q 2"]:
+def _clip(polygon: Polygon, convex: Float[np.ndarray, "s 2"]) -> Float[np.ndarray, "q 2"]:
     """Return the intersection of a polygon with a convex, counter-clockwise one.
 
     Each edge of `convex` cuts off the part to its right (Sutherland and Hodgman, 1974).
@@ -104,8 +82,14 @@ def _clip(
         left = _left_of(convex[i], edges[i], polygon)
         if (left <= 0).all():
             return polygon[:0]
-        if (left < 0).any():
-            polygon = _cut(polygon, left)
+        corners = []
+        for k, (b, at_b) in enumerate(zip(polygon, left, strict=True)):
+            a, at_a = polygon[k - 1], left[k - 1]
+            if (at_a < 0) != (at_b < 0):
+                corners.append(a + at_a / (at_a - at_b) * (b - a))
+            if at_b >= 0:
+                corners.append(b)
+        polygon = np.array(corners)
     return polygon
 
 
@@ -115,55 +99,25 @@ def _left_of(starts: np.ndarray, edges: np.ndarray, points: np.ndarray) -> np.nd
     return edges[..., 0] * offsets[..., 1] - edges[..., 1] * offsets[..., 0]
 
 
-def _cut(
-    polygon: Float[np.ndarray, "k 2"], left: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, "q 2"]:
-    """Keep the part of a polygon where `left`, linear between its corners, is not negative."""
-    corners = []
-    for i in range(len(polygon)):
-        a, b, at_a, at_b = polygon[i - 1], polygon[i], left[i - 1], left[i]
-        if (at_a < 0) != (at_b < 0):
-            corners.append(a + at_a / (at_a - at_b) * (b - a))
-        if at_b >= 0:
-            corners.append(b)
-    return np.array(corners)
-
-
 def _shape_integrals(
     discretisation: Discretisation,
     triangle: Int[np.ndarray, "3"],
     corners: Float[np.ndarray, "3 2"],
-    polygon: Float[np.ndarray, "q 2"],
-) -> list[tuple[int, float]]:
-    """Integrals of the shape functions over a polygon, divided by the triangle's area."""
-    points, weights = _quadrature(polygon)
-    edges = (corners[1:] - corners[0]).T
-    second_third = np.linalg.solve(edges, (points - corners[0]).T).T
-    L = np.column_stack((1.0 - second_third.sum(axis=1), second_third))
-    weights = weights / (0.5 * abs(np.linalg.det(edges)))
-    if not discretisation.element.quadratic:
-        return list(zip(triangle.tolist(), (weights @ L).tolist(), strict=True))
-    ends = [(0, 1), (1, 2), (2, 0)]
-    nodes = [*triangle.tolist(), *(_midside(discretisation, triangle[list(e)]) for e in ends)]
-    at_corners = weights @ (L * (2.0 * L - 1.0))
-    at_midsides = [float(weights @ (4.0 * L[:, a] * L[:, b])) for a, b in ends]
-    return list(zip(nodes, [*at_corners.tolist(), *at_midsides], strict=True))
-
-
-def _quadrature(polygon: Float[np.ndarray, "q 2"]) -> tuple[np.ndarray, np.ndarray]:
-    """Points and weights that integrate quadratics over a convex polygon exactly.
-
-    The polygon is divided into a fan of triangles with the midpoint rule on their edges.
-    """
+    polygon: Polygon,
+) -> tuple[Int[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]:
+    """Nodes, and integrals of their shape functions over a polygon by the triangle's area."""
+    # A fan of triangles with the midpoint rule on their edges is exact for quadratics.
     a, b, c = polygon[0], polygon[1:-1], polygon[2:]
     ab, ac = b - a, c - a
     areas = 0.5 * np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
-    return np.concatenate(((a + b) / 2, (b + c) / 2, (c + a) / 2)), np.tile(areas / 3.0, 3)
-
-
-def _midside(discretisation: Discretisation, ends: Int[np.ndarray, "2"]) -> int:
-    """Midside node between two vertices; edges are sorted by their end points."""
-    n = discretisation.mesh.n_points
-    edges = discretisation.edges
-    low, high = sorted(ends.tolist())
-    return n + int(np.searchsorted(edges[:, 0] * n + edges[:, 1], low * n + high))
+    points = np.concatenate(((a + b) / 2, (b + c) / 2, (c + a) / 2))
+    edges = (corners[1:] - corners[0]).T
+    weights = np.tile(areas / 3.0, 3) / (0.5 * abs(np.linalg.det(edges)))
+    second_third = np.linalg.solve(edges, (points - corners[0]).T).T
+    L = np.column_stack((1.0 - second_third.sum(axis=1), second_third))
+    if not discretisation.element.quadratic:
+        return triangle, weights @ L
+    midsides = [weights @ (4.0 * L[:, i] * L[:, (i + 1) % 3]) for i in range(3)]
+    nodes = discretisation.midside(triangle, np.roll(triangle, -1))
+    integrals = np.concatenate((weights @ (L * (2.0 * L - 1.0)), midsides))
+    return np.concatenate((triangle, nodes)), integrals

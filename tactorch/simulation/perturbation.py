@@ -32,9 +32,6 @@ def perturb_recording(
 
     Returns:
         The recording with the errors noted in its provenance.
-
-    Raises:
-        ConfigError: A value is invalid.
     """
     factors = np.broadcast_to(np.asarray(size, dtype=np.float64), (3,))
     if not (np.all(np.isfinite(factors)) and np.all(factors > 0)):
@@ -65,12 +62,8 @@ def _shape_difference(
     press: Press, points: Float[np.ndarray, "n 3"], factors: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Assumed minus true rest positions, relative to the supported nodes along each axis."""
-    supported = press.fixed | (press.springs > 0)
-    center = points.min(axis=0) / 2 + points.max(axis=0) / 2
-    origin = np.array(
-        [
-            points[nodes, a].mean() if (nodes := supported[:, a]).any() else center[a]
-            for a in range(3)
-        ]
-    )
+    origin = points.min(axis=0) / 2 + points.max(axis=0) / 2
+    for axis, supported in enumerate((press.fixed | (press.springs > 0)).T):
+        if supported.any():
+            origin[axis] = points[supported, axis].mean()
     return (points - origin) * (factors - 1.0)

@@ -1,12 +1,11 @@
 """Simulation of a recording from a phantom and a press plan."""
 
+import itertools
 import threading
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
@@ -16,10 +15,10 @@ from tactorch.mesh import TetMesh
 from tactorch.mesh.values import Real, Vector, positive, vector
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.simulation.boundary import BoundaryConditions
 from tactorch.simulation.noise import add_noise, noise_level
 from tactorch.simulation.plan import PressPlan
 from tactorch.simulation.solve import PressSimulator
+from tactorch.versions import versions
 
 _DEFAULT_MATERIAL = MaterialSpec("neo_hookean", 0.45)
 _DEFAULT_PLAN = PressPlan()
@@ -80,7 +79,6 @@ def simulate(
         ConfigError: A setting is invalid, or a patch misses the object.
         MeshError: A mesh is not one of the phantom, or a face is not flat.
         ConvergenceError: A press collapses the object.
-        RecordingError: The result is implausible, for instance in its units.
     """
     if snr_db is not None:
         noise_level(np.ones(1), snr_db)  # refuses an invalid value before the computation
@@ -90,102 +88,73 @@ def simulate(
     density = None if density is None else positive("density", density)
     mesh = phantom.mesh() if mesh is None else mesh
     truth = phantom.on_mesh(mesh, samples)
-    other_mesh = fine_mesh is not None and fine_mesh.content_hash() != mesh.content_hash()
-    solved_mesh = fine_mesh if other_mesh and fine_mesh is not None else mesh
+    if fine_mesh is None or fine_mesh.content_hash() == mesh.content_hash():
+        fine_mesh = mesh
     law = make_material(material.name, material.poisson, **material.parameters)
-    body = SoftBody(solved_mesh, law, element=element, solver=solver)
+    body = SoftBody(fine_mesh, law, element=element, solver=solver)
     weight = np.zeros((body.n_nodes, 3))
     if density is not None:
         weight = body.gravity(density, acceleration.tolist()).numpy()
-    youngs = phantom.on_mesh(solved_mesh, samples)
-    simulator = PressSimulator(body, youngs, mesh, plan, weight)
-    even_springs = not simulator.uses_recorded_loads
-    sites = [
-        BoundaryConditions.on(mesh, site, plan, even_springs=even_springs) for site in plan.sites
-    ]
+    simulator = PressSimulator(body, phantom.on_mesh(fine_mesh, samples), mesh, plan, weight)
+    sites = [simulator.conditions(site) for site in plan.sites]
     count = _counter(plan.n_presses, progress)
     displacements = map_cases(lambda i: simulator.solve(sites[i], count), len(sites))
-    cases = [
-        (c, step, u)
-        for c, us in zip(sites, displacements, strict=True)
-        for step, u in enumerate(us)
-    ]
-    presses = [
-        _press(conditions, step, plan.pressures[step], u, snr_db, [seed, i])
-        for i, (conditions, step, u) in enumerate(cases)
-    ]
-    settings = {
+    presses: list[Press] = []
+    for conditions, steps in zip(sites, displacements, strict=True):
+        for step, (pressure, displacement) in enumerate(zip(plan.pressures, steps, strict=True)):
+            noise_mm = None
+            if snr_db is not None:
+                rng = np.random.default_rng([seed, len(presses)])
+                displacement, noise_mm = add_noise(displacement, conditions.observed, snr_db, rng)
+            press = Press(
+                pressure * conditions.forces,
+                conditions.observed,
+                displacement,
+                springs=conditions.springs,
+                fixed=conditions.fixed,
+                noise_mm=noise_mm,
+                step=step,
+                direction=conditions.site.direction,
+                name=f"{conditions.site.name}, {1e3 * pressure:g} kPa",
+            )
+            presses.append(press)
+    provenance = {
+        "simulator": "tactorch.simulation",
+        "phantom": phantom.to_config(),
+        "plan": to_mapping(plan),
         "element": element,
         "solver": solver if isinstance(solver, str) else SOLVERS.name_of(type(solver)),
         "samples": samples,
         "snr_db": snr_db,
+        "seed": seed,
+        "inverse_crime": simulator.same_mesh,
+        "fine_mesh": None if simulator.same_mesh else _summarize(fine_mesh),
+        "versions": versions(),
     }
     return Recording(
         mesh,
         tuple(presses),
         material,
         truth=truth,
-        provenance=_provenance(phantom, plan, simulator, {**settings, "seed": seed}),
+        provenance=provenance,
         density=density,
         gravity=acceleration,
     )
 
 
-def _press(
-    conditions: BoundaryConditions,
-    step: int,
-    pressure: float,
-    displacement: Float[np.ndarray, "n 3"],
-    snr_db: Real | None,
-    seed: list[int],
-) -> Press:
-    """Return a solved press, with noise if `snr_db` is given."""
-    noise_mm = None
-    if snr_db is not None:
-        rng = np.random.default_rng(seed)
-        displacement, noise_mm = add_noise(displacement, conditions.observed, snr_db, rng)
-    return Press(
-        pressure * conditions.forces,
-        conditions.observed,
-        displacement,
-        springs=conditions.springs,
-        fixed=conditions.fixed,
-        noise_mm=noise_mm,
-        step=step,
-        direction=conditions.site.direction,
-        name=f"{conditions.site.name}, {1e3 * pressure:g} kPa",
-    )
-
-
 def _counter(total: int, progress: Callable[[int, int], None] | None) -> Callable[[], None]:
     """Return a thread-safe function that counts its calls and reports them."""
-    lock, solved = threading.Lock(), 0
+    lock, solved = threading.Lock(), itertools.count(1)
 
     def count() -> None:
-        nonlocal solved
         with lock:
-            solved += 1
             if progress is not None:
-                progress(solved, total)
+                progress(next(solved), total)
 
     return count
 
 
-def _provenance(
-    phantom: Phantom, plan: PressPlan, simulator: PressSimulator, settings: dict[str, Any]
-) -> dict[str, Any]:
-    return {
-        "simulator": "tactorch.simulation",
-        "phantom": phantom.to_config(),
-        "plan": to_mapping(plan),
-        **settings,
-        "inverse_crime": simulator.same_mesh,
-        "fine_mesh": None if simulator.same_mesh else _mesh_summary(simulator.body.mesh),
-        "versions": {name: _version(name) for name in ("tactorch", "numpy", "scipy", "torch")},
-    }
-
-
-def _mesh_summary(mesh: TetMesh) -> dict[str, Any]:
+def _summarize(mesh: TetMesh) -> dict[str, Any]:
     ends = mesh.points[mesh.edges]
     return {
         "points": mesh.n_points,
@@ -193,10 +162,3 @@ def _mesh_summary(mesh: TetMesh) -> dict[str, Any]:
         "mean_edge_mm": float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()),
         "hash": mesh.content_hash(),
     }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"

@@ -32,6 +32,11 @@ class PressSite:
         return "xyz".index(self.face[0])
 
     @property
+    def tangential(self) -> list[int]:
+        """The two other axes."""
+        return [i for i in range(3) if i != self.axis]
+
+    @property
     def opposite(self) -> str:
         """Opposite face, which is supported."""
         return self.face[0] + ("-" if self.face[1] == "+" else "+")
@@ -54,9 +59,7 @@ class PressPlan(Options):
     """Presses on flat faces with increasing pressure, the opposite face supported.
 
     Pressure is a dead load: per area of the undeformed object, along the undeformed normal.
-
-    Raises:
-        ConfigError: A value is invalid; the message names it.
+    `pressures_mpa`, `p_max_mpa` and `steps` are made consistent; the first has precedence.
     """
 
     section = "press"
@@ -88,16 +91,20 @@ class PressPlan(Options):
     )
 
     def __post_init__(self) -> None:
-        """Check the values; `pressures_mpa`, `p_max_mpa` and `steps` are made consistent.
-
-        Raises:
-            ConfigError: A value is invalid.
-        """
+        """Check the values, and complete the load steps."""
         faces: Any = self.faces
         if isinstance(faces, str):
             object.__setattr__(self, "faces", (faces,))
         super().__post_init__()
-        _check_faces(self.faces)
+        if not self.faces:
+            raise ConfigError(f"press.faces is empty; choose from {', '.join(FACE_NAMES)}.")
+        for face in self.faces:
+            if face not in FACE_NAMES:
+                raise ConfigError(
+                    f"press.faces: unknown face '{face}'; choose from {', '.join(FACE_NAMES)}."
+                )
+        if len(set(self.faces)) < len(self.faces):
+            raise ConfigError(f"press.faces={list(self.faces)} repeats a face; name each once.")
         if self.pressures_mpa is None:
             ramp = tuple(self.p_max_mpa * i / self.steps for i in range(1, self.steps + 1))
             object.__setattr__(self, "pressures_mpa", ramp)
@@ -132,15 +139,3 @@ class PressPlan(Options):
     def n_presses(self) -> int:
         """Number of presses: locations times load steps."""
         return len(self.sites) * len(self.pressures)
-
-
-def _check_faces(faces: tuple[str, ...]) -> None:
-    if not faces:
-        raise ConfigError(f"press.faces is empty; choose from {', '.join(FACE_NAMES)}.")
-    for face in faces:
-        if face not in FACE_NAMES:
-            raise ConfigError(
-                f"press.faces: unknown face '{face}'; choose from {', '.join(FACE_NAMES)}."
-            )
-    if len(set(faces)) < len(faces):
-        raise ConfigError(f"press.faces={list(faces)} repeats a face; name each once.")

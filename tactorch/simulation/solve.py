@@ -1,40 +1,44 @@
-"""Solution of the presses of a plan on a soft body."""
+"""Boundary conditions and solution of the presses of a plan on a soft body."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import SoftBody, Supports
-from tactorch.mesh import TetMesh
-from tactorch.simulation.boundary import BoundaryConditions, elastic_foundation, unit_forces
-from tactorch.simulation.plan import PressPlan
+from tactorch.fem import ELEMENTS, Discretisation, SoftBody, Supports
+from tactorch.fem.loads import pressure_forces
+from tactorch.mesh import TetMesh, face_nodes
+from tactorch.simulation.patch import nodes_within, patch_forces
+from tactorch.simulation.plan import PressPlan, PressSite
 from tactorch.simulation.transfer import Transfer
 
 # Maximum relative difference of the total force on two meshes of a curved body; it is corrected.
 _MAX_FORCE_DIFFERENCE = 0.05
 
 
+class BoundaryConditions(NamedTuple):
+    """Boundary conditions of one site on the n nodes of the recording's mesh."""
+
+    site: PressSite
+    forces: Float[np.ndarray, "n 3"]  # of 1 MPa, N
+    observed: Bool[np.ndarray, "n 3"]  # all components of the pressed nodes
+    springs: Float[np.ndarray, "n 3"]  # N/mm
+    fixed: Bool[np.ndarray, "n 3"]
+
+
 @dataclass(frozen=True, eq=False)
 class PressSimulator:
-    """Soft body, possibly on a finer mesh than the recording's.
-
-    Attributes:
-        body: Body to press.
-        youngs: Young's modulus of its elements, MPa.
-        mesh: The recording's mesh.
-        plan: Press plan.
-        weight: Nodal forces of gravity, N.
-    """
+    """Soft body, possibly on a finer mesh than the recording's."""
 
     body: SoftBody
-    youngs: Float[np.ndarray, " e"]
-    mesh: TetMesh
+    youngs: Float[np.ndarray, " e"]  # MPa
+    mesh: TetMesh  # of the recording
     plan: PressPlan
-    weight: Float[np.ndarray, "nodes 3"]
+    weight: Float[np.ndarray, "nodes 3"]  # N
 
     @property
     def same_mesh(self) -> bool:
@@ -46,7 +50,7 @@ class PressSimulator:
         """Whether the recording's nodal forces and springs are applied to the body.
 
         They are on vertices, as linear elements require; quadratic elements get consistent loads
-        on midside nodes.
+        and springs on midside nodes too.
         """
         return self.same_mesh and not self.body.discretisation.element.quadratic
 
@@ -57,22 +61,36 @@ class PressSimulator:
             return lambda u: u[:n]
         return Transfer.between(self.body.discretisation, self.mesh.points)
 
+    def conditions(self, site: PressSite) -> BoundaryConditions:
+        """Return the boundary conditions of a site on the recording's mesh.
+
+        Equal springs, as in the paper, are stiffer per area where nodes are dense, along edges
+        above all; for two meshes to be supported alike, the total stiffness is distributed evenly
+        over the area.
+        """
+        mesh, plan = self.mesh, self.plan
+        discretisation = Discretisation(mesh, ELEMENTS["tet4"])
+        nodes = face_nodes(mesh, site.face)
+        if plan.patch_radius_mm is not None:
+            nodes = nodes_within(mesh, nodes, site, plan.patch_radius_mm)
+        observed = np.zeros((mesh.n_points, 3), dtype=bool)
+        observed[nodes] = True
+        springs = np.zeros((mesh.n_points, 3))
+        if plan.support == "springs":
+            springs[face_nodes(mesh, site.opposite)] = plan.spring_n_per_mm
+            if not self.uses_recorded_loads:
+                springs = _distribute(springs.sum(axis=0), discretisation, site)
+        forces = _unit_forces(discretisation, site, plan)
+        return BoundaryConditions(site, forces, observed, springs, _fixed_dofs(mesh, site, plan))
+
     def solve(
         self, conditions: BoundaryConditions, on_solved: Callable[[], None] = lambda: None
     ) -> list[Float[np.ndarray, "n 3"]]:
-        """Solve all load steps of a site, each with a warm start from the previous one.
+        """Return the displacement (mm) of the recording's nodes for each load step of a site.
 
-        Args:
-            conditions: Boundary conditions of the site.
-            on_solved: Called after each load step.
-
-        Returns:
-            Displacement of the recording's nodes for each load step, mm.
-
-        Raises:
-            ConvergenceError: The object collapses; the message names the press.
+        Each load step starts from the previous one; `on_solved` is called after each.
         """
-        forces, supports = self._forces(conditions), self._supports(conditions)
+        forces, supports = self._loads(conditions)
         displacement: np.ndarray | None = None
         results = []
         for pressure in self.plan.pressures:
@@ -87,11 +105,15 @@ class PressSimulator:
             on_solved()
         return results
 
-    def _forces(self, conditions: BoundaryConditions) -> Float[np.ndarray, "nodes 3"]:
+    def _loads(
+        self, conditions: BoundaryConditions
+    ) -> tuple[Float[np.ndarray, "nodes 3"], Supports]:
+        """Nodal forces of 1 MPa (N) on the body, of the recording's total, and its supports."""
+        site, _, _, springs, fixed = conditions
         if self.uses_recorded_loads:
-            return conditions.forces
-        site = conditions.site
-        forces = unit_forces(self.body.discretisation, site, self.plan)
+            return conditions.forces, Supports(fixed=fixed, springs=springs)
+        discretisation = self.body.discretisation
+        forces = _unit_forces(discretisation, site, self.plan)
         total = float((forces @ site.direction).sum())
         recorded = float((conditions.forces @ site.direction).sum())
         if abs(total - recorded) > _MAX_FORCE_DIFFERENCE * recorded:
@@ -100,10 +122,50 @@ class PressSimulator:
                 f" {recorded:.4g} N on the recording's, because the face is not flat or the meshes"
                 " are not of one body; press on a flat face."
             )
-        return forces * (recorded / total)
+        fixed = _fixed_dofs(discretisation.mesh, site, self.plan)
+        springs = _distribute(springs.sum(axis=0), discretisation, site)
+        return forces * (recorded / total), Supports(fixed=fixed, springs=springs)
 
-    def _supports(self, conditions: BoundaryConditions) -> Supports:
-        if self.uses_recorded_loads:
-            return Supports(fixed=conditions.fixed, springs=conditions.springs)
-        stiffness = conditions.springs.sum(axis=0)
-        return elastic_foundation(self.body.discretisation, conditions.site, self.plan, stiffness)
+
+def _unit_forces(
+    discretisation: Discretisation, site: PressSite, plan: PressPlan
+) -> Float[np.ndarray, "nodes 3"]:
+    """Consistent nodal forces of 1 MPa on the face or its patch, N."""
+    if plan.patch_radius_mm is not None:
+        return patch_forces(discretisation, site, plan.patch_radius_mm)
+    return pressure_forces(discretisation, site.face, 1.0).numpy()
+
+
+def _distribute(
+    stiffness: Float[np.ndarray, "3"], discretisation: Discretisation, site: PressSite
+) -> Float[np.ndarray, "nodes 3"]:
+    """Distribute a total stiffness (N/mm along each axis) evenly over the supported face.
+
+    Consistent with the element: under a uniform reaction only the midside nodes of quadratic
+    elements carry load.
+    """
+    forces = pressure_forces(discretisation, site.opposite, 1.0).numpy()
+    areas = np.abs(forces @ site.direction)
+    return (areas / areas.sum())[:, None] * stiffness
+
+
+def _fixed_dofs(mesh: TetMesh, site: PressSite, plan: PressPlan) -> Bool[np.ndarray, "n 3"]:
+    """Degrees of freedom with zero displacement; none with springs.
+
+    A roller fixes two more nodes tangentially against rigid motion.
+    """
+    fixed = np.zeros((mesh.n_points, 3), dtype=bool)
+    nodes = face_nodes(mesh, site.opposite)
+    if plan.support == "fixed":
+        fixed[nodes] = True
+    if plan.support == "roller":
+        fixed[nodes, site.axis] = True
+        positions = mesh.points[nodes][:, site.tangential]
+        anchor = int(np.lexsort(np.round(positions, 9).T[::-1])[0])
+        fixed[nodes[anchor], site.tangential] = True
+        # Fixing the node best aligned with the first axis, far from the anchor, across that axis
+        # prevents rotation without restraining a uniform expansion.
+        along, across = np.abs(positions - positions[anchor]).T
+        other = int(np.argmin(np.where(along >= 0.5 * along.max(), across, np.inf)))
+        fixed[nodes[other], site.tangential[1]] = True
+    return fixed

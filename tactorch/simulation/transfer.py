@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from tactorch.errors import MeshError
 from tactorch.fem import Discretisation
-from tactorch.mesh import LOCAL_EDGES, TetMesh
-from tactorch.mesh.locate import locate
+from tactorch.mesh import TetMesh, locate
+from tactorch.mesh.topology import LOCAL_EDGES
 
 # Number of elements of nearest centroid tested for a point outside the mesh.
 _N_CANDIDATES = 64
@@ -45,12 +45,10 @@ class Transfer:
         outside = np.flatnonzero(elements < 0)
         if outside.size:
             elements[outside] = _nearest_elements(mesh, points[outside])
-        L = _barycentric(mesh, elements, points)
+        weights = L = _barycentric(mesh, elements, points)
         if source.element.quadratic:
-            a, b = np.array(LOCAL_EDGES).T
+            a, b = LOCAL_EDGES.T
             weights = np.concatenate((L * (2.0 * L - 1.0), 4.0 * L[:, a] * L[:, b]), axis=1)
-        else:
-            weights = L
         return cls(source.nodes[elements], weights)
 
     def __call__(self, values: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "p 3"]:
@@ -76,11 +74,10 @@ def _nearest_elements(mesh: TetMesh, points: Float[np.ndarray, "p 3"]) -> Int[np
     L /= L.sum(axis=1, keepdims=True)
     inside = np.einsum("pc,pcd->pd", L, mesh.points[mesh.tets[near.ravel()]])
     distances = np.linalg.norm(inside - repeated, axis=1).reshape(near.shape)
-    best = distances.argmin(axis=1)
     outside = float(distances.min(axis=1).max())
     if outside > _MAX_OUTSIDE * mesh.diagonal:
         raise MeshError(
             f"A node of the mesh is about {outside:.3g} mm outside the fine mesh: the two are not"
             " of the same body. Mesh the same phantom twice."
         )
-    return near[np.arange(len(near)), best]
+    return near[np.arange(len(near)), distances.argmin(axis=1)]

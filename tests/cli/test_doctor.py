@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from tactorch.cli import doctor
-from tactorch.cli.doctor import machine, packages, places, solvers
-from tactorch.cli.doctor.finding import Finding, looked_at
+from tactorch.cli import doctor, installation
+from tactorch.cli.installation import Finding, check
 
 CORE = ("torch", "numpy", "scipy", "numba", "h5py", "hydra-core")
 TOLD = (
@@ -52,7 +51,7 @@ def test_all_is_told_and_the_core_works_here(tactorch: Any) -> None:
     assert found["works"] is True
     message = {one["name"]: one for one in found["findings"]}
     assert {*CORE, *TOLD} <= set(message)
-    assert all(message[name]["works"] is True and message[name]["told"] for name in CORE)
+    assert all(message[name]["works"] is True and message[name]["message"] for name in CORE)
     assert message["superlu"]["works"] is True
     assert message["a pressed block"]["works"] is True
     assert not list(Path().iterdir())
@@ -60,7 +59,7 @@ def test_all_is_told_and_the_core_works_here(tactorch: Any) -> None:
 
 def told_of(monkeypatch: pytest.MonkeyPatch, *findings: Finding) -> None:
     """Let the doctor find these alone."""
-    monkeypatch.setattr(doctor, "look", lambda: iter(findings))
+    monkeypatch.setattr(doctor, "check_all", lambda: iter(findings))
 
 
 def test_text_is_aligned_and_names_what_to_do(
@@ -106,7 +105,7 @@ def test_unknown_setting_is_refused(tactorch: Any) -> None:
 
 def test_missing_package_is_told_with_its_command(without: Callable[..., None]) -> None:
     without("pyamg", "distributed", "cv2")
-    found = by_name(packages.look_at_packages())
+    found = by_name(installation.check_packages())
     for name, module in (("pyamg", "pyamg"), ("opencv-python-headless", "cv2")):
         assert found[name].works is False
         assert f"No module named '{module}'" in found[name].message
@@ -121,7 +120,7 @@ def test_missing_package_is_told_with_its_command(without: Callable[..., None]) 
 )
 def test_broken_package_is_no_traceback(without: Callable[..., None], error: Exception) -> None:
     without("numba", error=error)
-    found = by_name(packages.look_at_packages())["numba"]
+    found = by_name(installation.check_packages())["numba"]
     assert found.works is False
     assert found.core
     assert type(error).__name__ in found.message
@@ -129,21 +128,21 @@ def test_broken_package_is_no_traceback(without: Callable[..., None], error: Exc
 
 
 def test_version_out_of_range_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(packages, "version", lambda name: "0.0.1")
-    found = by_name(packages.look_at_packages())["numpy"]
+    monkeypatch.setattr(installation, "version", lambda name: "0.0.1")
+    found = by_name(installation.check_packages())["numpy"]
     assert found.works is False
     assert "0.0.1 is installed, and tactorch needs >=" in found.message
 
 
 def test_nothing_installed_by_pip_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     def absent(name: str) -> str:
-        raise packages.PackageNotFoundError(name)
+        raise installation.PackageNotFoundError(name)
 
-    monkeypatch.setattr(packages, "version", absent)
-    monkeypatch.setattr(packages, "requires", absent)
-    packages._ranges.cache_clear()
-    found = by_name(packages.look_at_packages())
-    packages._ranges.cache_clear()
+    monkeypatch.setattr(installation, "version", absent)
+    monkeypatch.setattr(installation, "requires", absent)
+    installation._ranges.cache_clear()
+    found = by_name(installation.check_packages())
+    installation._ranges.cache_clear()
     assert "not installed" in found["tactorch"].message
     assert found["numpy"].works is True
     assert found["numpy"].message == importlib.import_module("numpy").__version__
@@ -156,23 +155,23 @@ def test_solver_that_fails_takes_down_itself_alone(monkeypatch: pytest.MonkeyPat
         return rhs
 
     monkeypatch.setattr(multigrid.MultigridSolver, "solve", wrong)
-    found = by_name(solvers.look_at_solvers())
+    found = by_name(installation.check_solvers())
     assert found["multigrid"].works is False
     assert "off by" in found["multigrid"].message
     assert found["multigrid"].remedy.startswith('pip install "pyamg')
     assert found["superlu"].works is True
     assert found["any of them"].works is True
     monkeypatch.setattr(multigrid.MultigridSolver, "factor", lambda self, values: Status.INDEFINITE)
-    assert "indefinite" in by_name(solvers.look_at_solvers())["multigrid"].message
+    assert "indefinite" in by_name(installation.check_solvers())["multigrid"].message
 
 
 def test_no_solver_at_all_is_a_core_that_does_not_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(name: str) -> str:
         raise OSError("libmkl_rt.so.2 is damaged")
 
-    monkeypatch.setattr(solvers, "_solve", fail)
-    monkeypatch.setattr(solvers, "_press", lambda: fail(""))
-    found = by_name(solvers.look_at_solvers())
+    monkeypatch.setattr(installation, "_solve", fail)
+    monkeypatch.setattr(installation, "_press", lambda: fail(""))
+    found = by_name(installation.check_solvers())
     for name in ("any of them", "a pressed block"):
         assert found[name].works is False
         assert found[name].core
@@ -181,7 +180,7 @@ def test_no_solver_at_all_is_a_core_that_does_not_work(monkeypatch: pytest.Monke
 def test_folders_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("TACTORCH_CACHE", str(tmp_path / "file"))
-    found = looked_at(places.FILES, "cache", places._cache, remedy="set TACTORCH_CACHE")
+    found = check(installation.FILES, "cache", installation._cache, remedy="set TACTORCH_CACHE")
     assert found.works is False
     assert str(tmp_path / "file") in found.message
     assert found.remedy == "set TACTORCH_CACHE"
@@ -189,23 +188,23 @@ def test_folders_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 def test_shared_data(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("TACTORCH_SHARED", str(tmp_path))
-    found = places._shared_data()
+    found = installation._shared_data()
     assert found.works is False
     assert str(tmp_path / "data") in found.message
     (tmp_path / "data").mkdir()
-    assert places._shared_data().works is True
+    assert installation._shared_data().works is True
     monkeypatch.delenv("TACTORCH_SHARED")
-    assert places._shared_data().works is not False  # nothing was asked for
+    assert installation._shared_data().works is not False  # nothing was asked for
 
 
 def test_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     import torch
 
-    found = by_name(machine.look_at_machine())
+    found = by_name(installation.check_machine())
     assert "usable of" in found["cores"].message
     assert "GiB" in found["memory"].message
     monkeypatch.setattr(torch.version, "cuda", None)
-    assert "built without CUDA" in machine._gpu().message
+    assert "built without CUDA" in installation._gpu().message
     monkeypatch.setattr(torch.version, "cuda", "12.8")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
 
@@ -213,18 +212,18 @@ def test_machine(monkeypatch: pytest.MonkeyPatch) -> None:
         raise RuntimeError("Found no NVIDIA driver on your system.")
 
     monkeypatch.setattr(torch.cuda, "init", no_driver)
-    gpu = machine._gpu()
+    gpu = installation._gpu()
     assert gpu.works is None
     assert "no NVIDIA driver" in gpu.message
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     monkeypatch.setattr(torch, "ones", lambda *a, **k: no_driver())
-    assert machine._gpu().works is False
+    assert installation._gpu().works is False
 
 
 def test_no_browser_is_told_and_not_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(places.shutil, "which", lambda name: None)
-    found = places._browser()
+    monkeypatch.setattr(installation.shutil, "which", lambda name: None)
+    found = installation._browser()
     assert found.works is None
     assert "no Chromium" in found.message
 
@@ -236,13 +235,8 @@ def test_what_packages_print_does_not_spoil_the_json(
         print("hello from a package")
         yield Finding("packages", "x", True, "1")
 
-    for module, name in (
-        (packages, "look_at_packages"),
-        (solvers, "look_at_solvers"),
-        (machine, "look_at_machine"),
-        (places, "look_at_places"),
-    ):
-        monkeypatch.setattr(module, name, talkative)
+    for part in ("packages", "solvers", "machine", "places"):
+        monkeypatch.setattr(installation, f"check_{part}", talkative)
     done = tactorch("doctor", "json=true")
     assert len(json.loads(done.out)["findings"]) == 4
     assert "hello" in done.err

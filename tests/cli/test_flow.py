@@ -94,6 +94,7 @@ def test_a_map_at_its_bounds_is_told(
     content = (tmp_path / "summary.txt").read_text()
     assert ("DO NOT TRUST" in content) == (lower == 0.3)
     assert (summary_of(tmp_path)["volume_at_bounds"] > 0.2) == (lower == 0.3)
+    assert len(summary_of(tmp_path)["warnings"]) == (lower == 0.3)
 
 
 def test_run_folder_tells_how_it_came_about(tactorch: Any, recording: Path, tmp_path: Path) -> None:
@@ -238,9 +239,9 @@ def test_path_with_odd_characters_can_be_given_in_quotes(
 
 
 def test_a_new_inversion_takes_away_what_was_made_of_the_old_one(tmp_path: Path) -> None:
-    from tactorch.cli.invert import _remove_results
+    from tactorch.cli.outputs import remove_results
 
     for name in ("finding.txt", "finding.json", "report.html", "summary.json", "mine.txt"):
         (tmp_path / name).write_text("old")
-    _remove_results(tmp_path, None)
+    remove_results(tmp_path, None)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]

@@ -9,7 +9,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from tactorch.cli import COMMANDS, GROUPS, VERBS
-from tactorch.cli.schema import EXPERIMENT, conf_folder, load_schema, read_yaml
+from tactorch.cli.presets import EXPERIMENT, conf_folder, read_yaml
+from tactorch.cli.schema import load_schema
 
 
 def test_usage_names_every_command(tactorch: Any) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tactorch.cli.positional import named
+from tactorch.cli.overrides import named
 
 
 @pytest.mark.parametrize(

@@ -229,14 +229,14 @@ def test_settings_of_a_run_are_plain_values(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A report or an evaluation of a foreign run does not show the reader's environment."""
-    from tactorch.cli.resume import read_settings
+    from tactorch.cli.resume import saved_options
     from tactorch.errors import FileError
 
     monkeypatch.setenv("A_SECRET", "do not show")
     (tmp_path / ".hydra").mkdir()
     file = tmp_path / ".hydra" / "config.yaml"
     file.write_text("seed: 3\nrun_dir: runs/${now:%Y}\n")
-    assert read_settings(tmp_path).seed == 3
+    assert saved_options("simulate", tmp_path).seed == 3
     file.write_text("recording: ${oc.env:A_SECRET}\n")
     with pytest.raises(FileError, match="no plain value"):
-        read_settings(tmp_path)
+        saved_options("simulate", tmp_path)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tactorch.recording import Recording
-from tactorch.sensor.frames import sources
+from tactorch.sensor import frames as sources
 
 from .test_sensor import calibration, files, given, table
 

@@ -10,9 +10,7 @@ from typing import Any
 
 import pytest
 
-from tactorch.cli.logs import log, log_text
-from tactorch.cli.progress import progress
-from tactorch.cli.tables import Table, is_rich, show
+from tactorch.cli.console import Table, is_rich, log, log_text, progress, show
 
 LONG = "a" * 200
 TABLE = Table(("what", "words", "number"), (("x", LONG, "1.5"), ("longer", "", "12.25")), 2)
@@ -117,7 +115,7 @@ def test_log_file_has_the_text_that_a_terminal_shows_drawn(
     handler = logging.FileHandler(path)
     logging.getLogger().addHandler(handler)
     try:
-        log_text(f"\nfound:\n{TABLE.text()}\nand more", TABLE)
+        log_text("\nfound:", TABLE, "and more")
     finally:
         logging.getLogger().removeHandler(handler)
         handler.close()

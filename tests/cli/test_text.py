@@ -5,7 +5,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from tactorch.cli.tables import Table
+from tactorch.cli.console import Table
 from tactorch.text import PrintableFormatter
 
 RED = "\x1b[31mred\x1b[0m"

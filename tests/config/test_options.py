@@ -2,11 +2,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactorch.config import Options, Registry, build, option, settings_of, to_mapping
+from tactorch.config import Options, Registry, option, settings_of, to_mapping
 from tactorch.errors import ConfigError
 
 
@@ -61,22 +62,22 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_wrong_values_are_refused_by_name(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        build(Whole, {"recording": "a.h5", **values})
+        Whole.from_mapping({"recording": "a.h5", **values})
 
 
 def test_a_missing_setting_is_named() -> None:
     with pytest.raises(ConfigError, match=r"'recording' is missing; give .*\(a path"):
-        build(Whole, {})
+        Whole.from_mapping({})
 
 
 def test_values_are_converted_and_come_back() -> None:
-    built = build(Whole, {"recording": 7, "center": [1, 2, 3], "prior": {"name": "plain"}})
+    built = Whole.from_mapping({"recording": 7, "center": [1, 2, 3], "prior": {"name": "plain"}})
     assert built.recording == Path("7")
     assert built.center == (1.0, 2.0, 3.0)
     assert built.prior == Prior()
     again = to_mapping(built)
     assert again["prior"]["edge"] == 0.03
-    assert build(Whole, {**again, "prior": {**again["prior"], "name": "plain"}}) == built
+    assert Whole.from_mapping({**again, "prior": {**again["prior"], "name": "plain"}}) == built
 
 
 def test_python_and_tables_share_the_checks() -> None:
@@ -100,3 +101,23 @@ def test_numbers_out_of_range_never_pass(value: float) -> None:
     else:
         with pytest.raises(ConfigError):
             Prior(edge=value)
+
+
+def test_numpy_values_are_stored_as_plain_ones() -> None:
+    @dataclass(frozen=True)
+    class Sizes(Options):
+        edge_mm: float = option(help="Edge", unit="mm", ge=0.5, le=50)
+        count: int = option(1, "Count", ge=1)
+        size_mm: tuple[float, float] = option((1.0, 1.0), "Size", unit="mm", ge=0.5, le=50)
+
+    sizes = Sizes(np.float32(2.0), np.int64(3), np.array([4.0, 5.0]))
+    assert sizes == Sizes(2.0, 3, (4.0, 5.0))
+    assert (type(sizes.edge_mm), type(sizes.count)) == (float, int)
+    with pytest.raises(ConfigError, match=r"0.5 to 50. Is it in metres\? Then give 3.$"):
+        Sizes(0.003)
+    with pytest.raises(ConfigError, match=r"Is it in metres\? Then give 4, 5.$"):
+        Sizes(2.0, size_mm=(0.004, 0.005))
+    with pytest.raises(ConfigError, match=r"edge_mm=0: give a number, 0.5 to 50.$"):
+        Sizes(0)
+    with pytest.raises(ConfigError, match="edge_mm=1000"):
+        Sizes(10**400)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
+from tactorch.cli.commands import COMMANDS, VERBS
 from tactorch.cli.compose import compose_options
-from tactorch.cli.main import COMMANDS, VERBS
-from tactorch.cli.positional import named
+from tactorch.cli.overrides import named
 
 from .blocks import DOCS, LANGUAGES, README, ROOT, Block, blocks, commands, pages
 

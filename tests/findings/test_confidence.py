@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tactorch.findings import build_finding, compute_confidence, find_lump
+from tactorch.findings import build_finding, find_lump
+from tactorch.findings.finding import compute_confidence
 from tactorch.inverse import Log
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording

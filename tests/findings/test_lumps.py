@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError, MeshError
-from tactorch.findings import build_finding, find_lumps, measure_depth
+from tactorch.findings import build_finding, find_lumps
+from tactorch.findings.finding import measure_depth
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording
 

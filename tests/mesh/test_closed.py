@@ -4,11 +4,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import MeshError
-from tactorch.mesh import box_surface, tetrahedralize
+from tactorch.mesh import Box, tetrahedralize
 from tactorch.mesh.checks import closed_surface, enclosed_volume
 
 quick = settings(deadline=None, max_examples=25)
-VERTICES, TRIANGLES = box_surface(10.0)
+VERTICES, TRIANGLES = Box(size_mm=10.0).surface()
 
 
 @quick

@@ -7,10 +7,10 @@ import pytest
 
 from tactorch.errors import ConfigError, FileError, MeshError
 from tactorch.mesh import (
+    Box,
+    Cylinder,
     TetMesh,
     box_mesh,
-    box_surface,
-    cylinder_surface,
     read_mesh,
     read_surface,
     write_mesh,
@@ -108,7 +108,7 @@ def test_units(tmp_path: Path, unit: str, mm: float) -> None:
     path = tmp_path / "mesh.vtu"
     write_mesh(path, box_mesh(0.5, 1, center_mm=(1, 0, 0)))
     assert read_mesh(path, unit).diagonal == pytest.approx(0.5 * np.sqrt(3) * mm)
-    vertices, triangles = box_surface(0.5)
+    vertices, triangles = Box(size_mm=0.5).surface()
     write_surface(tmp_path / "box.obj", vertices, triangles)
     np.testing.assert_allclose(read_surface(tmp_path / "box.obj", unit)[0], vertices * mm)
 
@@ -119,7 +119,7 @@ def test_implausible_size_names_the_likely_unit(gmsh: Path, tmp_path: Path) -> N
     write_mesh(tmp_path / "large.vtu", box_mesh(20.0, 1))
     with pytest.warns(UserWarning, match=r"large\.vtu' is 3\.464e\+04 mm .*unit='mm' \(34\.64 mm"):
         read_mesh(tmp_path / "large.vtu", "m")
-    write_surface(tmp_path / "tiny.stl", *box_surface(1e-6))
+    write_surface(tmp_path / "tiny.stl", *Box(size_mm=1e-6).surface())
     with pytest.warns(UserWarning, match=r"tiny\.stl' .*Check the unit and scale"):
         read_surface(tmp_path / "tiny.stl")
     with warnings.catch_warnings():
@@ -172,7 +172,7 @@ def test_damaged_files_are_named(
     if suffix in MESHES:
         write_mesh(path, mesh)
     else:
-        write_surface(path, *cylinder_surface(3, 4, segments=12))
+        write_surface(path, *Cylinder((0, 0, 0), 3, 4).surface(12))
     content = path.read_bytes()
     path.write_bytes(
         {
@@ -219,7 +219,7 @@ def test_writing_refuses_what_it_cannot_keep(mesh: TetMesh, tmp_path: Path) -> N
     with pytest.raises(FileError, match=r"unknown suffix '\.stl'"):
         write_mesh(tmp_path / "a.stl", mesh)
     with pytest.raises(FileError, match=r"unknown suffix '\.vtu'"):
-        write_surface(tmp_path / "a.vtu", *box_surface(1.0))
+        write_surface(tmp_path / "a.vtu", *Box().surface())
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match=r"cannot write '.*a\.vtu'"):
         write_mesh(tmp_path / "file" / "a.vtu", mesh)
@@ -246,7 +246,7 @@ def test_failed_writing_leaves_the_old_file(
 
 @pytest.mark.parametrize("suffix", SURFACES)
 def test_surface_round_trip(tmp_path: Path, suffix: str) -> None:
-    vertices, triangles = cylinder_surface(3, 4, segments=12)
+    vertices, triangles = Cylinder((0, 0, 0), 3, 4).surface(12)
     path = tmp_path / f"rod.{suffix}"
     write_surface(path, vertices, triangles)
     found, faces = read_surface(path)
@@ -256,7 +256,7 @@ def test_surface_round_trip(tmp_path: Path, suffix: str) -> None:
 
 
 def test_ascii_stl_and_merging(tmp_path: Path) -> None:
-    vertices, triangles = box_surface(2.0)
+    vertices, triangles = Box(size_mm=2.0).surface()
     path = tmp_path / "box.stl"
     meshio.stl.write(str(path), meshio.Mesh(vertices, [("triangle", triangles)]))
     assert path.read_bytes().startswith(b"solid")
@@ -319,7 +319,7 @@ def test_published_meshes(shared_data: Path, case: str, nodes: int, tets: int) -
 def test_header_without_end_is_refused(tmp_path: Path) -> None:
     """The reader of .ply waits for the end of the header for ever."""
     path = tmp_path / "cut.ply"
-    write_surface(path, *box_surface(10.0))
+    write_surface(path, *Box(size_mm=10.0).surface())
     path.write_bytes(path.read_bytes()[:60])
     with pytest.raises(FileError, match="header has no end"):
         read_surface(path)

@@ -13,16 +13,16 @@ from tactorch.errors import ConfigError, MeshError
 from tactorch.files import cache_folder
 from tactorch.mesh import (
     FACE_NAMES,
+    Box,
+    Cylinder,
     TetMesh,
     box_mesh,
-    box_surface,
-    cylinder_surface,
     meshing,
     select_face,
     tetrahedralize,
 )
 
-VERTICES, TRIANGLES = box_surface(10.0, (5, 5, 5))
+VERTICES, TRIANGLES = Box((5, 5, 5), 10.0).surface()
 BOX = box_mesh(10.0, 3)
 
 
@@ -60,7 +60,7 @@ def test_box_for_real(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.slow
 def test_cylinder_for_real(cache: Path) -> None:
-    vertices, triangles = cylinder_surface(5, 8, segments=12)
+    vertices, triangles = Cylinder((0, 0, 0), 5, 8).surface(12)
     unused = np.vstack(([(99, 99, 99)], vertices))
     mesh = tetrahedralize(unused, triangles + 1, edge_length_mm=4, cache=False)
     prism = 6 * 25 * np.sin(np.pi / 6) * 8

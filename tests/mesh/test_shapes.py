@@ -17,9 +17,6 @@ from tactorch.mesh import (
     Sphere,
     Torus,
     Union,
-    box_surface,
-    cylinder_surface,
-    shape_surface,
 )
 from tactorch.mesh.checks import closed_surface, enclosed_volume
 
@@ -164,9 +161,9 @@ def test_fields_accept_lists_and_become_tuples() -> None:
         (lambda: Cylinder(height_mm=-1), "height_mm=-1"),
         (lambda: Cylinder(axis=(0, 0, 0)), "axis.*no direction"),
         (lambda: Ellipsoid(radii_mm=(1, 0, 1)), "radii_mm.*positive"),
-        (lambda: cylinder_surface(1.0, 1.0, segments=2), "segments=2"),
-        (lambda: cylinder_surface(-1.0, 1.0), "radius_mm"),
-        (lambda: box_surface((1, 1, 0)), "size_mm"),
+        (lambda: Cylinder().surface(2), "segments=2"),
+        (lambda: Cylinder(radius_mm=-1.0), "radius_mm"),
+        (lambda: Torus().surface(4), r"segments=\(4, 2\)"),
     ],
 )
 def test_unusable_values(make, message: str) -> None:
@@ -177,7 +174,7 @@ def test_unusable_values(make, message: str) -> None:
 @quick
 @given(size=st.tuples(*[st.floats(0.1, 50)] * 3), center=st.tuples(*[st.floats(-100, 100)] * 3))
 def test_box_surface(size: tuple[float, ...], center: tuple[float, ...]) -> None:
-    vertices, triangles = box_surface(size, center)
+    vertices, triangles = Box(center, size).surface()
     _, outward = closed_surface(vertices, triangles)
     np.testing.assert_array_equal(outward, triangles)
     assert enclosed_volume(vertices, triangles) == pytest.approx(np.prod(size), rel=1e-6)
@@ -190,19 +187,19 @@ def test_box_surface(size: tuple[float, ...], center: tuple[float, ...]) -> None
 )
 def test_cylinder_surface(radius: float, height: float, seed: int, segments: int) -> None:
     axis = np.random.default_rng(seed).normal(size=3)
-    vertices, triangles = cylinder_surface(radius, height, (1, 2, 3), axis, segments)
+    solid = Cylinder((1, 2, 3), radius, height, axis)
+    vertices, triangles = solid.surface(segments)
     _, outward = closed_surface(vertices, triangles)
     np.testing.assert_array_equal(outward, triangles)
     prism = segments / 2 * radius**2 * np.sin(2 * np.pi / segments) * height
     assert enclosed_volume(vertices, triangles) == pytest.approx(prism)
-    solid = Cylinder((1, 2, 3), radius, height, tuple(axis))
     assert np.abs(solid.signed_distance(vertices[: 2 * segments])).max() < 1e-9 * (radius + height)
 
 
 @pytest.mark.parametrize("shape", [*SHAPES, JOINED], ids=repr)
 def test_skin_is_the_surface_outward(shape: Shape) -> None:
     """Closed, on the shape's surface, and of its volume."""
-    vertices, triangles = shape_surface(shape, 72)
+    vertices, triangles = shape.surface(72)
     closed_surface(vertices, triangles)
     assert enclosed_volume(vertices, triangles) == pytest.approx(
         volume_by_sampling(shape), rel=0.015

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactorch.mesh import LOCAL_EDGES, TetMesh, box_mesh, compact
+from tactorch.mesh import TetMesh, box_mesh, compact
+from tactorch.mesh.topology import LOCAL_EDGES
 
 SEEDS = st.integers(0, 2**32 - 1)
 quick = settings(deadline=None, max_examples=25)

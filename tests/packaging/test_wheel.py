@@ -117,7 +117,7 @@ def test_configs_are_inside_the_package(names: set[str], source: Path) -> None:
 
 
 def test_descriptions_of_sensors_are_in_the_wheel(names: set[str], source: Path) -> None:
-    found = list((source / "tactorch/sensor/description").glob("*.yaml"))
+    found = list((source / "tactorch/sensor/sensors").glob("*.yaml"))
     assert found
     assert {p.relative_to(source).as_posix() for p in found} <= names
 

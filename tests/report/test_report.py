@@ -80,8 +80,8 @@ def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
         f"below the pressed side {'x+' if x > z else 'z+'}; at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
     )
     sure = next(fact for fact in told.facts if fact.label == "Probability")
-    assert assessment.uncertainty is not None
-    stated = assessment.uncertainty.confidence
+    assert assessment.lump is not None
+    stated = assessment.lump.confidence
     assert stated is not None
     assert sure.value == "over 99.9 %" or sure.value == f"{100 * stated.probability:.3g} %"
     assert f"at least {stated.contrast[0]:.2g} times" in sure.note
@@ -89,24 +89,23 @@ def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
 
 def test_an_alarm_stands_before_the_finding(run_folder: Path, tmp_path: Path) -> None:
     run = load_run(run_folder)
-    alarm = "DO NOT TRUST THIS MAP: 93% of it lie at a bound."
-    page = page_of(dataclasses.replace(run, text=f"a\n{alarm}\nb"), tmp_path, uncertainty=False)
+    summary = {**run.summary, "warnings": ["93% of it lie at a bound."]}
+    page = page_of(dataclasses.replace(run, summary=summary), tmp_path, uncertainty=False)
     assert page.index("Do not trust this map") < page.index("93% of it lie") < page.index("<h1")
     assert 'class="unreliable"' in page
     assert "Do not trust this map" not in page_of(run, tmp_path, uncertainty=False)
 
 
-def test_alarms_are_those_of_the_summary(run_folder: Path) -> None:
-    """The words that the report looks for are those that a run's summary has."""
+def test_warnings_are_those_of_the_summary(run_folder: Path) -> None:
     from tactorch.cli.outputs import describe, summarise
 
     run = load_run(run_folder)
-    found = dataclasses.replace(run.result, youngs=np.full_like(run.result.youngs, 100.0))
+    result = dataclasses.replace(run.result, youngs=np.full_like(run.result.youngs, 100.0))
     assert run.recording is not None
-    summary = summarise(run.recording, found, None, "x")
-    text = describe(run.recording, found, None, summary)
-    doubted = dataclasses.replace(run, result=found, text=text)
-    assert len(describe_run(doubted, assess(doubted, uncertainty=False)).warnings) == 1
+    summary = summarise(run.recording, result, None, "x")
+    doubted = dataclasses.replace(run, result=result, summary=summary)
+    (warning,) = describe_run(doubted, assess(doubted, uncertainty=False)).warnings
+    assert f"DO NOT TRUST THIS MAP: {warning}" in describe(run.recording, result, None, summary)
 
 
 def test_uncertainty_is_that_of_the_posterior(run_folder: Path) -> None:

@@ -20,12 +20,12 @@ from tactorch.sensor.calibration import (
     fit_map,
     image_change,
     load_calibration,
-    map_slopes,
     marker_pixels,
     read_labels,
     save_calibration,
     select_map,
 )
+from tactorch.sensor.calibration.maps import map_slopes
 from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.markers import MarkerAppearance
 

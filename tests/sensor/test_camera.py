@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tactorch.errors import FileError
-from tactorch.sensor.frames import Frame, sources
-from tactorch.sensor.frames.sources import open_source
+from tactorch.sensor import frames as sources
+from tactorch.sensor.frames import Frame, open_source
 
 _PERIOD_S = 0.01
 

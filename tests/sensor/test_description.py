@@ -17,6 +17,7 @@ from tactorch.sensor.description import (
     save_sensor,
 )
 
+HEAD = "name: s\nimage_size_px: [64, 48]\nmm_per_px: [.1, .1]\n"
 GEL = {"thickness_mm": 3.0, "youngs_mpa": 0.2, "size_mm": (20.0, 16.0)}
 
 
@@ -44,6 +45,12 @@ def test_every_field_is_kept(tmp_path: Path) -> None:
     )  # fmt: skip
     save_sensor(one, tmp_path / "sensor.yaml")
     assert load_sensor(tmp_path / "sensor.yaml") == one
+
+
+def test_whole_numbers_may_have_a_point(tmp_path: Path) -> None:
+    text = HEAD.replace("64", "64.0") + "gel: {thickness_mm: 2, youngs_mpa: 0.1, radius_mm: 3}\n"
+    (tmp_path / "sensor.yaml").write_text(text)
+    assert load_sensor(tmp_path / "sensor.yaml").image_size_px == (64, 48)
 
 
 def test_the_papers_finger() -> None:
@@ -76,10 +83,10 @@ def test_markers_lie_about_the_middle() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"image_size_px": (64,)}, "image_size_px=.*2 finite numbers"),
-        ({"image_size_px": (64, 4)}, "whole pixels, from 8"),
+        ({"image_size_px": (64,)}, r"image_size_px=\(64,\): give a list of two whole numbers"),
+        ({"image_size_px": (64, 4)}, "whole numbers: .*8 to 20000"),
         ({"mm_per_px": (19.58, 19.58)}, "looks like pixels per mm.*0.05107"),
-        ({"mm_per_px": (0.1, -0.1)}, r"mm_per_px\[1\]=-0.1 must be a positive"),
+        ({"mm_per_px": (0.1, -0.1)}, r"mm_per_px=\[0.1, -0.1\]: -0.1 must be a positive"),
         ({"frame_rate_hz": 0.0}, "frame_rate_hz"),
         ({"distortion": (0.1, 0, 0, 0)}, "without intrinsics_px"),
         ({"intrinsics_px": (0, 50, 32, 24)}, "give positive focal lengths"),
@@ -87,7 +94,7 @@ def test_markers_lie_about_the_middle() -> None:
         ({"raw_size_px": (80, 60)}, "give crop_px or warped_size_px"),
         ({"raw_size_px": (80, 60), "crop_px": (20, 0, 64, 48)}, "exceeds the warped image"),
         ({"raw_size_px": (80, 60), "crop_px": (0, 0, 60, 48)}, "keeps 60 x 48"),
-        ({"warp_corners_px": [(0, 0), (9, 0), (9, 9)]}, "3 points; give four"),
+        ({"warp_corners_px": [(0, 0), (9, 0), (9, 9)]}, "warp_corners_px=.*give a list of four"),
         ({"warp_corners_px": [(0, 0), (0, 9), (9, 9), (9, 0)]}, "go round a convex figure"),
     ],
 )
@@ -99,7 +106,7 @@ def test_wrong_descriptions_are_refused(changes: dict, message: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"youngs_mpa": 120000.0}, "give MPa, not Pa"),
+        ({"youngs_mpa": 120000.0}, "in Pa.* Then give 0.12"),
         ({"thickness_mm": 0.0}, "thickness_mm"),
         ({"radius_mm": 9.0}, "size_mm .* or radius_mm"),
         ({"size_mm": None}, "size_mm .* or radius_mm"),
@@ -131,10 +138,13 @@ def test_wrong_markers_are_refused(changes: dict, message: str) -> None:
     [
         ("name: s\n  gel: [", "is not valid YAML"),
         ("- a\n", "has no fields"),
-        ("name: s\nimage_size_px: [64, 48]\nmm_per_px: [.1, .1]\n", "gel is missing"),
-        ("gel: {thickness_mm: 2, youngs_mpa: 0.1}\nname: s\n", "gel: give size_mm"),
-        ("gel: {thickness_mm: 2}\n", "gel: youngs_mpa is missing"),
-        ("ppmm: 19\ngel: {thickness_mm: 2, youngs_mpa: 0.1, radius_mm: 3}\n", "no field 'ppmm'"),
+        (HEAD, "'gel' is missing"),
+        (HEAD + "gel: {thickness_mm: 2, youngs_mpa: 0.1}\n", "gel: give size_mm"),
+        (HEAD + "gel: {thickness_mm: 2}\n", "'gel.youngs_mpa' is missing"),
+        (
+            "ppmm: 19\ngel: {thickness_mm: 2, youngs_mpa: 0.1, radius_mm: 3}\n",
+            "unknown setting 'ppmm'",
+        ),
     ],
 )
 def test_files_that_are_no_descriptions(text: str, message: str, tmp_path: Path) -> None:

@@ -274,7 +274,7 @@ def test_videos_that_declare_absurd_lengths(
 
 
 def test_videos_of_too_many_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tactorch.sensor.frames import sources
+    from tactorch.sensor import frames as sources
 
     path = tmp_path / "press.avi"
     path.write_bytes(video(tmp_path))

@@ -134,7 +134,7 @@ def test_a_press_is_no_fault(gel_image: np.ndarray) -> None:
 
 
 def test_dropped_frames_are_counted(gel_image: np.ndarray, make_sensor: MakeSensor) -> None:
-    from tactorch.sensor.frames import reading as module
+    from tactorch.sensor import frames as module
 
     assert module._dropped_frames(0.1, 0.0667, 30.0) == ""
     assert "2 frames were dropped" in module._dropped_frames(0.1667, 0.0667, 30.0)

@@ -15,7 +15,6 @@ from tactorch.sensor.markers import (
     detect_markers,
     marker_displacements,
     marker_mask,
-    track_markers,
 )
 
 from .dots import draw, grid, pressed
@@ -117,7 +116,7 @@ def test_known_motion_is_found(most: float, missing: float) -> None:
 
 def test_a_missing_frame_has_no_markers_and_the_next_goes_on() -> None:
     *_, images = sequence(6, 12.0)
-    found = list(track_markers([*images[:3], None, *images[4:]], images[0], LOOK))
+    found = [*map(MarkerTracker(images[0], LOOK).track, [*images[:3], None, *images[4:]])]
     assert np.isnan(found[3]).all()
     assert np.isfinite(found[5]).mean() > 0.95
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from tactorch.sensor.frames import read_image
-from tactorch.sensor.frames.sources import open_source
-from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, detect_markers, track_markers
+from tactorch.sensor.frames import open_source, read_image
+from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, detect_markers
 
 pytestmark = pytest.mark.external
 
@@ -43,12 +42,12 @@ def reference(images: list[np.ndarray]) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def tracked(images: list[np.ndarray], reference: np.ndarray) -> np.ndarray:
-    return np.stack(list(track_markers(images, reference, LOOK)))
+    return np.stack([*map(MarkerTracker(reference, LOOK).track, images)])
 
 
 @pytest.mark.slow
 def test_without_contact_nothing_moves(tracked: np.ndarray, reference: np.ndarray) -> None:
-    begin = MarkerTracker(reference, LOOK).begin
+    begin = MarkerTracker(reference, LOOK).reference_px
     moved = np.linalg.norm(tracked[:11] - begin, axis=2)
     assert np.median(moved) < 0.12
     assert np.percentile(moved, 95) < 0.3
@@ -63,7 +62,7 @@ def test_markers_keep_their_identity(tracked: np.ndarray, images: list[np.ndarra
     back = MarkerTracker(images[-1], LOOK)
     for image in images[-2::-1]:
         found = back.track(image)
-    distance, place = cKDTree(back.begin).query(np.nan_to_num(tracked[-1], nan=-99.0))
+    distance, place = cKDTree(back.reference_px).query(np.nan_to_num(tracked[-1], nan=-99.0))
     same = always & (distance < 2.0)
     assert same.sum() == always.sum()
     off = np.linalg.norm(found[place[same]] - tracked[0][same], axis=1)

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, Discretisation
 from tactorch.mesh import FACE_NAMES, TetMesh, box_mesh
-from tactorch.simulation import PressSite
 from tactorch.simulation.patch import nodes_within, patch_center, patch_forces
+from tactorch.simulation.plan import PressSite
 
 MESH = box_mesh((10.0, 10.0, 4.0), (5, 7, 2))
 

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
-from tactorch.config import build, to_mapping
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.mesh import FACE_NAMES
-from tactorch.simulation import PressPlan, PressSite
+from tactorch.simulation import PressPlan
+from tactorch.simulation.plan import PressSite
 
 
 def test_ramp_rises_in_equal_steps() -> None:
@@ -35,7 +36,7 @@ def test_plan_survives_its_configuration() -> None:
     plan = PressPlan(
         "x-", (0.1, 0.2), patch_radius_mm=1.5, patch_centers_mm=[(1, 2, 3)], support="fixed"
     )
-    assert build(PressPlan, to_mapping(plan)) == plan
+    assert PressPlan.from_mapping(to_mapping(plan)) == plan
     assert plan.faces == ("x-",)
 
 

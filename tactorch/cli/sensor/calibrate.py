@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactorch.cli.progress import progress
+from tactorch.cli.console import log, progress
 from tactorch.cli.sensor.inputs import load_reference, load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import CalibrateSettings
 from tactorch.cli.sensor.presses import (
@@ -25,7 +25,6 @@ from tactorch.cli.sensor.presses import (
     read_presses,
     write_report,
 )
-from tactorch.cli.settings import log
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import (
@@ -38,12 +37,10 @@ from tactorch.sensor.calibration import (
     SlopeMap,
     evaluate_map,
     fit_map,
-    fit_new_circle,
-    pool_quality,
     save_calibration,
     select_map,
-    validation_groups,
 )
+from tactorch.sensor.calibration.fit import fit_new_circle, validation_groups
 
 AUTO = "auto"
 _HELD_OUT_FRACTION = 4  # one press in four is held out
@@ -75,8 +72,7 @@ def run(cfg: CalibrateSettings) -> Path:
     out = folder / "calib.npz" if cfg.out is None else cfg.out
     options = _fit_options(cfg)
     sensor = load_sensor_settings(cfg)
-    x, y = map(float, sensor.mm_per_px)
-    ball = Ball(cfg.ball_radius_mm, (x, y))
+    ball = Ball(cfg.ball_radius_mm, sensor.mm_per_px)
     reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
     markers = marker_appearance(sensor, cfg.marker_diameter_px)
     presses = read_presses(cfg, sensor, ball, reference, markers)
@@ -188,7 +184,7 @@ def _cross_validate(
     count = len(training)
     title = f"{_map_name(options)}, on {count} presses, each left out once, in {folds} groups"
     final, fitted = _fit(training, ball, options)
-    return _Evaluation(final, fitted, presses, pool_quality(parts), title)
+    return _Evaluation(final, fitted, presses, MapQuality.pool(parts), title)
 
 
 def _fit(

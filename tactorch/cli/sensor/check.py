@@ -9,11 +9,12 @@ calibration was fitted to are named: their figures are no test of the calibratio
 
 from typing import Any
 
+from tactorch.cli.console import log
 from tactorch.cli.sensor.inputs import load_calibrated, load_reference
 from tactorch.cli.sensor.options import CheckSettings
 from tactorch.cli.sensor.presses import EvaluatedPress, prepare_folder, read_presses, write_report
-from tactorch.cli.settings import log
-from tactorch.sensor.calibration import Ball, MapQuality, evaluate_map, fit_new_circle
+from tactorch.sensor.calibration import Ball, MapQuality, evaluate_map
+from tactorch.sensor.calibration.fit import fit_new_circle
 
 
 def run(cfg: CheckSettings) -> MapQuality:

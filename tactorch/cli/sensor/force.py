@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from tactorch.cli.console import log
 from tactorch.cli.sensor.frames import (
     FrameSequence,
     RunFiles,
@@ -24,7 +25,6 @@ from tactorch.cli.sensor.frames import (
 )
 from tactorch.cli.sensor.inputs import build_chain, load_calibrated, load_reference
 from tactorch.cli.sensor.options import ForceSettings
-from tactorch.cli.settings import log
 from tactorch.errors import ConvergenceError
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.frames import Frame

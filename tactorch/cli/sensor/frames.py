@@ -12,15 +12,21 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from tactorch.cli.console import log, progress
 from tactorch.cli.outputs import write_json
-from tactorch.cli.progress import progress
 from tactorch.cli.sensor.options import PictureSettings, SequenceSettings
-from tactorch.cli.settings import log, run_folder
+from tactorch.cli.settings import run_folder
 from tactorch.errors import ConfigError
 from tactorch.files import atomic_path
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame, Image, read_frames
-from tactorch.sensor.frames.sources import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_video, video_length
+from tactorch.sensor.frames import (
+    IMAGE_SUFFIXES,
+    VIDEO_SUFFIXES,
+    Frame,
+    Image,
+    read_frames,
+    video_length,
+)
 from tactorch.viz.figure import save_figure
 from tactorch.viz.sensor_frames import DPI, render
 from tactorch.viz.session import plot_over_time
@@ -88,9 +94,7 @@ class FrameSequence:
         if self.source.is_dir():
             count = sum(p.suffix.lower() in IMAGE_SUFFIXES for p in self.source.iterdir())
         elif self.source.suffix.lower() in VIDEO_SUFFIXES:
-            capture = open_video(self.source)
-            count = video_length(capture)
-            capture.release()
+            count = video_length(self.source)
         return count if self.max_frames is None else min(count, self.max_frames)
 
     def process(self, label: str, function: Callable[[Frame], _T]) -> list[_T]:

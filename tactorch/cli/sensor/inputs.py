@@ -3,13 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
+from tactorch.cli.console import log
 from tactorch.cli.sensor.options import (
     CalibratedSettings,
     ForceSettings,
     RecordSettings,
     SensorSettings,
 )
-from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import SensorChain
@@ -39,8 +39,8 @@ def marker_appearance(
         return MarkerAppearance(diameter_px)
     if sensor.markers is None:
         return None
-    x, y = map(float, sensor.mm_per_px)
-    return MarkerAppearance(float(sensor.markers.diameter_mm) / (x * y) ** 0.5)
+    x, y = sensor.mm_per_px
+    return MarkerAppearance(sensor.markers.diameter_mm / (x * y) ** 0.5)
 
 
 def load_calibrated(cfg: CalibratedSettings) -> tuple[SensorDescription, Calibration]:

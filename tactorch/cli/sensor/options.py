@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tactorch.cli.options import CommandOptions
+from tactorch.cli.settings import CommandOptions
 from tactorch.config import Options, option
 from tactorch.fem import MATERIALS  # noqa: F401  (registries of the sections)
 from tactorch.sensor.chain import ChainOptions, DepthOptions

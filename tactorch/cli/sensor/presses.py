@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.cli.logs import log_text
+from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.options import BallSettings
-from tactorch.cli.settings import log, run_folder
-from tactorch.cli.tables import Table
+from tactorch.cli.settings import run_folder
 from tactorch.errors import FileError
 from tactorch.files import atomic_path
 from tactorch.sensor.calibration import (
@@ -26,10 +25,10 @@ from tactorch.sensor.calibration import (
     evaluate_map,
     find_circle,
     image_change,
-    map_slopes,
     marker_pixels,
     read_labels,
 )
+from tactorch.sensor.calibration.maps import map_slopes
 from tactorch.sensor.depth import integrate_slopes
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image, read_frames
@@ -169,22 +168,18 @@ def write_report(
     }
     radii = {one.source.name: one.circle.radius_px * ball.mm_per_px[0] for one in evaluated}
     table = _quality_table(quality, single, radii)
-    text = "\n".join(
-        [
-            title,
-            table.text(),
-            f"Slopes are compared at {quality.pixels} pixels within 0.9 of the contacts' radii;"
-            " centers and radii were fitted to these presses. Depth is compared up to a constant.",
-        ]
+    note = (
+        f"Slopes are compared at {quality.pixels} pixels within 0.9 of the contacts' radii;"
+        " centers and radii were fitted to these presses. Depth is compared up to a constant."
     )
     presses = {n: {**asdict(q), "contact_radius_mm": radii[n]} for n, q in single.items()}
     figures = {"quality": asdict(quality), "presses": presses}
     write_json(folder / _REPORT, {"judged": title, **figures, **facts})
     with atomic_path(folder / _TEXT) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+        temporary.write_text(f"{title}\n{table.text()}\n{note}\n", encoding="utf-8")
     _write_circles(folder / _CIRCLES, circles)
     plot_ball_presses([_plotted(one, ball) for one in evaluated], ball, title, folder / _PICTURE)
-    log_text(text, table)
+    log_text(title, table, note)
     log.info("pictures of them: %s", folder / _PICTURE)
 
 

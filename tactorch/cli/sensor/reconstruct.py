@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from tactorch.cli.console import log
 from tactorch.cli.sensor.frames import FrameSequence, RunFiles, caption, without_image
 from tactorch.cli.sensor.inputs import load_calibrated, load_reference
 from tactorch.cli.sensor.options import ReconstructSettings
-from tactorch.cli.settings import log
 from tactorch.sensor.calibration import Calibration
 from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.description import SensorDescription

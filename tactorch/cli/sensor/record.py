@@ -22,11 +22,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from tactorch.cli.progress import ProgressCallback, progress
+from tactorch.cli.console import ProgressCallback, log, progress
 from tactorch.cli.sensor.frames import OVER_TIME, FrameSequence, RunFiles
 from tactorch.cli.sensor.inputs import build_chain, load_calibrated, load_reference
 from tactorch.cli.sensor.options import RecordSettings
-from tactorch.cli.settings import log, material_spec
+from tactorch.cli.settings import material_spec
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.files import require_file

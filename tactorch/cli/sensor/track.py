@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from tactorch.cli.progress import progress
+from tactorch.cli.console import log, progress
 from tactorch.cli.sensor.frames import (
     FrameSequence,
     RunFiles,
@@ -26,7 +26,6 @@ from tactorch.cli.sensor.frames import (
 )
 from tactorch.cli.sensor.inputs import load_reference, load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import TrackSettings
-from tactorch.cli.settings import log
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame, Image
@@ -55,8 +54,7 @@ def run(cfg: TrackSettings) -> Path:
     tracker, frames = MarkerTracker(reference, appearance), FrameSequence(cfg, sensor, reference)
 
     def track(frame: Frame) -> tuple[Frame, Float[np.ndarray, "n 2"]]:
-        missing = np.full(tracker.reference_px.shape, np.nan)
-        return without_image(frame), missing if frame.image is None else tracker.track(frame.image)
+        return without_image(frame), tracker.track(frame.image)
 
     results = frames.process("following markers", track)
     measured, positions = [frame for frame, _ in results], np.stack([p for _, p in results])

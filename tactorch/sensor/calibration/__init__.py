@@ -1,19 +1,23 @@
 """Calibration of a sensor's colors with presses of a ball (Section VI-B)."""
 
 from tactorch.sensor.calibration.ball import Ball, BallPress, Circle, find_circle, read_labels
-from tactorch.sensor.calibration.features import image_change, marker_pixels
-from tactorch.sensor.calibration.fit import FitOptions, fit_circle, fit_map
-from tactorch.sensor.calibration.maps import SENSOR_MAPS, SensorMap, SlopeMap, map_slopes
-from tactorch.sensor.calibration.storage import Calibration, load_calibration, save_calibration
-from tactorch.sensor.calibration.validation import (
+from tactorch.sensor.calibration.fit import (
+    FitOptions,
     MapQuality,
     cross_validate,
     evaluate_map,
-    fit_new_circle,
-    pool_quality,
+    fit_circle,
+    fit_map,
     select_map,
-    validation_groups,
 )
+from tactorch.sensor.calibration.maps import (
+    SENSOR_MAPS,
+    SensorMap,
+    SlopeMap,
+    image_change,
+    marker_pixels,
+)
+from tactorch.sensor.calibration.storage import Calibration, load_calibration, save_calibration
 
 __all__ = [
     "SENSOR_MAPS",
@@ -30,14 +34,10 @@ __all__ = [
     "find_circle",
     "fit_circle",
     "fit_map",
-    "fit_new_circle",
     "image_change",
     "load_calibration",
-    "map_slopes",
     "marker_pixels",
-    "pool_quality",
     "read_labels",
     "save_calibration",
     "select_map",
-    "validation_groups",
 ]

@@ -1,14 +1,15 @@
 """Presses of a ball of known radius: slopes of the gel's face, labels and detection."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
-from tactorch.sensor.description import pixel_size
+from tactorch.sensor.description import check_pixel_size
 from tactorch.sensor.table import read_rows
 
 _COLUMNS = ("image", "center_x_px", "center_y_px", "radius_px")
@@ -31,8 +32,7 @@ class Circle:
     radius_px: float
 
     def __post_init__(self) -> None:
-        values = [*self.center_px, self.radius_px]
-        if len(values) != 3 or not np.isfinite(values).all() or self.radius_px < 2:
+        if not np.isfinite([*self.center_px, self.radius_px]).all() or self.radius_px < 2:
             raise ConfigError(
                 f"circle at {self.center_px} with radius {self.radius_px}: give two finite numbers"
                 " and a radius of at least 2 px."
@@ -78,25 +78,15 @@ class BallPress:
 
 
 @dataclass(frozen=True)
-class Ball:
-    """Ball, and the size of a pixel in its images.
+class Ball(Options):
+    """Ball, and the size of a pixel in its images."""
 
-    Attributes:
-        radius_mm: Radius of the ball.
-        mm_per_px: Size of a pixel along x and y, mm.
-    """
-
-    radius_mm: float
-    mm_per_px: tuple[float, float]
+    radius_mm: float = option(help="Radius of the ball", unit="mm", ge=0.2, le=100)
+    mm_per_px: tuple[float, float] = option(help="Size of a pixel along x and y", unit="mm")
 
     def __post_init__(self) -> None:
-        if not 0.2 <= self.radius_mm <= 100.0:
-            metres = f" Is it in metres? Then give {1e3 * self.radius_mm:g}."
-            raise ConfigError(
-                f"radius_mm={self.radius_mm:g}: give a ball's radius, 0.2 to 100 mm."
-                + (metres if 2e-4 <= self.radius_mm <= 0.1 else "")
-            )
-        pixel_size("mm_per_px", self.mm_per_px)
+        super().__post_init__()
+        check_pixel_size(self.mm_per_px)
 
     def check(self, circle: Circle, name: str) -> None:
         """Check that a contact is no wider than the ball.
@@ -111,41 +101,49 @@ class Ball:
                 f" ({self.radius_mm:g} mm); check radius_mm and mm_per_px."
             )
 
-    def offsets(
-        self, shape: tuple[int, int], circle: Circle
-    ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    def offsets(self, shape: tuple[int, int], circle: Circle) -> Float[np.ndarray, "2 h w"]:
         """Return the offset of each pixel from the center of a contact along x and y, mm."""
         rows, columns = np.mgrid[: shape[0], : shape[1]]
-        x, y = circle.center_px
-        return (columns - x) * self.mm_per_px[0], (rows - y) * self.mm_per_px[1]
+        return self.offsets_at(columns, rows, circle.center_px)
 
-    def slopes(self, shape: tuple[int, int], circle: Circle) -> Float[np.ndarray, "h w 2"]:
+    def offsets_at(
+        self, columns: np.ndarray, rows: np.ndarray, center_px: Sequence[float] | np.ndarray
+    ) -> Float[np.ndarray, "2 *n"]:
+        """Return the offsets of pixels from a center along x and y, mm."""
+        x, y = self.mm_per_px
+        return np.stack([(columns - center_px[0]) * x, (rows - center_px[1]) * y])
+
+    def slopes_at(self, offsets_mm: Float[np.ndarray, "2 *n"]) -> Float[np.ndarray, "*n 2"]:
         """Return dz/dx and dz/dy of the ball's surface, z out of the sensor; steep ones are capped.
 
         z = z0 - sqrt(R^2 - r^2) increases from the center of the contact outward.
         """
-        x, y = self.offsets(shape, circle)
-        below = np.sqrt(np.maximum(self.radius_mm**2 - x**2 - y**2, 0.0))
-        return np.stack([x, y], axis=-1) / np.maximum(below, 0.2 * self.radius_mm)[..., None]
+        slopes = offsets_mm / np.maximum(self._below(offsets_mm), 0.2 * self.radius_mm)
+        return np.moveaxis(slopes, 0, -1)
+
+    def slopes(self, shape: tuple[int, int], circle: Circle) -> Float[np.ndarray, "h w 2"]:
+        """Return dz/dx and dz/dy of the ball's surface in an image, see `slopes_at`."""
+        return self.slopes_at(self.offsets(shape, circle))
 
     def heights(self, shape: tuple[int, int], circle: Circle) -> Float[np.ndarray, "h w"]:
         """Return z of the ball's surface relative to the contact's edge, mm: negative inside."""
-        x, y = self.offsets(shape, circle)
         edge = min(circle.radius_px * self.mm_per_px[0], self.radius_mm)
-        below = np.sqrt(np.maximum(self.radius_mm**2 - x**2 - y**2, 0.0))
-        return np.sqrt(self.radius_mm**2 - edge**2) - below
+        return np.sqrt(self.radius_mm**2 - edge**2) - self._below(self.offsets(shape, circle))
 
     def distance(self, shape: tuple[int, int], circle: Circle) -> Float[np.ndarray, "h w"]:
         """Return the distance of each pixel from the center, over the contact's radius."""
-        x, y = self.offsets(shape, circle)
-        return np.hypot(x, y) / (circle.radius_px * self.mm_per_px[0])
+        return np.hypot(*self.offsets(shape, circle)) / (circle.radius_px * self.mm_per_px[0])
+
+    def _below(self, offsets_mm: Float[np.ndarray, "2 *n"]) -> Float[np.ndarray, "*n"]:
+        """Depth of the ball's surface below its center, mm."""
+        x, y = offsets_mm
+        return np.sqrt(np.maximum(self.radius_mm**2 - x**2 - y**2, 0.0))
 
 
 def read_labels(path: str | Path) -> Mapping[str, Circle]:
-    """Read contacts from a CSV file with columns image, center_x_px, center_y_px, radius_px.
+    """Return contacts by name of the image, from a CSV file.
 
-    Returns:
-        Contact by name of the image.
+    The columns are image, center_x_px, center_y_px, radius_px.
 
     Raises:
         FileError: The file is missing, or a line cannot be read; the message names it.
@@ -176,9 +174,6 @@ def find_circle(change: Float[np.ndarray, "h w 3"], ball: Ball, name: str = "ima
         ball: Ball.
         name: Name of the image, for messages.
 
-    Returns:
-        The contact.
-
     Raises:
         ConfigError: There is no round change.
     """
@@ -203,12 +198,19 @@ def find_circle(change: Float[np.ndarray, "h w 3"], ball: Ball, name: str = "ima
     mask = (gradient > _CONTACT_LEVEL * largest).astype(np.uint8)
     _, labels, statistics, centers = cv2.connectedComponentsWithStats(mask)
     weights = np.bincount(labels.ravel(), gradient.ravel())
-    weights[0] = 0.0
-    label = int(np.argmax(weights))
-    _check_round(statistics[label], gradient.shape, name)
-    radius = np.sqrt(float(statistics[label, cv2.CC_STAT_AREA]) / np.pi)
-    center = float(centers[label, 0]), float(centers[label, 1])
-    return Circle(center, float(min(radius, _MAX_CONTACT * radius_px)))
+    label = int(np.argmax(weights[1:])) + 1
+    _, _, width, height, area = (int(v) for v in statistics[label])
+    if max(width, height) > 2.2 * min(width, height) or area < 0.4 * width * height:
+        raise ConfigError(
+            f"{name}: no ball found; what changed is {width} x {height} px and not round. Label it"
+            " by hand, or leave it out."
+        )
+    if width * height > 0.8 * rows * columns:
+        raise ConfigError(
+            f"{name}: no ball found; the whole image changed. Is the reference of this sensor?"
+        )
+    x, y = centers[label]
+    return Circle((float(x), float(y)), float(min(np.sqrt(area / np.pi), _MAX_CONTACT * radius_px)))
 
 
 def _smooth_gradient(change: Float[np.ndarray, "h w 3"], radius_px: float) -> np.ndarray:
@@ -221,19 +223,3 @@ def _smooth_gradient(change: Float[np.ndarray, "h w 3"], radius_px: float) -> np
     smooth = cv2.GaussianBlur(change, (0, 0), max(1.0, 0.06 * radius_px))
     steep = np.sqrt(sum((np.gradient(smooth, axis=k) ** 2).sum(axis=-1) for k in (0, 1)))
     return cv2.GaussianBlur(steep, (0, 0), 0.3 * radius_px)
-
-
-def _check_round(statistics: np.ndarray, shape: tuple[int, ...], name: str) -> None:
-    import cv2
-
-    width, height = int(statistics[cv2.CC_STAT_WIDTH]), int(statistics[cv2.CC_STAT_HEIGHT])
-    fill = statistics[cv2.CC_STAT_AREA] / (width * height)
-    if max(width, height) > 2.2 * min(width, height) or fill < 0.4:
-        raise ConfigError(
-            f"{name}: no ball found; what changed is {width} x {height} px and not round. Label it"
-            " by hand, or leave it out."
-        )
-    if width * height > 0.8 * shape[0] * shape[1]:
-        raise ConfigError(
-            f"{name}: no ball found; the whole image changed. Is the reference of this sensor?"
-        )

@@ -1,4 +1,4 @@
-"""Joint fit of the map from colors to slopes and of the contacts of a ball.
+"""Joint fit of the map from colors to slopes and of the contacts of a ball, and its accuracy.
 
 Labels and detected contacts are off by some pixels, which makes slopes inconsistent with any map.
 Map and contacts are therefore fitted alternately: the map to the slopes of the contacts, each
@@ -7,21 +7,28 @@ color means no slope. The size of a pixel is not: slopes of a larger ball are an
 function of the colors, so `mm_per_px` has to be measured.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration.ball import Ball, BallPress, Circle
-from tactorch.sensor.calibration.features import pixel_features
-from tactorch.sensor.calibration.maps import Mlp, SensorMap, SlopeMap, map_slopes
+from tactorch.sensor.calibration.maps import (
+    SENSOR_MAPS,
+    Mlp,
+    SensorMap,
+    SlopeMap,
+    map_slopes,
+    pixel_features,
+)
+from tactorch.sensor.depth import integrate_slopes
 
 _TRAINING_RADIUS = 0.92  # of the pixels that the map is fitted to, over the contact's radius
 _CENTER_RADIUS = 0.8  # of the pixels that a circle's center is fitted to
+_EVALUATED_RADIUS = 0.9  # of the pixels that the map is evaluated at
 _FREE_RADIUS = 2.2  # beyond which the gel is not in contact
 _PIXELS, _FREE_PIXELS = 2500, 600  # drawn per press
 _MAX_SQUARED_ERROR = 0.25  # of slopes, for pixels that count as outliers
@@ -70,29 +77,18 @@ def fit_map(
     for number in range(options.rounds + 1):
         _fit_map_to_circles(slope_map, presses, circles, ball, options.seed + number)
         if number < options.rounds:
-            circles = [
-                fit_circle(press, slope_map, ball, circle)
-                for press, circle in zip(presses, circles, strict=True)
-            ]
+            pairs = zip(presses, circles, strict=True)
+            circles = [fit_circle(press, slope_map, ball, circle) for press, circle in pairs]
         if progress is not None:
             progress(number + 1, options.rounds + 1)
     return slope_map, {p.name: c for p, c in zip(presses, circles, strict=True)}
 
 
 def fit_circle(press: BallPress, slope_map: SlopeMap, ball: Ball, circle: Circle) -> Circle:
-    """Fit a contact to the slopes of a map.
+    """Return the contact fitted to the slopes of a map, from a first estimate.
 
     The center is fitted to the slopes well inside. The radius is where the slope of the map falls
     below that of the ball, and at least 0.9 of the press's labeled or detected radius.
-
-    Args:
-        press: Press.
-        slope_map: Map from colors to slopes.
-        ball: Ball.
-        circle: Start.
-
-    Returns:
-        The contact.
 
     Raises:
         ConfigError: Markers cover the contact.
@@ -104,38 +100,40 @@ def fit_circle(press: BallPress, slope_map: SlopeMap, ball: Ball, circle: Circle
         raise ConfigError(
             f"{press.name}: fewer than 20 pixels of the contact are not markers; leave it out."
         )
+
     measured = slopes[inside]
 
-    def misfit(center: Float[np.ndarray, "2"]) -> float:
-        x = (columns - center[0]) * ball.mm_per_px[0]
-        y = (rows - center[1]) * ball.mm_per_px[1]
-        below = np.sqrt(np.maximum(ball.radius_mm**2 - x**2 - y**2, (0.2 * ball.radius_mm) ** 2))
-        error = measured - np.stack([x, y], axis=-1) / below[:, None]
+    def misfit(center: np.ndarray) -> float:
+        error = measured - ball.slopes_at(ball.offsets_at(columns, rows, center))
         return float(np.minimum((error**2).sum(axis=1), _MAX_SQUARED_ERROR).mean())
 
     start = np.array(circle.center_px)
     simplex = start + np.array([(0.0, 0.0), (2.0, 0.0), (0.0, 2.0)])
-    best = minimize(
+    x, y = minimize(
         misfit, start, method="Nelder-Mead",
         options={"xatol": 0.05, "fatol": 1e-6, "initial_simplex": simplex},
     ).x  # fmt: skip
-    centered = Circle((float(best[0]), float(best[1])), circle.radius_px)
-    radius = _contact_radius(slopes, press.known, ball, centered)
+    centered = Circle((float(x), float(y)), circle.radius_px)
+    radius = _contact_radius(slopes, press, ball, centered)
     return Circle(centered.center_px, max(radius, _MIN_RADIUS * press.circle.radius_px))
 
 
-def _contact_radius(
-    slopes: Float[np.ndarray, "h w 2"], known: Bool[np.ndarray, "h w"], ball: Ball, circle: Circle
-) -> float:
+def fit_new_circle(press: BallPress, slope_map: SlopeMap, ball: Ball) -> Circle:
+    """Fit the contact of a left-out press in two passes, since the first changes the radius."""
+    first = fit_circle(press, slope_map, ball, press.circle)
+    return fit_circle(press, slope_map, ball, first)
+
+
+def _contact_radius(slopes: np.ndarray, press: BallPress, ball: Ball, circle: Circle) -> float:
     """Radius at which the outward slope falls below the ball's, pixels."""
-    x, y = ball.offsets(known.shape, circle)
+    x, y = ball.offsets(press.shape, circle)
     distance = np.hypot(x, y)
     outward = (slopes[..., 0] * x + slopes[..., 1] * y) / np.maximum(distance, 1e-9)
     width = ball.mm_per_px[0]
     ring_index = (distance / width).astype(int)
     max_ring = int(ball.radius_mm / width)
     for ring in range(max(3, round(0.3 * max_ring)), max_ring):
-        values = outward[known & (ring_index == ring)]
+        values = outward[press.known & (ring_index == ring)]
         radius = (ring + 0.5) * width
         expected = radius / np.sqrt(max(ball.radius_mm**2 - radius**2, 1e-9))
         if len(values) and np.median(values) < _SLOPE_FRACTION * expected:
@@ -159,16 +157,155 @@ def _fit_map_to_circles(
         inside = _draw(rng, np.flatnonzero(distance < _TRAINING_RADIUS), _PIXELS)
         if not len(inside):
             raise ConfigError(f"{press.name}: markers cover the whole contact; leave it out.")
-        features.append(rows[inside])
-        slopes.append(ball.slopes(press.shape, circle).reshape(-1, 2)[inside])
         # Pixels without contact have zero slope and no change of color but noise.
         free = _draw(rng, np.flatnonzero(distance > _FREE_RADIUS), _FREE_PIXELS)
-        unchanged = rows[free].copy()
+        unchanged = rows[free]
         unchanged[:, :3] = rng.normal(0.0, 0.02, (len(free), 3))
-        features.append(unchanged)
-        slopes.append(np.zeros((len(free), 2)))
+        features += [rows[inside], unchanged]
+        slopes += [
+            ball.slopes(press.shape, circle).reshape(-1, 2)[inside], np.zeros((len(free), 2))
+        ]  # fmt: skip
     slope_map.fit(np.concatenate(features), np.concatenate(slopes), seed)
 
 
 def _draw(rng: np.random.Generator, pixels: np.ndarray, count: int) -> np.ndarray:
     return rng.choice(pixels, min(count, len(pixels)), replace=False)
+
+
+@dataclass(frozen=True)
+class MapQuality:
+    """Errors inside the contacts of presses.
+
+    Attributes:
+        r2: Coefficient of determination of the slopes along x and y.
+        mae: Mean absolute error of the slopes along x and y.
+        depth_rms_mm: Root mean square error of the ball's height up to a constant, mm.
+        pixels: Number of evaluated pixels.
+    """
+
+    r2: tuple[float, float]
+    mae: tuple[float, float]
+    depth_rms_mm: float
+    pixels: int
+
+    @classmethod
+    def pool(cls, parts: "Sequence[MapQuality]") -> "MapQuality":
+        """Return the errors of groups of presses, weighted by their pixels."""
+        counts = [part.pixels for part in parts]
+        r2 = np.average([part.r2 for part in parts], axis=0, weights=counts)
+        mae = np.average([part.mae for part in parts], axis=0, weights=counts)
+        squares = np.average([part.depth_rms_mm**2 for part in parts], weights=counts)
+        depth = float(np.sqrt(squares))
+        return cls(tuple(r2.tolist()), tuple(mae.tolist()), depth, sum(counts))
+
+
+def evaluate_map(
+    slope_map: SlopeMap, presses: Sequence[BallPress], circles: Sequence[Circle], ball: Ball
+) -> MapQuality:
+    """Compare the slopes and heights of a map with those of the ball.
+
+    Args:
+        slope_map: Map.
+        presses: Presses.
+        circles: Contact of each press.
+        ball: Ball.
+
+    Returns:
+        The errors of all presses together.
+    """
+    results = [_compare(slope_map, p, c, ball) for p, c in zip(presses, circles, strict=True)]
+    slopes, expected, heights = (np.concatenate(parts) for parts in zip(*results, strict=True))
+    spread = ((expected - expected.mean(axis=0)) ** 2).sum(axis=0)
+    r2 = 1 - ((slopes - expected) ** 2).sum(axis=0) / spread
+    mae = np.abs(slopes - expected).mean(axis=0)
+    depth = float(np.sqrt(np.mean(heights**2)))
+    return MapQuality(tuple(r2.tolist()), tuple(mae.tolist()), depth, len(slopes))
+
+
+def _compare(
+    slope_map: SlopeMap, press: BallPress, circle: Circle, ball: Ball
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Slopes of the map and of the ball, and errors of the height."""
+    slopes = map_slopes(slope_map, press.change)
+    contact = ball.distance(press.shape, circle) < _EVALUATED_RADIUS
+    inside = press.known & contact
+    height = integrate_slopes(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
+    error = (height - ball.heights(press.shape, circle))[contact]
+    return slopes[inside], ball.slopes(press.shape, circle)[inside], error - error.mean()
+
+
+def validation_groups(
+    presses: Sequence[BallPress], ball: Ball, options: FitOptions, folds: int
+) -> Iterator[tuple[SlopeMap, list[BallPress], list[Circle]]]:
+    """Yield for each group the map fitted to all other presses, the group, and its contacts.
+
+    The contacts of left-out presses are fitted: three parameters to thousands of pixels.
+
+    Args:
+        presses: Presses.
+        ball: Ball.
+        options: Fit options; the seed also assigns the groups.
+        folds: Number of groups.
+
+    Raises:
+        ConfigError: There are fewer presses than folds, or fewer than two folds.
+    """
+    if not 2 <= folds <= len(presses):
+        raise ConfigError(f"folds={folds}: give 2 to {len(presses)}, the number of presses.")
+    order = np.random.default_rng(options.seed).permutation(len(presses))
+    for fold in range(folds):
+        group = set(order[fold::folds].tolist())
+        training = [press for i, press in enumerate(presses) if i not in group]
+        left_out = [press for i, press in enumerate(presses) if i in group]
+        slope_map, _ = fit_map(training, ball, options)
+        yield slope_map, left_out, [fit_new_circle(press, slope_map, ball) for press in left_out]
+
+
+def cross_validate(
+    presses: Sequence[BallPress], ball: Ball, options: FitOptions | None = None, folds: int = 3
+) -> MapQuality:
+    """Return the errors on presses that are left out of the fit, each once, pooled over the groups.
+
+    Args:
+        presses: Presses.
+        ball: Ball.
+        options: Fit options; the seed also assigns the groups.
+        folds: Number of groups of presses.
+
+    Raises:
+        ConfigError: There are fewer presses than folds, or fewer than two folds.
+    """
+    groups = validation_groups(presses, ball, options or FitOptions(), folds)
+    return MapQuality.pool([evaluate_map(*group, ball) for group in groups])
+
+
+def select_map(
+    presses: Sequence[BallPress],
+    ball: Ball,
+    options: FitOptions | None = None,
+    folds: int = 3,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[str, dict[str, MapQuality]]:
+    """Select the map with the smallest error on left-out presses.
+
+    Args:
+        presses: Presses.
+        ball: Ball.
+        options: Fit options; `map` is ignored.
+        folds: Number of groups.
+        progress: Callback with the number of evaluated maps and of all.
+
+    Returns:
+        The name of the map, and the errors of each by name.
+
+    Raises:
+        ConfigError: There are fewer presses than folds, or fewer than two folds.
+    """
+    options, names = options or FitOptions(), SENSOR_MAPS.names()
+    quality = {}
+    for number, name in enumerate(names):
+        candidate = replace(options, map=SENSOR_MAPS.build(name))
+        quality[name] = cross_validate(presses, ball, candidate, folds)
+        if progress is not None:
+            progress(number + 1, len(names))
+    return min(quality, key=lambda name: sum(quality[name].mae)), quality

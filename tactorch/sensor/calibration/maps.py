@@ -1,26 +1,29 @@
-"""Maps from change of color and position to slope, and their registry.
+"""Change of color in images, and the registry of maps from change and position to slope.
 
 A further map is an `Options` class derived from `SensorMap` in a separate file, and one line in
 `SENSOR_MAPS`; other packages add theirs by the entry point group `tactorch.sensor_map`.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import nn
 
 from tactorch.config import Options, Registry, option
-from tactorch.sensor.calibration.features import FEATURES, pixel_features
+from tactorch.errors import ConfigError
+from tactorch.processes import single_thread
+from tactorch.sensor.depth import fill_masked
+from tactorch.sensor.frames import Image
+from tactorch.sensor.markers import MarkerAppearance, marker_mask
 
 Arrays = dict[str, np.ndarray]
-Features = Float[np.ndarray, "_ 5"]
+Features = Float[np.ndarray, "_ 5"]  # change of the three colors, and position x, y
 Slopes = Float[np.ndarray, "_ 2"]
+_UNIT = 50.0  # gray values
 _BATCH = 2048
 
 #: Maps from colors to slopes by name.
@@ -35,13 +38,59 @@ SENSOR_MAPS = Registry(
 )
 
 
+def marker_pixels(
+    image: Image, reference: Image, markers: MarkerAppearance | None
+) -> Bool[np.ndarray, "h w"]:
+    """Return the pixels covered by markers in an image or in the reference."""
+    if markers is None:
+        return np.zeros(image.shape[:2], dtype=bool)
+    import cv2
+
+    covered = marker_mask(image, markers) | marker_mask(reference, markers)
+    size = 2 * max(1, round(0.15 * markers.diameter_px)) + 1  # includes blurred edges
+    return cv2.dilate(covered.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+
+
+def image_change(
+    image: Image,
+    reference: Image,
+    markers: MarkerAppearance | None = None,
+    smooth_px: float = 1.0,
+) -> Float[np.ndarray, "h w 3"]:
+    """Return the smoothed change of each color in units of 50 gray values.
+
+    Args:
+        image: Frame.
+        reference: Image of the gel without contact.
+        markers: Appearance of markers, whose pixels are filled in; None without markers.
+        smooth_px: Standard deviation of the smoothing.
+
+    Raises:
+        ConfigError: The images have different sizes.
+    """
+    import cv2
+
+    if image.shape != reference.shape:
+        raise ConfigError(
+            f"the image has shape {image.shape}, the reference {reference.shape}; give rectified"
+            " images of one sensor."
+        )
+    difference = (image.astype(np.float64) - reference) / _UNIT
+    difference = fill_masked(difference, ~marker_pixels(image, reference, markers))
+    return cv2.GaussianBlur(difference, (0, 0), smooth_px) if smooth_px > 0 else difference
+
+
+def pixel_features(change: Float[np.ndarray, "h w 3"]) -> Features:
+    """Return the change and the position, from -1 to 1 across the image, of each pixel."""
+    rows, columns = change.shape[:2]
+    y, x = np.mgrid[:rows, :columns]
+    position = np.stack([2 * x / (columns - 1) - 1, 2 * y / (rows - 1) - 1], axis=-1)
+    return np.concatenate([change, position], axis=-1).reshape(-1, 5)
+
+
 @runtime_checkable
 class SlopeMap(Protocol):
-    """Map from features of pixels to slopes.
-
-    Attributes:
-        options: Settings that the map was created with.
-    """
+    """Map from features of pixels to slopes; `options` are the settings of the map."""
 
     options: "SensorMap"
 
@@ -66,17 +115,11 @@ class SensorMap(Options, ABC):
 
     @abstractmethod
     def create(self, seed: int) -> SlopeMap:
-        """Return a map that is not fitted.
-
-        Args:
-            seed: Seed of the initial parameters.
-        """
+        """Return a map with initial parameters of a seed, that is not fitted."""
 
 
-def map_slopes(
-    slope_map: SlopeMap, change: Float[np.ndarray, "h w 3"]
-) -> Float[np.ndarray, "h w 2"]:
-    """Return the slopes of an image by a map."""
+def map_slopes(slope_map: SlopeMap, change: Float[np.ndarray, "h w 3"]) -> np.ndarray:
+    """Return the slopes (h, w, 2) of an image by a map."""
     return slope_map(pixel_features(change)).reshape(*change.shape[:2], 2)
 
 
@@ -95,7 +138,7 @@ class Mlp(SensorMap):
         """Return a network with initial weights that depend on the seed only."""
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            return MlpMap(self)
+            return _MlpMap(self)
 
 
 @dataclass(frozen=True)
@@ -116,27 +159,14 @@ class Lookup(SensorMap):
 
     def create(self, seed: int) -> SlopeMap:
         """Return an empty table."""
-        return LookupMap(self)
+        return _LookupMap(self)
 
 
-@contextmanager
-def _single_thread() -> Iterator[None]:
-    """Run torch on one thread, which is fastest for small networks on shared cores."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-class MlpMap:
-    """Slope map of `Mlp`."""
-
+class _MlpMap:
     def __init__(self, options: Mlp) -> None:
         self.options: SensorMap = options
         self._steps, self._learning_rate = options.steps, options.learning_rate
-        self._inputs, width = FEATURES if options.position else 3, options.width
+        self._inputs, width = 5 if options.position else 3, options.width
         self.network = nn.Sequential(
             nn.Linear(self._inputs, width), nn.Tanh(),
             nn.Linear(width, width), nn.Tanh(),
@@ -144,13 +174,12 @@ class MlpMap:
         )  # fmt: skip
 
     def fit(self, features: Features, slopes: Slopes, seed: int) -> None:
-        """Fit, or continue to fit, to pixels of known slope."""
         generator = torch.Generator().manual_seed(seed)
         inputs = features[:, : self._inputs]
         x, y = (torch.from_numpy(v.astype(np.float32)) for v in (inputs, slopes))
         optimizer = torch.optim.Adam(self.network.parameters(), lr=self._learning_rate)
         scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self._steps)
-        with _single_thread():
+        with single_thread():  # fastest for small networks on shared cores
             for _ in range(self._steps):
                 rows = torch.randint(len(x), (_BATCH,), generator=generator)
                 loss = (self.network(x[rows]) - y[rows]).square().mean()
@@ -160,21 +189,18 @@ class MlpMap:
                 scheduler.step()
 
     def __call__(self, features: Features) -> Slopes:
-        """Return the slopes of pixels."""
         with torch.inference_mode():
             x = torch.from_numpy(features[:, : self._inputs].astype(np.float32))
             return self.network(x).double().numpy()
 
     def arrays(self) -> Arrays:
-        """Return the weights."""
         return {name: value.numpy() for name, value in self.network.state_dict().items()}
 
     def restore(self, arrays: Arrays) -> None:
-        """Set the weights."""
         self.network.load_state_dict({name: torch.from_numpy(v) for name, v in arrays.items()})
 
 
-class LookupMap:
+class _LookupMap:
     """Slope map of `Lookup`.
 
     Each cell holds the mean slope of its pixels; empty cells are filled from their neighbors. The
@@ -188,7 +214,6 @@ class LookupMap:
         self.weights = np.zeros((9, 2))
 
     def fit(self, features: Features, slopes: Slopes, seed: int) -> None:
-        """Fit to pixels of known slope."""
         target = slopes
         for _ in range(3):  # table and correction alternately
             self.table = self._mean_slopes(features, target)
@@ -199,15 +224,12 @@ class LookupMap:
             target = slopes - design @ self.weights
 
     def __call__(self, features: Features) -> Slopes:
-        """Return the slopes of pixels."""
         return self._table_slopes(features) + self._design(features) @ self.weights
 
     def arrays(self) -> Arrays:
-        """Return the table and the correction."""
         return {"table": self.table, "plane": self.weights, "most": np.array(self._max_change)}
 
     def restore(self, arrays: Arrays) -> None:
-        """Set the table and the correction."""
         table, weights, max_change = arrays["table"], arrays["plane"], arrays["most"]
         if table.shape != (len(table),) * 3 + (2,) or weights.shape != (9, 2) or not max_change > 0:
             raise ValueError(
@@ -224,10 +246,8 @@ class LookupMap:
     def _table_slopes(self, features: Features) -> Slopes:
         from scipy.ndimage import map_coordinates
 
-        coordinates = self._table_coordinates(features).T
-        return np.stack(
-            [map_coordinates(self.table[..., k], coordinates, order=1) for k in range(2)], axis=1
-        )
+        cells = self._table_coordinates(features).T
+        return np.stack([map_coordinates(self.table[..., k], cells, order=1) for k in (0, 1)], 1)
 
     def _mean_slopes(self, features: Features, slopes: Slopes) -> np.ndarray:
         """Mean slopes of the cells; empty cells take wider and wider averages."""

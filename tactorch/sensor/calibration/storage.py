@@ -1,7 +1,6 @@
-"""Calibration files: npz archives of arrays and JSON text, without executable content."""
+"""Calibrations and their files: npz archives of arrays and JSON text, without executable code."""
 
 import json
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,9 @@ from jaxtyping import Float
 
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import atomic_path, require_file
-from tactorch.sensor.calibration.features import image_change
-from tactorch.sensor.calibration.maps import SENSOR_MAPS, SlopeMap, map_slopes
-from tactorch.sensor.description import pixel_size
+from tactorch.files import read_arrays, write_arrays
+from tactorch.sensor.calibration.maps import SENSOR_MAPS, SlopeMap, image_change, map_slopes
+from tactorch.sensor.description import check_pixel_size
 from tactorch.sensor.frames import Image
 from tactorch.sensor.markers import MarkerAppearance
 from tactorch.versions import versions
@@ -22,6 +20,8 @@ from tactorch.versions import versions
 FORMAT, VERSION = "tactorch-calibration", 1
 _PREFIX = "map/"
 _MAX_BYTES = 500_000_000  # of the unpacked arrays
+_REMEDY = "it is damaged or another file. Calibrate again."
+_FORMER_NAMES = {"smallest": "min_area", "largest": "max_area"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,6 @@ class Calibration:
             image: Rectified image.
             reference: Image of the gel without contact on that day; None for the calibration's.
 
-        Returns:
-            The slopes.
-
         Raises:
             ConfigError: The image has another size than the reference or the calibration.
         """
@@ -86,30 +83,22 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         "facts": calibration.facts,
         "versions": versions(),
     }
-    arrays: dict[str, Any] = {"reference": calibration.reference}
-    arrays |= {_PREFIX + name: values for name, values in calibration.map.arrays().items()}
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, about=np.array(json.dumps(text)), **arrays)
+    arrays = {_PREFIX + name: values for name, values in calibration.map.arrays().items()}
+    about = np.array(json.dumps(text))
+    write_arrays(
+        path, {"about": about, "reference": calibration.reference, **arrays}, compressed=True
+    )
 
 
 def load_calibration(path: str | Path) -> Calibration:
     """Read a calibration.
 
-    Returns:
-        The calibration.
-
     Raises:
         FileError: The file is missing, damaged, of another kind or of a later version.
     """
-    file = require_file(path, "calibration")
+    arrays = read_arrays(path, "calibration", _REMEDY, _MAX_BYTES)
     try:
-        with zipfile.ZipFile(file) as archive:
-            size = sum(part.file_size for part in archive.infolist())
-        if size > _MAX_BYTES:
-            raise ValueError(f"its arrays have {size} bytes, more than {_MAX_BYTES}")
-        with np.load(file, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-        about = json.loads(str(content.pop("about")))
+        about = json.loads(str(arrays.pop("about")))
         if about["format"] != FORMAT:
             raise ValueError(f"its format is {about['format']}")
         if about["version"] != VERSION:
@@ -117,33 +106,28 @@ def load_calibration(path: str | Path) -> Calibration:
                 f"calibration '{path}' is of version {about['version']}, this tactorch reads"
                 f" {VERSION}; calibrate again."
             )
-        return _parse(about, content)
+        return _parse(about, arrays)
     except FileError:
         raise
-    except Exception as error:  # errors of damaged archives have no common base class
+    except Exception as error:  # errors of damaged files have no common base class
         reason = " ".join(str(error).split())[:120]
-        raise FileError(
-            f"calibration '{path}' cannot be read ({reason}); it is damaged or another file."
-            " Calibrate again."
-        ) from error
+        raise FileError(f"calibration '{path}' cannot be read ({reason}); {_REMEDY}") from error
 
 
-def _parse(about: dict[str, Any], content: dict[str, np.ndarray]) -> Calibration:
+def _parse(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> Calibration:
     if not isinstance(about["facts"], dict):
         raise ValueError("its facts are not a table")
-    reference = content["reference"]
+    reference = arrays["reference"]
     if reference.dtype != np.uint8 or reference.ndim != 3 or reference.shape[2] != 3:
         raise ValueError(f"its reference is no image but {reference.shape} of {reference.dtype}")
-    for name, values in content.items():
+    for name, values in arrays.items():
         if not np.isfinite(values).all():
             raise ValueError(f"its {name} is not finite")
     slope_map = SENSOR_MAPS.build(about["map"]).create(0)
-    slope_map.restore({k[len(_PREFIX) :]: v for k, v in content.items() if k != "reference"})
-    markers = None if about["look"] is None else _parse_markers(about["look"])
-    scale = pixel_size("mm_per_px", about["mm_per_px"])
-    return Calibration(slope_map, reference, scale, markers, about["facts"])
-
-
-def _parse_markers(values: dict[str, Any]) -> MarkerAppearance:
-    former = {"smallest": "min_area", "largest": "max_area"}
-    return MarkerAppearance(**{former.get(name, name): v for name, v in values.items()})
+    slope_map.restore({k[len(_PREFIX) :]: v for k, v in arrays.items() if k != "reference"})
+    x, y = map(float, about["mm_per_px"])
+    check_pixel_size((x, y))
+    markers = about["look"]
+    if markers is not None:
+        markers = MarkerAppearance(**{_FORMER_NAMES.get(k, k): v for k, v in markers.items()})
+    return Calibration(slope_map, reference, (x, y), markers, about["facts"])

@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.description import pixel_size
+from tactorch.sensor.description import check_pixel_size
 from tactorch.sensor.scale.edges import refine_outline
 from tactorch.sensor.scale.shape import KnownShape, Outline
 
@@ -49,7 +49,7 @@ def find_outline(
     Raises:
         ConfigError: There is no such outline; the message names the image.
     """
-    pixel_size("mm_per_px", mm_per_px)
+    check_pixel_size(mm_per_px)
     if not np.isfinite(change).all():
         raise ConfigError(f"{name}: the change of its colors is not finite; give a whole image.")
     visible = np.ones(change.shape[:2], dtype=bool) if known is None else known

@@ -8,6 +8,7 @@ corners also determine the perspective warp that makes all pixels square and of 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -190,7 +191,7 @@ class Warp:
 
     def apply_to(self, sensor: SensorDescription) -> SensorDescription:
         """Return a description with this warp and its scale."""
-        corners = tuple((float(x), float(y)) for x, y in self.corners_px)
+        corners: Any = self.corners_px.tolist()
         return replace(sensor, warp_corners_px=corners, mm_per_px=(self.mm_per_px, self.mm_per_px))
 
 

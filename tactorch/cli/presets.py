@@ -1,0 +1,183 @@
+"""Presets and experiments: YAML files of settings that differ from the typed defaults.
+
+They come with tactorch, or from a folder of the user (`--config-dir`). The latter are read as plain
+settings: nothing in them reaches Hydra's own settings, by which a file could run any function.
+"""
+
+import importlib.util
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tactorch.errors import ConfigError, FileError
+
+PACKAGE = "tactorch.conf"
+EXPERIMENT = "experiment"
+#: Text that runs a function or reads the environment when settings are resolved; ${NAME} and the
+#: time do not.
+PROGRAM = re.compile(r"_target_|\$\{(?!now:|[\w.]+\})")
+_HYDRA = re.compile(r"(override )?/*hydra([/.@]|\Z)")
+_OVERRIDE = "override /"
+
+#: A setting as plain values, with the keys of `tactorch.cli.schema.describe_settings`.
+Entry = dict[str, Any]
+
+
+def conf_folder() -> Path:
+    """Return the folder of presets and experiments: in the package, or beside it in a checkout.
+
+    Raises:
+        FileError: they are in neither place.
+    """
+    spec = importlib.util.find_spec(PACKAGE)
+    places = [] if spec is None else [Path(p) for p in spec.submodule_search_locations or ()]
+    for place in (*places, Path(__file__).resolve().parents[2] / "conf"):
+        if (place / EXPERIMENT).is_dir():
+            return place
+    raise FileError(f"the presets ({PACKAGE}) are not installed; reinstall tactorch.")
+
+
+def add_presets(folder: Path, group: dict[str, Any]) -> None:
+    """Add the presets in a folder to the options of a group.
+
+    A preset names a component (`name`), or inherits from another option, or changes the settings of
+    a group that has one class; what it leaves out has the typed defaults.
+
+    Raises:
+        ConfigError: a preset cannot be read, or has an unknown setting.
+    """
+    for path in sorted(folder.glob("*.yaml")):
+        _add_preset(path, group)
+
+
+def _add_preset(path: Path, group: dict[str, Any]) -> None:
+    values, options = read_yaml(path), group["options"]
+    inherited, overrides = _read_defaults(values.pop("defaults", ()), path)
+    component = inherited
+    if group["settings"] is None and not inherited:
+        component = str(values.pop("name", path.stem))
+    if inherited and inherited not in options:
+        _add_preset(path.with_name(f"{inherited}.yaml"), group)
+    if component and component not in options:
+        raise ConfigError(
+            f"'{path}': name={component} is unknown; choose one of {', '.join(options)}."
+        )
+    base = options[component] if component else {"component": "", "help": ""}
+    settings = base.get("settings", group["settings"])
+    names = {entry["name"] for entry in settings}
+    changed = dict(leaves(values, names))
+    unknown = next((name for name in changed if name not in names), None)
+    if unknown is not None:
+        raise ConfigError(f"'{path}' has the unknown setting '{unknown}'; remove it.")
+    options[path.stem] = {
+        "component": base["component"],
+        "help": _leading_comment(path) or base["help"],
+        "settings": [{**s, "default": changed.get(s["name"], s["default"])} for s in settings],
+        "overrides": overrides,
+    }
+
+
+def _read_defaults(entries: Sequence[Any], path: Path) -> tuple[str, dict[str, str]]:
+    """Return the option that a defaults list inherits from, and what it chooses elsewhere."""
+    inherited, overrides = "", {}
+    for entry in entries:
+        names = [str(name) for name in entry] if isinstance(entry, Mapping) else []
+        if isinstance(entry, str) and "/" not in entry and not inherited:
+            inherited = "" if entry == "_self_" else entry
+        elif entry != "_self_" and not (names and all(n.startswith(_OVERRIDE) for n in names)):
+            raise ConfigError(
+                f"'{path}': defaults: {entry!r} is neither an option of the same group nor an entry"
+                f" '{_OVERRIDE}GROUP: OPTION'; change it."
+            )
+        for name in names:
+            overrides[name.removeprefix(_OVERRIDE).partition("@")[0]] = entry[name]
+    return inherited, overrides
+
+
+def read_experiments(
+    folder: Path, settings: Sequence[Entry], groups: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the experiments in a folder all of whose settings a command has."""
+    tops = {entry["name"].split(".")[0] for entry in settings} | set(groups)
+    experiments = {}
+    for path in sorted((folder / EXPERIMENT).glob("*.yaml")):
+        values = read_yaml(path)
+        _, overrides = _read_defaults(values.pop("defaults", ()), path)
+        if {*values, *overrides} <= tops:
+            text = _leading_comment(path)
+            experiments[path.stem] = {"help": text, "values": values, "overrides": overrides}
+    return experiments
+
+
+def _leading_comment(path: Path) -> str:
+    """Return the comment lines of a file that stand before its first setting."""
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith("# @package"):
+            continue
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# "))
+    return " ".join(lines)
+
+
+def check_plain(folder: Path) -> None:
+    """Refuse settings of Hydra and names of functions in the files of a folder.
+
+    Raises:
+        ConfigError: a file holds more than plain settings.
+    """
+    for path in sorted(folder.rglob("*.yaml")):
+        is_hydra = path.relative_to(folder).parts[0] == "hydra"
+        is_hydra = is_hydra or b"@package hydra" in path.read_bytes()
+        programs = [t for t in _texts(read_yaml(path)) if _HYDRA.match(t) or PROGRAM.search(t)]
+        if is_hydra or programs:
+            raise ConfigError(
+                f"'{path}' sets '{programs[0] if programs else 'hydra'}', which can run programs "
+                "or read the environment; remove it, or add --trust-config-dir if you trust "
+                "everything in that folder."
+            )
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield all text in a table, names and values."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield str(key)
+            yield from _texts(inner)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _texts(item)
+    elif isinstance(value, str):
+        yield value
+
+
+def leaves(
+    values: Mapping[Any, Any], tables: Collection[str] = (), prefix: str = ""
+) -> Iterator[tuple[str, Any]]:
+    """Yield the settings of a nested table by their full names; `tables` are single settings."""
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping) and name not in tables:
+            yield from leaves(value, tables, f"{name}.")
+        else:
+            yield name, value
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Return the table in a YAML file.
+
+    Raises:
+        ConfigError: it is no table of settings.
+    """
+    import yaml
+
+    try:
+        content = yaml.load(path.read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"'{path}' cannot be read ({reason}); repair it.") from error
+    if not isinstance(content, dict | None):
+        raise ConfigError(f"'{path}' does not hold a table of settings; write KEY: VALUE lines.")
+    return {str(key): value for key, value in (content or {}).items()}

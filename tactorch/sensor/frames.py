@@ -1,0 +1,502 @@
+"""Frames of image files, videos and cameras, rectified and checked for faults.
+
+Images are RGB with 8 bits per channel, rows from the top. An unreadable frame is yielded without an
+image and with its fault; reading continues with the next.
+"""
+
+import io
+import re
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from queue import Full, Queue
+from threading import Event, Thread
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from tactorch.config import Options, option
+from tactorch.errors import ConfigError, FileError
+from tactorch.files import require_file, require_folder
+from tactorch.sensor.description import SensorDescription
+
+#: RGB image with 8 bits per channel.
+Image = UInt8[np.ndarray, "_ _ 3"]
+#: Path of a folder, an image or a video; number of a camera; or images.
+Source = str | Path | int | Iterable[np.ndarray]
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".mpg", ".mpeg")
+
+_FORMATS = ("PNG", "JPEG", "BMP", "TIFF")  # as Pillow names them
+_MAX_PIXELS = 100_000_000
+_MAX_FRAME_RATE_HZ = 100_000.0
+_MAX_MISSING_FRAMES = 10_000  # reported at the end of a truncated video
+_MAX_QUEUED_FRAMES = 600  # of a camera; later frames are dropped
+_CAMERA_TIMEOUT_S = 3.0
+_CAMERA_RETRY_S = 0.05
+_QUEUE_POLL_S = 0.2
+_DROPPED_PERIODS = 1.5  # frame periods between two frames, above which frames were dropped
+_MIN_BRIGHTNESS = 8.0  # of a reference, gray values
+_SATURATED = "saturated"
+_SATURATED_VALUE = 254
+_MIN_JUMP = 4.0  # between rows, gray values; smaller ones are noise
+
+
+@dataclass(frozen=True)
+class FaultLimits(Options):
+    """Limits of the detection of faulty frames, relative to the reference image."""
+
+    dark: float = option(
+        0.4, "Fraction of the reference's mean brightness below which a frame is dark", ge=0, le=1
+    )
+    saturated: float = option(
+        0.05, "Fraction of saturated pixels in excess of the reference's", ge=0, le=1
+    )
+    torn: float = option(
+        8.0, "Jump between two rows, over the frame's median jump, above which a frame is torn",
+        gt=0,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame of a sensor.
+
+    Attributes:
+        index: Position in the sequence, from 0.
+        name: File name, or position in the source; for messages.
+        image: RGB image; None if unreadable.
+        time_s: Time since the first frame; None if unknown.
+        fault: Description of the fault, or "".
+        usable: Whether the frame can be measured. A frame that is saturated, or that follows
+            dropped frames, has a fault but is usable.
+        unix_s: Time of capture by a camera, seconds since 1970; None if unknown.
+    """
+
+    index: int
+    name: str
+    image: Image | None
+    time_s: float | None = None
+    fault: str = ""
+    usable: bool = True
+    unix_s: float | None = None
+
+
+def read_frames(
+    source: Source,
+    sensor: SensorDescription,
+    reference: Image,
+    *,
+    limits: FaultLimits | None = None,
+) -> Iterator[Frame]:
+    """Yield the rectified frames of a source, with their faults.
+
+    A frame that is unreadable or of another size has no image. A frame that is dark, saturated,
+    torn or frozen, or that follows dropped frames, keeps its image.
+
+    Args:
+        source: Source of the frames.
+        sensor: Sensor that took the frames.
+        reference: Image of the gel without contact, see `read_reference`.
+        limits: Limits of the fault detection.
+
+    Raises:
+        FileError: The source does not exist or has no frames.
+        ConfigError: The reference has another size than the sensor's images.
+    """
+    if reference.shape[:2] != sensor.shape:
+        raise ConfigError(
+            f"the reference is {reference.shape[1]} x {reference.shape[0]} px, but rectified images"
+            f" of the sensor '{sensor.name}' are {sensor.shape[1]} x {sensor.shape[0]}; read it"
+            " with read_reference."
+        )
+    raw_frames = open_source(source)  # not in the generator: a missing source is an error at once
+    return _rectified_frames(raw_frames, sensor, reference, limits or FaultLimits())
+
+
+def _rectified_frames(
+    raw_frames: Iterator[Frame], sensor: SensorDescription, reference: Image, limits: FaultLimits
+) -> Iterator[Frame]:
+    rectify = _rectifier(sensor)
+    previous, previous_s = None, None
+    for raw in raw_frames:
+        image, fault = None, raw.fault
+        if raw.image is not None:
+            try:
+                image = rectify(raw.image, raw.name)
+                fault = detect_fault(image, reference, previous, limits)
+            except FileError as error:
+                fault = str(error)
+        # A bright contact saturates some pixels of frames that can be measured.
+        usable = image is not None and (not fault or fault.startswith(_SATURATED))
+        fault = fault or _dropped_frames(raw.time_s, previous_s, sensor.frame_rate_hz)
+        previous = image if image is not None else previous
+        previous_s = time_s = raw.time_s
+        if time_s is None and sensor.frame_rate_hz is not None:
+            time_s = raw.index / sensor.frame_rate_hz
+        yield replace(raw, image=image, time_s=time_s, fault=fault, usable=usable)
+
+
+def read_reference(source: Source, sensor: SensorDescription, frames: int = 1) -> Image:
+    """Return the image of the gel without contact: the mean of the first frames of a source.
+
+    Args:
+        source: An image; or a folder, video, camera or images that start without contact.
+        sensor: Sensor that took the frames.
+        frames: Number of readable frames to average.
+
+    Raises:
+        FileError: There are too few readable frames, they have the wrong size, or are dark.
+        ConfigError: `frames` is less than 1.
+    """
+    if frames < 1:
+        raise ConfigError(f"frames={frames} must be at least 1, the number of frames to average.")
+    rectify = _rectifier(sensor)
+    readable = ((raw.image, raw.name) for raw in open_source(source) if raw.image is not None)
+    images = [rectify(image, name) for image, name in islice(readable, frames)]
+    origin = f"'{source}'" if isinstance(source, str | int | Path) else "the given images"
+    if len(images) < frames:
+        raise FileError(
+            f"reference: {len(images)} of {frames} frames can be read from {origin}; declare images"
+            " of the gel without contact."
+        )
+    mean = np.mean(images, axis=0)
+    if mean.mean() < _MIN_BRIGHTNESS:
+        raise FileError(
+            f"reference: the image from {origin} is dark, {mean.mean():.1f} of 255 on average; are"
+            " the sensor's lights on?"
+        )
+    return mean.round().astype(np.uint8)
+
+
+def detect_fault(
+    image: Image, reference: Image, previous: Image | None, limits: FaultLimits | None = None
+) -> str:
+    """Return a description of the fault of a rectified frame, or "".
+
+    Args:
+        image: Rectified frame.
+        reference: Image of the gel without contact.
+        previous: Previous frame, if any.
+        limits: Limits of the fault detection.
+    """
+    limits = limits or FaultLimits()
+    brightness = float(image.mean()) / max(float(reference.mean()), 1e-9)
+    if brightness < limits.dark:
+        return f"dark: {brightness:.0%} of the reference's brightness"
+    saturated, usual = ((i >= _SATURATED_VALUE).any(axis=2).mean() for i in (image, reference))
+    if saturated - usual > limits.saturated:
+        return f"{_SATURATED}: {saturated - usual:.0%} of the pixels more than in the reference"
+    if previous is not None and np.array_equal(image, previous):
+        return "frozen: the same as the frame before it"
+    # The change varies smoothly from row to row; a tear makes it jump over much of the width.
+    change = image.astype(np.float32).mean(axis=2) - reference.astype(np.float32).mean(axis=2)
+    jump = np.median(np.abs(np.diff(change, axis=0)), axis=1)
+    row = int(np.argmax(jump))
+    typical = max(float(np.median(jump)), _MIN_JUMP / limits.torn)
+    return f"torn at row {row + 1}" if jump[row] > limits.torn * typical else ""
+
+
+def _dropped_frames(time_s: float | None, previous_s: float | None, rate_hz: float | None) -> str:
+    if time_s is None or previous_s is None or rate_hz is None:
+        return ""
+    periods = (time_s - previous_s) * rate_hz
+    if periods <= _DROPPED_PERIODS:
+        return ""
+    return f"{round(periods) - 1} frames were dropped before it ({time_s - previous_s:.3f} s)"
+
+
+def _rectifier(sensor: SensorDescription) -> Callable[[Image, str], Image]:
+    """Return a function that undistorts, warps and crops an image of a given name.
+
+    The function raises `FileError` for images of another size than the sensor's.
+    """
+    steps = _rectification_steps(sensor)
+    raw_size, rectified_size = sensor.raw_size_px or sensor.image_size_px, sensor.image_size_px
+
+    def rectify(image: Image, name: str) -> Image:
+        size = (image.shape[1], image.shape[0])
+        if size == rectified_size and (size != raw_size or not steps):
+            return image  # rectified already
+        if size != raw_size:
+            expected = " x ".join(map(str, raw_size))
+            if raw_size != rectified_size:
+                expected += f", or rectified {rectified_size[0]} x {rectified_size[1]}"
+            raise FileError(
+                f"{name} is {size[0]} x {size[1]} px, but the sensor '{sensor.name}' gives"
+                f" {expected}; check image_size_px and raw_size_px."
+            )
+        for step in steps:
+            image = step(image)
+        return np.ascontiguousarray(image)
+
+    return rectify
+
+
+def _rectification_steps(sensor: SensorDescription) -> list[Callable[[Image], Image]]:
+    import cv2
+
+    steps: list[Callable[[Image], Image]] = []
+    if sensor.intrinsics_px is not None:
+        fx, fy, cx, cy = sensor.intrinsics_px
+        matrix = np.array([(fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)])
+        coefficients = np.array(sensor.distortion or (0.0,) * 4)
+        size = sensor.raw_size_px or sensor.image_size_px
+        maps = cv2.initUndistortRectifyMap(
+            matrix, coefficients, np.eye(3), matrix, size, cv2.CV_32FC1
+        )
+        steps.append(lambda image: cv2.remap(image, *maps, cv2.INTER_LINEAR))
+    if sensor.warp_corners_px is not None:
+        width, height = warped_size = sensor.warped_size
+        targets = [(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)]
+        corners = np.array(sensor.warp_corners_px, np.float32)
+        warp = cv2.getPerspectiveTransform(corners, np.array(targets, np.float32))
+        steps.append(lambda image: cv2.warpPerspective(image, warp, warped_size))
+    if sensor.crop_px is not None:
+        left, top, width, height = sensor.crop_px
+        region = np.s_[top : top + height, left : left + width]
+        steps.append(lambda image: image[region])
+    return steps
+
+
+def open_source(source: Source) -> Iterator[Frame]:
+    """Yield the raw frames of a source in order.
+
+    Args:
+        source: Source of the frames. Files of a folder are sorted by name, with numbers in the
+            names compared as numbers.
+
+    Raises:
+        FileError: The source does not exist or has no frames.
+    """
+    if isinstance(source, int):
+        return _open_camera(source)
+    if not isinstance(source, str | Path):
+        return _array_frames(source)
+    path = Path(source)
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        return _video_frames(_open_video(path), path)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        return iter([Frame(0, path.name, read_image(path))])
+    if path.is_file():
+        raise FileError(
+            f"'{path}' is no source of frames; give a folder, an image"
+            f" ({', '.join(IMAGE_SUFFIXES)}) or a video ({', '.join(VIDEO_SUFFIXES)})."
+        )
+    return _folder_frames(path)
+
+
+def read_image(path: str | Path) -> Image:
+    """Read an image file as RGB.
+
+    Raises:
+        FileError: The file is missing, damaged, not an image, or has too many pixels.
+    """
+    import cv2
+
+    require_file(path, "image")
+    # cv2.imread prints messages and cannot open every path.
+    content = np.fromfile(path, np.uint8)
+    _check_image_header(content.tobytes(), path)
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_COLOR)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise _unreadable(path)
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _check_image_header(content: bytes, path: str | Path) -> None:
+    """Refuse an image that is too large or damaged before memory is allocated for its pixels."""
+    from PIL import Image as PillowImage
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of Pillow's own, larger limit
+            with PillowImage.open(io.BytesIO(content), formats=_FORMATS) as header:
+                width, height = header.size
+                if width * height <= _MAX_PIXELS and header.format == "TIFF":
+                    header.load()  # OpenCV ignores errors in TIFF data
+    except PillowImage.DecompressionBombError as error:
+        raise FileError(f"image '{path}' is too large: {error}; give a smaller image.") from error
+    except Exception as error:  # errors of damaged files have no common base class
+        raise _unreadable(path) from error
+    if width * height > _MAX_PIXELS:
+        raise FileError(
+            f"image '{path}' is too large: {width} x {height} px exceed the limit of"
+            f" {_MAX_PIXELS:.0e} pixels; give a smaller image."
+        )
+
+
+def _unreadable(path: str | Path) -> FileError:
+    return FileError(
+        f"image '{path}' cannot be read: it is damaged or no image; take or copy it again."
+    )
+
+
+def _folder_frames(path: Path) -> Iterator[Frame]:
+    folder = require_folder(path, "folder of frames")
+    files = sorted(
+        (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "."),
+        key=lambda p: [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", p.name)],
+    )
+    if not files:
+        raise FileError(f"folder of frames '{path}' has no image ({', '.join(IMAGE_SUFFIXES)}).")
+    return (_image_frame(index, file) for index, file in enumerate(files))
+
+
+def _image_frame(index: int, path: Path) -> Frame:
+    try:
+        return Frame(index, path.name, read_image(path))
+    except FileError as error:
+        return _faulty_frame(index, path.name, str(error))
+
+
+def _faulty_frame(index: int, name: str, fault: str) -> Frame:
+    return Frame(index, name, None, fault=fault, usable=False)
+
+
+def video_length(path: Path) -> int:
+    """Return the number of frames that the header of a video declares; 0 if unknown.
+
+    Raises:
+        FileError: The file is missing, damaged, of an unknown codec, or has too many pixels.
+    """
+    capture = _open_video(path)
+    count = _declared_length(capture)
+    capture.release()
+    return count
+
+
+def _open_video(path: Path) -> Any:
+    """Open a video file as `cv2.VideoCapture`."""
+    import cv2
+
+    require_file(path, "video")
+    capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened():
+        raise FileError(f"video '{path}' cannot be opened: it is damaged, or of an unknown codec.")
+    width = capture.get(cv2.CAP_PROP_FRAME_WIDTH)
+    height = capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+    if not width * height <= _MAX_PIXELS:
+        capture.release()
+        raise FileError(
+            f"video '{path}' is too large: {width:.0f} x {height:.0f} px exceed the limit of"
+            f" {_MAX_PIXELS:.0e} pixels; give a smaller video."
+        )
+    return capture
+
+
+def _declared_length(capture: Any) -> int:
+    import cv2
+
+    count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    return int(count) if 0 < count < 1e9 else 0
+
+
+def _video_frames(capture: Any, path: Path) -> Iterator[Frame]:
+    import cv2
+
+    rate, expected = capture.get(cv2.CAP_PROP_FPS), _declared_length(capture)
+    known_rate = 0 < rate <= _MAX_FRAME_RATE_HZ
+    count = 0
+    try:
+        while (captured := capture.read())[0]:
+            rgb = cv2.cvtColor(captured[1], cv2.COLOR_BGR2RGB)
+            time_s = count / rate if known_rate else None
+            yield Frame(count, f"{path.name} frame {count}", rgb, time_s)
+            count += 1
+    except cv2.error as error:
+        reason = " ".join(str(error).split())
+        raise FileError(f"video '{path}' cannot be decoded: {reason}.") from error
+    finally:
+        capture.release()
+    if not count:
+        raise FileError(f"video '{path}' has no frame that can be decoded.")
+    fault = f"the video is cut short: {count} of {expected} frames can be decoded"
+    for index in range(count, min(expected, count + _MAX_MISSING_FRAMES)):
+        yield _faulty_frame(index, f"{path.name} frame {index}", fault)
+
+
+def _array_frames(images: Iterable[np.ndarray]) -> Iterator[Frame]:
+    index = -1
+    for index, image in enumerate(images):
+        array, name = np.asarray(image), f"frame {index}"
+        if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
+            yield Frame(index, name, array)
+            continue
+        yield _faulty_frame(
+            index, name, f"an image must be (h, w, 3) of uint8, not {array.shape} of {array.dtype};"
+            " convert it to RGB of 8 bits",
+        )  # fmt: skip
+    if index < 0:
+        raise FileError("no image was given as a frame; is the source empty?")
+
+
+def _open_camera(number: int) -> Iterator[Frame]:
+    import cv2
+
+    if number < 0:  # OpenCV interprets negative numbers as any camera, and may crash
+        raise FileError(f"camera {number} does not exist; cameras are numbered from 0.")
+    capture = cv2.VideoCapture(number)
+    if not capture.isOpened():
+        raise FileError(
+            f"camera {number} cannot be opened: it is not there, or another program has it."
+        )
+    return _camera_frames(capture, number)
+
+
+def _camera_frames(capture: Any, number: int) -> Iterator[Frame]:
+    """Yield frames captured by a thread, so that slow processing delays no capture."""
+    queue: Queue[Frame | None] = Queue(_MAX_QUEUED_FRAMES)
+    stop = Event()
+    thread = Thread(target=_capture, args=(capture, number, queue, stop), daemon=True)
+    thread.start()
+    try:
+        while (frame := queue.get()) is not None:
+            yield frame
+    finally:
+        stop.set()
+        thread.join()
+        capture.release()
+    raise FileError(f"camera {number} gave no image for {_CAMERA_TIMEOUT_S:g} s; is it plugged in?")
+
+
+def _capture(capture: Any, number: int, queue: Queue[Frame | None], stop: Event) -> None:
+    """Queue frames until `stop` is set or the camera times out, then queue None."""
+    try:
+        for frame in _captured_frames(capture, number, stop):
+            with suppress(Full):
+                queue.put_nowait(frame)
+    finally:  # after an error too: the consumer must not wait forever
+        while not stop.is_set():
+            with suppress(Full):
+                queue.put(None, timeout=_QUEUE_POLL_S)
+                break
+
+
+def _captured_frames(capture: Any, number: int, stop: Event) -> Iterator[Frame]:
+    import cv2
+
+    # The monotonic clock is independent of adjustments of the system time.
+    start, start_unix, index, last_image_s = time.monotonic(), time.time(), 0, 0.0
+    while not stop.is_set():
+        success, image = capture.read()
+        time_s = time.monotonic() - start
+        name, unix_s = f"camera {number} frame {index}", start_unix + time_s
+        if success:
+            rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+            yield Frame(index, name, rgb, time_s, unix_s=unix_s)
+            last_image_s = time_s
+        elif time_s - last_image_s >= _CAMERA_TIMEOUT_S:
+            return
+        else:
+            yield Frame(index, name, None, time_s, "the camera gave no image", False, unix_s)
+            time.sleep(_CAMERA_RETRY_S)
+        index += 1

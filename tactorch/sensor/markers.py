@@ -1,0 +1,403 @@
+"""Markers on the gel: detection with subpixel accuracy, tracking, and displacements in mm.
+
+A marker whose match is ambiguous is dropped from the frame rather than mismatched.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import map_coordinates
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+
+from tactorch.config import Options, option
+from tactorch.errors import ConfigError
+from tactorch.sensor.description import SensorDescription
+from tactorch.sensor.frames import Image
+
+_MIN_BACKGROUND = 10.0  # gray values; below, contrast is not defined
+_FLOW_LEVELS = 3
+_TOTAL_DEVIATION = 2.5  # limit for the total displacement, over that for the step between frames
+
+_Points = Float[np.ndarray, "_ 2"]
+_Darkness = Float[np.ndarray, "_ _"]
+
+
+@dataclass(frozen=True)
+class MarkerAppearance(Options):
+    """Appearance of markers in an image."""
+
+    diameter_px: float = option(help="Diameter of a typical marker", unit="px", ge=2, le=200)
+    min_area: float = option(
+        0.25, "Smallest area of a marker, as a fraction of the typical area", gt=0, lt=1
+    )
+    max_area: float = option(
+        6.0, "Largest area of a spot that may be several markers, over the typical area", gt=1
+    )
+    contrast: float | None = option(
+        None, "Relative darkness at a marker's edge; null estimates it from the image", gt=0, lt=1
+    )
+
+
+@dataclass(frozen=True)
+class TrackOptions(Options):
+    """Tolerances of marker tracking."""
+
+    gate: float = option(
+        0.35, "Largest distance of a spot from a marker's predicted position, in marker spacings",
+        gt=0, lt=0.5,
+    )  # fmt: skip
+    max_deviation: float = option(
+        0.2, "Largest deviation of a marker's step from its neighbors', in marker spacings",
+        gt=0, lt=0.5,
+    )  # fmt: skip
+    max_round_trip_px: float = option(
+        0.5, "Largest error of optical flow followed forward and back", unit="px", gt=0
+    )
+    neighbors: int = option(8, "Number of neighbors that predict a marker's motion", ge=4)
+
+
+def detect_markers(image: Image, appearance: MarkerAppearance) -> Float[np.ndarray, "n 2"]:
+    """Return the centers (column, row) of the markers in an image, from the top down.
+
+    Spots of several merged markers are split at their necks. Each center is the centroid of the
+    darkness, which averages noise and partly covered pixels.
+    """
+    return _locate_markers(_relative_darkness(image, appearance), appearance)
+
+
+def marker_mask(image: Image, appearance: MarkerAppearance) -> Bool[np.ndarray, "h w"]:
+    """Return the pixels of markers, including dirt of the same darkness."""
+    darkness = _relative_darkness(image, appearance)
+    return np.asarray(darkness > _threshold(darkness, appearance))
+
+
+def _relative_darkness(image: Image, appearance: MarkerAppearance) -> _Darkness:
+    """Return how much darker each pixel is than its surroundings: 0 as bright, 1 black.
+
+    Markers are dark in every color, colored light is not. The brightest of the three colors is
+    therefore compared with its median over a window that is wider than a marker.
+    """
+    import cv2
+
+    brightest = image.max(axis=2)
+    size = 2 * round(0.7 * np.sqrt(appearance.max_area) * appearance.diameter_px) + 1
+    margin = size // 2
+    padded = cv2.copyMakeBorder(brightest, margin, margin, margin, margin, cv2.BORDER_REFLECT)
+    background = cv2.medianBlur(padded, size)[margin:-margin, margin:-margin]
+    smooth = cv2.GaussianBlur(brightest.astype(np.float32), (0, 0), 0.7)
+    darkness = np.maximum(1.0 - smooth / np.maximum(background, _MIN_BACKGROUND), 0.0)
+    return darkness.astype(np.float64)
+
+
+def _threshold(darkness: _Darkness, appearance: MarkerAppearance) -> float:
+    """Half the darkness of markers; Otsu's threshold fails where most pixels are background."""
+    if appearance.contrast is not None:
+        return appearance.contrast
+    median = float(np.median(darkness))
+    noise = 1.4826 * float(np.median(np.abs(darkness - median)))
+    background = median + 6 * max(noise, 0.01)
+    spots = darkness[darkness > background]
+    return max(0.5 * float(np.percentile(spots, 75)), background) if len(spots) else 1.0
+
+
+def _locate_markers(darkness: _Darkness, appearance: MarkerAppearance) -> _Points:
+    threshold = _threshold(darkness, appearance)
+    labels = _label_spots(np.asarray(darkness > threshold), appearance)
+    return _centroids(darkness, labels, threshold)
+
+
+def _label_spots(
+    mask: Bool[np.ndarray, "h w"], appearance: MarkerAppearance
+) -> Int[np.ndarray, "h w"]:
+    """Label the spots that may be markers, from 1."""
+    import cv2
+
+    # Bright specks within a marker must not split it.
+    size = max(1, round(0.3 * appearance.diameter_px))
+    kernel = np.ones((size, size), np.uint8)
+    closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(closed, connectivity=4)
+    areas = statistics[:, cv2.CC_STAT_AREA] / (np.pi / 4 * appearance.diameter_px**2)
+    accepted = (areas >= appearance.min_area) & (areas <= appearance.max_area)
+    accepted[0] = False
+    labels = np.where(accepted[labels], labels, 0)
+    for label in np.flatnonzero(accepted & (areas > 1.6)):
+        left, top, width, height = (int(v) for v in statistics[label, :4])
+        window = labels[top : top + height, left : left + width]
+        pieces = _split_spot(window == label, appearance.diameter_px)
+        window[pieces > 1] = pieces[pieces > 1] - 2 + count
+        count += max(0, pieces.max() - 1)
+    return labels
+
+
+def _split_spot(spot: Bool[np.ndarray, "h w"], diameter_px: float) -> Int[np.ndarray, "h w"]:
+    """Label the pieces of a spot with necks from 1; 0 for a spot without."""
+    import cv2
+    from skimage.feature import peak_local_max
+    from skimage.segmentation import watershed
+
+    whole = np.zeros(spot.shape, dtype=np.int32)
+    distance = cv2.distanceTransform(np.pad(spot, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
+    min_distance = max(2, round(0.45 * diameter_px))
+    peaks = peak_local_max(smooth, min_distance=min_distance, labels=spot.astype(int))
+    if len(peaks) < 2:
+        return whole
+    seeds = whole.copy()
+    seeds[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
+    pieces = watershed(-smooth, seeds, mask=spot)
+    # A neck is clearly narrower than the pieces are at their centers.
+    horizontal = (pieces[:, 1:] != pieces[:, :-1]) & (pieces[:, 1:] > 0) & (pieces[:, :-1] > 0)
+    vertical = (pieces[1:] != pieces[:-1]) & (pieces[1:] > 0) & (pieces[:-1] > 0)
+    border = np.concatenate([distance[:, 1:][horizontal], distance[1:][vertical]])
+    has_necks = len(border) and border.max() < 0.8 * distance[tuple(peaks.T)].min()
+    return pieces if has_necks else whole
+
+
+def _centroids(darkness: _Darkness, labels: Int[np.ndarray, "h w"], threshold: float) -> _Points:
+    """Centroids of the darkness in excess of half the threshold, in and next to each spot."""
+    import cv2
+
+    dilated = cv2.dilate(labels.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int64)
+    dilated = np.where(labels > 0, labels, dilated)
+    weight = np.maximum(darkness - 0.5 * threshold, 0.0)
+    spots, index = np.unique(dilated, return_inverse=True)
+    index = index.reshape(-1)
+    mass = np.bincount(index, weight.ravel())
+    rows, columns = np.indices(labels.shape)
+    x, y = (np.bincount(index, (weight * v).ravel()) for v in (columns, rows))
+    selected = (spots > 0) & (mass > 0)
+    centers = np.stack([x[selected], y[selected]], axis=1) / mass[selected][:, None]
+    return centers[np.lexsort((centers[:, 0], centers[:, 1]))]
+
+
+@dataclass(eq=False)
+class MarkerTracker:
+    """Tracker of the markers of a reference image from frame to frame.
+
+    The position of a marker is predicted by optical flow and by the motion of its neighbors. Each
+    detected spot near a predicted position is assigned to one marker. A match is accepted if its
+    displacement agrees with a robust affine fit to the displacements of the neighbors. A lost
+    marker may be found again in a later frame.
+
+    Args:
+        reference: Image of the gel without contact.
+        appearance: Appearance of the markers.
+        options: Tolerances.
+
+    Attributes:
+        reference_px: Markers in the reference (column, row).
+        spacing_px: Median distance of neighboring markers.
+        neighbors: Indices of each marker's neighbors.
+
+    Raises:
+        ConfigError: The reference shows too few markers.
+    """
+
+    reference: Image
+    appearance: MarkerAppearance
+    options: TrackOptions = field(default_factory=TrackOptions)
+
+    def __post_init__(self) -> None:
+        self._darkness = _relative_darkness(self.reference, self.appearance)
+        self.reference_px = _locate_markers(self._darkness, self.appearance)
+        required = self.options.neighbors + 1
+        if len(self.reference_px) < required:
+            raise ConfigError(
+                f"{len(self.reference_px)} markers were found in the reference, and {required} are"
+                f" needed to track them; is diameter_px={self.appearance.diameter_px:g} right?"
+            )
+        distance, nearest = cKDTree(self.reference_px).query(self.reference_px, k=required)
+        self.spacing_px = float(np.median(distance[:, 1]))
+        self.neighbors = nearest[:, 1:]
+        self._previous_px = self.reference_px.copy()  # measured, or predicted for lost markers
+        self._previous_image = self.reference
+
+    def track(self, image: Image | None) -> Float[np.ndarray, "n 2"]:
+        """Return the markers in the next frame (column, row); NaN for markers that are not seen.
+
+        Args:
+            image: Rectified frame; None for a missing one, in which no marker is seen.
+
+        Raises:
+            ConfigError: The frame has another size than the reference.
+        """
+        if image is None:
+            return np.full(self.reference_px.shape, np.nan)
+        if image.shape != self.reference.shape:
+            raise ConfigError(
+                f"the frame has shape {image.shape}, the reference {self.reference.shape}; give"
+                " rectified frames of one sensor."
+            )
+        darkness = _relative_darkness(image, self.appearance)
+        spots = _locate_markers(darkness, self.appearance)
+        gate = self.options.gate * self.spacing_px
+        predicted = self._previous_px + self._flow(image)
+        positions = self._reject_outliers(_assign_spots(predicted, spots, gate))
+        # A lost marker may be a remaining spot where its neighbors' total displacement puts it.
+        lost = np.isnan(positions)
+        if lost.any():
+            predicted = np.where(lost, self._by_neighbors(positions, self.reference_px), positions)
+            candidates = _assign_spots(predicted, spots, gate)
+            positions = self._reject_outliers(np.where(lost, candidates, positions))
+        fallback = self._by_neighbors(positions, self._previous_px)
+        positions = self._refine(positions, darkness)
+        self._previous_px = np.where(np.isnan(positions), fallback, positions)
+        self._previous_image = image
+        return positions
+
+    def _flow(self, image: Image) -> _Points:
+        """Pyramidal Lucas-Kanade flow (Bouguet, 2001), smoothed over the neighbors."""
+        import cv2
+
+        side = 2 * round(self.appearance.diameter_px) + 1
+        first, second = self._previous_image.max(axis=2), image.max(axis=2)
+        settings: Any = {"winSize": (side, side), "maxLevel": _FLOW_LEVELS, "nextPts": None}
+        start = self._previous_px.astype(np.float32)[:, None]
+        forward, found, _ = cv2.calcOpticalFlowPyrLK(first, second, start, **settings)
+        backward, returned, _ = cv2.calcOpticalFlowPyrLK(second, first, forward, **settings)
+        closed = np.linalg.norm(backward - start, axis=2) <= self.options.max_round_trip_px
+        reliable = (found == 1) & (returned == 1) & closed
+        step = np.where(reliable, forward[:, 0].astype(np.float64) - self._previous_px, np.nan)
+        return _smooth_motion(self._previous_px, step, self.neighbors)
+
+    def _reject_outliers(self, positions: _Points) -> _Points:
+        """Drop positions that deviate from the motion of the neighbors, the largest first.
+
+        The limit is strict for the step and loose for the total displacement, which varies more
+        from marker to marker.
+        """
+        positions = positions.copy()
+        limit = self.options.max_deviation * self.spacing_px
+        for _ in range(len(positions)):
+            by_step = self._by_neighbors(positions, self._previous_px)
+            by_total = self._by_neighbors(positions, self.reference_px)
+            step = np.linalg.norm(positions - by_step, axis=1)
+            total = np.linalg.norm(positions - by_total, axis=1)
+            deviation = np.nan_to_num(np.maximum(step, total / _TOTAL_DEVIATION), nan=0.0)
+            worst = int(np.argmax(deviation))
+            if deviation[worst] <= limit:
+                break
+            positions[worst] = np.nan
+        return positions
+
+    def _by_neighbors(self, positions: _Points, origin: _Points) -> _Points:
+        """Positions by the neighbors' motion since the last frame or since the reference."""
+        return origin + _smooth_motion(self.reference_px, positions - origin, self.neighbors)
+
+    def _refine(self, positions: _Points, darkness: _Darkness) -> _Points:
+        """Register the patch around each marker to that in the reference.
+
+        Comparing patches is less noisy than comparing centroids. A correction of more than a fifth
+        of a marker is not applied.
+        """
+        import cv2
+
+        known = ~np.isnan(positions[:, 0])
+        if not known.any():
+            return positions
+        diameter = self.appearance.diameter_px
+        side = 2 * round(0.8 * diameter) + 1
+        first, second = (
+            (255 * np.clip(d, 0, 1)).astype(np.uint8) for d in (self._darkness, darkness)
+        )
+        start = self.reference_px[known].astype(np.float32)[:, None]
+        guess = positions[known].astype(np.float32)[:, None]
+        registered, success, _ = cv2.calcOpticalFlowPyrLK(
+            first, second, start, guess.copy(),
+            winSize=(side, side), maxLevel=0, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.002),
+        )  # fmt: skip
+        correction = np.linalg.norm(registered - guess, axis=2)
+        accepted = (success == 1) & (correction < 0.2 * diameter)
+        refined = positions.copy()
+        refined[known] = np.where(accepted, registered[:, 0], positions[known])
+        return refined
+
+
+def marker_displacements(
+    sensor: SensorDescription,
+    reference_px: Float[np.ndarray, "n 2"],
+    positions_px: Float[np.ndarray, "n 2"],
+    height_mm: Float[np.ndarray, "h w"] | None = None,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Return rest positions and displacements of markers on the outer face, sensor frame, mm.
+
+    The projection is orthographic along z, with a uniform pixel size.
+
+    Args:
+        sensor: Sensor description.
+        reference_px: Markers in the reference (column, row).
+        positions_px: The same markers in a frame; NaN for markers that are not seen.
+        height_mm: Displacement of the face along z, negative in contact; None for zero.
+
+    Returns:
+        Rest positions, and displacements with NaN for markers that are not seen.
+
+    Raises:
+        ConfigError: `height_mm` and the image have different sizes.
+    """
+    rest, current = sensor.to_mm(reference_px), sensor.to_mm(positions_px)
+    rest_height = sensor.gel.height_mm(rest)
+    rise = np.zeros(len(rest))
+    if height_mm is not None:
+        if height_mm.shape != sensor.shape:
+            raise ConfigError(f"heights are {height_mm.shape}, images {sensor.shape}.")
+        known = np.isfinite(positions_px).all(axis=1)
+        columns, rows = positions_px[known].T
+        # The height is that at the marker's current position, which at rest was another point.
+        rise[known] = map_coordinates(height_mm, [rows, columns], order=1, mode="nearest")
+        rise[known] += sensor.gel.height_mm(current[known]) - rest_height[known]
+    displacements = np.column_stack([current - rest, rise])
+    displacements[~np.isfinite(displacements).all(axis=1)] = np.nan
+    return np.column_stack([rest, rest_height]), displacements
+
+
+def _assign_spots(predicted: _Points, spots: _Points, gate: float) -> _Points:
+    """Assign each marker at most one spot within the gate, minimizing squared distances."""
+    positions = np.full(predicted.shape, np.nan)
+    distance = np.linalg.norm(predicted[:, None] - spots[None], axis=2)
+    # A constant cost beyond the gate: a marker without a spot does not displace another's match.
+    rows, columns = linear_sum_assignment(np.minimum(distance, gate) ** 2)
+    accepted = distance[rows, columns] < gate
+    positions[rows[accepted]] = spots[columns[accepted]]
+    return positions
+
+
+def _smooth_motion(positions: _Points, motion: _Points, neighbors: np.ndarray) -> _Points:
+    """Motion of each marker predicted by robust affine fits to its neighbors' motion."""
+    known = ~np.isnan(motion[:, 0])
+    if not known.any():
+        return np.zeros_like(motion)
+    median = np.median(motion[known], axis=0)
+    return np.stack(
+        [
+            _affine_prediction(positions[nearest], motion[nearest], positions[i], median)
+            for i, nearest in enumerate([row[known[row]] for row in neighbors])
+        ]
+    )
+
+
+def _affine_prediction(
+    positions: _Points, motion: _Points, target: np.ndarray, default: np.ndarray
+) -> np.ndarray:
+    """Fit an affine displacement by reweighted least squares and evaluate it at the target."""
+    if len(positions) == 0:
+        return default
+    if len(positions) < 4:
+        return np.median(motion, axis=0)
+    offset = positions - target
+    scale = float(np.abs(offset).max())
+    design = np.column_stack([np.ones(len(positions)), offset / scale])
+    weight = np.ones(len(positions))
+    ridge = np.diag([0.0, 0.05, 0.05])  # neighbors on a line determine one slope only
+    for _ in range(4):
+        normal = design.T @ (weight[:, None] * design) + ridge
+        fit = np.linalg.solve(normal, design.T @ (weight[:, None] * motion))
+        residual = np.linalg.norm(motion - design @ fit, axis=1)
+        spread = max(float(np.median(residual)), 0.1)
+        weight = 1.0 / (1.0 + (residual / (2.0 * spread)) ** 2)
+    return fit[0]
