@@ -215,25 +215,23 @@ class PressModel:
         """Return the displacement that the sensor reports where the true one is u, mm."""
         return self.drift + u[: len(self.rest)] @ self.values.rotation.T
 
-    def force_rates(self, name: str) -> list[Float[np.ndarray, "n 3"]]:
-        """Return the change of the true forces by each component, of scales the logarithm."""
-        if name == "force_scale":
-            return [self.forces]
-        if name == "rotation_rad":
-            rotated = self.forces @ self.values.rotation.T
-            rates = self.values.rotation_rates().T
-            return [-np.cross(rate, rotated) @ self.values.rotation for rate in rates]
-        return []
+    def rates(self, name: str, u: Float[np.ndarray, "nodes 3"]) -> tuple[list[Any], list[Any]]:
+        """Return the change of the true forces, and of the report, by each component.
 
-    def report_rates(
-        self, name: str, u: Float[np.ndarray, "nodes 3"]
-    ) -> list[Float[np.ndarray, "n 3"]]:
-        """Return the change of the report by each component, the true displacement unchanged."""
+        The true displacement u is fixed; of scales the component is the logarithm.
+        """
+        rotation = self.values.rotation
+        if name == "force_scale":
+            return [self.forces], []
         if name == "rest_scale":
-            return [np.outer(self.arm[:, a], self.values.rotation[:, a]) for a in range(3)]
+            return [], [np.outer(self.arm[:, a], rotation[:, a]) for a in range(3)]
         if name == "translation_mm":
-            return [np.broadcast_to(row, self.rest.shape).copy() for row in np.eye(3)]
+            return [], [np.broadcast_to(row, self.rest.shape) for row in np.eye(3)]
         if name == "rotation_rad":
-            rotated = self.reported(u) + self.rest - self.values.translation_mm
-            return [np.cross(rate, rotated) for rate in self.values.rotation_rates().T]
-        return []
+            forces, rates = self.forces @ rotation.T, self.values.rotation_rates().T
+            reported = self.reported(u) + self.rest - self.values.translation_mm
+            return (
+                [-np.cross(rate, forces) @ rotation for rate in rates],
+                [np.cross(rate, reported) for rate in rates],
+            )
+        return [], []

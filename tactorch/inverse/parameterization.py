@@ -113,6 +113,10 @@ class Identity(Scaled):
     def _line(self) -> tuple[float, float]:
         return 0.0, 1.0
 
+    def youngs(self, x: _Vector) -> _Vector:
+        """Return x."""
+        return x
+
 
 class Log(Parameterization):
     """Logarithm: E = exp(x), so that relative changes count and E is positive."""

@@ -120,37 +120,27 @@ class Evaluation:
         cases = self.sensitivities
 
         def work(i: int) -> np.ndarray:
-            columns = self._nuisance_columns(names, self._presses[i], cases[i])
+            # The implicit function theorem: K du = df - dR, with K already factored.
+            press, linearization, columns = self._presses[i], cases[i].linearization, []
+            for name in names:
+                forces, reports = press.model.rates(name, press.equilibrium.displacement)
+                loads = press.newton.assembly.discretisation.consistent_loads
+                changes = [loads(change) for change in forces]
+                if name == "poisson":
+                    changes = [-rate for rate in linearization.parameter_forces(poisson=True)]
+                elif name == "rest_scale":
+                    rates = linearization.parameter_forces(stretch=True)
+                    changes = [self._weight - rate for rate in rates]
+                moved = linearization.force_response(np.reshape(changes, (-1, *self._weight.shape)))
+                indirect = [cases[i].observe(field) for field in moved]
+                direct = [report.ravel()[cases[i].observed] for report in reports]
+                if indirect and direct:
+                    columns += [a + b for a, b in zip(indirect, direct, strict=True)]
+                else:
+                    columns += indirect or direct
             return np.column_stack(columns) * self.data.observations[i].scale[:, None]
 
         return self._join(map_cases(work, len(cases)))
-
-    def _nuisance_columns(
-        self, names: tuple[str, ...], press: _PressSolution, sensitivity: Sensitivity
-    ) -> list[Float[np.ndarray, " p"]]:
-        """Change of the observed report by each component of parameters, mm.
-
-        The implicit function theorem: K du = df - dR, with K already factored.
-        """
-        linearization, columns = sensitivity.linearization, []
-        for name in names:
-            if name == "poisson":
-                forces = [-rate for rate in linearization.parameter_forces(poisson=True)]
-            elif name == "rest_scale":
-                rates = linearization.parameter_forces(stretch=True)
-                forces = [self._weight - rate for rate in rates]
-            else:
-                loads = press.newton.assembly.discretisation.consistent_loads
-                forces = [loads(change) for change in press.model.force_rates(name)]
-            moved = linearization.force_response(np.reshape(forces, (-1, *self._weight.shape)))
-            indirect = [sensitivity.observe(field) for field in moved]
-            reports = press.model.report_rates(name, press.equilibrium.displacement)
-            direct = [field.ravel()[sensitivity.observed] for field in reports]
-            if indirect and direct:
-                columns += [a + b for a, b in zip(indirect, direct, strict=True)]
-            else:
-                columns += indirect or direct
-        return columns
 
     def jacobian_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""

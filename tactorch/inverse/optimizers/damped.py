@@ -178,9 +178,10 @@ class DampedNewton(Optimizer):
         trials: int | None = None,
     ) -> _Step | None:
         """Try steps of growing damping; while the weight falls, the misfit may rise a little."""
-        objective = point.objective
+        objective, cap = point.objective, point.objective.max_step
+        low, high = objective.limits
         gradient = solver.data_gradient(point) + point.prior_gradient(weight)
-        free = projected_gradient(point.x, gradient, objective.limits) != 0.0
+        free = projected_gradient(point.x, gradient, (low, high)) != 0.0
         if not free.any():
             return None
         solver.linearize(point, weight, gradient, free, lowering)
@@ -188,8 +189,12 @@ class DampedNewton(Optimizer):
         for _ in range(trials or self.max_trials):
             change, trial = solver.solve(damping), None
             if change is not None:
-                change = _within_limits(point, change)
-                x = np.clip(point.x + change, *objective.limits)
+                # Cut to the bounds and to where the linearisation is meaningful.
+                change = np.clip(change, -cap, cap)
+                end = point.x + change
+                inside = (end >= low) & (end <= high)
+                change = np.where(inside, change, np.clip(end, low, high) - point.x)
+                x = np.clip(point.x + change, low, high)
                 with suppress(ConvergenceError):  # some press has no equilibrium there
                     trial = objective.at(x, point, take_over=solver.takes_over)
             if change is not None and trial is not None:
@@ -209,14 +214,6 @@ def projected_gradient(
     low, high = limits
     blocked = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
     return np.where(blocked, 0.0, gradient)
-
-
-def _within_limits(point: Point, step: Vector) -> Vector:
-    """Cut a step to the bounds and to the largest for which the linearisation is meaningful."""
-    cap, (low, high) = point.objective.max_step, point.objective.limits
-    capped = np.clip(step, -cap, cap)
-    end = point.x + capped
-    return np.where((end < low) | (end > high), np.clip(end, low, high) - point.x, capped)
 
 
 def _gain(fall: float, predicted: float) -> float:

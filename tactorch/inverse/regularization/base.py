@@ -131,11 +131,6 @@ def relative(sizes: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     return sizes / sizes.mean() if len(sizes) else sizes
 
 
-def log_level(level_mpa: float | None) -> float | None:
-    """Return the logarithm of a modulus (MPa); None stays None."""
-    return None if level_mpa is None else float(np.log(level_mpa))
-
-
 _HERE = "tactorch.inverse.regularization"
 #: Settings of the priors by name.
 PRIORS = Registry(

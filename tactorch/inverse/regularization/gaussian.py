@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 
 from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.inverse.regularization.base import Prior, Quadratic, jumps, log_level, relative
+from tactorch.inverse.regularization.base import Prior, Quadratic, jumps, relative
 from tactorch.mesh import TetMesh
 
 
@@ -42,8 +42,8 @@ class Tikhonov(Prior):
 
     def on(self, mesh: TetMesh) -> Quadratic:
         """Return the penalty on a mesh."""
-        volumes = relative(mesh.volumes)
-        return Quadratic(sp.diags(volumes), log_level(self.level_mpa), volumes)
+        volumes, level = relative(mesh.volumes), self.level_mpa and float(np.log(self.level_mpa))
+        return Quadratic(sp.diags(volumes), level, volumes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +84,8 @@ class MaternPenalty(Quadratic):
         self._root = np.sqrt(mesh.volumes / scale)
         precision = scale * self._operator @ sp.diags(1.0 / mesh.volumes) @ self._operator
         # The uniform field is an eigenvector of Q C^-1, so the average by volume is the minimum.
-        volumes = relative(mesh.volumes)
-        super().__init__(0.5 * (precision + precision.T), log_level(settings.level_mpa), volumes)
+        level = settings.level_mpa and float(np.log(settings.level_mpa))
+        super().__init__(0.5 * (precision + precision.T), level, relative(mesh.volumes))
 
     def sample(self, rng: np.random.Generator) -> Float[np.ndarray, " m"]:
         """Draw a map, MPa, for example for `tactorch.inverse.monte_carlo`; needs a given mean."""

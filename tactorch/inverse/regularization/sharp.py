@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.config import option
-from tactorch.inverse.regularization.base import Prior, Regularizer, jumps, log_level, relative
+from tactorch.inverse.regularization.base import Prior, Regularizer, jumps, relative
 from tactorch.mesh import TetMesh
 
 _MAX_BISECTIONS, _LEVEL_TOLERANCE = 200, 1e-12
@@ -119,7 +119,7 @@ class Sparsity(Prior):
 
     def on(self, mesh: TetMesh) -> Regularizer:
         """Return the penalty on a mesh."""
-        volumes, known = relative(mesh.volumes), log_level(self.level_mpa)
+        volumes, known = relative(mesh.volumes), self.level_mpa and float(np.log(self.level_mpa))
 
         def level(field: np.ndarray) -> float:
             return smoothed_median(field, volumes, self.edge) if known is None else known
