@@ -28,7 +28,7 @@ from layer_contact import Layer, flat_punch, half_space_punch_n, hertz_n, sphere
 from machine import OtherWork, write_results
 
 from tactorch.sensor.description import GelLayer, load_sensor
-from tactorch.sensor.gel import GelModel, KnownLoad, calibrate_modulus
+from tactorch.sensor.gel import GelModel, GelOptions, KnownLoad, calibrate_modulus
 
 PACKAGES = ("tactorch", "numpy", "scipy", "pypardiso", "mkl")
 MINI, FINGER = load_sensor("gelsight_mini").gel, load_sensor("finger").gel
@@ -195,7 +195,7 @@ def model_of(case: Case, models: dict[Any, GelModel]) -> GelModel:
     assert case.cells is not None
     key = (case.gel, case.cells)
     if key not in models:
-        models[key] = GelModel(case.gel, *case.cells)
+        models[key] = GelModel(case.gel, GelOptions(*case.cells))
     return models[key]
 
 
@@ -226,7 +226,7 @@ def calibrated(
         )
     cells = loads[0][0].cells
     assert cells is not None
-    stated = GelModel(replace(MINI, youngs_mpa=0.2), *cells)
+    stated = GelModel(replace(MINI, youngs_mpa=0.2), GelOptions(*cells))
     noise = NOISE * float(np.mean([size for _, size in known]))
     each = [calibrate_modulus(stated, [k], NOISE * float(size)) for k, size in known]
     both = calibrate_modulus(stated, [k for k, _ in known], noise)

@@ -43,7 +43,8 @@ from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import ChainOptions, SensorChain
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
 from tactorch.sensor.frames import Image, read_frames
-from tactorch.sensor.gel import GelModel, build_gel_mesh
+from tactorch.sensor.gel import GelModel
+from tactorch.sensor.gel.mesh import GelMesh
 from tactorch.sensor.markers import marker_displacements
 from tactorch.sensor.render import GelSurface, build_surface, render
 
@@ -127,7 +128,7 @@ def simulated(
 ) -> list[Scene]:
     """Press the gel on the cube, rotated."""
     cube = box_mesh(SIDE, round(SIDE / cell))
-    gel = build_gel_mesh(GEL, cell, max(3, round(2.5 / cell)))
+    gel = GelMesh(GEL, cell, max(3, round(2.5 / cell)))
     first = looking_down(SIDE)
     above = gel.mesh.points @ first[:3, :3].T + first[:3, 3]
     both, number = glued(cube, gel.mesh, above, gel.face)
@@ -299,7 +300,7 @@ class Stages:
 
     def __init__(self, place: Path) -> None:
         self.calibration: Calibration = load_calibration(place / "calib.npz")
-        self.model = GelModel(GEL, 1.0, 4)
+        self.model = GelModel(GEL)
         reference = self.calibration.reference
         self.chain = SensorChain(
             SENSOR, self.calibration, reference, self.model, ChainOptions(min_slope=MIN_SLOPE)

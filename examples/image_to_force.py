@@ -20,7 +20,7 @@ from tactorch.sensor.calibration import (
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription
 from tactorch.sensor.frames import Frame
-from tactorch.sensor.gel import GelContact, GelModel
+from tactorch.sensor.gel import GelContact, GelModel, GelOptions
 from tactorch.sensor.markers import MarkerAppearance
 from tactorch.sensor.render import GelSurface, build_surface, render
 
@@ -62,7 +62,7 @@ def ball_face(middle_px: np.ndarray, edge_px: float) -> GelSurface:
 
 def pressed(depth_mm: float, shift_mm: float) -> GelContact:
     """Press the ball so deep into a fine gel, and drag it along x; without slip."""
-    gel = GelModel(GEL, edge_mm=0.6, layers=4)
+    gel = GelModel(GEL, GelOptions(edge_mm=0.6, layers=4))
     away = np.linalg.norm(gel.points[:, :2], axis=1)
     down = np.sqrt(np.maximum(BALL_MM**2 - away**2, 0.0)) - BALL_MM + depth_mm
     moved = np.column_stack([np.full_like(down, shift_mm), np.zeros_like(down), -down])
@@ -73,7 +73,9 @@ def pressed(depth_mm: float, shift_mm: float) -> GelContact:
 def main() -> dict[str, np.ndarray]:
     """Press, draw, and tell the force."""
     truth = pressed(depth_mm=0.5, shift_mm=0.1)
-    chain = SensorChain(SENSOR, calibrated(), render(SENSOR, AT_REST, seed=50), GelModel(GEL, 0.8))
+    chain = SensorChain(
+        SENSOR, calibrated(), render(SENSOR, AT_REST, seed=50), GelModel(GEL, GelOptions(0.8))
+    )
     image = render(SENSOR, build_surface(SENSOR, truth.points, truth.displacement), seed=51)
     seen = chain.measure(Frame(0, "press", image, 0.0))
     assert seen.contact is not None, "no contact was seen"

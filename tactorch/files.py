@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 def cache_folder() -> Path:
     """Return the folder for cached files: `$TACTORCH_CACHE`, or the user's cache folder."""
-    chosen = os.environ.get("TACTORCH_CACHE")
-    if chosen:
-        return Path(chosen).expanduser()
+    if folder := os.environ.get("TACTORCH_CACHE"):
+        return Path(folder).expanduser()
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
     elif sys.platform == "darwin":
@@ -36,17 +35,8 @@ def cache_folder() -> Path:
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary sibling of `path` to write to; rename it to `path` on success.
 
-    A process killed in between leaves `path` as it was. The temporary file keeps the suffix,
-    because many writers choose their format by it.
-
-    Args:
-        path: The file to create or replace; its folder is created.
-
-    Yields:
-        The temporary path.
-
-    Raises:
-        FileError: the file or its folder cannot be written.
+    The folder of `path` is created. A process killed in between leaves `path` as it was. The
+    temporary file keeps the suffix, because many writers choose their format by it.
     """
     target = Path(path)
     temporary = target.with_name(f".{target.stem}.{uuid.uuid4().hex[:8]}.part{target.suffix}")
@@ -90,16 +80,7 @@ def checksum(path: str | Path) -> str:
 
 
 def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compressed: bool = False) -> None:
-    """Write arrays to an .npz file, whole or not at all.
-
-    Args:
-        path: File to create or replace.
-        arrays: Arrays of numbers or text, by name.
-        compressed: Whether to compress them.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
+    """Write arrays of numbers or text by name to an .npz file, whole or not at all."""
     import numpy as np
 
     memory = io.BytesIO()  # an archive on a full disk fails again from its destructor
@@ -111,19 +92,10 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compressed: boo
 def read_arrays(
     path: str | Path, what: str, remedy: str, max_bytes: float = float("inf")
 ) -> "dict[str, np.ndarray]":
-    """Read all arrays of an .npz file; their checksums are verified.
+    """Read all arrays of an .npz file by name; their checksums are verified.
 
-    Args:
-        path: The file.
-        what: What the file should be, for messages.
-        remedy: What to do if it cannot be read, for messages.
-        max_bytes: Limit of the size of the unpacked arrays.
-
-    Returns:
-        Array by name.
-
-    Raises:
-        FileError: The file is missing, damaged, too large or no such file.
+    Messages name the expected content `what`, and the `remedy` for a file that cannot be read or
+    whose unpacked arrays exceed `max_bytes`.
     """
     import numpy as np
 
@@ -145,20 +117,7 @@ def read_arrays(
 
 
 def read_json(path: str | Path, what: str, remedy: str, *keys: str) -> dict[str, Any]:
-    """Read a file that holds a JSON object.
-
-    Args:
-        path: The file.
-        what: What the file should be, for messages.
-        remedy: What to do if it cannot be read, for messages.
-        *keys: Names that the object must have.
-
-    Returns:
-        The object.
-
-    Raises:
-        FileError: The file is missing, damaged or lacks a name.
-    """
+    """Read a file that holds a JSON object with at least `keys`; see `read_arrays`."""
     source = require_file(path, what)
     try:
         content = json.loads(source.read_text(encoding="utf-8"))

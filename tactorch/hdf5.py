@@ -27,20 +27,20 @@ LIBVER = ("v110", "v110")
 _MAX_COMPRESSION = 1100
 _MAX_UNSTORED_BYTES = 1 << 24
 MAX_DATASET_BYTES = 1 << 33
-_KINDS = {"f": ("f", "float64"), "i": ("iu", "int64"), "b": ("ub", "uint8")}
-_DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
+# Accepted kinds of a dataset, type named in messages, and type of the array returned.
+_KINDS: dict[str, tuple[str, str, type]] = {
+    "f": ("f", "float64", np.float64),
+    "i": ("iu", "int64", np.int64),
+    "b": ("ub", "uint8", np.bool_),
+}
 _ACCEPTED = {int: (np.integer, int), float: (np.floating, float), str: (str,)}
 
 
 def hdf5_image(write: Callable[["h5py.File"], None], image: bytes = b"") -> bytes:
-    """Return the content of an HDF5 file.
+    """Return the content of a new HDF5 file, or of the changed file `image`.
 
     The file is made in memory: HDF5 reports a full disk from the destructors of its objects too,
     and leaves half a file.
-
-    Args:
-        write: Function that fills the file.
-        image: Content of a file to change; a new file where it is empty.
     """
     import h5py
 
@@ -51,15 +51,7 @@ def hdf5_image(write: Callable[["h5py.File"], None], image: bytes = b"") -> byte
 
 
 def write_hdf5(path: str | Path, write: Callable[["h5py.File"], None]) -> None:
-    """Write an HDF5 file, whole or not at all.
-
-    Args:
-        path: File to create or replace.
-        write: Function that fills the file.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
+    """Write an HDF5 file, whole or not at all."""
     image = hdf5_image(write)
     with atomic_path(path) as temporary:
         temporary.write_bytes(image)
@@ -83,12 +75,9 @@ def write_json(group: "h5py.Group", name: str, value: Any) -> None:
 
 
 def fixed_text(text: str) -> np.ndarray:
-    """Return `text` as HDF5 text of fixed length.
+    """Return `text`, which must not contain a NUL, as HDF5 text of fixed length.
 
     HDF5 keeps text of variable length in a heap without checksums, and hangs where that is damaged.
-
-    Raises:
-        ValueError: The text contains a NUL.
     """
     import h5py
 
@@ -100,15 +89,9 @@ def fixed_text(text: str) -> np.ndarray:
 
 @contextmanager
 def open_hdf5(path: str | Path, what: str, remedy: str) -> Iterator["h5py.File"]:
-    """Open an HDF5 file for reading; whatever damage raises inside is a `FileError`.
+    """Open an HDF5 file for reading; errors of a damaged file, inside too, become `FileError`.
 
-    Args:
-        path: The file.
-        what: What the file should be, for messages.
-        remedy: What to do if it is not HDF5, for messages.
-
-    Raises:
-        FileError: The file is missing, truncated, damaged or not HDF5.
+    Messages name the expected content `what`, and `remedy` where the file is not HDF5.
     """
     import h5py
 
@@ -134,14 +117,10 @@ def open_hdf5(path: str | Path, what: str, remedy: str) -> Iterator["h5py.File"]
 
 
 class Hdf5Reader:
-    """Reads checked values from an open file or group; errors name the file and the dataset.
+    """Reads checked values from an open file or group.
 
-    Args:
-        root: File or group to read from.
-        source: Name of the file, for messages.
-        what: What the file is, for messages.
-        writer: What writes such files, for messages.
-        error: Class of the errors.
+    Errors, of class `error`, name the file `source`, its expected content `what`, the function
+    `writer` that writes such files, and the dataset.
     """
 
     def __init__(
@@ -169,28 +148,31 @@ class Hdf5Reader:
         return found
 
     def array(self, name: str, kind: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """Read a numeric dataset.
+        """Read a numeric dataset of a required shape; None stands for any length.
 
-        Args:
-            name: Path of the dataset.
-            kind: "f" for real numbers, "i" for integers, "b" for a mask of 0 and 1.
-            shape: Required shape; None for any length.
-
-        Returns:
-            An array of float64, int64 or bool.
+        `kind` is "f" for real numbers, "i" for integers, "b" for a mask of 0 and 1; the array
+        returned is of float64, int64 or bool.
         """
         dataset = self._dataset(name)
-        kinds, wanted = _KINDS[kind]
+        kinds, stored, returned = _KINDS[kind]
         if dataset.dtype.kind not in kinds:
             raise self.error(
-                f"dataset '{name}' has dtype {dataset.dtype}; {wanted} is needed: "
+                f"dataset '{name}' has dtype {dataset.dtype}; {stored} is needed: "
                 f"write the {self._what} again with {self._writer}"
             )
-        self._check_shape(name, dataset.shape, shape)
+        sizes = dataset.shape or ()  # None for a dataset without extent
+        if len(sizes) != len(shape) or any(
+            wanted not in (None, actual) for wanted, actual in zip(shape, sizes, strict=True)
+        ):
+            text = ", ".join("any" if size is None else str(size) for size in shape)
+            raise self.error(
+                f"dataset '{name}' has shape {dataset.shape}; ({text}) is needed. Is it of another"
+                " mesh?"
+            )
         array = self._values(name, dataset)
         if kind == "b" and (array > 1).any():
             raise self.error(f"dataset '{name}' is a mask but holds values other than 0 and 1")
-        return np.asarray(array.astype(_DTYPES[kind]))
+        return np.asarray(array.astype(returned))
 
     def json(self, name: str, kind: type = dict) -> Any:
         """Read a dataset of JSON text, and compare it with its checksum where it has one."""
@@ -208,13 +190,7 @@ class Hdf5Reader:
         return self.parse_json(name, value.decode("utf-8"), kind)
 
     def parse_json(self, name: str, text: str, kind: type = dict) -> Any:
-        """Return the value of JSON text.
-
-        Args:
-            name: Where the text stands, for messages.
-            text: The text.
-            kind: Required type of the value, dict or list.
-        """
+        """Return the value, of type `kind` (dict or list), of the JSON text called `name`."""
         try:
             value = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -285,11 +261,7 @@ class Hdf5Reader:
                 f"dataset '{name}' is {kind}, so its values come from other files, which are not "
                 "read; copy them into the file"
             )
-        self._check_size(name, dataset)
-        return dataset
-
-    def _check_size(self, name: str, dataset: "h5py.Dataset") -> None:
-        """Refuse a shape whose values the file does not hold."""
+        # A shape whose values the file does not hold would exhaust the memory.
         item = dataset.dtype.itemsize
         declared = item * max(math.prod(dataset.shape or ()), math.prod(dataset.chunks or ()))
         stored = dataset.id.get_storage_size()
@@ -299,6 +271,7 @@ class Hdf5Reader:
                 f"dataset '{name}' has shape {dataset.shape}, {declared:.3g} bytes, of which the "
                 f"file holds {stored}: the shape is wrong, or the values were never written"
             )
+        return dataset
 
     def _values(self, name: str, dataset: "h5py.Dataset") -> Any:
         try:
@@ -307,17 +280,3 @@ class Hdf5Reader:
             raise self.error(
                 f"dataset '{name}' is damaged ({error}); copy the file again from its source"
             ) from error
-
-    def _check_shape(
-        self, name: str, shape: tuple[int, ...] | None, wanted: tuple[int | None, ...]
-    ) -> None:
-        # A dataset without extent has no shape at all.
-        sizes = shape or ()
-        fits = len(sizes) == len(wanted) and all(
-            size in (None, actual) for size, actual in zip(wanted, sizes, strict=True)
-        )
-        if not fits:
-            text = ", ".join("any" if size is None else str(size) for size in wanted)
-            raise self.error(
-                f"dataset '{name}' has shape {shape}; ({text}) is needed. Is it of another mesh?"
-            )

@@ -19,16 +19,8 @@ def run_in_processes(
 ) -> Iterator[Result]:
     """Call a function for each task and yield its results in order of completion.
 
-    Args:
-        function: Function that can be pickled; it should use `single_thread` for its computation.
-        tasks: Its arguments.
-        workers: Number of processes; the number of cores if None.
-
-    Yields:
-        The results.
-
-    Raises:
-        TactorchError: A worker process was killed.
+    The function must be picklable and should use `single_thread`. By default there are as many
+    processes as cores.
     """
     from joblib import Parallel, delayed, parallel_config
 

@@ -16,22 +16,13 @@ MAX_NAME_LENGTH = 80
 def printable(text: str) -> str:
     r"""Replace control characters and bidirectional marks by escapes such as `\x1b`.
 
-    Args:
-        text: Any text. Newlines and tabs stay.
-
-    Returns:
-        Text that a terminal, an SVG file or a log can hold.
+    Newlines and tabs stay. A terminal, an SVG file or a log can hold the result.
     """
     return _CONTROL.sub(lambda match: ascii(match[0])[1:-1], text)
 
 
 def one_line(text: str, max_length: int = MAX_NAME_LENGTH) -> str:
-    """Return `printable` text on one line, shortened with an ellipsis.
-
-    Args:
-        text: Any text; runs of white space become one space.
-        max_length: Maximum number of characters of the result.
-    """
+    """Return `printable` text on one line, with single spaces, shortened with an ellipsis."""
     line = printable(" ".join(text.split()))
     return line if len(line) <= max_length else f"{line[: max_length - 1]}…"
 

@@ -33,8 +33,8 @@ from tactorch.sampling import (
     SamplingLoop,
     Suggester,
     SuggestOptions,
-    replay,
 )
+from tactorch.sampling.sources import replay
 
 
 @dataclass(frozen=True, kw_only=True)

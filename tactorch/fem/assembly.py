@@ -12,12 +12,7 @@ from jaxtyping import Float
 
 from tactorch.fem import kernels
 from tactorch.fem.elements import Discretisation
-from tactorch.fem.materials import (
-    InvariantDerivatives,
-    IsotropicMaterial,
-    Material,
-    VolumetricDerivatives,
-)
+from tactorch.fem.materials import EnergyDerivatives, IsotropicMaterial, Material
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +21,7 @@ class Response:
 
     Attributes:
         F: Deformation gradient at the quadrature points.
+        cofactors: Its cofactors, dJ/dF.
         invariants: I1, I2 and J at the quadrature points.
         energy: Energy of each element, mm^3.
         forces: Nodal forces of each element, mm^2 (the columns of eq. 11).
@@ -34,11 +30,12 @@ class Response:
     """
 
     F: Float[np.ndarray, "m q 3 3"]
+    cofactors: Float[np.ndarray, "m q 3 3"]
     invariants: Float[np.ndarray, "3 m q"]
     energy: Float[np.ndarray, " m"]
     forces: Float[np.ndarray, "m k 3"]
-    derivatives: InvariantDerivatives | None
-    mean: VolumetricDerivatives | None
+    derivatives: EnergyDerivatives | None
+    mean: EnergyDerivatives | None
 
     @property
     def smallest_volume_ratio(self) -> tuple[int, float]:
@@ -83,39 +80,43 @@ class Assembly:
         """Volume of each element, mm^3."""
         return self.weights.sum(axis=1)
 
-    def _per_point(self) -> float | np.ndarray:
+    @property
+    def _point_poisson(self) -> float | np.ndarray:
         """Poisson's ratio, in a shape that broadcasts over quadrature points."""
         return self.poisson if np.ndim(self.poisson) == 0 else np.asarray(self.poisson)[:, None]
 
     def respond(self, u: Float[np.ndarray, "nodes 3"]) -> Response | None:
         """Evaluate all elements; None if the material excludes an inverted one."""
         shape = self.weights.shape
-        F, invariants = np.empty((*shape, 3, 3)), np.empty((3, *shape))
-        kernels.kinematics(self.discretisation.nodes, self.gradients, u, F, invariants)
+        F, cofactors = np.empty((*shape, 3, 3)), np.empty((*shape, 3, 3))
+        invariants = np.empty((3, *shape))
+        kernels.kinematics(self.discretisation.nodes, self.gradients, u, F, cofactors, invariants)
         if not self.material.allows_inversion and not invariants[2].min() > 0.0:
             return None
-        stress = np.empty_like(F)
         derivatives = mean = None
         if isinstance(self.material, IsotropicMaterial):
             energy, derivatives, mean = self._strain_energy(self.material, invariants)
             first = (derivatives.d1, derivatives.d2, derivatives.dj)
             d1, d2, dj = (np.ascontiguousarray(np.broadcast_to(d, shape)) for d in first)
-            kernels.stress(F, invariants, d1, d2, dj, stress)
+            forces = np.empty((len(F), *self.gradients.shape[2:]))
+            kernels.element_forces(
+                self.gradients, self.weights, F, cofactors, invariants, d1, d2, dj, forces
+            )
         else:
-            gradient = torch.from_numpy(F)
-            poisson = torch.as_tensor(self._per_point(), dtype=torch.float64)
-            energy = (self.weights * self.material.energy(gradient, poisson).numpy()).sum(axis=1)
-            stress[...] = self.material.stress(gradient, poisson).numpy()
-        forces = np.empty((len(F), self.gradients.shape[2], 3))
-        kernels.element_forces(self.gradients, stress, self.weights, forces)
-        return Response(F, invariants, energy, forces, derivatives, mean)
+            gradient, weights = torch.from_numpy(F), torch.from_numpy(self.weights)
+            poisson = torch.as_tensor(self._point_poisson, dtype=torch.float64)
+            energy = (weights * self.material.energy(gradient, poisson)).sum(1).numpy()
+            stress = weights[..., None, None] * self.material.stress(gradient, poisson)
+            shapes = torch.from_numpy(self.gradients)
+            forces = torch.einsum("mqiI,mqkI->mki", stress, shapes).contiguous().numpy()
+        return Response(F, cofactors, invariants, energy, forces, derivatives, mean)
 
     def _strain_energy(
         self, material: IsotropicMaterial, invariants: np.ndarray
-    ) -> tuple[np.ndarray, InvariantDerivatives, VolumetricDerivatives | None]:
+    ) -> tuple[np.ndarray, EnergyDerivatives, EnergyDerivatives | None]:
         """Energy of each element, its derivatives, and the volumetric part where averaged."""
         i1, i2, j = invariants
-        poisson, log_j = self._per_point(), np.log(j)
+        poisson, log_j = self._point_poisson, np.log(j)
         strain = material.strain_derivatives(i1, i2, j, log_j, poisson)
         energy = (self.weights * strain.psi).sum(axis=1)
         if self.discretisation.element.mean_dilatation:
@@ -130,7 +131,7 @@ class Assembly:
     def internal_force(
         self, response: Response, youngs: Float[np.ndarray, " m"]
     ) -> Float[np.ndarray, "nodes 3"]:
-        """Return the assembled nodal elastic forces, N."""
+        """Return the assembled nodal elastic forces, N; linear in the moduli (eq. 11)."""
         out = np.zeros((self.discretisation.n_nodes, 3))
         kernels.scatter_forces(self.discretisation.nodes, response.forces, youngs, out)
         return out
@@ -152,13 +153,12 @@ class Assembly:
             project: Whether the negative eigenvalues of each element are set to zero.
         """
         d, weights = self.discretisation, self.weights * youngs[:, None]
-        values, slots = np.zeros(d.pattern.nnz), d.slots
-        if project:  # the entries of each element by itself
-            values = np.zeros(slots.size)
-            slots = np.arange(slots.size, dtype=np.int32).reshape(slots.shape)
         if response.derivatives is None:
-            kernels.scatter_blocks(self._general_blocks(response, weights), slots, values)
+            values = self._general_blocks(response, weights)
         else:
+            # Values of the pattern; to be projected, the entries of each element by itself.
+            values = np.zeros(d.slots.size if project else d.pattern.nnz)
+            slots = np.arange(d.slots.size, dtype=np.int32).reshape(d.slots.shape)
             coefficients = np.empty((9, *weights.shape))
             for row, derivative in zip(coefficients, response.derivatives[1:], strict=True):
                 row[...] = derivative
@@ -166,36 +166,38 @@ class Assembly:
             if response.mean is not None:
                 mean = np.broadcast_to(response.mean.djj, youngs.shape) / (self.volumes * youngs)
             kernels.tangent(
-                self.gradients, response.F, response.invariants, coefficients, weights, mean,
-                slots, values,
+                self.gradients, response.F, response.cofactors, response.invariants, coefficients,
+                weights, mean, slots if project else d.slots, values,
             )  # fmt: skip
         if project:
-            values = self._project(values.reshape(slots.shape))
+            values = self._positive_blocks(values.reshape(d.slots.shape))
+        if values.ndim == 2:  # assemble the entries of the elements
+            values = np.bincount(d.slots.ravel(), values.ravel(), d.pattern.nnz)
         if springs is not None:
             values[d.pattern.diagonal] += springs.ravel()
         return values
 
-    def _general_blocks(self, response: Response, weights: np.ndarray) -> np.ndarray:
+    def _general_blocks(
+        self, response: Response, weights: np.ndarray
+    ) -> Float[np.ndarray, "m entries"]:
         """Upper-triangle entries of the element tangents of a general material."""
-        moduli = self.material.tangent(
-            torch.from_numpy(response.F), torch.as_tensor(self._per_point(), dtype=torch.float64)
-        )
+        poisson = torch.as_tensor(self._point_poisson, dtype=torch.float64)
+        moduli = self.material.tangent(torch.from_numpy(response.F), poisson)
         gradients = torch.from_numpy(self.gradients)
         dense = torch.einsum(
             "mq,mqaI,mqiIjJ,mqbJ->maibj", torch.from_numpy(weights), gradients, moduli, gradients
         ).reshape(len(weights), 3 * gradients.shape[2], -1)
         rows, cols = self.discretisation.entry_rows_cols
-        return np.ascontiguousarray(dense.numpy()[:, rows, cols])
+        return dense.numpy()[:, rows, cols]
 
-    def _project(self, entries: Float[np.ndarray, "m entries"]) -> Float[np.ndarray, " nnz"]:
-        """Assemble element tangents with their negative eigenvalues set to zero."""
-        d = self.discretisation
-        rows, cols = d.entry_rows_cols
-        size = d.unknowns.shape[1]
+    def _positive_blocks(
+        self, entries: Float[np.ndarray, "m entries"]
+    ) -> Float[np.ndarray, "m entries"]:
+        """Entries of the element tangents with their negative eigenvalues set to zero."""
+        rows, cols = self.discretisation.entry_rows_cols
+        size = self.discretisation.unknowns.shape[1]
         dense = np.zeros((len(entries), size, size))
         dense[:, rows, cols] = dense[:, cols, rows] = entries
         eigenvalues, vectors = np.linalg.eigh(dense)
         positive = (vectors * np.maximum(eigenvalues, 0.0)[:, None, :]) @ vectors.swapaxes(1, 2)
-        values = np.zeros(d.pattern.nnz)
-        kernels.scatter_blocks(np.ascontiguousarray(positive[:, rows, cols]), d.slots, values)
-        return values
+        return positive[:, rows, cols]

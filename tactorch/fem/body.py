@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from tactorch.errors import ConfigError
@@ -14,6 +14,7 @@ from tactorch.fem import loads
 from tactorch.fem.assembly import Assembly
 from tactorch.fem.elements import ELEMENTS, Discretisation
 from tactorch.fem.equilibrium import Equilibrium, LoadCases
+from tactorch.fem.loads import Forces, Points, Surface
 from tactorch.fem.materials import Material
 from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
 from tactorch.fem.supports import Supports
@@ -68,30 +69,30 @@ class SoftBody:
         return self.discretisation.n_nodes
 
     def pressure(
-        self,
-        surface: str | Int[np.ndarray, " k"],
-        pressure_mpa: float | Tensor,
-        points: Float[Tensor, "n 3"] | None = None,
-    ) -> Float[Tensor, "nodes 3"]:
-        """Return the nodal forces (N) of a dead pressure; see `loads.pressure_forces`."""
+        self, surface: Surface, pressure_mpa: float | Tensor, points: Points = None
+    ) -> Forces:
+        """Return the nodal forces (N) of a dead pressure against the outward rest normals.
+
+        Args:
+            surface: Name of a flat side, such as "z+", or indices into `mesh.surface.triangles`.
+            pressure_mpa: Force per rest area, MPa.
+            points: Rest positions, mm; those of the mesh by default.
+        """
         return loads.pressure_forces(self.discretisation, surface, pressure_mpa, points)
 
     def traction(
-        self,
-        surface: str | Int[np.ndarray, " k"],
-        traction_mpa: Sequence[float] | Float[Tensor, "3"],
-        points: Float[Tensor, "n 3"] | None = None,
-    ) -> Float[Tensor, "nodes 3"]:
-        """Return the nodal forces (N) of a dead traction; see `loads.traction_forces`."""
+        self, surface: Surface, traction_mpa: Sequence[float] | Tensor, points: Points = None
+    ) -> Forces:
+        """Return the nodal forces (N) of a dead traction (3,); see `pressure`."""
         vector = torch.as_tensor(traction_mpa, dtype=torch.float64)
         return loads.traction_forces(self.discretisation, surface, vector, points)
 
     def gravity(
         self,
         density: float,
-        gravity: Sequence[float] | Float[Tensor, "3"] = loads.STANDARD_GRAVITY,
-        points: Float[Tensor, "n 3"] | None = None,
-    ) -> Float[Tensor, "nodes 3"]:
+        gravity: Sequence[float] | Tensor = loads.STANDARD_GRAVITY,
+        points: Points = None,
+    ) -> Forces:
         """Return the nodal weights (N); density in tonne/mm^3 (silicone: 1.07e-9), mm/s^2."""
         vector = torch.as_tensor(gravity, dtype=torch.float64)
         return loads.gravity_forces(self.discretisation, density, vector, points)
@@ -113,7 +114,9 @@ class SoftBody:
             supports: Supports.
             case: Load case of the supports.
             assembly: The body with other parameters; see `with_parameters`.
-            after: Search whose factorisation is reused; see `Newton`.
+            after: Search with a similar tangent whose factorisation is reused, so that the first
+                steps need no factorisation and large meshes memory for one only. The search
+                `after` then has to factor again.
 
         Raises:
             ConfigError: A shape or value cannot be used.
@@ -129,17 +132,31 @@ class SoftBody:
             after,
         )
 
-    def with_parameters(self, poisson: float, points: Float[np.ndarray, "n 3"]) -> Assembly:
+    def with_parameters(
+        self, poisson: float | Float[np.ndarray, " m"], points: Float[np.ndarray, "n 3"]
+    ) -> Assembly:
         """Return the body's assembly with another Poisson's ratio and rest shape (mm).
 
         Raises:
             ConfigError: A value cannot be used.
         """
-        body = self.assembly
-        if np.array_equal(poisson, body.poisson) and np.array_equal(points, body.points):
+        body, ratio = self.assembly, np.asarray(poisson)
+        if np.array_equal(ratio, body.poisson) and np.array_equal(points, body.points):
             return body
-        self._check_rest(torch.tensor(poisson, dtype=torch.float64), torch.tensor(points))
-        return replace(body, poisson=poisson, points=points)
+        if ratio.shape not in ((), (self.mesh.n_tets,)):
+            raise ConfigError(
+                f"poisson has shape {ratio.shape}; expected one, or {self.mesh.n_tets}."
+            )
+        if not np.all((ratio > -1.0) & (ratio < 0.5)):
+            raise ConfigError("poisson must be above -1 and below 0.5 in every element.")
+        if points.shape != (self.mesh.n_points, 3):
+            raise ConfigError(
+                f"points have shape {points.shape}; expected ({self.mesh.n_points}, 3)."
+            )
+        changed = replace(body, poisson=poisson, points=points)
+        if not np.all(changed.weights > 0):
+            raise ConfigError("points invert an element, or are not finite.")
+        return changed
 
     def _check(self, youngs: np.ndarray, forces: np.ndarray) -> None:
         check_youngs(youngs, self.mesh.n_tets)
@@ -156,28 +173,9 @@ class SoftBody:
         if forces.shape[0] == self.n_nodes:
             return forces
         matrix = self.discretisation.consistent_load_matrix(forces.detach().numpy()).tocoo()
-        indices = torch.from_numpy(np.stack([matrix.row, matrix.col]).astype(np.int64))
-        fractions = torch.from_numpy(matrix.data)[:, None]
+        rows, cols = (torch.from_numpy(x.astype(np.int64)) for x in (matrix.row, matrix.col))
         out = torch.zeros(self.n_nodes, 3, dtype=torch.float64)
-        return out.index_add(0, indices[0], fractions * forces[indices[1]])
-
-    def _check_rest(self, poisson: Tensor | None, points: Tensor | None) -> None:
-        if poisson is not None:
-            ratio = poisson.detach()
-            if ratio.shape not in ((), (self.mesh.n_tets,)):
-                raise ConfigError(
-                    f"poisson has shape {tuple(ratio.shape)}; expected one, or {self.mesh.n_tets}."
-                )
-            if not bool(((ratio > -1.0) & (ratio < 0.5)).all()):
-                raise ConfigError("poisson must be above -1 and below 0.5 in every element.")
-        if points is not None:
-            if points.shape != (self.mesh.n_points, 3):
-                raise ConfigError(
-                    f"points have shape {tuple(points.shape)}; expected ({self.mesh.n_points}, 3)."
-                )
-            _, weights = self.discretisation.geometry(points.detach())
-            if not bool((weights > 0).all()):
-                raise ConfigError("points invert an element, or are not finite.")
+        return out.index_add(0, rows, torch.from_numpy(matrix.data)[:, None] * forces[cols])
 
     def equilibrate(
         self,
@@ -219,15 +217,19 @@ class SoftBody:
             ConfigError: A shape, type or value cannot be used.
             ConvergenceError: The load collapses the object, or nothing holds it.
         """
-        for name, value in (("youngs", youngs), ("forces", forces), ("poisson", poisson),
-                            ("points", points)):  # fmt: skip
-            if value is not None and value.dtype != torch.float64:
+        if poisson is None:
+            poisson = torch.as_tensor(self.assembly.poisson, dtype=torch.float64)
+        points = torch.tensor(self.mesh.points) if points is None else points
+        values = {"youngs": youngs, "forces": forces, "poisson": poisson, "points": points}
+        for name, value in values.items():
+            if value.dtype != torch.float64:
                 raise ConfigError(f"{name} is {value.dtype}; mechanics needs torch.float64.")
         if forces.ndim not in (2, 3):
             raise ConfigError(f"forces have {forces.ndim} dimensions; expected (cases,) n, 3.")
+        e, nu, x = (value.detach().numpy() for value in (youngs, poisson, points))
+        self._check(e, forces.detach().numpy())
+        assembly = self.with_parameters(nu if nu.ndim else float(nu), x)
         single = forces.ndim == 2
-        self._check(youngs.detach().numpy(), forces.detach().numpy())
-        self._check_rest(poisson, points)
         cases = forces[None] if single else forces
         batch = torch.stack([self._consistent_loads(case) for case in cases])
         supports.require_cases(len(batch))
@@ -236,24 +238,18 @@ class SoftBody:
             raise ConfigError(
                 f"start has shape {initial.shape}; expected {tuple(batch.shape)}, all nodes."
             )
-        problem = LoadCases(self.assembly, self.pool, self.newton, supports, initial)
-        ratio = torch.as_tensor(self.assembly.poisson, dtype=torch.float64)
-        u = Equilibrium.apply(
-            youngs,
-            ratio if poisson is None else poisson,
-            batch,
-            torch.tensor(self.mesh.points) if points is None else points,
-            problem,
-        )
+        f = batch.detach().numpy()
+
+        def search(i: int) -> Newton:
+            return self.search(e, f[i], supports, i, assembly)
+
+        problem = LoadCases(self.assembly, search, initial)
+        u = Equilibrium.apply(youngs, poisson, batch, points, problem)
         return u[0] if single else u
 
 
 def check_youngs(youngs: Float[np.ndarray, " k"], n_tets: int) -> None:
-    """Check that there is a finite, positive modulus for each element.
-
-    Raises:
-        ConfigError: The length or a value is wrong.
-    """
+    """Raise ConfigError unless there is a finite, positive modulus for each element."""
     if youngs.shape != (n_tets,):
         raise ConfigError(
             f"youngs has shape {youngs.shape}; the mesh has {n_tets} elements, so ({n_tets},) "

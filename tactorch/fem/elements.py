@@ -24,6 +24,7 @@ from tactorch.linalg import SymmetricPattern
 from tactorch.mesh import TetMesh
 
 _EDGES = tuple(combinations(range(4), 2))
+Nodes = Int[np.ndarray, " k"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,16 +79,12 @@ class Discretisation:
     """Nodes, sparsity and geometry of a mesh discretised by an element type.
 
     The first `mesh.n_points` nodes are the points of the mesh; midside nodes follow.
-
-    Attributes:
-        mesh: The mesh.
-        element: The element type.
     """
 
     mesh: TetMesh
     element: Element
 
-    @cached_property
+    @property
     def edges(self) -> Int[np.ndarray, "edges 2"]:
         """End points of the edges that carry midside nodes; none for linear elements."""
         return self._edge_table[0]
@@ -112,19 +109,16 @@ class Discretisation:
         midsides = self.mesh.n_points + self._edge_table[1]
         return np.ascontiguousarray(np.concatenate([self.mesh.tets, midsides], axis=1))
 
-    @cached_property
+    @property
     def positions(self) -> Float[np.ndarray, "nodes 3"]:
         """Rest position of every node, mm."""
-        points = self.mesh.points
-        return np.concatenate([points, points[self.edges].mean(axis=1)])
+        return self.extend(self.mesh.points)
 
     def extend(self, values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "nodes 3"]:
         """Return a vertex field extended to the midside nodes by the mean of the end points."""
         return np.concatenate([values, values[self.edges].mean(axis=1)])
 
-    def consistent_loads(
-        self, values: Float[np.ndarray, "given 3"]
-    ) -> Float[np.ndarray, "nodes 3"]:
+    def consistent_loads(self, values: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "nodes 3"]:
         """Convert nodal loads or springs at the vertices to consistent ones at all nodes.
 
         Linear elements leave them unchanged. On quadratic ones a uniform traction acts on the
@@ -139,18 +133,20 @@ class Discretisation:
         Raises:
             ConfigError: The number of rows is neither of the two.
         """
+        if values.shape == (self.n_nodes, 3):  # always so on linear elements
+            return values
         return self.consistent_load_matrix(values) @ values
 
-    def consistent_load_matrix(self, values: Float[np.ndarray, "given 3"]) -> sp.csr_matrix:
-        """Return the matrix of `consistent_loads` for these loaded vertices, (nodes, given)."""
+    def consistent_load_matrix(self, values: Float[np.ndarray, "k 3"]) -> sp.csr_matrix:
+        """Return the matrix of `consistent_loads` for these loaded vertices, (nodes, k)."""
         n = self.mesh.n_points
-        if values.shape == (self.n_nodes, 3):  # always so on linear elements
-            return sp.identity(self.n_nodes, format="csr")
         if values.shape != (n, 3):
             raise ConfigError(
                 f"a nodal field has shape {tuple(values.shape)}; expected ({n}, 3), one row per "
                 f"mesh node (or all {self.n_nodes} element nodes)."
             )
+        if not self.element.quadratic:
+            return sp.identity(n, format="csr")
         surface = self.mesh.surface
         loaded = (values != 0).any(axis=1)[surface.triangles].all(axis=1)
         triangles, areas = surface.triangles[loaded], surface.areas[loaded]
@@ -165,17 +161,15 @@ class Discretisation:
         entries = (np.concatenate(fractions), (np.concatenate(rows), np.concatenate(cols)))
         return sp.csr_matrix(entries, shape=(self.n_nodes, n))
 
-    def midside(
-        self, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " k"]
-    ) -> Int[np.ndarray, " k"]:
+    def midside(self, first: Nodes, second: Nodes) -> Nodes:
         """Return the midside node of each edge, given by its end points."""
         n = self.mesh.n_points
         low, high = np.minimum(first, second), np.maximum(first, second)
         return n + np.searchsorted(self.edges[:, 0] * n + self.edges[:, 1], low * n + high)
 
     @cached_property
-    def _entry_pairs(self) -> Int[np.ndarray, "entries 2"]:
-        """Local unknowns (row, column) of each stored entry, in the order of the kernels."""
+    def entry_rows_cols(self) -> tuple[Int[np.ndarray, " entries"], Int[np.ndarray, " entries"]]:
+        """Row and column in the element matrix of each stored entry, in the kernels' order."""
         k = self.element.table.shape[1]
         pairs = [
             (3 * a + i, 3 * b + j)
@@ -184,7 +178,7 @@ class Discretisation:
             for i in range(3)
             for j in range(i if a == b else 0, 3)
         ]
-        return np.array(pairs)
+        return tuple(np.array(pairs).T)
 
     @cached_property
     def unknowns(self) -> Int[np.ndarray, "m k3"]:
@@ -195,27 +189,18 @@ class Discretisation:
     def pattern(self) -> SymmetricPattern:
         """Sparsity of the tangent."""
         # Pairs of nodes, not of unknowns: nine times fewer keys to sort.
-        k = self.nodes.shape[1]
-        first, second = np.triu_indices(k)
-        n = self.n_nodes
-        low = np.minimum(self.nodes[:, first], self.nodes[:, second]).ravel()
-        high = np.maximum(self.nodes[:, first], self.nodes[:, second]).ravel()
-        keys = np.unique(low * np.int64(n) + high)
-        offsets = np.arange(3)
-        rows = (3 * (keys // n))[:, None, None] + offsets[:, None] + 0 * offsets
-        cols = (3 * (keys % n))[:, None, None] + offsets + 0 * offsets[:, None]
-        return SymmetricPattern.from_pairs(3 * n, rows, cols)
+        n = np.int64(self.n_nodes)
+        first, second = np.triu_indices(self.nodes.shape[1])
+        pairs = np.sort([self.nodes[:, first], self.nodes[:, second]], axis=0)
+        keys = np.unique(pairs[0] * n + pairs[1])[:, None, None]
+        rows, cols = 3 * (keys // n) + np.arange(3)[:, None], 3 * (keys % n) + np.arange(3)
+        return SymmetricPattern.from_pairs(3 * self.n_nodes, rows, cols)
 
     @cached_property
     def slots(self) -> Int[np.ndarray, "m entries"]:
         """Stored entry of the pattern for each element entry."""
-        pairs = self._entry_pairs
-        return self.pattern.slots(self.unknowns[:, pairs[:, 0]], self.unknowns[:, pairs[:, 1]])
-
-    @property
-    def entry_rows_cols(self) -> tuple[Int[np.ndarray, " entries"], Int[np.ndarray, " entries"]]:
-        """Rows and columns, within an element matrix, of each stored entry."""
-        return self._entry_pairs[:, 0], self._entry_pairs[:, 1]
+        rows, cols = self.entry_rows_cols
+        return self.pattern.slots(self.unknowns[:, rows], self.unknowns[:, cols])
 
     @cached_property
     def rigid_modes(self) -> Float[np.ndarray, "unknowns 6"]:

@@ -21,88 +21,65 @@ _OPTIONS: dict[str, Any] = {
 
 @no_type_check
 @numba.njit(**_OPTIONS)
-def kinematics(nodes, gradients, u, F, invariants):
-    """Fill F (m, q, 3, 3) and invariants (3, m, q) from displacements u (n, 3)."""
+def kinematics(nodes, gradients, u, F, cofactors, invariants):
+    """Fill F and cof(F) (m, q, 3, 3) and invariants (3, m, q) from displacements u (n, 3)."""
     for e in range(gradients.shape[0]):
         for q in range(gradients.shape[1]):
+            M = F[e, q]
+            cof = cofactors[e, q]
             for i in range(3):
                 for k in range(3):
-                    F[e, q, i, k] = 1.0 if i == k else 0.0
+                    M[i, k] = 1.0 if i == k else 0.0
             for a in range(gradients.shape[2]):
                 node = nodes[e, a]
                 for i in range(3):
                     ui = u[node, i]
                     for k in range(3):
-                        F[e, q, i, k] += ui * gradients[e, q, a, k]
+                        M[i, k] += ui * gradients[e, q, a, k]
             trace = 0.0
             square = 0.0
             for i in range(3):
+                i1 = (i + 1) % 3
+                i2 = (i + 2) % 3
                 for k in range(3):
-                    c = 0.0
-                    for r in range(3):
-                        c += F[e, q, r, i] * F[e, q, r, k]
+                    k1 = (k + 1) % 3
+                    k2 = (k + 2) % 3
+                    cof[i, k] = M[i1, k1] * M[i2, k2] - M[i1, k2] * M[i2, k1]
+                    c = M[0, i] * M[0, k] + M[1, i] * M[1, k] + M[2, i] * M[2, k]
                     square += c * c
                     if i == k:
                         trace += c
             invariants[0, e, q] = trace
             invariants[1, e, q] = 0.5 * (trace * trace - square)
-            invariants[2, e, q] = (
-                F[e, q, 0, 0] * (F[e, q, 1, 1] * F[e, q, 2, 2] - F[e, q, 1, 2] * F[e, q, 2, 1])
-                + F[e, q, 0, 1] * (F[e, q, 1, 2] * F[e, q, 2, 0] - F[e, q, 1, 0] * F[e, q, 2, 2])
-                + F[e, q, 0, 2] * (F[e, q, 1, 0] * F[e, q, 2, 1] - F[e, q, 1, 1] * F[e, q, 2, 0])
-            )
-
-
-@no_type_check
-@numba.njit(inline="always")
-def _cofactor(M, cof):
-    for i in range(3):
-        i1 = (i + 1) % 3
-        i2 = (i + 2) % 3
-        for k in range(3):
-            k1 = (k + 1) % 3
-            k2 = (k + 2) % 3
-            cof[i, k] = M[i1, k1] * M[i2, k2] - M[i1, k2] * M[i2, k1]
+            invariants[2, e, q] = M[0, 0] * cof[0, 0] + M[0, 1] * cof[0, 1] + M[0, 2] * cof[0, 2]
 
 
 @no_type_check
 @numba.njit(**_OPTIONS)
-def stress(F, invariants, d1, d2, dj, out):
-    """Fill P (m, q, 3, 3), the stress per unit modulus."""
-    cof = np.empty((3, 3))
+def element_forces(gradients, weights, F, cofactors, invariants, d1, d2, dj, out):
+    """Fill the elements' nodal forces (m, k, 3): sum over points of weight * P g, P the stress."""
+    P = np.empty((3, 3))
     for e in range(F.shape[0]):
+        out[e] = 0.0
         for q in range(F.shape[1]):
             M = F[e, q]
-            _cofactor(M, cof)
-            s1 = 2.0 * d1[e, q]
-            s2 = 2.0 * d2[e, q]
-            i1 = invariants[0, e, q]
+            w = weights[e, q]
+            s2 = 2.0 * w * d2[e, q]
+            s1 = 2.0 * w * d1[e, q] + s2 * invariants[0, e, q]
+            sj = w * dj[e, q]
             for i in range(3):
                 for k in range(3):
-                    out[e, q, i, k] = (s1 + s2 * i1) * M[i, k] + dj[e, q] * cof[i, k]
+                    P[i, k] = s1 * M[i, k] + sj * cofactors[e, q, i, k]
             if s2 != 0.0:
                 for i in range(3):
                     for j in range(3):
-                        b = M[i, 0] * M[j, 0] + M[i, 1] * M[j, 1] + M[i, 2] * M[j, 2]
+                        b = s2 * (M[i, 0] * M[j, 0] + M[i, 1] * M[j, 1] + M[i, 2] * M[j, 2])
                         for k in range(3):
-                            out[e, q, i, k] -= s2 * b * M[j, k]
-
-
-@no_type_check
-@numba.njit(**_OPTIONS)
-def element_forces(gradients, P, weights, out):
-    """Fill the elements' nodal forces (m, k, 3): sum over points of weight * P g."""
-    for e in range(gradients.shape[0]):
-        for a in range(gradients.shape[2]):
-            for i in range(3):
-                total = 0.0
-                for q in range(gradients.shape[1]):
-                    total += weights[e, q] * (
-                        P[e, q, i, 0] * gradients[e, q, a, 0]
-                        + P[e, q, i, 1] * gradients[e, q, a, 1]
-                        + P[e, q, i, 2] * gradients[e, q, a, 2]
-                    )
-                out[e, a, i] = total
+                            P[i, k] -= b * M[j, k]
+            g = gradients[e, q]
+            for a in range(g.shape[0]):
+                for i in range(3):
+                    out[e, a, i] += P[i, 0] * g[a, 0] + P[i, 1] * g[a, 1] + P[i, 2] * g[a, 2]
 
 
 @no_type_check
@@ -143,7 +120,7 @@ def gather_dot(nodes, forces, x, out):
 
 @no_type_check
 @numba.njit(**_OPTIONS)
-def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values):
+def tangent(gradients, F, cofactors, invariants, coefficients, weights, mean, slots, values):
     """Add the element tangents to the stored entries `values` of the symmetric matrix.
 
     Sizes of m elements with q quadrature points and k nodes:
@@ -155,7 +132,6 @@ def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values
       (m, 3k(3k+1)/2).
     """
     k = gradients.shape[2]
-    cof = np.empty((3, 3))
     B = np.empty((3, 3))
     p = np.empty((k, 3))
     t = np.zeros((k, 3))
@@ -170,6 +146,7 @@ def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values
             average[:] = 0.0
         for q in range(gradients.shape[1]):
             M = F[e, q]
+            cof = cofactors[e, q]
             g = gradients[e, q]
             w = weights[e, q]
             d1 = w * coefficients[0, e, q]
@@ -184,7 +161,6 @@ def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values
             i1 = invariants[0, e, q]
             second = d2 != 0.0 or d22 != 0.0
             first = second or d11 != 0.0 or d1j != 0.0
-            _cofactor(M, cof)
             for a in range(k):
                 for i in range(3):
                     p[a, i] = 2.0 * (M[i, 0] * g[a, 0] + M[i, 1] * g[a, 1] + M[i, 2] * g[a, 2])
@@ -265,12 +241,3 @@ def tangent(gradients, F, invariants, coefficients, weights, mean, slots, values
                         for j in range(i if a == b else 0, 3):
                             values[slots[e, entry]] += mean[e] * average[a, i] * average[b, j]
                             entry += 1
-
-
-@no_type_check
-@numba.njit(**_OPTIONS)
-def scatter_blocks(blocks, slots, values):
-    """Add dense element matrices (m, entries) to the stored entries of the symmetric matrix."""
-    for e in range(blocks.shape[0]):
-        for entry in range(slots.shape[1]):
-            values[slots[e, entry]] += blocks[e, entry]

@@ -5,7 +5,7 @@ serves every derivative: the adjoint and the directional derivative take one sol
 S du/de one solve per observed degree of freedom (eq. 10 to 14 of the paper).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from tactorch.errors import ConvergenceError
 from tactorch.fem import kernels, reference
 from tactorch.fem.assembly import Assembly, Response
-from tactorch.linalg import Lease, Status
+from tactorch.linalg.pool import Lease
 
 _MAX_COLUMNS = 256  # right-hand sides solved at once; bounds the memory on large meshes
 
@@ -40,7 +40,6 @@ class Linearization:
     tangent: Float[np.ndarray, " nnz"]
     fixed: Bool[np.ndarray, " size"]
     lease: Lease
-    _lease_factored: bool = field(default=False, init=False)
 
     def factor(self) -> None:
         """Factor K, unless this is done.
@@ -48,33 +47,19 @@ class Linearization:
         Raises:
             ConvergenceError: K is not positive definite: the equilibrium is unstable.
         """
-        if self._lease_factored and self.lease.factored:
-            return
-        if self.lease.factor(self.tangent) is Status.INDEFINITE:
+        if self.lease.factored is not self.tangent and not self.lease.factor(self.tangent):
             raise ConvergenceError(
                 "The equilibrium is unstable (its tangent is not positive definite), so no "
                 "derivative exists there; lower the load."
             )
-        self._lease_factored = True
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
-        """Return the solution of K x = rhs, with x = 0 at fixed unknowns.
-
-        Raises:
-            ConvergenceError: K is not positive definite: the equilibrium is unstable.
-        """
+        """Return the solution of K x = rhs, with x = 0 at fixed unknowns; see `factor`."""
         self.factor()
         if self.fixed.any():
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
         return self.lease.solve(rhs)
-
-    def unit_force(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, "nodes 3"]:
-        """Return dR/de (eq. 11) times a change of the moduli (MPa), N."""
-        force = np.zeros_like(self.displacement)
-        nodes = self.assembly.discretisation.nodes
-        kernels.scatter_forces(nodes, self.response.forces, change, force)
-        return force
 
     def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "m k"]:
         """Return the transpose of dR/de (eq. 11) times nodal fields."""
@@ -86,7 +71,8 @@ class Linearization:
 
     def displacement_change(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, "nodes 3"]:
         """Return du/de times a change of the moduli (MPa), mm."""
-        return -self.solve(self.unit_force(change).ravel()).reshape(-1, 3)
+        forces = self.assembly.internal_force(self.response, change)
+        return -self.solve(forces.ravel()).reshape(-1, 3)
 
     def force_response(self, forces: Float[np.ndarray, "k nodes 3"]) -> list[np.ndarray]:
         """Return the displacement (nodes, 3) due to each of k changes of the forces (N), mm."""
@@ -105,20 +91,17 @@ class Linearization:
             stretch: Whether to return those by the logarithm of the size along x, y and z, N.
         """
         body = self.assembly
-        ratio = torch.as_tensor(body.poisson, dtype=torch.float64).clone().requires_grad_()
+        ratio = torch.tensor(body.poisson, dtype=torch.float64, requires_grad=True)
         points = torch.tensor(body.points, requires_grad=True)
         u, youngs = torch.from_numpy(self.displacement), torch.from_numpy(self.youngs)
+        weights = torch.zeros_like(u, requires_grad=True)
         with torch.enable_grad():
-            force = reference.internal_force(
-                body.discretisation, body.material, u, youngs, ratio, points
-            )
-            # The pullback is linear in the weights, so that its own pullback is the forward
-            # derivative. Forward mode itself is not thread-safe.
-            weights = torch.zeros_like(force, requires_grad=True)
-            pulled = torch.autograd.grad(force, (ratio, points), weights, create_graph=True)
-            slopes = [pulled[0].sum()] if poisson else []
-            if stretch:
-                slopes += list((pulled[1] * points).sum(0))
+            # The work of the forces is linear in the weights, so that the derivative of its
+            # gradient by them is the forward derivative. Forward mode itself is not thread-safe.
+            work = (reference.element_work(body, u, weights, ratio, points) * youngs).sum()
+            by_ratio, by_points = torch.autograd.grad(work, (ratio, points), create_graph=True)
+            slopes = [by_ratio.sum()] if poisson else []
+            slopes += list((by_points * points).sum(0)) if stretch else []
             rates = [torch.autograd.grad(s, weights, retain_graph=True)[0] for s in slopes]
         return [rate.numpy() for rate in rates]
 
@@ -129,21 +112,12 @@ class Linearization:
 
         With K l = dL/du and the gradient g = -U^T l, U = dR/de, a change d of the moduli moves u
         by v = -K^-1 U d and, at constant dL/du, g by -(DU[v])^T l + U^T K^-1 DK[d, v] l.
-
-        Args:
-            adjoint: The adjoint displacement l.
-            change: Change of the moduli, MPa.
         """
-        body = self.assembly
         moved = torch.from_numpy(self.displacement_change(change))
-        ratio = torch.as_tensor(body.poisson, dtype=torch.float64)
-        points, weights = torch.tensor(body.points), torch.from_numpy(adjoint)
         u = torch.tensor(self.displacement, requires_grad=True)
         youngs = torch.tensor(self.youngs, requires_grad=True)
         with torch.enable_grad():
-            work = reference.element_work(
-                body.discretisation, body.material, u, weights, ratio, points
-            )
+            work = reference.element_work(self.assembly, u, torch.from_numpy(adjoint))
             (force,) = torch.autograd.grad((work * youngs).sum(), u, create_graph=True)
             along = (force * moved).sum() + (work * torch.from_numpy(change)).sum()
             by_u, by_youngs = torch.autograd.grad(along, (u, youngs))

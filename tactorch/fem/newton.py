@@ -16,15 +16,10 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.fem.linearization import Linearization
 from tactorch.fem.supports import CaseSupports
-from tactorch.linalg import (
-    IndefiniteError,
-    Lease,
-    SolverPool,
-    Status,
-    column_rank,
-    conjugate_gradients,
-    dot,
-)
+from tactorch.linalg import SolverPool, conjugate_gradients
+from tactorch.linalg.dense import column_rank, dot
+from tactorch.linalg.pool import Lease
+from tactorch.linalg.solver import IndefiniteError
 
 _ARMIJO = 1e-4  # smallest energy decrease of the line search, relative to the linear prediction
 _MIN_STEP_RTOL, _MAX_STEP_RTOL = 1e-8, 0.01  # accuracy of an iterative solution for a step
@@ -64,15 +59,15 @@ class EquilibriumResult:
         load_steps: Number of load steps; one if the full load converged at once.
         residual: Largest unbalanced force, relative.
         energies: Total energy (N mm) before and after each iteration of the last load step.
-        response: Element responses at `displacement`.
+        response: Element responses at an equilibrium.
     """
 
     displacement: Float[np.ndarray, "nodes 3"]
     converged: bool
     reason: str
-    iterations: int
-    load_steps: int
-    residual: float
+    iterations: int = 0
+    load_steps: int = 0
+    residual: float = np.inf
     energies: list[float] = field(default_factory=list)
     response: Response | None = None
 
@@ -88,19 +83,7 @@ class EquilibriumResult:
 
 
 class Newton:
-    """The equilibrium search of one load case.
-
-    Args:
-        assembly: The discretised body.
-        pool: Solvers for its tangent.
-        youngs: Young's modulus of each element, MPa.
-        forces: Nodal forces, N.
-        supports: Supports.
-        options: Settings of the search.
-        after: A search with a similar tangent whose factorisation is reused, so that the first
-            steps need no factorisation and large meshes memory for one only. The search `after`
-            then has to factor again.
-    """
+    """The equilibrium search of one load case; made by `SoftBody.search`."""
 
     def __init__(
         self,
@@ -109,29 +92,18 @@ class Newton:
         youngs: Float[np.ndarray, " m"],
         forces: Float[np.ndarray, "nodes 3"],
         supports: CaseSupports,
-        options: NewtonOptions | None = None,
+        options: NewtonOptions,
         after: "Newton | None" = None,
     ) -> None:
-        self.assembly = assembly
-        self.pattern = pool.pattern
-        self.youngs = youngs
-        self.forces = forces
-        self.supports = supports
-        self.options = options or NewtonOptions()
+        self.assembly, self.pattern = assembly, pool.pattern
+        self.youngs, self.forces, self.supports = youngs, forces, supports
+        self.options = options
         self._fixed = supports.fixed.ravel()
         self._pool = pool
         # A linear problem converges in one step, if it is solved exactly.
-        self._allow_single_precision = (
-            pool.has_single_precision and not assembly.material.allows_inversion
-        )
-        self._lease: Lease = (
-            pool.lease(self._allow_single_precision)
-            if after is None
-            else after._lease.transfer_factorization()
-        )
-        self._factored = self._lease.factored
-        if after is not None:
-            after._factored = False
+        single = pool.has_single_precision and not assembly.material.allows_inversion
+        self._allow_single_precision = single
+        self._lease: Lease = after._lease.transfer_factorization() if after else pool.lease(single)
 
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> EquilibriumResult:
         """Find the equilibrium, from `start` (mm) if given. A failure is returned, not raised."""
@@ -141,13 +113,13 @@ class Newton:
                 "Nothing holds the object: it can still move or turn as a whole. Fix a face (three "
                 "nodes that are not in line), or give springs."
             )
-            return EquilibriumResult(rest, False, reason, 0, 0, np.inf)
+            return EquilibriumResult(rest, False, reason)
         start = rest if start is None else start
         try:
             result = self._at_load(1.0, start, self.options.max_iterations)
             return result if result.converged else self._load_stepping(result.iterations)
         except ConvergenceError as error:  # of the linear solver: smaller steps do not help
-            return EquilibriumResult(start, False, str(error), 0, 0, np.inf)
+            return EquilibriumResult(start, False, str(error))
 
     def _is_supported(self) -> bool:
         """Whether the supports resist all six rigid motions."""
@@ -160,11 +132,8 @@ class Newton:
         self._use_double_precision()
         tangent = self.assembly.tangent(result.response, self.youngs, self.supports.springs)
         values = self.pattern.apply_dirichlet(tangent, self._fixed)
-        self._factored = False
-        return Linearization(
-            self.assembly, self.youngs, result.displacement, result.response, values,
-            self._fixed, self._lease,
-        )  # fmt: skip
+        state = (self.assembly, self.youngs, result.displacement, result.response)
+        return Linearization(*state, values, self._fixed, self._lease)
 
     def _load_stepping(self, iterations: int) -> EquilibriumResult:
         """Increase the load in steps: halved after a failure, doubled after fast convergence."""
@@ -219,18 +188,20 @@ class Newton:
         u = start.copy()
         response = self.assembly.respond(u)
         if response is None:
-            return EquilibriumResult(u, False, "The start has inverted elements.", 0, 0, np.inf)
+            return EquilibriumResult(u, False, "The start has inverted elements.")
         jump = np.where(self.supports.fixed, load * self.supports.prescribed - u, 0.0).ravel()
         energies: list[float] = []
-        reason, relative = f"No convergence in {max_iterations} iterations.", np.inf
+        converged, reason = False, f"No convergence in {max_iterations} iterations."
+        round_off = 1e-15 * float(self.youngs.max()) * self.assembly.discretisation.mesh.diagonal**2
         for iteration in range(max_iterations + 1):
             residual, scale = self._residual(response, u, load)
             size = float(np.abs(residual).max())
             relative = size / scale if scale > 0 else size
             if not jump.any():
                 energies.append(self._energy(response, u, load)[0])
-                if relative <= self.options.rtol or size <= self._round_off_force():
-                    return self._converged(u, iteration, energies, relative, response)
+                if relative <= self.options.rtol or size <= round_off:
+                    converged, reason = True, "forces in balance"
+                    break
             if iteration == max_iterations:
                 break
             step = self._step(response, residual, jump, self._step_rtol(relative))
@@ -250,26 +221,19 @@ class Newton:
                 continue
             accepted = self._line_search(u, response, residual, step, load)
             if accepted is None:
-                if relative <= 1e3 * self.options.rtol:
-                    return self._converged(u, iteration, energies, relative, response)
-                reason = "The line search found no lower energy."
+                converged = relative <= 1e3 * self.options.rtol
+                reason = (
+                    "forces in balance" if converged else "The line search found no lower energy."
+                )
                 break
             u, response = accepted
-        return EquilibriumResult(u, False, reason, iteration, 0, relative, energies)
-
-    def _converged(
-        self, u: np.ndarray, iteration: int, energies: list[float], relative: float, at: Response
-    ) -> EquilibriumResult:
-        return EquilibriumResult(u, True, "forces in balance", iteration, 1, relative, energies, at)
+        counts = (iteration, int(converged), relative, energies)
+        return EquilibriumResult(u, converged, reason, *counts, response if converged else None)
 
     def _step_rtol(self, relative: float) -> float:
         """Accuracy of a step: that of Newton's quadratic convergence, or of the last step."""
         rtol = max(relative, 0.3 * self.options.rtol / max(relative, self.options.rtol))
         return min(max(rtol, _MIN_STEP_RTOL), _MAX_STEP_RTOL)
-
-    def _round_off_force(self) -> float:
-        """Unbalanced force due to round-off, N."""
-        return 1e-15 * float(self.youngs.max()) * self.assembly.discretisation.mesh.diagonal**2
 
     def _step(
         self, response: Response, residual: np.ndarray, jump: np.ndarray, rtol: float
@@ -296,22 +260,19 @@ class Newton:
             rhs = rhs - self.pattern.product(values, jump)
         rhs[self._fixed] = 0.0
         try:
-            if self._factored and self._lease.direct and rtol > 0.0:
+            if self._lease.factored is not None and self._lease.direct and rtol > 0.0:
                 step = self._iterate(matrix, rhs, rtol)
                 if step is not None:
                     return step + jump
             if self._allow_single_precision and self._lease.single_precision:
-                if self._lease.factor(matrix) is Status.OK:
+                if self._lease.factor(matrix):
                     step = self._iterate(matrix, rhs, rtol or _MIN_STEP_RTOL)
                     if step is not None:
-                        self._factored = True
                         return step + jump
                 self._allow_single_precision = False
             self._use_double_precision()
-            self._factored = self._lease.factor(matrix) is Status.OK
-            return self._lease.solve(rhs) + jump if self._factored else None
+            return self._lease.solve(rhs) + jump if self._lease.factor(matrix) else None
         except IndefiniteError:
-            self._factored = False
             return None
 
     def _iterate(self, matrix: np.ndarray, rhs: np.ndarray, rtol: float) -> np.ndarray | None:

@@ -26,11 +26,7 @@ class Supports:
     springs: Float[np.ndarray, "*cases nodes 3"] | None = None
 
     def require_cases(self, count: int) -> None:
-        """Check that the supports are for `count` load cases, or for all.
-
-        Raises:
-            ConfigError: A field is for another number of cases.
-        """
+        """Raise ConfigError unless the supports are for `count` load cases, or for all."""
         for name in ("fixed", "prescribed", "springs"):
             values = getattr(self, name)
             if values is not None and values.ndim == 3 and len(values) != count:
@@ -45,23 +41,33 @@ class Supports:
         Raises:
             ConfigError: A shape does not fit the mesh.
         """
-        n = discretisation.mesh.n_points
-        zeros = np.zeros((n, 3))
-        fixed = _select(self.fixed, index, n, "fixed", zeros.astype(bool)).astype(bool)
-        prescribed = _select(self.prescribed, index, n, "prescribed", zeros)
-        springs = _select(self.springs, index, n, "springs", zeros, discretisation.n_nodes)
+        fixed = self._field("fixed", index, discretisation).astype(bool)
+        prescribed = self._field("prescribed", index, discretisation)
+        springs = self._field("springs", index, discretisation)
         if np.any(springs < 0) or not np.all(np.isfinite(springs)):
             raise ConfigError("supports.springs must be finite and not negative (N/mm).")
         if not np.all(np.isfinite(prescribed[fixed])):
             raise ConfigError(
                 "supports.prescribed is not finite at a fixed degree of freedom (mm)."
             )
-        midsides = fixed[discretisation.edges].all(axis=1)
+        # Midside nodes are fixed where both ends are.
+        all_fixed = np.concatenate([fixed, fixed[discretisation.edges].all(axis=1)])
+        extended = discretisation.extend(np.where(fixed, prescribed, 0.0))
         return CaseSupports(
-            np.concatenate([fixed, midsides]),
-            discretisation.extend(np.where(fixed, prescribed, 0.0)),
-            discretisation.consistent_loads(springs),
+            all_fixed, np.where(all_fixed, extended, 0.0), discretisation.consistent_loads(springs)
         )
+
+    def _field(self, name: str, index: int, discretisation: Discretisation) -> np.ndarray:
+        values, n = getattr(self, name), discretisation.mesh.n_points
+        if values is None:
+            return np.zeros((n, 3))
+        rows = (n, discretisation.n_nodes) if name == "springs" else (n,)
+        if values.ndim not in (2, 3) or values.shape[-2] not in rows or values.shape[-1] != 3:
+            raise ConfigError(
+                f"supports.{name} has shape {values.shape}; expected ({n}, 3), one row per mesh "
+                f"node, or (cases, {n}, 3)."
+            )
+        return values if values.ndim == 2 else values[index]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,24 +78,7 @@ class CaseSupports:
     prescribed: Float[np.ndarray, "nodes 3"]
     springs: Float[np.ndarray, "nodes 3"]
 
-    def __post_init__(self) -> None:
-        """Discard the prescribed values of midside nodes that are not fixed at both ends."""
-        object.__setattr__(self, "prescribed", np.where(self.fixed, self.prescribed, 0.0))
-
     @property
     def supported(self) -> Bool[np.ndarray, "nodes 3"]:
         """Degrees of freedom that are fixed or have a spring."""
         return self.fixed | (self.springs > 0)
-
-
-def _select(
-    values: np.ndarray | None, index: int, n: int, name: str, default: np.ndarray, n_nodes: int = 0
-) -> np.ndarray:
-    if values is None:
-        return default
-    if values.ndim not in (2, 3) or values.shape[-2:] not in ((n, 3), (n_nodes, 3)):
-        raise ConfigError(
-            f"supports.{name} has shape {values.shape}; expected ({n}, 3), one row per mesh node, "
-            f"or (cases, {n}, 3)."
-        )
-    return values if values.ndim == 2 else values[index]

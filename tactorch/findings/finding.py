@@ -190,8 +190,10 @@ def build_finding(
         MeshError: The map does not fit the recording's mesh, or a modulus is not above 0.
     """
     mesh = recording.mesh
-    inclusions = find_lumps(mesh, youngs, max_lumps=max_lumps)
-    lumps = (build_lump(mesh, recording.presses, one, posterior) for one in inclusions)
+    lumps = (
+        build_lump(mesh, recording.presses, inclusion, posterior)
+        for inclusion in find_lumps(mesh, youngs, max_lumps=max_lumps)
+    )
     return Finding(tuple(lumps), float(np.median(youngs)))
 
 

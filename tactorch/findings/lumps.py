@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
-from tactorch.metrics.checks import check_on_mesh
 from tactorch.metrics.segment import (
     MIN_CONTRAST,
     Side,
+    check_field,
     connected_parts,
     neighbourhood_mean,
     volume_mean,
@@ -53,7 +53,7 @@ def find_lumps(
         MeshError: The map does not fit the mesh, or a modulus is not above 0.
         ConfigError: A setting is out of range.
     """
-    check_on_mesh(mesh, "youngs", youngs)
+    check_field("youngs", youngs, mesh)
     if max_lumps < 1 or not 0 <= min_volume_fraction < 1:
         raise ConfigError(
             f"max_lumps={max_lumps}, min_volume_fraction={min_volume_fraction}: give at least 1, "

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.training import BEST, load_network
 from tactorch.mesh import TetMesh, VoxelGrid
-from tactorch.metrics.checks import check_on_mesh
+from tactorch.metrics.segment import check_field
 
 
 def load_recognizer(path: str | Path) -> Recognizer:
@@ -37,7 +37,7 @@ def recognise(
     Raises:
         MeshError: The map does not fit the mesh.
     """
-    check_on_mesh(mesh, "youngs", youngs)
+    check_field("youngs", youngs, mesh)
     grid = VoxelGrid(mesh, voxels)
     volume = torch.from_numpy(np.log(grid.fill(youngs))).float()[None, None]
     with torch.no_grad():

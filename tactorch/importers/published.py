@@ -74,9 +74,9 @@ def import_published(
         check_units: Refuse magnitudes that suggest a wrong unit, as `Recording` does.
 
     Returns:
-        A recording with a spring for every held degree of freedom, presses in order of their
-        numbers, `direction` the unit vector of the total force, and `step` the rank of a press
-        by force among those of the same direction and supports.
+        A recording with presses in order of their numbers, `direction` the unit vector of the
+        total force, and `step` the rank of a press by force among those of the same direction and
+        supports.
 
     Raises:
         FileError: A file is missing or malformed; names file, line where it can, and remedy.
@@ -162,9 +162,20 @@ def _read_press(
     reason = f"x y z for each of the {mesh.n_points} nodes of the mesh"
     forces = read_numbers(files["force"], "nodal forces", size, reason).reshape(-1, 3)
     deformed_m = read_numbers(files["pnt"], "deformed positions", size, reason).reshape(-1, 3)
-    _check_same_unit(files["pnt"], deformed_m, mesh)
+    span, rest = float(np.linalg.norm(np.ptp(deformed_m, axis=0))), mesh.diagonal / _MM_PER_M
+    if not 0.1 < span / rest < 10.0:
+        raise FileError(
+            f"'{files['pnt']}' holds deformed positions {span:.3g} m across, of a mesh {rest:.3g} m"
+            " across; both must be in metres: convert the one that is not"
+        )
     springs = read_diagonal(files["A-"], "springs", size).reshape(-1, 3) / _MM_PER_M
-    observed = _read_observed(files["B-"], size).reshape(-1, 3)
+    observed = read_diagonal(files["B-"], "observed degrees of freedom", size).reshape(-1, 3)
+    invalid = observed[(observed != 0) & (observed != 1)]
+    if len(invalid):
+        raise FileError(
+            f"'{files['B-']}' has the value {invalid[0]:g}; an observed degree of freedom has the"
+            " value 1"
+        )
     total = forces.sum(axis=0)
     length = float(np.linalg.norm(total))
     # A press may push from two sides: a total that is round-off gives no direction.
@@ -172,7 +183,7 @@ def _read_press(
     try:
         return Press(
             forces,
-            observed,
+            observed == 1,
             deformed_m * _MM_PER_M - mesh.points,
             springs=springs,
             noise_mm=noise_mm,
@@ -181,27 +192,6 @@ def _read_press(
         )
     except RecordingError as error:
         raise RecordingError(f"'{files['force'].parent}', {error}") from error
-
-
-def _check_same_unit(path: Path, deformed_m: Float[np.ndarray, "n 3"], mesh: TetMesh) -> None:
-    """Refuse deformed positions that span ten times more or less than the mesh."""
-    span = float(np.linalg.norm(np.ptp(deformed_m, axis=0)))
-    rest = mesh.diagonal / _MM_PER_M
-    if not 0.1 < span / rest < 10.0:
-        raise FileError(
-            f"'{path}' holds deformed positions {span:.3g} m across, of a mesh {rest:.3g} m "
-            "across; both must be in metres: convert the one that is not"
-        )
-
-
-def _read_observed(path: Path, size: int) -> np.ndarray:
-    values = read_diagonal(path, "observed degrees of freedom", size)
-    odd = values[(values != 0) & (values != 1)]
-    if len(odd):
-        raise FileError(
-            f"'{path}' has the value {odd[0]:g}; an observed degree of freedom has the value 1"
-        )
-    return values == 1
 
 
 def _with_steps(presses: list[Press]) -> list[Press]:
@@ -246,16 +236,13 @@ def _relabelled(
     for old, new in relabel.items():
         matches = np.isclose(truth, old, rtol=_LEVEL_TOLERANCE, atol=0.0)
         if not matches.any():
+            levels = np.unique(truth)
+            shown = ", ".join(f"{level:g}" for level in levels)
+            if len(levels) > 6:
+                shown = f"{len(levels)} different ones from {levels[0]:g} to {levels[-1]:g}"
             raise RecordingError(
                 f"relabel_truth: no element of '{path}' has {old:g} MPa; its moduli are "
-                f"{_levels(truth)}. Name one of these, in MPa"
+                f"{shown} MPa. Name one of these, in MPa"
             )
         corrected[matches] = new
     return corrected
-
-
-def _levels(truth: Float[np.ndarray, " m"]) -> str:
-    levels = np.unique(truth)
-    if len(levels) > 6:
-        return f"{len(levels)} different ones from {levels[0]:g} to {levels[-1]:g} MPa"
-    return ", ".join(f"{level:g}" for level in levels) + " MPa"

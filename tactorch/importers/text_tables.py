@@ -13,14 +13,7 @@ from tactorch.files import require_file
 def read_numbers(path: str | Path, what: str, count: int, reason: str) -> Float[np.ndarray, " k"]:
     """Read exactly `count` finite numbers, separated by white space or line ends.
 
-    Args:
-        path: The text file.
-        what: What the file should be, for messages.
-        count: How many numbers it should hold.
-        reason: Why that many, for messages.
-
-    Raises:
-        FileError: Missing file, wrong count, or something that is not a finite number.
+    Messages name the expected content `what`, and the `reason` for the count.
     """
     source = require_file(path, what)
     values = [
@@ -37,16 +30,9 @@ def read_numbers(path: str | Path, what: str, count: int, reason: str) -> Float[
 
 
 def read_diagonal(path: str | Path, what: str, size: int) -> Float[np.ndarray, " k"]:
-    """Read a diagonal matrix given as lines of `row col value`, counted from 0; 0 elsewhere.
+    """Read the diagonal of a matrix of `size` rows given as lines of `row col value`, from 0.
 
-    Args:
-        path: The text file.
-        what: What the file should be, for messages.
-        size: Number of rows of the matrix.
-
-    Raises:
-        FileError: Missing file, a line of another form, an entry off the diagonal, beyond the
-            matrix, given twice or negative.
+    Entries off the diagonal, given twice or negative are refused; the others are 0.
     """
     source = require_file(path, what)
     diagonal = np.zeros(size)

@@ -5,8 +5,7 @@ at directions of negative curvature. References: Hestenes and Stiefel (1952); St
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,24 +15,14 @@ from tactorch.linalg.dense import dot
 Array = Any  # a NumPy array or a torch tensor, of shape (size,) or (size, columns)
 
 
-@dataclass(frozen=True, eq=False)
-class CGResult:
-    """Outcome of conjugate gradients.
+class CGResult(NamedTuple):
+    """Outcome of conjugate gradients."""
 
-    Attributes:
-        solution: Last iterate, in the shape of the right-hand side.
-        image: Product of the matrix with `solution`.
-        iterations: Number of products with the matrix.
-        converged: Whether every column reached the tolerance.
-        negative_curvature: Whether some column met a direction of negative curvature, of the
-            matrix or of the preconditioner.
-    """
-
-    solution: Array
-    image: Array
-    iterations: int
-    converged: bool
-    negative_curvature: bool
+    solution: Array  # last iterate
+    image: Array  # product of the matrix with the solution
+    iterations: int  # number of products with the matrix
+    converged: bool  # whether every column reached the tolerance
+    negative_curvature: bool  # whether a column met it, of the matrix or of the preconditioner
 
 
 def conjugate_gradients(

@@ -5,32 +5,35 @@ takes five to ten times as long.
 """
 
 from dataclasses import dataclass
+from typing import no_type_check
 
+import numba
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from tactorch.linalg import kernels
-
 
 def dot(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> float:
-    """Return the scalar product of two vectors.
-
-    Raises:
-        ValueError: The lengths differ.
-    """
+    """Return the scalar product of two vectors."""
     if a.shape != b.shape:
         raise ValueError(f"vectors of {a.shape} and {b.shape} have no scalar product")
-    return float(kernels.dot(a, b))
+    return float(_dot(a, b))
+
+
+@no_type_check
+@numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+def _dot(a, b):
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
 
 
 def column_rank(columns: Float[np.ndarray, "n k"], tolerance: float) -> int:
     """Return the rank of a matrix of few columns, by Gram-Schmidt with pivoting.
 
-    Args:
-        columns: The matrix.
-        tolerance: Norm below which a remainder counts as zero.
+    Remainders whose norm is below `tolerance` count as zero.
     """
     rest = columns.copy()
     for rank in range(rest.shape[1]):
@@ -45,11 +48,7 @@ def column_rank(columns: Float[np.ndarray, "n k"], tolerance: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class DenseCholesky:
-    """Cholesky factorisation of a dense symmetric positive definite matrix.
-
-    Attributes:
-        lower: Lower triangular factor.
-    """
+    """Cholesky factorisation of a dense symmetric positive definite matrix."""
 
     lower: Float[Tensor, "n n"]
 

@@ -10,17 +10,56 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
 
 from tactorch.config import option
-from tactorch.linalg.pattern import SymmetricPattern
-from tactorch.linalg.solver import IterativeSolver, SolverOptions, Status
+from tactorch.linalg.solver import IterativeSolver, SolverOptions
+
+
+class MultigridSolver(IterativeSolver):
+    """Conjugate gradients with multigrid; the aggregates of the first matrix are reused."""
+
+    _aggregates: list[sp.csr_matrix] | None = None
+
+    def _factor(self, values: np.ndarray) -> bool:
+        import pyamg
+
+        self._matrix = full = self.pattern.full(values)
+        if np.any(full.diagonal() <= 0):
+            return False
+        block = full.tobsr((3, 3)) if self.pattern.size % 3 == 0 else full
+        options: dict[str, Any] = {}
+        if self.near_nullspace is not None:
+            options["B"] = self._constrained_modes(self.near_nullspace)
+        if self._aggregates:
+            options["aggregate"] = [("predefined", {"AggOp": a}) for a in self._aggregates]
+            options["max_levels"] = len(self._aggregates) + 1
+        hierarchy = pyamg.smoothed_aggregation_solver(
+            block, keep=True, max_coarse=300, coarse_solver="splu", symmetry="symmetric", **options
+        )
+        if self._aggregates is None:
+            self._aggregates = [level.AggOp for level in hierarchy.levels[:-1]]
+        self._preconditioner = hierarchy.aspreconditioner(cycle="V")
+        return True
+
+    def _constrained_modes(self, modes: np.ndarray) -> np.ndarray:
+        """Modes with the fixed unknowns (rows with a diagonal entry only) set to zero."""
+        sums = np.asarray(abs(self._matrix).sum(axis=1)).ravel()
+        fixed = sums == np.abs(self._matrix.diagonal())
+        return np.where(fixed[:, None], 0.0, modes)
+
+    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+        if rhs.ndim > 1:
+            return np.stack([self._solve(np.ascontiguousarray(b)) for b in rhs.T], axis=1)
+        return self._iterate(
+            self._matrix.__matmul__, lambda r: self._preconditioner @ r, rhs.astype(np.float64)
+        )
 
 
 @dataclass(frozen=True)
 class Multigrid(SolverOptions):
     """Conjugate gradients with algebraic multigrid, for the largest meshes."""
 
+    solver = MultigridSolver
     requires: ClassVar[str] = "pyamg"
 
     rtol: float = option(1e-12, "Relative residual at which a solve ends", gt=0, lt=1)
@@ -30,82 +69,3 @@ class Multigrid(SolverOptions):
     def available() -> bool:
         """Return whether pyamg is installed."""
         return find_spec("pyamg") is not None
-
-    def analyse(
-        self,
-        pattern: SymmetricPattern,
-        near_nullspace: Float[np.ndarray, "size modes"] | None = None,
-        single_precision: bool = False,
-    ) -> "MultigridSolver":
-        """See `SolverOptions.analyse`."""
-        return MultigridSolver(self, pattern, near_nullspace)
-
-
-class MultigridSolver(IterativeSolver):
-    """Iterative solver; see `tactorch.linalg.Solver`.
-
-    Args:
-        options: Settings.
-        pattern: The matrix pattern, three unknowns a node.
-        near_nullspace: Columns that the operator nearly annihilates, (size, modes).
-    """
-
-    def __init__(
-        self,
-        options: Multigrid,
-        pattern: SymmetricPattern,
-        near_nullspace: Float[np.ndarray, "size modes"] | None = None,
-    ) -> None:
-        self.options = options
-        self.pattern = pattern
-        self._modes = near_nullspace
-        self._aggregates: list[sp.csr_matrix] | None = None
-        self._matrix: sp.csr_matrix | None = None
-        self._preconditioner: Any = None
-
-    def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
-        """Build the hierarchy; the aggregates of the first matrix are reused for later ones."""
-        import pyamg
-
-        full = self.pattern.full(values)
-        if not np.all(np.isfinite(values)) or np.any(full.diagonal() <= 0):
-            return Status.INDEFINITE
-        self._matrix = full
-        block = full.tobsr((3, 3)) if self.pattern.size % 3 == 0 else full
-        options: dict[str, Any] = {
-            "max_coarse": 300,
-            "coarse_solver": "splu",
-            "symmetry": "symmetric",
-        }
-        if self._modes is not None:
-            options["B"] = self._constrained_modes(full)
-        if self._aggregates:
-            options["aggregate"] = [("predefined", {"AggOp": a}) for a in self._aggregates]
-            options["max_levels"] = len(self._aggregates) + 1
-        hierarchy = pyamg.smoothed_aggregation_solver(block, keep=True, **options)
-        if self._aggregates is None:
-            self._aggregates = [level.AggOp for level in hierarchy.levels[:-1]]
-        self._preconditioner = hierarchy.aspreconditioner(cycle="V")
-        return Status.OK
-
-    def _constrained_modes(self, full: sp.csr_matrix) -> np.ndarray:
-        """Modes with the fixed unknowns (rows with a diagonal entry only) set to zero."""
-        modes = np.array(self._modes, dtype=np.float64)
-        sums = np.asarray(abs(full).sum(axis=1)).ravel()
-        modes[sums == np.abs(full.diagonal())] = 0.0
-        return modes
-
-    def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
-        """Return the solution, column by column.
-
-        Raises:
-            ConvergenceError: The residual is not reached within the limit of iterations.
-            IndefiniteError: Negative curvature is met.
-        """
-        if self._matrix is None:
-            raise RuntimeError("factor the matrix before solving")
-        if rhs.ndim > 1:
-            return np.stack([self.solve(np.ascontiguousarray(b)) for b in rhs.T], axis=1)
-        return self._iterate(
-            self._matrix.__matmul__, lambda r: self._preconditioner @ r, rhs.astype(np.float64)
-        )

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import no_type_check
 
+import numba
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
-
-from tactorch.linalg import kernels
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +28,8 @@ class SymmetricPattern:
     ) -> "SymmetricPattern":
         """Build the pattern of the couplings `(row, col)` of either triangle and the diagonal."""
         low, high = np.minimum(rows, cols).ravel(), np.maximum(rows, cols).ravel()
-        diagonal = np.arange(size)
-        keys = np.unique(
-            np.concatenate([low * np.int64(size) + high, diagonal * np.int64(size) + diagonal])
-        )
+        diagonal = np.arange(size, dtype=np.int64) * (size + 1)
+        keys = np.unique(np.concatenate([low * np.int64(size) + high, diagonal]))
         indptr = np.searchsorted(keys // size, np.arange(size + 1)).astype(np.int32)
         return SymmetricPattern(indptr, (keys % size).astype(np.int32))
 
@@ -85,7 +83,7 @@ class SymmetricPattern:
         """Return the product of the symmetric matrix with `x`."""
         if x.ndim == 1:
             out = np.zeros(self.size)
-            kernels.symmetric_product(self.indptr, self.indices, values, x, out)
+            symmetric_product(self.indptr, self.indices, values, x, out)
             return out
         upper = sp.csr_matrix((values, self.indices, self.indptr), shape=(self.size,) * 2)
         diagonal = values[self.diagonal]
@@ -99,5 +97,30 @@ class SymmetricPattern:
             return values
         out = np.empty_like(values)
         scale = float(np.abs(values[self.diagonal]).mean())
-        kernels.apply_dirichlet(self.indptr, self.indices, values, fixed, scale, out)
+        _apply_dirichlet(self.indptr, self.indices, values, fixed, scale, out)
         return out
+
+
+@no_type_check
+@numba.njit(nogil=True, cache=True)
+def symmetric_product(indptr, indices, values, x, out):
+    """Add A x to `out`; the rows of the upper triangle of A begin with the diagonal."""
+    for i in range(indptr.shape[0] - 1):
+        begin = indptr[i]
+        total = values[begin] * x[i]
+        for k in range(begin + 1, indptr[i + 1]):
+            j = indices[k]
+            total += values[k] * x[j]
+            out[j] += values[k] * x[i]
+        out[i] += total
+
+
+@no_type_check
+@numba.njit(nogil=True, cache=True)
+def _apply_dirichlet(indptr, indices, values, fixed, scale, out):
+    """Copy `values`, with `scale` on the diagonal of fixed unknowns and zeros in their rows."""
+    for i in range(indptr.shape[0] - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            out[k] = 0.0 if fixed[i] or fixed[indices[k]] else values[k]
+        if fixed[i]:
+            out[indptr[i]] = scale

@@ -7,33 +7,30 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.linalg.pattern import SymmetricPattern
-from tactorch.linalg.solver import SOLVERS, Solver, SolverOptions, Status
+from tactorch.linalg.solver import SOLVERS, Solver, SolverOptions
 
 
 class Lease:
-    """A solver on loan from a pool, returned when the lease is collected or closed.
-
-    Attributes:
-        factored: Whether the solver has a factorisation.
-        direct: See `Solver`.
-        single_precision: See `Solver`.
-    """
+    """A solver on loan from a pool, returned when the lease is collected or closed."""
 
     def __init__(self, solver: Solver, pool: "SolverPool") -> None:
         self._pool = pool
+        self.single_precision, self.direct = solver.single_precision, solver.direct
         self._take(solver)
 
     def _take(self, solver: Solver) -> None:
-        self.factored = False
         self._solver: Solver | None = solver
-        self.direct = solver.direct
-        self.single_precision = solver.single_precision
         self._return = weakref.finalize(self, self._pool.give_back, solver)
+
+    @property
+    def factored(self) -> Float[np.ndarray, " nnz"] | None:
+        """Values of the factored matrix; None without a factorisation."""
+        return None if self._solver is None else self._solver.factored
 
     def close(self) -> None:
         """Return the solver; the next `factor` takes another one from the pool."""
         self._return()
-        self._solver, self.factored = None, False
+        self._solver = None
 
     def transfer_factorization(self) -> "Lease":
         """Return a lease of the same solver and factorisation; this one is left without.
@@ -44,25 +41,17 @@ class Lease:
         if solver is None:
             return self._pool.lease(self.single_precision)
         self._return.detach()
-        lease = Lease(solver, self._pool)
-        lease.factored, self.factored = self.factored, False
-        return lease
+        return Lease(solver, self._pool)
 
-    def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
-        """Factor; see `Solver.factor`."""
+    def factor(self, values: Float[np.ndarray, " nnz"]) -> bool:
+        """See `Solver.factor`."""
         if self._solver is None:
             self._take(self._pool.take(self.single_precision))
         assert self._solver is not None
-        status = self._solver.factor(values)
-        self.factored = status is Status.OK
-        return status
+        return self._solver.factor(values)
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
-        """Return the solution; see `Solver.solve`.
-
-        Raises:
-            RuntimeError: The factorisation was transferred.
-        """
+        """See `Solver.solve`."""
         if self._solver is None:
             raise RuntimeError("the factorisation was transferred; factor again before solving")
         return self._solver.solve(rhs)
@@ -109,5 +98,6 @@ class SolverPool:
 
     def give_back(self, solver: Solver) -> None:
         """Return a solver; used by leases."""
+        solver.factored = None
         with self._lock:
             self._idle[solver.single_precision].append(solver)

@@ -3,8 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -32,37 +31,43 @@ _MAX_PARDISO_SIZE = 500_000
 _MAX_SUPERLU_SIZE = 60_000
 
 
-class Status(Enum):
-    """Outcome of a factorisation. An indefinite tangent is a result, not an error."""
-
-    OK = "positive definite"
-    INDEFINITE = "not positive definite"
-
-
 class IndefiniteError(ArithmeticError):
     """An iterative solver met a direction of negative curvature."""
 
 
-@runtime_checkable
-class Solver(Protocol):
+class Solver(ABC):
     """A symmetric sparse matrix whose pattern is analysed once and factored any number of times.
 
-    A solver keeps one factorisation at a time and is used by one thread at a time; a `SolverPool`
-    lends several.
+    A subclass defines `_factor` and `_solve`. A solver keeps one factorisation at a time and is
+    used by one thread at a time; a `SolverPool` lends several.
 
     Attributes:
-        pattern: Sparsity of the matrix.
-        direct: Whether a solve is cheap compared with a factorisation.
+        options: Settings.
+        pattern: Upper triangle of the symmetric matrix.
+        near_nullspace: Columns that the matrix nearly annihilates, such as rigid-body modes.
         single_precision: Whether solutions are accurate to about four digits only.
+        direct: Whether a solve is cheap compared with a factorisation.
+        factored: Upper-triangle values of the factored matrix; None without a factorisation.
     """
 
-    pattern: SymmetricPattern
-    direct: bool
-    single_precision: bool
+    direct: ClassVar[bool] = True
 
-    def factor(self, values: Float[np.ndarray, " nnz"]) -> Status:
-        """Factor the matrix with these upper-triangle values."""
-        ...
+    def __init__(
+        self,
+        options: Any,
+        pattern: SymmetricPattern,
+        near_nullspace: Float[np.ndarray, "size modes"] | None = None,
+        single_precision: bool = False,
+    ) -> None:
+        self.options, self.pattern = options, pattern
+        self.near_nullspace, self.single_precision = near_nullspace, single_precision
+        self.factored: Float[np.ndarray, " nnz"] | None = None
+
+    def factor(self, values: Float[np.ndarray, " nnz"]) -> bool:
+        """Factor the matrix of these upper-triangle values; return if it is positive definite."""
+        definite = bool(np.isfinite(values).all()) and self._factor(values)
+        self.factored = values if definite else None
+        return definite
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
         """Return the solution for one or many right-hand sides, with the last factorisation.
@@ -70,20 +75,23 @@ class Solver(Protocol):
         Raises:
             IndefiniteError: An iterative solver met negative curvature.
             ConvergenceError: An iterative solver did not converge.
+            RuntimeError: There is no factorisation.
         """
-        ...
+        if self.factored is None:
+            raise RuntimeError("factor a positive definite matrix before solving")
+        return self._solve(rhs)
+
+    @abstractmethod
+    def _factor(self, values: np.ndarray) -> bool: ...
+
+    @abstractmethod
+    def _solve(self, rhs: np.ndarray) -> np.ndarray: ...
 
 
-class IterativeSolver:
-    """Conjugate gradients with the limits of the solver's settings.
-
-    Attributes:
-        options: Settings with `rtol` and `max_iterations`.
-    """
+class IterativeSolver(Solver):
+    """Conjugate gradients within the limits `options.rtol` and `options.max_iterations`."""
 
     direct = False
-    single_precision = False
-    options: Any
 
     def _iterate(
         self, product: Callable[[Any], Any], precondition: Callable[[Any], Any], rhs: Any
@@ -93,11 +101,10 @@ class IterativeSolver:
         if result.negative_curvature:
             raise IndefiniteError("negative curvature: the matrix is not positive definite")
         if not result.converged:
-            residual = rhs - result.image
-            reached = float(abs(residual).max() / abs(rhs).max())
+            residual = float(abs(rhs - result.image).max() / abs(rhs).max())
             name = SOLVERS.name_of(type(self.options))
             raise ConvergenceError(
-                f"solver={name} did not converge: a relative residual of {reached:.1e}, not "
+                f"solver={name} did not converge: a relative residual of {residual:.1e}, not "
                 f"{rtol:.0e}, in {limit} iterations; use solver=pardiso or solver=superlu, or "
                 f"raise solver.max_iterations or solver.rtol."
             )
@@ -105,15 +112,17 @@ class IterativeSolver:
 
 
 @dataclass(frozen=True)
-class SolverOptions(Options, ABC):
+class SolverOptions(Options):
     """Settings of a linear solver.
 
     Attributes:
+        solver: Class of the solver, made with these settings.
         has_single_precision: Whether it can factor in single precision.
         requires: Package that provides it.
     """
 
     section: ClassVar[str] = "solver"
+    solver: ClassVar[type[Solver]]
     has_single_precision: ClassVar[bool] = False
     requires: ClassVar[str] = "scipy"
 
@@ -136,23 +145,20 @@ class SolverOptions(Options, ABC):
             )
         return self
 
-    @abstractmethod
     def analyse(
         self,
         pattern: SymmetricPattern,
         near_nullspace: Float[np.ndarray, "size modes"] | None = None,
         single_precision: bool = False,
     ) -> Solver:
-        """Analyse a sparsity pattern.
+        """Return a solver for a sparsity pattern; see `Solver` for the arguments.
 
-        Args:
-            pattern: Upper triangle of the symmetric matrix.
-            near_nullspace: Rigid-body modes, used by multigrid only.
-            single_precision: Whether four digits suffice, for solvers that can make use of it.
-
-        Returns:
-            A solver, ready to factor matrices of this pattern.
+        Raises:
+            ConfigError: The solver is not installed.
         """
+        options = self.resolve(pattern.size)
+        single_precision = single_precision and options.has_single_precision
+        return options.solver(options, pattern, near_nullspace, single_precision)
 
 
 @dataclass(frozen=True)
@@ -167,16 +173,6 @@ class AutoSolver(SolverOptions):
             return SOLVERS["multigrid"]()
         return pardiso if installed else SOLVERS["superlu"]()
 
-    def analyse(
-        self,
-        pattern: SymmetricPattern,
-        near_nullspace: Float[np.ndarray, "size modes"] | None = None,
-        single_precision: bool = False,
-    ) -> Solver:
-        """Analyse a sparsity pattern with the solver that suits its size."""
-        solver = self.resolve(pattern.size)
-        return solver.analyse(pattern, near_nullspace, single_precision)
-
 
 def available_solvers() -> tuple[str, ...]:
     """Return the names of the solvers that can be used on this machine, without "auto"."""
@@ -184,10 +180,10 @@ def available_solvers() -> tuple[str, ...]:
 
 
 def analyse(pattern: SymmetricPattern, solver: str | SolverOptions = "auto") -> Solver:
-    """Analyse a sparsity pattern with a solver, given by name or by its settings.
+    """Return a solver, given by name or by its settings, for a sparsity pattern.
 
     Raises:
         ConfigError: The solver is unknown or not installed.
     """
     options: SolverOptions = SOLVERS.build(solver)
-    return options.resolve(pattern.size).analyse(pattern)
+    return options.analyse(pattern)

@@ -109,9 +109,6 @@ def closed_surface(vertices: Rows, triangles: Rows) -> tuple[Points, Triangles]:
 
     Each edge must belong to exactly two triangles of opposite orientation, and the surface must
     enclose a volume. Unreferenced vertices are accepted.
-
-    Returns:
-        Vertices as float64 and triangles as int64.
     """
     points = as_points(vertices, "vertices")
     faces = as_cells(triangles, 3, len(points), "triangles")

@@ -90,9 +90,11 @@ def write_mesh(
     nodes = _fields("point_data", point_data, mesh.n_points)
     if _format(path, _MESH_FORMATS) == "abaqus" and (cells or nodes):
         raise FileError(f"'{path}': .inp files cannot hold fields; write .vtu or .msh instead.")
-    blocks = [("tetra", np.array(mesh.tets))]
-    data = {key: [values] for key, values in cells.items()}
-    _write(path, _MESH_FORMATS, np.array(mesh.points), blocks, point_data=nodes, cell_data=data)
+    import meshio
+
+    tets = [("tetra", np.array(mesh.tets))]
+    data = {name: [values] for name, values in cells.items()}
+    _write(path, _MESH_FORMATS, meshio.Mesh(np.array(mesh.points), tets, nodes, data))
 
 
 def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]:
@@ -104,11 +106,6 @@ def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]
 
     Returns:
         Vertices in mm and triangles, ready for `tetrahedralize`.
-
-    Raises:
-        FileError: The file is missing, damaged or of an unknown format.
-        MeshError: The file contains no triangles, polygons of more than four sides, or
-            non-finite coordinates.
     """
     scale, source = _mm_per(unit), require_file(path, "Surface")
     content = _read(source, _SURFACE_FORMATS)
@@ -125,7 +122,9 @@ def write_surface(path: str | Path, vertices: Rows, triangles: Rows) -> None:
     """Write a triangle surface, in mm, to .stl, .obj or .ply; the file is replaced atomically."""
     points = as_points(vertices, "vertices")
     faces = as_cells(triangles, 3, len(points), "triangles").astype(np.int32)
-    _write(path, _SURFACE_FORMATS, points, [("triangle", faces)])
+    import meshio
+
+    _write(path, _SURFACE_FORMATS, meshio.Mesh(points, [("triangle", faces)]))
 
 
 def _format(path: str | Path, formats: Mapping[str, str]) -> str:
@@ -172,20 +171,12 @@ def _check_header(path: Path, name: str) -> None:
             start += 20 + 32 * nodes
 
 
-def _write(
-    path: str | Path,
-    formats: Mapping[str, str],
-    points: NDArray,
-    blocks: list[tuple[str, NDArray]],
-    **data: Any,
-) -> None:
-    import meshio
-
+def _write(path: str | Path, formats: Mapping[str, str], content: "meshio.Mesh") -> None:
     name = _format(path, formats)
     options = {"binary": True} if name == "stl" else {}
     writer = importlib.import_module(f"meshio.{name}")
     with _meshio(f"'{path}' cannot be written as {name}"), atomic_path(path) as temporary:
-        writer.write(str(temporary), meshio.Mesh(points, blocks, **data), **options)
+        writer.write(str(temporary), content, **options)
 
 
 @contextlib.contextmanager
@@ -236,17 +227,13 @@ def _solid_cells(content: "meshio.Mesh") -> NDArray:
 
 
 def _triangles(content: "meshio.Mesh") -> NDArray:
-    triangles: list[NDArray] = []
-    for block in content.cells:
-        if block.type == "triangle":
-            triangles.append(block.data)
-        elif block.type == "quad":
-            # Consecutive halves of a quadrangle keep the order of the file.
-            triangles.append(block.data[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
-        elif block.dim == 2:
-            raise MeshError(
-                f"it contains faces other than triangles and quadrangles: {block.type}."
-            )
+    # Consecutive halves of a quadrangle keep the order of the file.
+    columns = {"triangle": [0, 1, 2], "quad": [0, 1, 2, 0, 2, 3]}
+    faces = [block for block in content.cells if block.dim == 2]
+    others = [block.type for block in faces if block.type not in columns]
+    if others:
+        raise MeshError(f"it contains faces other than triangles and quadrangles: {others[0]}.")
+    triangles = [block.data[:, columns[block.type]].reshape(-1, 3) for block in faces]
     if not triangles:
         raise MeshError("it contains no triangles.")
     return np.concatenate(triangles)

@@ -13,19 +13,11 @@ _MAX_PAIRS = 1_000_000
 
 
 def locate(mesh: TetMesh, points: Float[np.ndarray, "p 3"], k: int = 8) -> Int[np.ndarray, " p"]:
-    """Find the element that contains each point.
+    """Return the index of the element that contains each point (mm), -1 outside the body.
 
     The `k` elements of nearest centroid are tested first; the remaining points are tested against
     every element whose bounding ball contains them, so the result is exact. A point on a shared
     face gets one of its elements.
-
-    Args:
-        mesh: Body.
-        points: Positions, mm.
-        k: Number of nearest elements tested first; affects the time only.
-
-    Returns:
-        Index of the element, -1 for points outside the body.
     """
     elements = np.full(len(points), -1, dtype=np.int64)
     low, high = mesh.bounds

@@ -1,10 +1,18 @@
 """Metrics of a map of Young's modulus; fields are per element, MPa."""
 
-from tactorch.metrics.fields import normalised_correlation, pearson, psnr, rmse_mpa, ssim_1d
-from tactorch.metrics.inclusion import Inclusion, find_inclusion
-from tactorch.metrics.localisation import contrast_recovery, dice, position_error_mm
-from tactorch.metrics.scores import scores
-from tactorch.metrics.volume import ssim
+from tactorch.metrics.scores import (
+    contrast_recovery,
+    dice,
+    normalised_correlation,
+    pearson,
+    position_error_mm,
+    psnr,
+    rmse_mpa,
+    scores,
+    ssim,
+    ssim_1d,
+)
+from tactorch.metrics.segment import Inclusion, find_inclusion
 
 __all__ = [
     "Inclusion",

@@ -1,4 +1,4 @@
-"""Segmentation of a map: elements past half way from the background to the extreme.
+"""Segmentation of a map, and its inclusion: elements past half way from background to extreme.
 
 The background is the volume-weighted median. The extreme is taken of the field averaged over each
 element and its face neighbours, since reconstructions often leave single elements at a bound.
@@ -6,22 +6,102 @@ Elements are then compared by their own modulus, so that a field of two levels i
 between them, down to an inclusion of one element.
 """
 
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from tactorch.errors import MeshError
 from tactorch.mesh import TetMesh
 
 Side = Literal["stiff", "soft"]
+Field = Float[np.ndarray, " m"]  # a value per element
+Mask = Bool[np.ndarray, " m"]
 
 # Smallest relative distance of the extreme from the background in a field with an inclusion.
 MIN_CONTRAST = 0.02
 
 
-def inclusion_side(mesh: TetMesh, values: Float[np.ndarray, " m"]) -> Side | None:
+@dataclass(frozen=True, eq=False)
+class Inclusion:
+    """A connected region that is stiffer or softer than the background.
+
+    Attributes:
+        center_mm: Centroid, (3,), mm.
+        volume_mm3: Volume, mm^3.
+        equivalent_radius_mm: Radius of the sphere of that volume, mm.
+        mean_mpa: Mean modulus over its volume, MPa.
+        background_mpa: Mean modulus over the volume of the background, MPa.
+        elements: Its elements, (m,).
+        side: "stiff" or "soft".
+    """
+
+    center_mm: Float[np.ndarray, "3"]
+    volume_mm3: float
+    equivalent_radius_mm: float
+    mean_mpa: float
+    background_mpa: float
+    elements: Mask
+    side: Side
+
+    @staticmethod
+    def measure(
+        mesh: TetMesh,
+        youngs: Field,
+        elements: Mask,
+        side: Side,
+        background_mpa: float,
+        center_mm: Float[np.ndarray, "3"],
+    ) -> "Inclusion":
+        """Return the inclusion of these elements, with its volume and mean modulus."""
+        volume = float(mesh.volumes[elements].sum())
+        radius = float(np.cbrt(3 * volume / (4 * np.pi)))
+        mean = float(volume_mean(mesh, youngs, elements))
+        return Inclusion(center_mm, volume, radius, mean, background_mpa, elements, side)
+
+    @property
+    def contrast(self) -> float:
+        """Modulus of the inclusion over that of the background."""
+        return self.mean_mpa / self.background_mpa
+
+    def plain(self) -> dict[str, Any]:
+        """Return all but the elements as plain values, mm and MPa."""
+        names = ("volume_mm3", "equivalent_radius_mm", "mean_mpa", "background_mpa")
+        numbers = {name: float(getattr(self, name)) for name in names}
+        return {"side": self.side, "center_mm": [float(x) for x in self.center_mm], **numbers}
+
+
+def find_inclusion(mesh: TetMesh, youngs: Field) -> Inclusion | None:
+    """Find the largest face-connected region of the segmented map (`tactorch.metrics.segment`).
+
+    `tactorch.findings.find_lump`, which the commands use, is more robust to outlier elements.
+
+    Args:
+        mesh: The body, m elements.
+        youngs: Moduli, (m,), MPa.
+
+    Returns:
+        The inclusion; None if the map stays within 2 % of its background.
+
+    Raises:
+        MeshError: The field does not fit the mesh.
+    """
+    check_field("youngs", youngs, mesh)
+    side = inclusion_side(mesh, youngs)
+    if side is None:
+        return None
+    mask = segment(mesh, youngs, side)
+    parts = connected_parts(mesh, mask)
+    elements = max(parts, key=lambda part: float(mesh.volumes[part].sum()))
+    background = float(volume_mean(mesh, youngs, ~mask))
+    center = volume_mean(mesh, mesh.centroids, elements)
+    return Inclusion.measure(mesh, youngs, elements, side, background, center)
+
+
+def inclusion_side(mesh: TetMesh, values: Field) -> Side | None:
     """Return whether the field's inclusion is stiff or soft; None if it has none.
 
     The side is that of the extreme with the larger ratio to the background.
@@ -33,7 +113,7 @@ def inclusion_side(mesh: TetMesh, values: Float[np.ndarray, " m"]) -> Side | Non
     return "stiff" if stiffer >= softer else "soft"
 
 
-def segment(mesh: TetMesh, values: Float[np.ndarray, " m"], side: Side) -> Bool[np.ndarray, " m"]:
+def segment(mesh: TetMesh, values: Field, side: Side) -> Mask:
     """Return the elements past half way from the background to the extreme on `side`.
 
     An inclusion fills less than half of the body. The mask is empty if nothing stands out.
@@ -47,13 +127,13 @@ def segment(mesh: TetMesh, values: Float[np.ndarray, " m"], side: Side) -> Bool[
 
 
 def volume_mean(
-    mesh: TetMesh, values: Float[np.ndarray, " m ..."], mask: Bool[np.ndarray, " m"]
+    mesh: TetMesh, values: Float[np.ndarray, " m ..."], mask: Mask
 ) -> Float[np.ndarray, "..."]:
     """Average `values` over the volume of the elements in `mask`."""
     return np.asarray(np.average(values[mask], axis=0, weights=mesh.volumes[mask]))
 
 
-def weighted_median(values: Float[np.ndarray, " m"], weights: Float[np.ndarray, " m"]) -> float:
+def weighted_median(values: Field, weights: Field) -> float:
     """Return the value below which half of the weight lies."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
@@ -61,19 +141,18 @@ def weighted_median(values: Float[np.ndarray, " m"], weights: Float[np.ndarray, 
     return float(values[order[np.searchsorted(total, total[-1] * 0.5 * (1 - 1e-12))]])
 
 
-def neighbourhood_mean(mesh: TetMesh, values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+def neighbourhood_mean(mesh: TetMesh, values: Field) -> Field:
     """Average over the volume of each element and those that share a face with it."""
     first, second = mesh.adjacency.pairs.T
-    volumes = mesh.volumes.copy()
     moments = mesh.volumes * values
-    for element, neighbour in ((first, second), (second, first)):
-        volumes += np.bincount(element, weights=mesh.volumes[neighbour], minlength=mesh.n_tets)
-        weights = (mesh.volumes * values)[neighbour]
-        moments += np.bincount(element, weights=weights, minlength=mesh.n_tets)
-    return moments / volumes
+    elements = np.concatenate([np.arange(mesh.n_tets), first, second])
+    neighbours = np.concatenate([np.arange(mesh.n_tets), second, first])
+    return np.bincount(elements, moments[neighbours]) / np.bincount(
+        elements, mesh.volumes[neighbours]
+    )
 
 
-def connected_parts(mesh: TetMesh, mask: Bool[np.ndarray, " m"]) -> list[Bool[np.ndarray, " m"]]:
+def connected_parts(mesh: TetMesh, mask: Mask) -> list[Mask]:
     """Return the masks of the face-connected parts of `mask`."""
     pairs = mesh.adjacency.pairs
     inner = pairs[mask[pairs].all(axis=1)]
@@ -82,8 +161,24 @@ def connected_parts(mesh: TetMesh, mask: Bool[np.ndarray, " m"]) -> list[Bool[np
     return [mask & (labels == label) for label in np.unique(labels[mask])]
 
 
-def _levels(mesh: TetMesh, values: Float[np.ndarray, " m"]) -> tuple[float, float, float]:
+def _levels(mesh: TetMesh, values: Field) -> tuple[float, float, float]:
     """Background, lowest and highest level."""
-    background = weighted_median(values, mesh.volumes)
     means = neighbourhood_mean(mesh, values)
-    return background, float(means.min()), float(means.max())
+    return weighted_median(values, mesh.volumes), float(means.min()), float(means.max())
+
+
+def check_field(name: str, values: Field, mesh: TetMesh | None = None) -> None:
+    """Raise MeshError unless `values` are finite, above zero, and one for each element."""
+    if values.ndim != 1 or not len(values):
+        raise MeshError(f"{name} has shape {values.shape}; give one modulus per element")
+    bad = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
+    if len(bad):
+        raise MeshError(
+            f"{name} is {values[bad[0]]} at element {bad[0]} ({len(bad)} such elements); "
+            "give finite moduli above 0 MPa"
+        )
+    if mesh is not None and len(values) != mesh.n_tets:
+        raise MeshError(
+            f"{name} has {len(values)} values but the mesh {mesh.n_tets} elements; "
+            "use the mesh that the field belongs to"
+        )

@@ -29,7 +29,7 @@ from tactorch.recording.tail import tail_record
 if TYPE_CHECKING:
     import h5py
 
-_MIN_TAIL_BYTES = 1 << 20  # that a tail may have in any case
+_MAX_SMALL_TAIL_BYTES = 1 << 20  # a smaller tail is never merged into the HDF5 part
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +58,6 @@ def append_press(path: str | Path, press: Press) -> int:
 
     The first press is saved with the recording: `Recording(mesh, (press,), material).save(path)`.
 
-    Args:
-        path: File of the recording.
-        press: The press.
-
     Returns:
         Number of the press, from 0.
 
@@ -74,7 +70,9 @@ def append_press(path: str | Path, press: Press) -> int:
         press.validate(reader.mesh().n_points)
         Recording(**reader.fields(presses=(press,)), check_units=False)
         record = tail_record(count, hdf5_image(lambda file: write_press(file, press)))
-        if tail is None or tail.end - tail.begin + len(record) > max(tail.begin, _MIN_TAIL_BYTES):
+        if tail is None or tail.end - tail.begin + len(record) > max(
+            tail.begin, _MAX_SMALL_TAIL_BYTES
+        ):
             image = _whole_image(reader, GROWING, press)
             with atomic_path(path) as temporary:
                 temporary.write_bytes(image)
@@ -87,9 +85,6 @@ def compact(path: str | Path) -> None:
     """Write a recording that has grown as a plain HDF5 file; no press is to follow.
 
     Other programs then see all its presses.
-
-    Raises:
-        FileError: The file is missing, damaged, or cannot be written.
     """
     with open_recording(path) as reader:
         if reader.tail is None:
@@ -127,7 +122,11 @@ def read_presses(
         for index in range(after, count):
             try:
                 press = reader.press(index)
-                recording = _extended(reader, recording, press, check_units)
+                if recording is None:
+                    recording = Recording(**reader.fields([press]), check_units=check_units)
+                else:
+                    all_presses = (*recording.presses, press)
+                    recording = replace(recording, presses=all_presses, check_units=check_units)
             except (RecordingError, FileError) as error:
                 faults[index] = str(error).removeprefix(f"recording '{reader.source}' ")
             else:
@@ -149,10 +148,8 @@ def _whole_image(reader: FileReader, version: int, press: Press | None = None) -
     import h5py
 
     tail = reader.tail
-    if tail is None:
-        stored, images = Path(reader.source).read_bytes(), []
-    else:
-        stored, images = tail.hdf5_part(), [tail.image(index) for index in range(len(tail))]
+    stored = Path(reader.source).read_bytes() if tail is None else tail.hdf5_part()
+    images = [tail.image(index) for index in range(len(tail))] if tail else []
     count = reader.count() - len(images)
 
     def change(file: "h5py.File") -> None:
@@ -207,20 +204,11 @@ def _check_same(reader: RecordingReader, known: Recording) -> None:
             f"recording '{reader.source}' has another material than the presses before: "
             f"{material}, not {known.material}. Start another run for it."
         )
-    weights = {"density": (reader.density(), known.density)}
-    weights |= {"gravity": (reader.gravity().tolist(), known.gravity.tolist())}
-    for name, (value, before) in weights.items():
+    density = reader.density(), known.density
+    gravity = reader.gravity().tolist(), known.gravity.tolist()
+    for name, (value, before) in {"density": density, "gravity": gravity}.items():
         if value != before:
             raise OtherObjectError(
                 f"recording '{reader.source}' has {name}={value}, the presses before {before}: "
                 "weight is the same for all presses of a run. Start another run for it."
             )
-
-
-def _extended(
-    reader: RecordingReader, recording: Recording | None, press: Press, check_units: bool
-) -> Recording:
-    """Return a checked recording with another press."""
-    if recording is None:
-        return Recording(**reader.fields(presses=(press,)), check_units=check_units)
-    return replace(recording, presses=(*recording.presses, press), check_units=check_units)

@@ -1,7 +1,6 @@
-"""Which constitutive law a recording is to be read with."""
+"""Constitutive law of a recording."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 
@@ -10,16 +9,13 @@ from tactorch.errors import RecordingError
 
 @dataclass(frozen=True)
 class MaterialSpec:
-    """A material by name, with everything but Young's modulus.
+    """A material by name, without Young's modulus.
 
     Attributes:
         name: Name of the law, such as `neo_hookean`.
         poisson: Poisson's ratio, in (-1, 0.5).
         parameters: Further numbers of the law, such as `{"lame_factor": 0.5}` (dimensionless or
             in mm, N, MPa).
-
-    Raises:
-        RecordingError: A value that no elastic solid has.
     """
 
     name: str
@@ -36,11 +32,8 @@ class MaterialSpec:
                 f"material poisson is {self.poisson:g}; it must lie in (-1, 0.5). "
                 "For an incompressible material use 0.49 to 0.499"
             )
-        object.__setattr__(self, "parameters", _parameters(self.parameters))
-
-
-def _parameters(values: Mapping[str, float]) -> dict[str, float]:
-    return {str(key): _number(str(key), value) for key, value in values.items()}
+        parameters = {str(key): _number(str(key), value) for key, value in self.parameters.items()}
+        object.__setattr__(self, "parameters", parameters)
 
 
 def _number(name: str, value: object) -> float:

@@ -1,9 +1,8 @@
-"""Units by the look of the numbers: what no press of a soft object produces.
+"""Plausibility of a recording: magnitudes that indicate a wrong unit, and missing supports.
 
-Everything inside is in mm, N and MPa. A file in other units is read without complaint by any
-program that does not look at the magnitudes, and ruins the result by factors of a thousand. The
-limits below lie well outside what soft objects do, so that only a wrong unit (or a broken file)
-crosses them:
+Units are mm, N and MPa. Values in other units would be read without complaint and change the
+result by factors of a thousand. The limits are far outside what soft objects show, so that only a
+wrong unit (or a damaged file) exceeds them:
 
 | quantity | refused | suspected |
 |---|---|---|
@@ -18,75 +17,90 @@ crosses them:
 | median of the true modulus | below 1e-6 MPa | GPa given for MPa |
 
 Force over displacement and diagonal is, up to a factor of the shape, the modulus of the object:
-soft tissue and silicones are at 1e-3 to 10 MPa. Who does record such a thing (infinitesimal loads
-in a convergence study, say) builds the recording with `check_units=False`.
+soft tissue and silicones have 1e-3 to 10 MPa. For other magnitudes (infinitesimal loads of a
+convergence study, for instance) pass `check_units=False`.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tactorch.errors import RecordingError
 from tactorch.recording.press import Press
 
-SMALLEST_DIAGONAL_MM = 0.5
-LARGEST_DIAGONAL_MM = 2e4
-SMALLEST_RELATIVE_DISPLACEMENT = 1e-4
-LARGEST_FORCE_N = 1e4
-APPARENT_MODULUS_MPA = (1e-6, 100.0)
-TRUE_MODULUS_MPA = (1e-6, 100.0)
+DIAGONAL_MM = (0.5, 2e4)
+MIN_RELATIVE_DISPLACEMENT = 1e-4
+MAX_FORCE_N = 1e4
+MODULUS_MPA = (1e-6, 100.0)
 _OPT_OUT = "If the numbers are right, pass check_units=False"
+_MOTIONS = tuple(f"{kind} {axis}" for kind in ("slide along", "turn about") for axis in "xyz")
+# Motions resisted by less than this fraction of the best-resisted one count as free.
+_MIN_RESISTANCE = 1e-9
 
 
 def check_units(
-    diagonal_mm: float, presses: Sequence[Press], truth: Float[np.ndarray, " m"] | None
+    diagonal: float, presses: Sequence[Press], truth: Float[np.ndarray, " m"] | None
 ) -> None:
-    """Refuse magnitudes that suggest a wrong unit; the limits are in the module's docstring.
-
-    Args:
-        diagonal_mm: Diagonal of the mesh's bounding box, mm.
-        presses: The presses of the recording.
-        truth: True Young's modulus per element, MPa, or None.
-
-    Raises:
-        RecordingError: Names the value, the suspected unit and what to do.
-    """
-    _check_diagonal(diagonal_mm)
-    for press in presses:
-        _check_force(press)
-        _check_large_displacement(press, diagonal_mm)
-    _check_small_displacement(presses, diagonal_mm)
-    for press in presses:
-        _check_apparent_modulus(press, diagonal_mm)
-    if truth is not None:
-        _check_truth(truth)
-
-
-def _check_diagonal(diagonal: float) -> None:
-    if diagonal < SMALLEST_DIAGONAL_MM:
+    """Refuse magnitudes that suggest a wrong unit; the limits are in the module's docstring."""
+    if diagonal < DIAGONAL_MM[0]:
         raise RecordingError(
             f"mesh: its diagonal is {diagonal:.3g} mm; metres given for millimetres? "
             f"Read it with unit='m', or multiply points by 1000. {_OPT_OUT}"
         )
-    if diagonal > LARGEST_DIAGONAL_MM:
+    if diagonal > DIAGONAL_MM[1]:
         raise RecordingError(
             f"mesh: its diagonal is {diagonal:.3g} mm; micrometres given for millimetres? "
             f"Divide points by 1000. {_OPT_OUT}"
         )
-
-
-def _check_force(press: Press) -> None:
-    largest = float(np.linalg.norm(press.forces, axis=1).max())
-    if largest > LARGEST_FORCE_N:
+    for press in presses:
+        _check_press(press, diagonal)
+    largest = max(press.largest_displacement for press in presses)
+    if largest < MIN_RELATIVE_DISPLACEMENT * diagonal:
         raise RecordingError(
-            f"{press.label}: forces reach {largest:.3g} N at one node; mN given for N, or a "
-            f"pressure in Pa or kPa taken for MPa? Convert forces to N. {_OPT_OUT}"
+            f"presses: no displacement exceeds {largest:.3g} mm on an object {diagonal:.3g} mm "
+            "across; metres given for millimetres, or nothing moved? Multiply displacements by "
+            f"1000 if they are in metres. {_OPT_OUT}"
+        )
+    for press in presses:
+        _check_apparent_modulus(press, diagonal)
+    median = 1.0 if truth is None else float(np.median(truth))
+    low, high = MODULUS_MPA
+    if not low <= median <= high:
+        unit = "GPa" if median < low else "Pa" if median > 1e3 * high else "kPa"
+        raise RecordingError(
+            f"truth: its median is {median:.3g} MPa; {unit} given for MPa? Convert to MPa. "
+            f"{_OPT_OUT}"
         )
 
 
-def _check_large_displacement(press: Press, diagonal: float) -> None:
-    largest = largest_displacement(press)
+def free_motion(points: Float[np.ndarray, "n 3"], held: Bool[np.ndarray, "n 3"]) -> str | None:
+    """Name a rigid motion that the supported degrees of freedom do not prevent, or return None.
+
+    The object's rigid motions, scaled to its size, are restricted to the supported degrees of
+    freedom; a combination that vanishes there is free. The name is that of its largest part.
+    """
+    if not held.any():
+        return "move freely"
+    # About the centre of the supports, the free turn about an axis through them has no translation.
+    offsets = points - points[held.any(axis=1)].mean(axis=0)
+    offsets = offsets / np.abs(offsets).max()
+    turns = [np.cross(axis, offsets) for axis in np.eye(3)]
+    slides = np.broadcast_to(np.eye(3), (len(points), 3, 3))
+    modes = np.concatenate((slides, np.stack(turns, axis=-1)), axis=2)[held]
+    _, values, vectors = np.linalg.svd(modes, full_matrices=True)
+    rank = int((values > _MIN_RESISTANCE * values[0]).sum())
+    return None if rank == 6 else _MOTIONS[int(np.argmax((vectors[rank:] ** 2).sum(axis=0)))]
+
+
+def _check_press(press: Press, diagonal: float) -> None:
+    force = float(np.linalg.norm(press.forces, axis=1).max())
+    if force > MAX_FORCE_N:
+        raise RecordingError(
+            f"{press.label}: forces reach {force:.3g} N at one node; mN given for N, or a "
+            f"pressure in Pa or kPa taken for MPa? Convert forces to N. {_OPT_OUT}"
+        )
+    largest = press.largest_displacement
     if largest > diagonal:
         raise RecordingError(
             f"{press.label}: displacement reaches {largest:.3g} mm, more than the whole object "
@@ -95,45 +109,16 @@ def _check_large_displacement(press: Press, diagonal: float) -> None:
         )
 
 
-def _check_small_displacement(presses: Sequence[Press], diagonal: float) -> None:
-    largest = max(largest_displacement(press) for press in presses)
-    if largest < SMALLEST_RELATIVE_DISPLACEMENT * diagonal:
-        raise RecordingError(
-            f"presses: no displacement exceeds {largest:.3g} mm on an object {diagonal:.3g} mm "
-            "across; metres given for millimetres, or nothing moved? Multiply displacements by "
-            f"1000 if they are in metres. {_OPT_OUT}"
-        )
-
-
 def _check_apparent_modulus(press: Press, diagonal: float) -> None:
     force = float(np.linalg.norm(press.forces, axis=1).sum())
-    moved = largest_displacement(press)
-    if force == 0 or moved == 0:
+    largest = press.largest_displacement
+    if force == 0 or largest == 0:
         return
-    apparent = force / (moved * diagonal)
-    low, high = APPARENT_MODULUS_MPA
-    if low <= apparent <= high:
-        return
-    unit = "mN, or pressures in kPa, given for N" if apparent > high else "kN given for N"
-    raise RecordingError(
-        f"{press.label}: forces of {force:.3g} N move it {moved:.3g} mm, as if its modulus were "
-        f"about {apparent:.1g} MPa, which no soft object has; {unit}, or displacements in another "
-        f"unit than mm? Convert to N and mm. {_OPT_OUT}"
-    )
-
-
-def _check_truth(truth: Float[np.ndarray, " m"]) -> None:
-    middle = float(np.median(truth))
-    low, high = TRUE_MODULUS_MPA
-    if low <= middle <= high:
-        return
-    unit = "GPa" if middle < low else "Pa" if middle > 1e3 * high else "kPa"
-    raise RecordingError(
-        f"truth: its median is {middle:.3g} MPa; {unit} given for MPa? Convert to MPa. {_OPT_OUT}"
-    )
-
-
-def largest_displacement(press: Press) -> float:
-    """Largest displacement of a node over its observed components, mm."""
-    seen = np.where(press.observed, press.displacement, 0.0)
-    return float(np.linalg.norm(seen, axis=1).max())
+    modulus, (low, high) = force / (largest * diagonal), MODULUS_MPA
+    if not low <= modulus <= high:
+        unit = "mN, or pressures in kPa, given for N" if modulus > high else "kN given for N"
+        raise RecordingError(
+            f"{press.label}: forces of {force:.3g} N move it {largest:.3g} mm, as if its modulus"
+            f" were about {modulus:.1g} MPa, which no soft object has; {unit}, or displacements in"
+            f" another unit than mm? Convert to N and mm. {_OPT_OUT}"
+        )

@@ -1,4 +1,4 @@
-"""One press: loads and supports of a soft object, and how its surface was seen to move."""
+"""One press: loads and supports of a soft object, and the measured motion of its surface."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,45 +7,82 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import RecordingError
-from tactorch.recording.arrays import bool_array, real_array, require_finite
 
-# Stands for "not given" where a default needs the number of nodes; replaced on construction, so
-# that the field always holds an array.
-_NONE_GIVEN: Any = None
+# Default of arrays whose size is the number of nodes; replaced by zeros on construction, so that
+# the field always holds an array.
+_ZEROS: Any = None
+_NEEDED = {
+    "b": "it is a mask, one True or False per degree of freedom",
+    "fiu": "real numbers are needed",
+}
+
+
+def make_array(
+    value: Any, shape: tuple[int | None, ...], what: str, kinds: str = "fiu"
+) -> Float[np.ndarray, "..."] | Bool[np.ndarray, "..."]:
+    """Return a copy of `value` with `shape` (None: any length), or raise `RecordingError`.
+
+    It is float64, or bool where `kinds` is "b". Numbers are refused for a mask: a list of indices
+    would otherwise be read as one.
+    """
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise RecordingError(f"{what} is not an array of numbers: {error}") from error
+    if array.dtype.kind not in kinds:
+        raise RecordingError(f"{what} has dtype {array.dtype}; {_NEEDED[kinds]}")
+    fits = array.ndim == len(shape) and all(
+        size in (None, actual) for size, actual in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("n" if size is None else str(size) for size in shape)
+        raise RecordingError(f"{what} has shape {array.shape}; ({wanted}) is needed")
+    return np.array(array, dtype=np.bool_ if kinds == "b" else np.float64, order="C")
+
+
+def require_finite(array: Float[np.ndarray, "..."], what: str) -> None:
+    """Raise `RecordingError` naming the first entry of `array` that is NaN or infinite."""
+    invalid = np.argwhere(~np.isfinite(array))
+    if len(invalid):
+        where = tuple(int(i) for i in invalid[0])
+        raise RecordingError(
+            f"{what} holds {len(invalid)} values that are NaN or infinite, the first at {where}; "
+            "repair or leave out what was not measured"
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Press:
     """One press, as arrays over the n nodes of the mesh and their three degrees of freedom.
 
-    Arrays are copied to float64 (or bool). Displacement is set to NaN wherever it was not
-    observed, and `prescribed` to zero wherever nothing is fixed.
+    Arrays are copied to float64 (or bool). Displacement is set to NaN where it was not observed,
+    and `prescribed` to zero where nothing is fixed.
 
     Attributes:
         forces: External nodal forces, (n, 3), N.
         observed: Degrees of freedom whose displacement was measured, (n, 3).
         displacement: Measured displacement, (n, 3), mm; NaN where not observed.
-        springs: Stiffness of zero-length springs that hold the object, (n, 3), N/mm; 0 where
-            there is none. A spring pulls back with stiffness times displacement.
-        fixed: Degrees of freedom held exactly, (n, 3); default none.
+        springs: Stiffness of zero-length springs that support the object, (n, 3), N/mm; default
+            zero. The force of a spring is minus stiffness times displacement.
+        fixed: Degrees of freedom with prescribed displacement, (n, 3); default none.
         prescribed: Displacement of the fixed degrees of freedom, (n, 3), mm; default zero.
         noise_mm: Standard deviation of the noise of `displacement`, mm; None where unknown, 0 for
             exact data.
         weights: Relative weights of the observed degrees of freedom, (n, 3), or None for equal.
         step: Load step within presses of one kind: 0 for the lightest.
         direction: Unit vector of the push, (3,), or None.
-        name: What to call the press in messages and reports.
+        name: Name of the press in messages and reports.
 
     Raises:
-        RecordingError: A field that is inconsistent with the others, naming press and field.
+        RecordingError: A field is inconsistent with the others; the message names press and field.
     """
 
     forces: Float[np.ndarray, "n 3"]
     observed: Bool[np.ndarray, "n 3"]
     displacement: Float[np.ndarray, "n 3"]
-    springs: Float[np.ndarray, "n 3"] = _NONE_GIVEN
-    fixed: Bool[np.ndarray, "n 3"] = _NONE_GIVEN
-    prescribed: Float[np.ndarray, "n 3"] = _NONE_GIVEN
+    springs: Float[np.ndarray, "n 3"] = _ZEROS
+    fixed: Bool[np.ndarray, "n 3"] = _ZEROS
+    prescribed: Float[np.ndarray, "n 3"] = _ZEROS
     noise_mm: float | None = None
     weights: Float[np.ndarray, "n 3"] | None = None
     step: int = 0
@@ -54,13 +91,28 @@ class Press:
 
     def __post_init__(self) -> None:
         """Convert, complete and check every field."""
-        self._set("forces", real_array(self.forces, (None, 3), self._of("forces")))
+        self._convert("forces", (None, 3))
+        shape = self.forces.shape
         for field, dtype in (("springs", float), ("prescribed", float), ("fixed", bool)):
             if getattr(self, field) is None:
-                self._set(field, np.zeros(self.forces.shape, dtype=dtype))
-        self._convert_arrays()
-        self._convert_scalars()
-        self._check_values()
+                self._set(field, np.zeros(shape, dtype=dtype))
+        for field in ("observed", "fixed"):
+            self._convert(field, shape, "b")
+        for field in ("displacement", "springs", "prescribed", "weights"):
+            self._convert(field, shape)
+        self._convert("direction", (3,))
+        if self.noise_mm is not None:
+            self._set("noise_mm", float(self.noise_mm))
+            if not (np.isfinite(self.noise_mm) and self.noise_mm >= 0):
+                raise self._error(
+                    f"noise_mm is {self.noise_mm}; give a standard deviation of at least 0 mm, or"
+                    " None where it is unknown"
+                )
+        if self.step < 0:
+            raise self._error(f"step is {self.step}; count load steps from 0")
+        self._check_observed()
+        self._check_loads()
+        self._check_weights_and_direction()
         self._set("displacement", np.where(self.observed, self.displacement, np.nan))
         self._set("prescribed", np.where(self.fixed, self.prescribed, 0.0))
 
@@ -71,12 +123,12 @@ class Press:
 
     @property
     def held(self) -> Bool[np.ndarray, "n 3"]:
-        """Degrees of freedom that a spring or a fixation holds, (n, 3)."""
+        """Supported degrees of freedom, by a spring or fixed, (n, 3)."""
         return self.fixed | (self.springs > 0)
 
     @property
     def data(self) -> Bool[np.ndarray, "n 3"]:
-        """Observed degrees of freedom that may move, (n, 3): those that carry information."""
+        """Observed degrees of freedom that are not fixed, (n, 3): those that carry information."""
         return self.observed & ~self.fixed
 
     @property
@@ -84,96 +136,75 @@ class Press:
         """Sum of the nodal forces, (3,), N."""
         return self.forces.sum(axis=0)
 
-    def validate(self, n_points: int) -> None:
-        """Check the press against a mesh of `n_points` nodes.
+    @property
+    def label(self) -> str:
+        """The press as messages name it."""
+        return f"press '{self.name}'" if self.name else "press"
 
-        Raises:
-            RecordingError: The arrays are over another number of nodes.
-        """
+    @property
+    def largest_displacement(self) -> float:
+        """Largest displacement of a node over its observed components, mm."""
+        observed = np.where(self.observed, self.displacement, 0.0)
+        return float(np.linalg.norm(observed, axis=1).max())
+
+    def validate(self, n_points: int) -> None:
+        """Raise `RecordingError` if the arrays are not over `n_points` mesh nodes."""
         if self.n_points != n_points:
-            raise RecordingError(
-                f"{self._of('forces')} is over {self.n_points} nodes but the mesh has {n_points}; "
-                "use the mesh that the press was made with"
+            raise self._error(
+                f"forces is over {self.n_points} nodes but the mesh has {n_points}; use the mesh"
+                " that the press was made with"
             )
 
     def _set(self, field: str, value: object) -> None:
         object.__setattr__(self, field, value)
 
-    def _of(self, field: str) -> str:
-        return f"{self.label}: {field}"
+    def _error(self, complaint: str) -> RecordingError:
+        return RecordingError(f"{self.label}: {complaint}")
 
-    @property
-    def label(self) -> str:
-        """The press as messages call it."""
-        return f"press '{self.name}'" if self.name else "press"
+    def _convert(self, field: str, shape: tuple[int | None, ...], kinds: str = "fiu") -> None:
+        value = getattr(self, field)
+        if value is not None or field in ("forces", "observed", "displacement"):
+            self._set(field, make_array(value, shape, f"{self.label}: {field}", kinds))
 
-    def _convert_arrays(self) -> None:
-        shape = self.forces.shape
-        for field in ("observed", "fixed"):
-            self._set(field, bool_array(getattr(self, field), shape, self._of(field)))
-        for field in ("displacement", "springs", "prescribed"):
-            self._set(field, real_array(getattr(self, field), shape, self._of(field)))
-        if self.weights is not None:
-            self._set("weights", real_array(self.weights, shape, self._of("weights")))
-        if self.direction is not None:
-            self._set("direction", real_array(self.direction, (3,), self._of("direction")))
-
-    def _convert_scalars(self) -> None:
-        if self.noise_mm is not None:
-            self._set("noise_mm", float(self.noise_mm))
-            if not (np.isfinite(self.noise_mm) and self.noise_mm >= 0):
-                raise RecordingError(
-                    f"{self._of('noise_mm')} is {self.noise_mm}; give a standard deviation of at "
-                    "least 0 mm, or None where it is unknown"
-                )
-        if self.step < 0:
-            raise RecordingError(f"{self._of('step')} is {self.step}; count load steps from 0")
-
-    def _check_values(self) -> None:
-        self._check_observed()
-        for field in ("forces", "springs"):
-            require_finite(getattr(self, field), self._of(field))
-        if (self.springs < 0).any():
-            raise RecordingError(
-                f"{self._of('springs')} has a negative stiffness ({self.springs.min():g} N/mm); "
-                "stiffnesses are at least 0"
-            )
-        require_finite(np.where(self.fixed, self.prescribed, 0.0), self._of("prescribed"))
-        if (np.nan_to_num(self.prescribed)[~self.fixed] != 0).any():
-            raise RecordingError(
-                f"{self._of('prescribed')} moves degrees of freedom that are not fixed; "
-                "mark them in 'fixed' as well, or leave them at 0"
-            )
-        self._check_weights()
-        self._check_direction()
+    def _require_finite(self, field: str, values: Float[np.ndarray, "..."]) -> None:
+        require_finite(values, f"{self.label}: {field}")
 
     def _check_observed(self) -> None:
         if not self.observed.any():
-            raise RecordingError(f"{self._of('observed')} is empty; mark what was measured")
+            raise self._error("observed is empty; mark what was measured")
         if not self.data.any():
-            raise RecordingError(
-                f"{self._of('observed')} names only degrees of freedom that are fixed, which carry "
-                "no information; observe some that may move"
+            raise self._error(
+                "observed names only degrees of freedom that are fixed, which carry no"
+                " information; observe some that may move"
             )
-        seen = np.where(self.observed, self.displacement, 0.0)
-        require_finite(seen, self._of("displacement (where observed)"))
+        observed = np.where(self.observed, self.displacement, 0.0)
+        self._require_finite("displacement (where observed)", observed)
 
-    def _check_weights(self) -> None:
-        if self.weights is None:
-            return
-        require_finite(self.weights, self._of("weights"))
-        if (self.weights < 0).any() or not (self.weights[self.data] > 0).any():
-            raise RecordingError(
-                f"{self._of('weights')} must be at least 0, and above 0 for some observed degree "
-                "of freedom that may move"
+    def _check_loads(self) -> None:
+        self._require_finite("forces", self.forces)
+        self._require_finite("springs", self.springs)
+        if (self.springs < 0).any():
+            raise self._error(
+                f"springs has a negative stiffness ({self.springs.min():g} N/mm); stiffnesses are"
+                " at least 0"
+            )
+        self._require_finite("prescribed", np.where(self.fixed, self.prescribed, 0.0))
+        if (np.nan_to_num(self.prescribed)[~self.fixed] != 0).any():
+            raise self._error(
+                "prescribed moves degrees of freedom that are not fixed; mark them in 'fixed' as"
+                " well, or leave them at 0"
             )
 
-    def _check_direction(self) -> None:
-        if self.direction is None:
-            return
-        require_finite(self.direction, self._of("direction"))
-        length = float(np.linalg.norm(self.direction))
-        if abs(length - 1.0) > 1e-6:
-            raise RecordingError(
-                f"{self._of('direction')} has length {length:g}; give a unit vector, or None"
-            )
+    def _check_weights_and_direction(self) -> None:
+        if self.weights is not None:
+            self._require_finite("weights", self.weights)
+            if (self.weights < 0).any() or not (self.weights[self.data] > 0).any():
+                raise self._error(
+                    "weights must be at least 0, and above 0 for some observed degree of freedom"
+                    " that may move"
+                )
+        if self.direction is not None:
+            self._require_finite("direction", self.direction)
+            length = float(np.linalg.norm(self.direction))
+            if abs(length - 1.0) > 1e-6:
+                raise self._error(f"direction has length {length:g}; give a unit vector, or None")

@@ -28,13 +28,7 @@ _LAYOUT = f"{_WRITER} (layout: tactorch.recording.schema)"
 
 
 class RecordingReader(Hdf5Reader):
-    """Reads the parts of one recording.
-
-    Args:
-        root: File or group that holds the recording.
-        source: Name of the file, for messages.
-        mesh: Mesh of the recording, where it was read before.
-    """
+    """Reads the parts of one recording from a file or group; `mesh` is given if known already."""
 
     def __init__(self, root: "h5py.Group", source: Path | str, mesh: TetMesh | None = None) -> None:
         super().__init__(root, source, "recording", _LAYOUT, RecordingError)
@@ -42,11 +36,7 @@ class RecordingReader(Hdf5Reader):
         self._check_format()
 
     def fields(self, presses: Sequence[Press] | None = None) -> dict[str, Any]:
-        """Read the arguments of `Recording`.
-
-        Args:
-            presses: Presses to use in place of those in the file.
-        """
+        """Read the arguments of `Recording`; `presses` replace those in the file."""
         n, m = self.mesh().n_points, self.mesh().n_tets
         if presses is None:
             presses = [self.press(index) for index in range(self.count())]
@@ -125,13 +115,7 @@ class RecordingReader(Hdf5Reader):
 
 
 def read_press(reader: Hdf5Reader, path: str, n_points: int) -> Press:
-    """Read and check the press in a group.
-
-    Args:
-        reader: Reader of the file.
-        path: Path of the group.
-        n_points: Number of nodes of the mesh.
-    """
+    """Read and check the press in the group `path`."""
     fields: dict[str, Any] = {}
     for field in PRESS_ARRAYS:
         kind = "b" if field in PRESS_MASKS else "f"

@@ -11,40 +11,33 @@ from jaxtyping import Float
 
 from tactorch.errors import RecordingError
 from tactorch.mesh import TetMesh
-from tactorch.recording.arrays import real_array, require_finite
 from tactorch.recording.material import MaterialSpec
-from tactorch.recording.plausibility import check_units
-from tactorch.recording.press import Press
+from tactorch.recording.plausibility import check_units, free_motion
+from tactorch.recording.press import Press, make_array, require_finite
 from tactorch.recording.storage import load_fields, save_fields
-from tactorch.recording.summary import describe_material, describe_moduli, describe_presses
-from tactorch.recording.support import free_motion
-
-
-def _no_gravity() -> Float[np.ndarray, "3"]:
-    return np.zeros(3)
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Everything that a reconstruction starts from. Units: mm, N, MPa, tonne/mm^3.
+    """Input of a reconstruction. Units: mm, N, MPa, tonne/mm^3.
 
     Attributes:
         mesh: The object at rest, n nodes (mm) and m tetrahedra.
         presses: At least one press.
-        material: The constitutive law with all but Young's modulus.
+        material: The constitutive law without Young's modulus.
         truth: True Young's modulus per element, (m,), MPa, where it is known.
         reference: Another reconstruction, (m,), MPa, for comparison only.
-        provenance: Where the data come from, as plain JSON values.
+        provenance: Origin of the data, as plain JSON values.
         density: Mass density, tonne/mm^3; None where weight is not modelled.
         gravity: Acceleration of gravity, (3,), mm/s^2; default zero.
-        unloaded: What the sensor reported while nothing was pressed, two frames or more,
+        unloaded: Displacements reported by the sensor before contact, two frames or more,
             (frames, n, 3), mm; NaN where nothing was observed. The noise of presses
             that do not state theirs is estimated from it.
         check_units: Refuse magnitudes that suggest a wrong unit (`tactorch.recording.plausibility`
             lists the limits). Not stored.
 
     Raises:
-        RecordingError: The parts do not fit each other, nothing holds or loads the object, or a
+        RecordingError: The parts do not fit each other, nothing supports or loads the object, or a
             value suggests a wrong unit.
     """
 
@@ -55,18 +48,18 @@ class Recording:
     reference: Float[np.ndarray, " m"] | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     density: float | None = None
-    gravity: Float[np.ndarray, "3"] = field(default_factory=_no_gravity)
+    gravity: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     unloaded: Float[np.ndarray, "frames n 3"] | None = None
     check_units: InitVar[bool] = True
 
     def __post_init__(self, check_units_: bool) -> None:
-        """Convert and check; the order puts the likeliest cause of trouble first."""
-        object.__setattr__(self, "presses", tuple(self.presses))
+        """Convert and check; the order puts the likeliest cause of an error first."""
+        self._set("presses", tuple(self.presses))
         if not self.presses:
             raise RecordingError("presses is empty; a recording needs at least one press")
-        for name in ("truth", "reference"):
-            object.__setattr__(self, name, self._moduli(name))
-        object.__setattr__(self, "provenance", _plain(self.provenance))
+        self._check_moduli("truth")
+        self._check_moduli("reference")
+        self._set("provenance", _plain(self.provenance))
         self._check_weight()
         self._check_unloaded()
         for press in self.presses:
@@ -76,23 +69,12 @@ class Recording:
         self._check_loads_and_supports()
 
     def save(self, path: str | Path) -> None:
-        """Write the recording to an HDF5 file (see `tactorch.recording.schema`), whole or not.
-
-        Raises:
-            FileError: The file cannot be written.
-        """
+        """Write the recording to an HDF5 file (see `tactorch.recording.schema`), whole or not."""
         save_fields(path, vars(self))
 
     @classmethod
     def load(cls, path: str | Path, *, check_units: bool = True) -> "Recording":
         """Read a recording that `save` wrote.
-
-        Args:
-            path: The HDF5 file.
-            check_units: As on construction.
-
-        Returns:
-            The recording.
 
         Raises:
             FileError: The file is missing, truncated or not HDF5.
@@ -105,41 +87,56 @@ class Recording:
             raise reader.error(f"is not consistent: {error}") from error
 
     def select(self, indices: Sequence[int]) -> "Recording":
-        """Return the recording with only the presses at `indices` (from 0), in that order.
-
-        Raises:
-            RecordingError: No index, or one that is out of range.
-        """
+        """Return the recording with only the presses at `indices` (from 0), in that order."""
         for index in indices:
             if not 0 <= index < len(self.presses):
                 raise RecordingError(
                     f"press {index} does not exist: the recording has {len(self.presses)}, "
                     f"numbered 0 to {len(self.presses) - 1}"
                 )
-        chosen = tuple(self.presses[index] for index in indices)
-        return replace(self, presses=chosen, check_units=False)
+        selected = tuple(self.presses[index] for index in indices)
+        return replace(self, presses=selected, check_units=False)
 
     def summary(self) -> str:
         """Return a description of the recording in a few lines of text."""
         size = " x ".join(f"{edge:.3g}" for edge in self.mesh.bounds[1] - self.mesh.bounds[0])
+        presses, material = self.presses, self.material
+        known = [press.noise_mm for press in presses if press.noise_mm is not None]
+        noise = f"{_range(known)} mm" if known else "unknown"
+        if 0 < len(known) < len(presses):
+            noise += f" (unknown for {len(presses) - len(known)})"
+        supports = {
+            "springs": any(press.springs.any() for press in presses),
+            "fixed nodes": any(press.fixed.any() for press in presses),
+        }
+        parameters = "".join(f", {key} {value:g}" for key, value in material.parameters.items())
+        force = _range([float(np.linalg.norm(press.total_force)) for press in presses])
+        displacement = _range([press.largest_displacement for press in presses])
+        observed = _range([int(press.observed.sum()) for press in presses])
+        truth = "unknown" if self.truth is None else f"{_range(self.truth)} MPa"
         lines = [
             f"object: {size} mm, {self.mesh.n_points} nodes, {self.mesh.n_tets} tetrahedra",
-            *describe_presses(self.presses),
-            describe_material(self.material),
-            describe_moduli("truth", self.truth),
+            f"presses: {len(presses)}, force {force} N, largest displacement {displacement} mm",
+            f"observed: {observed} degrees of freedom a press, noise {noise}",
+            f"held by: {' and '.join(name for name, used in supports.items() if used)}",
+            f"material: {material.name}, Poisson's ratio {material.poisson:g}{parameters}",
+            f"truth: {truth}",
         ]
         if self.reference is not None:
-            lines.append(describe_moduli("reference", self.reference))
+            lines.append(f"reference: {_range(self.reference)} MPa")
         if self.density and self.gravity.any():
             gravity = float(np.linalg.norm(self.gravity)) / 1000
             lines.append(f"weight: {self.density:.3g} tonne/mm^3 under {gravity:.3g} m/s^2")
         return "\n".join(lines)
 
-    def _moduli(self, name: str) -> Float[np.ndarray, " m"] | None:
-        value = getattr(self, name)
-        if value is None:
-            return None
-        array = real_array(value, (self.mesh.n_tets,), f"{name} (one modulus per element)")
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+    def _check_moduli(self, name: str) -> None:
+        if getattr(self, name) is None:
+            return
+        what = f"{name} (one modulus per element)"
+        array = make_array(getattr(self, name), (self.mesh.n_tets,), what)
         require_finite(array, name)
         if (array <= 0).any():
             where = int(np.argmin(array))
@@ -147,30 +144,30 @@ class Recording:
                 f"{name} is {array[where]:g} MPa at element {where}; moduli are above 0. "
                 "Give holes a small modulus, such as 0.001 MPa"
             )
-        return array
+        self._set(name, array)
 
     def _check_unloaded(self) -> None:
         if self.unloaded is None:
             return
         frames = len(self.unloaded)
-        array = real_array(self.unloaded, (frames, self.mesh.n_points, 3), "unloaded")
-        object.__setattr__(self, "unloaded", array)
+        array = make_array(self.unloaded, (frames, self.mesh.n_points, 3), "unloaded")
+        self._set("unloaded", array)
         if frames < 2:
             raise RecordingError("unloaded has one frame; noise takes two or more")
         if not np.isfinite(np.diff(array, axis=0)).any():
             raise RecordingError(
-                "unloaded has no value that is finite in two frames in turn; give the displacements"
-                " that the sensor reported before contact, mm"
+                "unloaded has no value that is finite in two consecutive frames; give the"
+                " displacements that the sensor reported before contact, mm"
             )
 
     def _check_weight(self) -> None:
-        object.__setattr__(self, "gravity", real_array(self.gravity, (3,), "gravity"))
+        self._set("gravity", make_array(self.gravity, (3,), "gravity"))
         require_finite(self.gravity, "gravity")
         if self.density is None:
             if self.gravity.any():
                 raise RecordingError("gravity is given without density; give density in tonne/mm^3")
             return
-        object.__setattr__(self, "density", float(self.density))
+        self._set("density", float(self.density))
         if not 0 <= self.density < 1e-6:
             raise RecordingError(
                 f"density is {self.density:g} tonne/mm^3; kg/m^3 or g/cm^3 given? "
@@ -179,7 +176,7 @@ class Recording:
 
     def _check_loads_and_supports(self) -> None:
         weight = bool(self.density) and bool(self.gravity.any())
-        known: dict[bytes, str | None] = {}
+        motions: dict[bytes, str | None] = {}
         for press in self.presses:
             if not (weight or press.forces.any() or press.prescribed.any()):
                 raise RecordingError(
@@ -187,13 +184,18 @@ class Recording:
                     "presses the object; give its forces, or leave the press out"
                 )
             key = press.held.tobytes()
-            if key not in known:
-                known[key] = free_motion(self.mesh.points, press.held)
-            if known[key] is not None:
+            if key not in motions:
+                motions[key] = free_motion(self.mesh.points, press.held)
+            if motions[key] is not None:
                 raise RecordingError(
-                    f"{press.label}: nothing holds the object; it can {known[key]}. "
+                    f"{press.label}: nothing holds the object; it can {motions[key]}. "
                     "Fix more degrees of freedom, or give them springs"
                 )
+
+
+def _range(values: Sequence[float] | np.ndarray) -> str:
+    low, high = (f"{value:.3g}" for value in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"
 
 
 def _plain(provenance: dict[str, Any]) -> dict[str, Any]:

@@ -33,8 +33,7 @@ _log = logging.getLogger(__name__)
 class FileReader(RecordingReader):
     """Reads the recording of a file, with the presses that were appended to it.
 
-    Attributes:
-        tail: The appended presses; None where the file's version has none.
+    `tail` holds the appended presses; it is None where the file's version has none.
     """
 
     def __init__(self, file: "h5py.File", source: Path) -> None:
@@ -56,12 +55,7 @@ class FileReader(RecordingReader):
 
 @contextmanager
 def open_recording(path: str | Path) -> Iterator[FileReader]:
-    """Open a recording for reading.
-
-    Raises:
-        FileError: The file is missing, truncated, damaged or not HDF5.
-        RecordingError: It is HDF5, but not a recording.
-    """
+    """Open a recording for reading."""
     remedy = "give the file that Recording.save wrote, or import foreign data first"
     with open_hdf5(path, "recording", remedy) as file:
         yield FileReader(file, Path(path))
@@ -79,11 +73,7 @@ def load_fields(path: str | Path) -> tuple[FileReader, dict[str, Any]]:
 
 
 def save_fields(path: str | Path, fields: Mapping[str, Any]) -> None:
-    """Write the fields of a `Recording` to a file, whole or not at all.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
+    """Write the fields of a `Recording` to a file, whole or not at all."""
     try:
         write_hdf5(path, lambda file: write_recording(file, fields))
     except ValueError as error:

@@ -25,18 +25,8 @@ _HEADER_BYTES = _FIELDS.size + _CRC.size
 class PressTail:
     """Presses that were appended to a recording, each as the image of an HDF5 file.
 
-    Attributes:
-        begin: End of the HDF5 part of the file, bytes.
-        end: End of the last whole record, bytes.
-        complete: Whether nothing follows the last whole record.
-
-    Args:
-        file: The open file.
-        source: Its name, for messages.
-        first: Number of the first press of the tail.
-
-    Raises:
-        RecordingError: A record is damaged.
+    The tail is from byte `begin`, where the HDF5 part ends, to `end`, where the last whole record
+    ends; `complete` is whether nothing follows. `first` is the number of its first press.
     """
 
     def __init__(self, file: "h5py.File", source: Path, first: int) -> None:
@@ -54,11 +44,7 @@ class PressTail:
         return len(self._images)
 
     def image(self, index: int) -> bytes:
-        """Return the HDF5 image of a press of the tail, by its place in the tail.
-
-        Raises:
-            RecordingError: The image differs from its checksum.
-        """
+        """Return the HDF5 image of a press of the tail, by its index in the tail."""
         begin, length, digest = self._images[index]
         image = os.pread(self._descriptor, length, begin)
         if sha256(image).digest() != digest:
@@ -66,7 +52,7 @@ class PressTail:
         return image
 
     def press(self, index: int, n_points: int) -> Press:
-        """Read a press of the tail, by its place in the tail."""
+        """Read a press of the tail, by its index in the tail."""
         import h5py
 
         source = f"{self._source}, press {self._first + index + 1}"
@@ -104,12 +90,7 @@ class PressTail:
 
 
 def tail_record(number: int, image: bytes) -> bytes:
-    """Return the record of a press.
-
-    Args:
-        number: Number of the press in the recording, from 0.
-        image: HDF5 image of the press.
-    """
+    """Return the record of a press: its number in the recording, from 0, and its HDF5 image."""
     fields = _FIELDS.pack(_MAGIC, number, len(image), sha256(image).digest())
     return fields + _CRC.pack(zlib.crc32(fields)) + image
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from tactorch.findings.text import Fact, describe_lump, format_modulus, headline, lump_facts
 from tactorch.metrics import Inclusion, scores
-from tactorch.recording import Press, Recording
+from tactorch.recording import Press
 from tactorch.report.assessment import Assessment, noise_model
 from tactorch.report.runs import Run
 from tactorch.text import one_line
@@ -53,12 +53,6 @@ class RunReport:
 
     run: Run
     assessment: Assessment
-    headline: str  # the finding in one line
-    description: str  # the finding in one sentence
-    facts: list[Fact]  # location, size, modulus, probability and fit
-    warnings: list[str]  # reasons not to trust the map at all
-    limitations: list[str]  # further limitations of the map
-    omitted: str  # what the report omits and why, or empty
 
     @property
     def inclusion(self) -> Inclusion | None:
@@ -66,10 +60,98 @@ class RunReport:
         return None if self.assessment.lump is None else self.assessment.lump.inclusion
 
     @property
+    def headline(self) -> str:
+        """The finding in one line."""
+        return headline(self.inclusion)
+
+    @property
+    def description(self) -> str:
+        """The finding in one sentence."""
+        if self.assessment.lump is not None:
+            return describe_lump(self.assessment.lump)
+        modulus = format_modulus(float(np.median(self.run.result.youngs)))
+        return f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Location, size, modulus, probability and fit."""
+        modulus = format_modulus(float(np.median(self.run.result.youngs)))
+        facts = [Fact("Young's modulus", modulus, "median")]
+        if self.assessment.lump is not None:
+            facts = lump_facts(self.assessment.lump)
+        note = "RMS residual over the noise of the displacements; a good fit is near 1 or below"
+        return [*facts, Fact("Fit", f"{_fit(self.run):.2g} SD", note)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Reasons not to trust the map at all."""
+        return [str(warning) for warning in self.run.summary.get("warnings", ())]
+
+    @property
+    def omitted(self) -> str:
+        """What the report omits and why, or empty."""
+        if self.run.recording is None:
+            parts = "truth, contact, presses and uncertainty, because the recording is missing"
+        elif self.assessment.uncertainty is None:
+            parts = "credibility and uncertainty"
+        else:
+            return ""
+        return f"Omitted: {parts} ({self.assessment.missing})."
+
+    @property
+    def limitations(self) -> list[str]:
+        """Further limitations of the map."""
+        run, uncertainty, lines = self.run, self.assessment.uncertainty, []
+        if _fit(run) > _MAX_FIT:
+            lines.append(
+                f"The map does not explain the presses: the residual is {_fit(run):.2g} standard"
+                " deviations."
+            )
+        if uncertainty is not None:
+            volumes = run.result.mesh.volumes
+            # The comparison is false for NaN, at a bound.
+            wide = ~(uncertainty.relative_half_width <= _MAX_FACTOR - 1.0)
+            fraction = float(volumes[wide].sum() / volumes.sum())
+            if fraction > _MIN_VOLUME:
+                lines.append(
+                    f"In {100 * fraction:.0f} % of the volume the uncertainty of the modulus"
+                    " exceeds a factor of two."
+                )
+        prior = run.result.config.get("settings", {}).get("regularization", "")
+        prior_name = prior.get("name") if isinstance(prior, Mapping) else prior
+        if self.inclusion is not None and prior_name == "total_variation":
+            lines.append(
+                "Contrast of the inclusion: the prior (total variation) biases it towards the"
+                " surroundings, so that the true contrast is often larger than shown and intervals"
+                " within the inclusion are too narrow."
+            )
+        if run.recording is not None and noise_model(run).assumed(run.recording):
+            lines.append(
+                "The noise of the displacements is an assumption; if it is larger, fine detail of"
+                " the map is noise and intervals are too narrow."
+            )
+        for name, estimate in run.result.nuisance.items():
+            if not np.isfinite(estimate.deviation).any():
+                lines.append(f"The uncertainty of the estimated {name} was not computed.")
+            elif not estimate.is_informative:
+                lines.append(f"The presses hardly determine the estimated {name}.")
+        return lines
+
+    @property
     def presses(self) -> Table | None:
         """Residuals of the presses; None without a recording."""
-        recording = self.run.recording
-        return None if recording is None else press_table(recording, self.assessment)
+        if self.run.recording is None:
+            return None
+        rows = []
+        pairs = zip(self.run.recording.presses, self.assessment.fits, strict=True)
+        for number, (press, fit) in enumerate(pairs, start=1):
+            size = float(np.sqrt(np.nanmean(press.displacement[press.data] ** 2)))
+            force, displacement = f"{np.linalg.norm(press.total_force):.3g}", f"{1e3 * size:.4g}"
+            residual = (f"{1e3 * fit.rms_mm:.3g}", f"{fit.rms_deviations:.2g}")
+            rows.append([press_label(number, press), force, displacement, *residual])
+        header = ["Press", "Force (N)", "Displacement, RMS (µm)", "Residual, RMS (µm)"]
+        caption = "Residual of each press (SD: standard deviations)"
+        return Table(caption, [*header, "Residual (SD)"], rows)
 
     @property
     def details(self) -> list[tuple[str, str]]:
@@ -88,74 +170,8 @@ class RunReport:
         return [(title, text) for title, text in texts.items() if text]
 
 
-def describe_run(run: Run, assessment: Assessment) -> RunReport:
-    """Return the texts of a run."""
-    lump, inclusion = assessment.lump, None
-    modulus = format_modulus(float(np.median(run.result.youngs)))
-    description = f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
-    facts = [Fact("Young's modulus", modulus, "median")]
-    if lump is not None:
-        inclusion, description, facts = lump.inclusion, describe_lump(lump), lump_facts(lump)
-    fit = math.sqrt(float(run.summary.get("chi2", math.nan)))
-    note = "RMS residual over the noise of the displacements; a good fit is near 1 or below"
-    return RunReport(
-        run=run,
-        assessment=assessment,
-        headline=headline(inclusion),
-        description=description,
-        facts=[*facts, Fact("Fit", f"{fit:.2g} SD", note)],
-        warnings=[str(warning) for warning in run.summary.get("warnings", ())],
-        limitations=_limitations(run, assessment, fit),
-        omitted=_omitted(run, assessment),
-    )
-
-
-def _omitted(run: Run, assessment: Assessment) -> str:
-    if run.recording is None:
-        parts = "truth, contact, presses and uncertainty, because the recording is missing"
-    elif assessment.uncertainty is None:
-        parts = "credibility and uncertainty"
-    else:
-        return ""
-    return f"Omitted: {parts} ({assessment.missing})."
-
-
-def _limitations(run: Run, assessment: Assessment, fit: float) -> list[str]:
-    lines = []
-    settings = run.result.config.get("settings", {})
-    if fit > _MAX_FIT:
-        lines.append(
-            f"The map does not explain the presses: the residual is {fit:.2g} standard deviations."
-        )
-    if assessment.uncertainty is not None:
-        volumes = run.result.mesh.volumes
-        # The comparison is false for NaN, at a bound.
-        wide = ~(assessment.uncertainty.relative_half_width <= _MAX_FACTOR - 1.0)
-        fraction = float(volumes[wide].sum() / volumes.sum())
-        if fraction > _MIN_VOLUME:
-            lines.append(
-                f"In {100 * fraction:.0f} % of the volume the uncertainty of the modulus exceeds a"
-                " factor of two."
-            )
-    prior = settings.get("regularization", "")
-    prior_name = prior.get("name") if isinstance(prior, Mapping) else prior
-    if assessment.lump is not None and prior_name == "total_variation":
-        lines.append(
-            "Contrast of the inclusion: the prior (total variation) biases it towards the"
-            " surroundings, so that the true contrast is often larger than shown and intervals"
-            " within the inclusion are too narrow."
-        )
-    if run.recording is not None and noise_model(run).assumed(run.recording):
-        lines.append(
-            "The noise of the displacements is an assumption; if it is larger, fine detail of the"
-            " map is noise and intervals are too narrow."
-        )
-    for name, estimate in run.result.nuisance.items():
-        if not np.isfinite(estimate.deviation).any():
-            lines.append(f"The uncertainty of the estimated {name} was not computed.")
-        elif not estimate.is_informative:
-            lines.append(f"The presses hardly determine the estimated {name}.")
-    return lines
+def _fit(run: Run) -> float:
+    return math.sqrt(float(run.summary.get("chi2", math.nan)))
 
 
 def press_label(number: int, press: Press) -> str:
@@ -216,19 +232,6 @@ def _best(rule: str, name: str, columns: Mapping[str, _Column]) -> set[int]:
 
 def _cell(value: float | None) -> str:
     return "–" if value is None or math.isnan(value) else f"{value:.4g}"
-
-
-def press_table(recording: Recording, assessment: Assessment) -> Table:
-    """Return force, displacement and residual of each press."""
-    rows = []
-    pairs = zip(recording.presses, assessment.fits, strict=True)
-    for number, (press, fit) in enumerate(pairs, start=1):
-        force = f"{np.linalg.norm(press.total_force):.3g}"
-        size = f"{1e3 * float(np.sqrt(np.nanmean(press.displacement[press.data] ** 2))):.4g}"
-        residual = [f"{1e3 * fit.rms_mm:.3g}", f"{fit.rms_deviations:.2g}"]
-        rows.append([press_label(number, press), force, size, *residual])
-    header = ["Press", "Force (N)", "Displacement, RMS (µm)", "Residual, RMS (µm)", "Residual (SD)"]
-    return Table("Residual of each press (SD: standard deviations)", header, rows)
 
 
 def history_table(run: Run) -> Table:

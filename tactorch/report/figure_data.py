@@ -1,18 +1,19 @@
-"""Data of the page's figures: meshes, fields and presses as packed arrays."""
+"""Data of the page's figures: meshes, fields and presses as compactly encoded arrays."""
 
+import base64
+import json
 from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int, Shaped
 
 from tactorch.mesh import TetMesh
 from tactorch.mesh.topology import LOCAL_FACES
-from tactorch.recording import Recording
-from tactorch.report.assessment import Assessment, UncertaintySummary
+from tactorch.recording import Press
+from tactorch.report.assessment import PressFit, UncertaintySummary
 from tactorch.report.content import RunReport, press_label
-from tactorch.report.encode import indices, packed, quantised, rows
 from tactorch.report.runs import Run
 from tactorch.viz.contact import contact_patches, total_forces
 from tactorch.viz.outline import Outline
@@ -45,8 +46,10 @@ FIELDS: dict[str, tuple[str, str, str]] = {
 #: Value of an undefined uncertainty; `core.js` has the same.
 UNDEFINED = -1.0
 
+_STEPS = 65_535  # of the values with two bytes
 _MODULI = ("youngs", "truth", "reference")
-_COLOUR_MAPS = {"viridis": "viridis", "cividis": "cividis", "ultrasound": "gray"}
+#: Matplotlib's name of each colour map of the modulus.
+COLOURS = {"viridis": "viridis", "cividis": "cividis", "ultrasound": "gray"}
 _PERCENTILE = 99.5  # upper end of the colour scales
 _CALIBRATION = {
     "VariationalPosterior": "The coverage of the intervals was verified over all elements of many"
@@ -67,7 +70,7 @@ def figure_data(reports: Sequence[RunReport], colours: str) -> dict[str, Any]:
         },
         "limits": _limits(reports),
         "colours": colours,
-        "maps": {name: _colour_table(cmap) for name, cmap in _COLOUR_MAPS.items()},
+        "maps": {name: _colour_table(cmap) for name, cmap in COLOURS.items()},
     }
 
 
@@ -111,8 +114,13 @@ def _run_data(report: RunReport) -> dict[str, Any]:
     if recording is not None:
         outline = None if recording.truth is None else Outline.of(mesh, recording.truth)
         data["trueInclusion"] = None if outline is None else _boundary(mesh, outline.inside)
-        data["contact"] = _contact(mesh, recording)
-        data["presses"] = _presses(recording, assessment)
+        forces = total_forces(recording.presses)
+        data["contact"] = [
+            {"triangles": indices(p.triangles, mesh.n_points), "direction": p.direction.tolist()}
+            for p in (contact_patches(mesh, forces) if forces.any() else [])
+        ]
+        pairs = enumerate(zip(recording.presses, assessment.fits, strict=True), start=1)
+        data["presses"] = [_press_data(number, press, fit) for number, (press, fit) in pairs]
     return data
 
 
@@ -137,38 +145,20 @@ def _boundary(mesh: TetMesh, elements: Bool[np.ndarray, " m"]) -> dict[str, Any]
     return indices(faces[first[count == 1]], mesh.n_points)
 
 
-def _contact(mesh: TetMesh, recording: Recording) -> list[dict[str, Any]]:
-    forces = total_forces(recording.presses)
-    return [
-        {
-            "triangles": indices(patch.triangles, mesh.n_points),
-            "direction": patch.direction.tolist(),
-        }
-        for patch in (contact_patches(mesh, forces) if forces.any() else [])
-    ]
-
-
-def _presses(recording: Recording, assessment: Assessment) -> list[dict[str, Any]]:
-    count, data = recording.mesh.n_points, []
-    pairs = zip(recording.presses, assessment.fits, strict=True)
-    for number, (press, fit) in enumerate(pairs, start=1):
-        nodes = np.flatnonzero(np.isfinite(fit.residual).any(axis=1))
-        force = press.total_force
-        direction = force if press.direction is None else press.direction
-        data.append(
-            {
-                "name": press_label(number, press),
-                "force": float(np.linalg.norm(force)),
-                "direction": direction.tolist(),
-                "nodes": indices(nodes, count),
-                "observed": rows(press.displacement[nodes]),
-                "residual": rows(fit.residual[nodes]),
-                "deviations": rows(fit.deviations[nodes]),
-                "rms_um": 1e3 * fit.rms_mm,
-                "rms_deviations": fit.rms_deviations,
-            }
-        )
-    return data
+def _press_data(number: int, press: Press, fit: PressFit) -> dict[str, Any]:
+    nodes = np.flatnonzero(np.isfinite(fit.residual).any(axis=1))
+    direction = press.total_force if press.direction is None else press.direction
+    return {
+        "name": press_label(number, press),
+        "force": float(np.linalg.norm(press.total_force)),
+        "direction": direction.tolist(),
+        "nodes": indices(nodes, len(press.forces)),
+        "observed": rows(press.displacement[nodes]),
+        "residual": rows(fit.residual[nodes]),
+        "deviations": rows(fit.deviations[nodes]),
+        "rms_um": 1e3 * fit.rms_mm,
+        "rms_deviations": fit.rms_deviations,
+    }
 
 
 def _colour_table(cmap: str) -> dict[str, Any]:
@@ -187,11 +177,11 @@ def _limits(reports: Sequence[RunReport]) -> dict[str, list[float]]:
     norm = colour_scale(maps, "linear", None)
     limits = {name: [float(norm.vmin or 0.0), float(norm.vmax or 1.0)] for name in _MODULI}
     uncertainties = [report.assessment.uncertainty for report in reports]
-    known = [uncertainty for uncertainty in uncertainties if uncertainty is not None]
+    known = [summary for summary in uncertainties if summary is not None]
     if known:
-        width = np.concatenate([100.0 * one.relative_half_width for one in known])
-        credibility = np.concatenate([one.credibility for one in known])
-        resolution = np.concatenate([100.0 * one.resolution for one in known])
+        width = np.concatenate([100.0 * summary.relative_half_width for summary in known])
+        credibility = np.concatenate([summary.credibility for summary in known])
+        resolution = np.concatenate([100.0 * summary.resolution for summary in known])
         top = _upper_limit(credibility)
         limits["uncertainty"] = [0.0, _upper_limit(width[np.isfinite(width)])]
         limits["credibility"] = [max(float(credibility.min()), 1e-4 * top), top]
@@ -201,3 +191,41 @@ def _limits(reports: Sequence[RunReport]) -> dict[str, list[float]]:
 
 def _upper_limit(values: np.ndarray) -> float:
     return (float(np.percentile(values, _PERCENTILE)) if len(values) else 0.0) or 1.0
+
+
+def packed(array: Shaped[np.ndarray, "..."], dtype: str) -> dict[str, Any]:
+    """Return the little-endian bytes of an array, within the range of `dtype`, in base64."""
+    data = np.ascontiguousarray(array, dtype=np.dtype(dtype).newbyteorder("<")).tobytes()
+    return {"dtype": dtype, "data": base64.b64encode(data).decode("ascii")}
+
+
+def indices(array: Int[np.ndarray, "..."], count: int) -> dict[str, Any]:
+    """Return indices below `count`, with two bytes each if possible."""
+    return packed(array, "uint16" if count <= _STEPS + 1 else "uint32")
+
+
+def quantised(values: Float[np.ndarray, " m"]) -> dict[str, Any]:
+    """Return a field with two bytes per value, on a logarithmic scale if all are positive.
+
+    There are 65,535 steps between minimum and maximum: 0.02 % for moduli of 0.001 to 100 MPa.
+    """
+    ratio = bool(values.min() > 0)
+    scaled = np.log(values) if ratio else values
+    low, high = float(scaled.min()), float(scaled.max())
+    width = high - low
+    steps = np.rint((scaled - low) / width * _STEPS) if width > 0 else np.zeros(len(values))
+    return packed(steps, "uint16") | {"ratio": ratio, "low": low, "high": high}
+
+
+def rows(values: Float[np.ndarray, "k 3"]) -> dict[str, Any]:
+    """Return vectors with two bytes per component, relative to the largest; NaN is kept."""
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    step = largest / (_STEPS // 2) if largest > 0 else 1.0
+    whole = np.where(np.isnan(values), -(_STEPS // 2) - 1, np.rint(values / step))
+    return packed(whole, "int16") | {"step": step}
+
+
+def script_json(value: Any) -> str:
+    """Return JSON that cannot close the script element that contains it."""
+    text = json.dumps(value, allow_nan=False, ensure_ascii=True, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -15,20 +15,16 @@ from tactorch.files import atomic_path
 from tactorch.report.assessment import ProgressCallback, assess
 from tactorch.report.content import (
     RunReport,
-    describe_run,
     difference_table,
     history_table,
     score_table,
     versions_table,
 )
-from tactorch.report.encode import script_json
-from tactorch.report.figure_data import figure_data
+from tactorch.report.figure_data import COLOURS, figure_data, script_json
 from tactorch.report.runs import Run
 from tactorch.text import printable
 from tactorch.versions import versions
 
-#: Colour maps of the modulus; "ultrasound" is grey, linear from black to white.
-COLOURS = ("viridis", "cividis", "ultrasound")
 _SCRIPTS = ("core.js", "mesh.js", "slices.js", "solid.js", "charts.js", "main.js")
 _LARGE_BYTES = 10_000_000
 
@@ -49,7 +45,8 @@ def write_report(
         runs: One inversion, or several to compare; see `load_run`.
         out: Path of the file.
         uncertainty: Whether the presses are solved again for credibility and posterior.
-        colours: Initial colour map, one of `COLOURS`; the page has a control for it.
+        colours: Initial colour map: "viridis", "cividis" or "ultrasound" (grey); the page has a
+            control for it.
         progress: Called before each step of a long computation.
 
     Returns:
@@ -63,9 +60,8 @@ def write_report(
         raise ConfigError("write_report: no run given; pass at least one.")
     if colours not in COLOURS:
         raise ConfigError(f"colours={colours} is unknown; choose one of {', '.join(COLOURS)}.")
-    assessments = [assess(run, uncertainty=uncertainty, progress=progress) for run in runs]
-    reports = [describe_run(*pair) for pair in zip(runs, assessments, strict=True)]
-    page = render(reports, colours)
+    assessments = (assess(run, uncertainty=uncertainty, progress=progress) for run in runs)
+    page = _render([RunReport(*pair) for pair in zip(runs, assessments, strict=True)], colours)
     with atomic_path(out) as temporary:
         temporary.write_text(page, encoding="utf-8")
     if len(page) > _LARGE_BYTES:
@@ -73,7 +69,7 @@ def write_report(
     return Path(out)
 
 
-def render(reports: Sequence[RunReport], colours: str) -> str:
+def _render(reports: Sequence[RunReport], colours: str) -> str:
     """Return the page as HTML; all text is escaped."""
     environment = Environment(
         loader=PackageLoader("tactorch.report", "page"), autoescape=True, undefined=StrictUndefined,

@@ -3,7 +3,7 @@
 - `sample`: presses by a robot, real or simulated (`Presser`, `SimulatedPresser`), placed by a
   rule.
 - `SamplingLoop`: the loop itself, over presses on request or over a recording that grows
-  (`RecordingSource`); `replay` writes such a recording.
+  (`RecordingSource`).
 - `candidate_patches`: patches of the surface that a sensor can press.
 - `Rule`: criterion for the next press. `LargestUncertainty` is the paper's; `ExpectedError`,
   `ExpectedInformation`, `UniformGrid` and `Random` are alternatives. The registry `RULES` lists
@@ -12,7 +12,6 @@
 
 from tactorch.sampling.candidates import Patch, candidate_patches
 from tactorch.sampling.loop import LoopOptions, LoopResult, Observer, SamplingLoop, Update
-from tactorch.sampling.presser import Presser, SimulatedPresser
 from tactorch.sampling.rules import (
     RULES,
     ExpectedError,
@@ -23,8 +22,8 @@ from tactorch.sampling.rules import (
     SamplingState,
     UniformGrid,
 )
-from tactorch.sampling.sample import Step, sample
-from tactorch.sampling.sources import RecordingSource, replay
+from tactorch.sampling.sample import Presser, SimulatedPresser, Step, sample
+from tactorch.sampling.sources import RecordingSource
 from tactorch.sampling.suggest import Suggester, Suggestion, SuggestOptions
 
 __all__ = [
@@ -50,6 +49,5 @@ __all__ = [
     "UniformGrid",
     "Update",
     "candidate_patches",
-    "replay",
     "sample",
 ]

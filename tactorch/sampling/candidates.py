@@ -13,9 +13,20 @@ from tactorch.mesh.geometry import farthest_point_order
 from tactorch.mesh.values import Real, positive
 from tactorch.recording import Press, Recording
 
-_CUTS = 8  # parts along a triangle's edge, each counted in or out of the patch
 _MIN_FACING = 0.85  # mean cosine between surface and sensor; an edge of a cube has 0.71
 _MAX_RADIUS_SHARE = 0.25  # inferred radius of the sensor over the object's smallest extent
+
+
+def _inner_points(cuts: int = 8) -> Float[np.ndarray, "q 3"]:
+    """Evenly spread inner points of a triangle as barycentric weights, with the mean at 1/3."""
+    i, j = np.meshgrid(np.arange(cuts), np.arange(cuts), indexing="ij")
+    upward = np.stack((i, j), axis=-1)[i + j < cuts] + 1 / 3
+    downward = np.stack((i, j), axis=-1)[i + j < cuts - 1] + 2 / 3
+    two = np.concatenate((upward, downward)) / cuts
+    return np.column_stack((two, 1.0 - two.sum(axis=1)))
+
+
+_WEIGHTS = _inner_points()  # each point is counted in or out of a patch
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +53,9 @@ class Patch:
         Raises:
             ConfigError: the mesh has no such surface there.
         """
-        surface, weights = mesh.surface, _inner_points(_CUTS)
+        surface = mesh.surface
         areas = surface.areas * self._cosines(mesh)
-        shares = (self._inside(mesh, weights) @ weights) * areas[:, None]
+        shares = (self._inside(mesh) @ _WEIGHTS) * areas[:, None]
         nodal = np.bincount(surface.triangles.ravel(), shares.ravel(), minlength=mesh.n_points)
         if not nodal.sum() > 0:
             raise ConfigError(
@@ -56,14 +67,14 @@ class Patch:
 
     def facing(self, mesh: TetMesh) -> float:
         """Return the area-weighted mean cosine between the pressed surface and the sensor."""
-        inside = self._inside(mesh, _inner_points(_CUTS)).sum(axis=1) * mesh.surface.areas
+        inside = self._inside(mesh).sum(axis=1) * mesh.surface.areas
         return float(inside @ self._cosines(mesh) / max(inside.sum(), 1e-300))
 
     def _cosines(self, mesh: TetMesh) -> Float[np.ndarray, " k"]:
         """Cosine between each triangle's normal and the direction to the sensor."""
         return -(mesh.surface.normals @ self.inward)
 
-    def _inside(self, mesh: TetMesh, weights: Float[np.ndarray, "q 3"]) -> Bool[np.ndarray, "k q"]:
+    def _inside(self, mesh: TetMesh) -> Bool[np.ndarray, "k q"]:
         """Which inner points of each triangle are pressed."""
         max_depth = 1.5 * self.radius_mm
         corners = mesh.points[mesh.surface.triangles]
@@ -73,10 +84,10 @@ class Patch:
         distances = np.linalg.norm(centroids - self.center, axis=1)
         near = distances <= np.hypot(self.radius_mm, max_depth) + sizes
         near &= self._cosines(mesh) > 0
-        offsets = np.einsum("qc,kcd->kqd", weights, corners[near]) - self.center
+        offsets = np.einsum("qc,kcd->kqd", _WEIGHTS, corners[near]) - self.center
         along = offsets @ self.inward
         across = np.linalg.norm(offsets - along[..., None] * self.inward, axis=2)
-        inside = np.zeros((len(corners), len(weights)), dtype=bool)
+        inside = np.zeros((len(corners), len(_WEIGHTS)), dtype=bool)
         inside[near] = (across <= self.radius_mm) & (np.abs(along) <= max_depth)
         return inside
 
@@ -139,27 +150,12 @@ def _vertex_normals(mesh: TetMesh) -> Float[np.ndarray, "n 3"]:
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
 
 
-def _inner_points(cuts: int) -> Float[np.ndarray, "q 3"]:
-    """Evenly spread inner points of a triangle as barycentric weights, with the mean at 1/3."""
-    i, j = np.meshgrid(np.arange(cuts), np.arange(cuts), indexing="ij")
-    upward = np.stack((i, j), axis=-1)[i + j < cuts] + 1 / 3
-    downward = np.stack((i, j), axis=-1)[i + j < cuts - 1] + 2 / 3
-    two = np.concatenate((upward, downward)) / cuts
-    return np.column_stack((two, 1.0 - two.sum(axis=1)))
-
-
 class Candidates(NamedTuple):
-    """Patches that can be pressed next.
-
-    Attributes:
-        patches: All patches.
-        pressed: Indices of those pressed so far, in order.
-        plan: Returns the press on a patch as it would be recorded, with displacement 0.
-    """
+    """Patches that can be pressed next."""
 
     patches: Sequence[Patch]
-    pressed: tuple[int, ...]
-    plan: Callable[[Patch], Press]
+    pressed: tuple[int, ...]  # indices of those pressed so far, in order
+    plan: Callable[[Patch], Press]  # the press as it would be recorded, with displacement 0
 
 
 class InferredCandidates:
@@ -198,6 +194,11 @@ class InferredCandidates:
         )
 
 
+def all_directions(nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, "n 3"]:
+    """Return the mask of all three degrees of freedom of some nodes."""
+    return np.repeat(nodes[:, None], 3, axis=1)
+
+
 def sensor_radius_mm(mesh: TetMesh, presses: Sequence[Press]) -> float:
     """Return the radius of a disc of the loaded area, at most a quarter of the object's extent.
 
@@ -222,7 +223,7 @@ def _plan(last: Press, patch: Patch, mesh: TetMesh, pressure_mpa: float) -> Pres
     """Press on a patch, fixed as the last press and observed where it loads."""
     unit = patch.forces(mesh)
     zero = np.zeros_like(unit)
-    observed = np.repeat(np.any(unit != 0.0, axis=1)[:, None], 3, axis=1)
+    observed = all_directions(np.any(unit != 0.0, axis=1))
     return replace(
         last, forces=pressure_mpa * unit, observed=observed, displacement=zero, prescribed=zero,
         weights=None, direction=None, name="",

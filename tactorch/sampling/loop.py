@@ -78,8 +78,8 @@ class Update:
         place = None
         if patch is not None:
             place = {
-                "center_mm": [float(x) for x in patch.center],
-                "inward": [float(x) for x in patch.inward],
+                "center_mm": patch.center.tolist(),
+                "inward": patch.inward.tolist(),
                 "radius_mm": float(patch.radius_mm),
             }
         update.entry.update(
@@ -127,13 +127,11 @@ class LoopResult:
         reason: Why it ended.
         history: One entry per update.
         update: Last update; None if no press came.
-        interrupted: Whether Ctrl-C ended it.
     """
 
     reason: str
     history: list[dict[str, Any]]
     update: Update | None
-    interrupted: bool = False
 
 
 class SamplingLoop:
@@ -192,9 +190,9 @@ class SamplingLoop:
             if not self._restart:  # it would carry out another press
                 self._refine_and_suggest()
         except KeyboardInterrupt:
-            if self._update is None and not self._history:
+            if not self._history:
                 raise
-            return LoopResult("interrupted", self._history, self._update, interrupted=True)
+            reason = "interrupted"
         return LoopResult(reason, self._history, self._update)
 
     def _follow(self) -> str:

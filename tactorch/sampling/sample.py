@@ -2,24 +2,95 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError
+from tactorch.fem import SoftBody, Supports
 from tactorch.inverse import Settings
 from tactorch.inverse.starts import START_MPA
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.recording.append import digest
-from tactorch.sampling.candidates import Candidates, Patch
+from tactorch.sampling.candidates import Candidates, Patch, all_directions
 from tactorch.sampling.loop import LoopOptions, Observer, SamplingLoop, Update
-from tactorch.sampling.presser import Presser
 from tactorch.sampling.rules import Rule
 from tactorch.sampling.sources import Arrival, PressSource
 from tactorch.sampling.suggest import Suggester, SuggestOptions
+from tactorch.simulation.transfer import Transfer
 from tactorch.uncertainty.select import posterior_at
+
+
+@runtime_checkable
+class Presser(Protocol):
+    """Presses a patch, and reports it over the nodes of the mesh of the inversion."""
+
+    def plan(self, patch: Patch) -> Press:
+        """Return the press as it would be reported, with displacement 0."""
+
+    def press(self, patch: Patch) -> Press:
+        """Carry the press out."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedPresser:
+    """Simulated presses on a body of known moduli.
+
+    Attributes:
+        body: The body, preferably on a finer mesh than the inversion's.
+        youngs: True moduli, MPa.
+        held: Mask of the fixed nodes of the body's mesh.
+        mesh: Mesh of the inversion.
+        mesh_held: Mask of its fixed nodes.
+        pressure_mpa: Pressure of the sensor, MPa.
+        noise_mm: Standard deviation of the noise of every press, mm.
+        seed: Seed of the noise; a patch that is pressed again has the same noise.
+    """
+
+    body: SoftBody
+    youngs: Float[np.ndarray, " e"]
+    held: Bool[np.ndarray, " k"]
+    mesh: TetMesh
+    mesh_held: Bool[np.ndarray, " n"]
+    pressure_mpa: float
+    noise_mm: float
+    seed: int = 0
+
+    @cached_property
+    def _transfer(self) -> Transfer:
+        return Transfer.between(self.body.discretisation, self.mesh.points)
+
+    def plan(self, patch: Patch) -> Press:
+        """Return the press as it would be reported, with displacement 0."""
+        forces = self.pressure_mpa * patch.forces(self.mesh)
+        return Press(
+            forces=forces,
+            observed=all_directions(np.any(forces != 0.0, axis=1)),
+            displacement=np.zeros_like(forces),
+            fixed=all_directions(self.mesh_held),
+            noise_mm=self.noise_mm,
+            direction=patch.inward,
+        )
+
+    def press(self, patch: Patch) -> Press:
+        """Press, and observe the nodes in contact.
+
+        Raises:
+            ConvergenceError: the body collapses.
+            ConfigError: the patch misses the surface.
+        """
+        supports = Supports(fixed=all_directions(self.held))
+        load = self.pressure_mpa * patch.forces(self.body.mesh)
+        result = self.body.equilibrate(self.youngs, load, supports).require()
+        place = np.round(patch.center * 1e6).astype(np.int64) & 0xFFFFFFFF
+        rng = np.random.default_rng([self.seed, *place.tolist()])
+        plan = self.plan(patch)
+        noise = self.noise_mm * rng.standard_normal(plan.forces.shape)
+        return replace(plan, displacement=self._transfer(result.displacement) + noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +162,8 @@ def sample(
             "active sampling does not estimate nuisance parameters; estimate them from a recording "
             "first, and sample with Settings(nuisance=NuisancePrior())."
         )
-    session = _Session(presser, mesh, material, candidates, rule.first(candidates), budget)
-    session.on_press = on_press
+    first = rule.first(candidates)
+    session = _Session(presser, mesh, material, candidates, budget, on_press, [first])
     # The posterior is the variational one under total variation: Laplace's is too narrow where no
     # press has been.
     suggester = Suggester(
@@ -112,58 +183,54 @@ def sample(
     return session.steps
 
 
+@dataclass(eq=False)
 class _Session(PressSource, Observer):
     """Presses where the rule suggests, and keeps the steps."""
 
+    presser: Presser
+    mesh: TetMesh
+    material: MaterialSpec
+    candidates: Sequence[Patch]
+    budget: int
+    on_press: Callable[[Step], None] | None
+    places: list[int]  # those pressed, and the next one
+    pressed: int = 0
+    steps: list[Step] = field(default_factory=list)
+    started: float = field(default_factory=time.perf_counter)
+    updated_at: float = 0.0
     name = "the presser"
-
-    def __init__(
-        self,
-        presser: Presser,
-        mesh: TetMesh,
-        material: MaterialSpec,
-        candidates: Sequence[Patch],
-        first: int,
-        budget: int,
-    ) -> None:
-        self._presser, self._mesh, self._material = presser, mesh, material
-        self._candidates, self._budget = candidates, budget
-        self._places, self._pressed = [first], 0
-        self._started = self._updated = time.perf_counter()
-        self.steps: list[Step] = []
-        self.on_press: Callable[[Step], None] | None = None
 
     def available(self, recording: Recording) -> Candidates:
         """Return the candidates, unless the budget is spent."""
-        if len(self._places) == self._budget:
-            raise ConfigError(f"all presses of budget={self._budget} were made")
-        return Candidates(self._candidates, tuple(self._places), self._presser.plan)
+        if len(self.places) == self.budget:
+            raise ConfigError(f"all presses of budget={self.budget} were made")
+        return Candidates(self.candidates, tuple(self.places), self.presser.plan)
 
     def poll(self) -> list[Arrival]:
         """Carry out the suggested press, if any."""
-        if self._pressed == len(self._places):
+        if self.pressed == len(self.places):
             return []
-        press = self._presser.press(self._candidates[self._places[-1]])
-        self._pressed += 1
+        press = self.presser.press(self.candidates[self.places[-1]])
+        self.pressed += 1
         # A single press may be too small for the check of units.
-        self.about = Recording(self._mesh, (press,), self._material, check_units=False)
-        return [Arrival(press, f"press {self._pressed}", digest(press))]
+        self.about = Recording(self.mesh, (press,), self.material, check_units=False)
+        return [Arrival(press, f"press {self.pressed}", digest(press))]
 
     def updated(self, update: Update) -> None:
         """See `Observer.updated`."""
-        self._updated = time.perf_counter()
+        self.updated_at = time.perf_counter()
 
     def suggested(self, update: Update) -> None:
         """See `Observer.suggested`."""
         suggestion, rms = update.suggestion, update.rms_deviation
         assert suggestion is not None
-        ended = len(self._places) == self._budget
+        ended = len(self.places) == self.budget
         if suggestion.deviation is None or rms is None or (suggestion.index is None and not ended):
             raise ConfigError(suggestion.reason)
-        press, seconds = update.recording.presses[-1], self._updated - self._started
-        step = Step(self._places[-1], press, update.youngs, suggestion.deviation, rms, seconds)
+        press, seconds = update.recording.presses[-1], self.updated_at - self.started
+        step = Step(self.places[-1], press, update.youngs, suggestion.deviation, rms, seconds)
         self.steps.append(step)
         if suggestion.index is not None:
-            self._places.append(suggestion.index)
+            self.places.append(suggestion.index)
         if self.on_press is not None:
             self.on_press(step)

@@ -28,15 +28,10 @@ class Arrival(NamedTuple):
 
 
 class PressSource(ABC):
-    """Source of presses on one object.
+    """Source of presses on one object."""
 
-    Attributes:
-        name: Name for messages.
-        about: The object, once a press was read; it never changes.
-    """
-
-    name: str
-    about: Recording | None = None
+    name: str  # for messages
+    about: Recording | None = None  # the object, once a press was read; it never changes
 
     @abstractmethod
     def poll(self) -> list[Arrival]:
@@ -114,21 +109,20 @@ class RecordingSource(PressSource):
             if index >= file.count:
                 self._report(f"{file.press_name(index)} is invalid and skipped: {fault}")
         new = {i: press for i, press in contents.presses.items() if i >= file.count}
-        file.count = contents.count
+        last = contents.presses.get(contents.count - 1)
+        file.count, file.last = contents.count, None if last is None else digest(last)
         arrivals = [Arrival(press, file.press_name(i), digest(press)) for i, press in new.items()]
         if contents.recording is not None and new:
             before = () if self.about is None else self.about.presses
             presses = (*before, *new.values())
             self.about = replace(contents.recording, presses=presses, check_units=False)
-            file.last = max(new), arrivals[-1].digest
         return arrivals
 
     def _unreadable(self, file: "_File", error: Exception) -> None:
         """Report a file once it has been unreadable for `patience_seconds`.
 
-        Raises:
-            RecordingError: the only file can be read and is no valid recording; waiting does not
-                help.
+        Waiting does not help where the only file can be read and is no valid recording: that error
+        is raised.
         """
         now = time.monotonic()
         file.failed_at = now if file.failed_at is None else file.failed_at
@@ -147,7 +141,7 @@ class _File:
     path: Path
     read_at: tuple[int, int, int] | None = None  # its time, size and inode at the last reading
     count: int = 0  # presses read, valid or not
-    last: tuple[int, str] | None = None  # number and hash of the last valid press
+    last: str | None = None  # hash of the last press; None if it is invalid
     failed_at: float | None = None  # time of the first failure since the last reading
     reported: bool = False  # whether the failure was
 
@@ -162,12 +156,10 @@ class _File:
                 f"recording '{self.path}' has {count} presses and had {self.count}: it was "
                 "replaced by another. Start another run for it."
             )
-        if self.last is None or self.last[0] != self.count - 1:
-            return
-        again = presses.get(self.last[0])
-        if again is None or digest(again) != self.last[1]:
+        again = presses.get(self.count - 1)
+        if self.last is not None and (again is None or digest(again) != self.last):
             raise RecordingError(
-                f"{self.press_name(self.last[0])} changed since it was read: the recording was "
+                f"{self.press_name(self.count - 1)} changed since it was read: the recording was "
                 "replaced. Start another run for it."
             )
 
@@ -179,22 +171,10 @@ def replay(
     stop: Event | None = None,
     on_press: Callable[[int], None] = lambda number: None,
 ) -> int:
-    """Write a recording's presses into a growing one, to try a live run without a robot.
+    """Write a recording's presses into a growing one, with pauses (s) before each but the first.
 
-    Args:
-        recording: Recording to replay.
-        target: The growing recording; presses it holds already are not written again.
-        pause_seconds: Pause before each press but the first, s.
-        stop: Ends the replay when set.
-        on_press: Called with the number of presses after each.
-
-    Returns:
-        Number of presses that the target holds.
-
-    Raises:
-        ConfigError: the pause is negative.
-        RecordingError: the target holds presses of another recording.
-        FileError: the target cannot be written.
+    Presses that the target holds already are not written again. Setting `stop` ends the replay;
+    `on_press` is called with the number of presses after each, and the last number is returned.
     """
     if not pause_seconds >= 0:
         raise ConfigError(f"pause_seconds={pause_seconds}: give a time of at least 0 s.")

@@ -112,9 +112,7 @@ class SensorChain:
         self.tracker = MarkerTracker(reference, appearance, self.options.track)
 
     def measure(self, frame: Frame) -> Measurement:
-        """Return the measurement of the next frame, including forces.
-
-        A frame without an image has no contact.
+        """Return the measurement of the next frame, including forces; no contact without an image.
 
         Raises:
             ConfigError: The frame has another size than the reference.
@@ -124,11 +122,7 @@ class SensorChain:
         return replace(measurement, contact=self.solve_contact(measurement))
 
     def measure_deformation(self, frame: Frame) -> Measurement:
-        """Track the markers into the next frame and measure the deformation, without forces.
-
-        Raises:
-            ConfigError: The frame has another size than the reference.
-        """
+        """Track the markers into the next frame and measure the deformation, without forces."""
         markers_px = self.tracker.track(frame.image)
         untouched = Measurement(
             frame, markers_px, None, None, np.zeros(len(self.model.points), dtype=bool)
@@ -145,11 +139,7 @@ class SensorChain:
         return Measurement(frame, markers_px, height, known, in_contact)
 
     def solve_contact(self, measurement: Measurement) -> GelContact | None:
-        """Return the contact forces behind a measured deformation; None without contact.
-
-        Raises:
-            ConvergenceError: The gel model does not converge.
-        """
+        """Return the contact forces behind a measured deformation; None without contact."""
         if measurement.displacement is None:
             return None
         # Slopes determine depth up to a constant, and the gel also moves outside the contact.

@@ -20,10 +20,16 @@ from tactorch.recording import Press
 from tactorch.sensor.gel import GelContact
 from tactorch.sensor.poses import check_pose, rotate_vectors, transform_points
 
+__all__ = ["ContactOptions", "build_press"]
 #: Smallest cosine between the sensor axis and the inward normal of a face that may be in contact.
 MIN_FACING = 0.5
 _MIN_INERTIA = 1e-9  # relative to the largest, of an axis about which nodes can carry a couple
 _CONTACT_LEVEL = 0.5  # of the interpolated contact indicator
+
+Pose = Float[np.ndarray, "4 4"]
+Points = Float[np.ndarray, "k 3"]
+Nodes = Float[np.ndarray, "n 3"]
+Triangles = Int[np.ndarray, "t 3"]
 
 
 @dataclass(frozen=True)
@@ -34,18 +40,19 @@ class ContactOptions(Options):
         3.0, "Distance of the object's face from the gel at first contact, up to which it may be"
         " touched", unit="mm", gt=0,
     )  # fmt: skip
-    untouched: Literal["unseen", "sensor"] = option(
-        "unseen",
-        "Nodes under the gel without contact: unseen (not observed), or sensor (displaced with the"
-        " sensor, as the paper does in a virtual cube, whose empty parts then become soft)",
+    untouched: Literal["unseen", "sensor", "auto"] = option(
+        "auto",
+        "Nodes under the gel without contact: unseen (not observed), sensor (displaced with the"
+        " sensor, as the paper does in a virtual cube, whose empty parts then become soft), or auto"
+        " (sensor in a virtual cube, else unseen)",
     )
     smoothing: float = option(0.0, "Smoothing of the interpolated displacements", ge=0)
 
 
 def build_press(
     contact: GelContact,
-    pose: Float[np.ndarray, "4 4"],
-    first_pose: Float[np.ndarray, "4 4"],
+    pose: Pose,
+    first_pose: Pose,
     mesh: TetMesh,
     in_contact: Bool[np.ndarray, " k"],
     *,
@@ -77,19 +84,17 @@ def build_press(
     if not in_contact.any():
         raise ConfigError("the gel touches nothing in this frame; leave it out.")
     triangles = facing_triangles(mesh, first_pose, contact, options.reach_mm)
+    nodes = np.unique(triangles)
+    points = mesh.points[nodes]
     paired = transform_points(first_pose, contact.points)  # the object's points at first contact
     motion = transform_points(pose, contact.points + contact.displacement) - paired
     forces = -rotate_vectors(pose, np.where(in_contact[:, None], contact.forces, 0.0))
     transferred = transfer_forces(paired, forces, mesh.points, triangles)
-    nodes = np.unique(triangles)
-    points = mesh.points[nodes]
     interpolated, inside = interpolate_displacements(
         paired, motion, points, first_pose[:3, 2], options.smoothing
     )
     at_rest = transform_points(np.linalg.inv(first_pose), points)
-    indicator = LinearNDInterpolator(
-        contact.points[:, :2], in_contact.astype(float), fill_value=0.0
-    )
+    indicator = LinearNDInterpolator(contact.points[:, :2], in_contact.astype(float), 0.0)
     touched = np.asarray(indicator(at_rest[:, :2]) >= _CONTACT_LEVEL)
     displacement = np.full(mesh.points.shape, np.nan)
     displacement[nodes[inside & touched]] = interpolated[inside & touched]
@@ -105,65 +110,36 @@ def build_press(
 
 
 def facing_triangles(
-    mesh: TetMesh, first_pose: Float[np.ndarray, "4 4"], contact: GelContact, reach_mm: float
-) -> Int[np.ndarray, "t 3"]:
-    """Return the object's surface triangles that face the gel, under it and within reach.
-
-    Raises:
-        ConfigError: There is no such triangle.
-    """
+    mesh: TetMesh, first_pose: Pose, contact: GelContact, reach_mm: float
+) -> Triangles:
+    """Return the object's surface triangles that face the gel, under it and within reach."""
     surface = mesh.surface
     facing = np.asarray(surface.normals @ first_pose[:3, 2] < -MIN_FACING)
-    centers = transform_points(
-        np.linalg.inv(first_pose), mesh.points[surface.triangles].mean(axis=1)
-    )
+    centers = mesh.points[surface.triangles].mean(axis=1)
+    centers = transform_points(np.linalg.inv(first_pose), centers)
     low, high = contact.points[:, :2].min(axis=0), contact.points[:, :2].max(axis=0)
     under = ((centers[:, :2] >= low) & (centers[:, :2] <= high)).all(axis=1)
     close = np.abs(centers[:, 2] - float(np.median(contact.points[:, 2]))) <= reach_mm
-    triangles = surface.triangles[facing & under & close]
-    if not len(triangles):
-        candidates = facing & under
-        distance = np.abs(centers[candidates, 2]).min() if candidates.any() else np.inf
+    if not (facing & under & close).any():
+        distances = np.abs(centers[facing & under, 2])
+        translation = first_pose[:3, 3]
+        hint = ""
+        if 0 < np.abs(translation).max() < 0.05 * np.abs(mesh.points).max():
+            shown = [float(f"{v:.4g}") for v in translation]
+            hint = f" Its translation {shown} looks like metres; give mm."
+        nearest = f": the nearest is {distances.min():.3g} mm away" if len(distances) else ""
         raise ConfigError(
-            "the gel is over no part of the object in the pose of first contact"
-            + (f": the nearest is {distance:.3g} mm away" if np.isfinite(distance) else "")
-            + "; check T_object_sensor, whose z axis points out of the sensor to the object."
-            + _metres_hint(first_pose, mesh)
+            f"the gel is over no part of the object in the pose of first contact{nearest}; check"
+            f" T_object_sensor, whose z axis points out of the sensor to the object.{hint}"
         )
-    return triangles
+    return surface.triangles[facing & under & close]
 
 
-def _metres_hint(first_pose: Float[np.ndarray, "4 4"], mesh: TetMesh) -> str:
-    translation = first_pose[:3, 3]
-    largest = float(np.abs(translation).max())
-    if not 0 < largest < 0.05 * float(np.abs(mesh.points).max()):
-        return ""
-    shown = [float(f"{v:.4g}") for v in translation]
-    return f" Its translation {shown} looks like metres; give mm."
-
-
-def transfer_forces(
-    points: Float[np.ndarray, "k 3"],
-    forces: Float[np.ndarray, "k 3"],
-    nodes: Float[np.ndarray, "n 3"],
-    triangles: Int[np.ndarray, "t 3"],
-) -> Float[np.ndarray, "n 3"]:
+def transfer_forces(points: Points, forces: Points, nodes: Nodes, triangles: Triangles) -> Nodes:
     """Return forces on the nodes of a surface with the same sum and moment.
 
     Each force is distributed to the corners of the nearest triangle by barycentric coordinates. The
     moment lost where its point is off the surface is restored by a couple over the loaded nodes.
-
-    Args:
-        points: Points at which the forces act, mm.
-        forces: Forces, N.
-        nodes: Nodes of the mesh, mm.
-        triangles: Surface triangles, as indices of nodes.
-
-    Returns:
-        Nodal forces, N.
-
-    Raises:
-        ConfigError: There is no triangle.
     """
     if not len(triangles):
         raise ConfigError("the object has no surface in contact; give triangles.")
@@ -178,53 +154,42 @@ def transfer_forces(
 
 
 def _nearest_triangles(
-    points: np.ndarray, nodes: np.ndarray, triangles: np.ndarray
-) -> tuple[Int[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    points: Points, nodes: Nodes, triangles: Triangles
+) -> tuple[Int[np.ndarray, "k 3"], Points]:
     """Corners of the triangle nearest to each point, and barycentric coordinates."""
     nearest = np.zeros((len(points), 3), dtype=np.int64)
     coordinates = np.zeros((len(points), 3))
     corners = nodes[triangles]
     for i, point in enumerate(points):
-        shares = _closest_barycentric(corners, point)
-        closest = np.einsum("tc,tcd->td", shares, corners)
-        best = int(np.argmin(((closest - point) ** 2).sum(axis=1)))
-        nearest[i], coordinates[i] = triangles[best], shares[best]
+        shares = _projections(corners, point)
+        closest = np.einsum("ptc,tcd->ptd", shares, corners)
+        distance = ((closest - point) ** 2).sum(axis=2)
+        distance[(shares < 0).any(axis=2)] = np.inf
+        projection, best = np.unravel_index(int(distance.argmin()), distance.shape)
+        nearest[i], coordinates[i] = triangles[best], shares[projection, best]
     return nearest, coordinates
 
 
-def _closest_barycentric(
-    corners: Float[np.ndarray, "t 3 3"], point: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "t 3"]:
-    """Barycentric coordinates of each triangle's closest point to a point."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, ac, ap = b - a, c - a, point - a
+def _projections(corners: Float[np.ndarray, "t 3 3"], point: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates of a point's projections on the plane and edges of triangles."""
+    shares = np.zeros((4, len(corners), 3))
+    a = corners[:, 0]
+    ab, ac, ap = corners[:, 1] - a, corners[:, 2] - a, point - a
     d11, d12, d22 = ((u * v).sum(axis=1) for u, v in ((ab, ab), (ab, ac), (ac, ac)))
     p1, p2 = (ab * ap).sum(axis=1), (ac * ap).sum(axis=1)
     determinant = np.maximum(d11 * d22 - d12**2, 1e-300)
-    v, w = (d22 * p1 - d12 * p2) / determinant, (d11 * p2 - d12 * p1) / determinant
-    shares = np.stack([1 - v - w, v, w], axis=1)
-    outside = (shares < 0).any(axis=1)
-    if outside.any():
-        shares[outside] = _closest_on_edges(corners[outside], point)
+    shares[0, :, 1] = (d22 * p1 - d12 * p2) / determinant
+    shares[0, :, 2] = (d11 * p2 - d12 * p1) / determinant
+    shares[0, :, 0] = 1.0 - shares[0, :, 1] - shares[0, :, 2]
+    for k, (start, end) in enumerate(((0, 1), (1, 2), (2, 0)), start=1):
+        origin, edge = corners[:, start], corners[:, end] - corners[:, start]
+        t = ((point - origin) * edge).sum(axis=1) / np.maximum((edge**2).sum(axis=1), 1e-300)
+        shares[k, :, end] = np.clip(t, 0.0, 1.0)
+        shares[k, :, start] = 1.0 - shares[k, :, end]
     return shares
 
 
-def _closest_on_edges(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates of the closest point on the edges of each triangle."""
-    best, min_distance = np.zeros((len(corners), 3)), np.full(len(corners), np.inf)
-    for start, end in ((0, 1), (1, 2), (2, 0)):
-        origin, edge = corners[:, start], corners[:, end] - corners[:, start]
-        t = ((point - origin) * edge).sum(axis=1) / np.maximum((edge**2).sum(axis=1), 1e-300)
-        t = np.clip(t, 0.0, 1.0)
-        distance = ((origin + t[:, None] * edge - point) ** 2).sum(axis=1)
-        closer = distance < min_distance
-        shares = np.zeros((len(corners), 3))
-        shares[:, start], shares[:, end] = 1 - t, t
-        best[closer], min_distance[closer] = shares[closer], distance[closer]
-    return best
-
-
-def _couple(nodes: Float[np.ndarray, "n 3"], moment: Float[np.ndarray, "3"]) -> np.ndarray:
+def _couple(nodes: Nodes, moment: Float[np.ndarray, "3"]) -> np.ndarray:
     """Smallest self-balanced forces with a given moment, about axes that the nodes can carry."""
     arms = nodes - nodes.mean(axis=0)
     inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
@@ -235,27 +200,17 @@ def _couple(nodes: Float[np.ndarray, "n 3"], moment: Float[np.ndarray, "3"]) -> 
 
 
 def interpolate_displacements(
-    points: Float[np.ndarray, "k 3"],
-    displacements: Float[np.ndarray, "k 3"],
-    nodes: Float[np.ndarray, "n 3"],
+    points: Points,
+    displacements: Points,
+    nodes: Nodes,
     normal: Float[np.ndarray, "3"],
     smoothing: float = 0.0,
-) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+) -> tuple[Nodes, Bool[np.ndarray, " n"]]:
     """Interpolate displacements by a thin-plate spline in the plane across a normal.
-
-    Args:
-        points: Points with displacements, mm.
-        displacements: Displacements, mm; rows with NaN are ignored.
-        nodes: Points at which to interpolate, mm.
-        normal: Normal of the face in contact.
-        smoothing: Smoothing of the spline; 0 interpolates exactly.
 
     Returns:
         Displacements at the nodes, NaN outside the convex hull of the points in the plane; and
         which nodes are inside.
-
-    Raises:
-        ConfigError: Fewer than four displacements are known, or their points are collinear.
     """
     known = np.isfinite(displacements).all(axis=1)
     if known.sum() < 4:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
@@ -48,7 +49,7 @@ class HeightMap:
 def reconstruct_height(
     slopes: Float[np.ndarray, "h w 2"], mm_per_px: tuple[float, float], min_slope: Real = MIN_SLOPE
 ) -> HeightMap:
-    """Integrate slopes, with the height drawn to zero wherever the face is not steep.
+    """Return the height from slopes, drawn to zero wherever the face is not steep.
 
     Args:
         slopes: dz/dx and dz/dy.
@@ -56,15 +57,9 @@ def reconstruct_height(
         min_slope: Slope above which the face counts as deformed: larger than the slopes from noise
             and uneven light, smaller than those of a contact. Wide, flat objects make small slopes.
 
-    Returns:
-        The height map.
-
     Raises:
-        ConfigError: A slope is not finite, or `min_slope` is not positive.
         ConvergenceError: The linear solver does not converge.
     """
-    import cv2
-
     magnitude = np.asarray(cv2.GaussianBlur(np.linalg.norm(slopes, axis=-1), (0, 0), 2.0))
     undeformed = _undeformed(magnitude > positive("min_slope", min_slope), mm_per_px)
     zero_mean = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px)
@@ -75,7 +70,6 @@ def reconstruct_height(
 
 
 def _undeformed(steep: np.ndarray, mm_per_px: tuple[float, float]) -> np.ndarray:
-    import cv2
     from scipy.ndimage import binary_fill_holes
 
     width, height = (2 * max(1, round(_MARGIN_MM / size)) + 1 for size in mm_per_px)
@@ -109,7 +103,6 @@ def integrate_slopes(
         slope_deviation: Standard deviation of the slopes.
 
     Raises:
-        ConfigError: A slope is not finite, or a size or deviation is not positive.
         ConvergenceError: The linear solver does not converge.
     """
     if not (np.isfinite(slope_x).all() and np.isfinite(slope_y).all()):
@@ -170,9 +163,6 @@ def fill_masked(
     Args:
         values: One or several fields; their values at unknown pixels are ignored.
         known: Pixels whose values are known.
-
-    Raises:
-        ConfigError: The shapes differ, or no pixel is known.
     """
     if values.shape[:2] != known.shape:
         raise ConfigError(f"values are {values.shape}, known is {known.shape}.")

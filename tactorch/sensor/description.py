@@ -293,11 +293,7 @@ class SensorDescription(Options):
 
 
 def check_pixel_size(mm_per_px: tuple[float, float]) -> None:
-    """Check the size of a pixel along x and y, mm.
-
-    Raises:
-        ConfigError: A size is not positive, or looks like another unit.
-    """
+    """Check the size of a pixel along x and y, mm."""
     for size in mm_per_px:
         if not size > 0:
             raise ConfigError(f"mm_per_px={list(mm_per_px)}: {size:g} must be a positive number.")
@@ -310,13 +306,10 @@ def check_pixel_size(mm_per_px: tuple[float, float]) -> None:
 
 
 def load_sensor(name: str | Path) -> SensorDescription:
-    """Read a sensor description.
+    """Return a sensor description from its file.
 
     Args:
         name: Path of a `sensor.yaml`, or one of `SENSORS`.
-
-    Returns:
-        The description.
 
     Raises:
         FileError: The file is missing or not valid YAML.
@@ -337,11 +330,7 @@ def load_sensor(name: str | Path) -> SensorDescription:
 
 
 def save_sensor(sensor: SensorDescription, path: str | Path) -> None:
-    """Write a sensor description.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
+    """Write a sensor description."""
     with atomic_path(path) as temporary:
         text = yaml.safe_dump(to_mapping(sensor), sort_keys=False, default_flow_style=None)
         temporary.write_text(text, encoding="utf-8")

@@ -17,8 +17,10 @@ from queue import Full, Queue
 from threading import Event, Thread
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import UInt8
+from PIL import Image as PillowImage
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
@@ -104,10 +106,6 @@ def read_frames(
         sensor: Sensor that took the frames.
         reference: Image of the gel without contact, see `read_reference`.
         limits: Limits of the fault detection.
-
-    Raises:
-        FileError: The source does not exist or has no frames.
-        ConfigError: The reference has another size than the sensor's images.
     """
     if reference.shape[:2] != sensor.shape:
         raise ConfigError(
@@ -239,8 +237,6 @@ def _rectifier(sensor: SensorDescription) -> Callable[[Image, str], Image]:
 
 
 def _rectification_steps(sensor: SensorDescription) -> list[Callable[[Image], Image]]:
-    import cv2
-
     steps: list[Callable[[Image], Image]] = []
     if sensor.intrinsics_px is not None:
         fx, fy, cx, cy = sensor.intrinsics_px
@@ -270,9 +266,6 @@ def open_source(source: Source) -> Iterator[Frame]:
     Args:
         source: Source of the frames. Files of a folder are sorted by name, with numbers in the
             names compared as numbers.
-
-    Raises:
-        FileError: The source does not exist or has no frames.
     """
     if isinstance(source, int):
         return _open_camera(source)
@@ -292,52 +285,30 @@ def open_source(source: Source) -> Iterator[Frame]:
 
 
 def read_image(path: str | Path) -> Image:
-    """Read an image file as RGB.
-
-    Raises:
-        FileError: The file is missing, damaged, not an image, or has too many pixels.
-    """
-    import cv2
-
-    require_file(path, "image")
+    """Read an image file as RGB."""
     # cv2.imread prints messages and cannot open every path.
-    content = np.fromfile(path, np.uint8)
-    _check_image_header(content.tobytes(), path)
+    content = require_file(path, "image").read_bytes()
     try:
-        image = cv2.imdecode(content, cv2.IMREAD_COLOR)
-    except cv2.error:
-        image = None
-    if image is None:
-        raise _unreadable(path)
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-
-
-def _check_image_header(content: bytes, path: str | Path) -> None:
-    """Refuse an image that is too large or damaged before memory is allocated for its pixels."""
-    from PIL import Image as PillowImage
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of Pillow's own, larger limit
-            with PillowImage.open(io.BytesIO(content), formats=_FORMATS) as header:
-                width, height = header.size
-                if width * height <= _MAX_PIXELS and header.format == "TIFF":
-                    header.load()  # OpenCV ignores errors in TIFF data
+        # A large or damaged image is refused before memory is allocated for its pixels.
+        with (
+            warnings.catch_warnings(action="ignore"),  # of Pillow's own, larger limit
+            PillowImage.open(io.BytesIO(content), formats=_FORMATS) as header,
+        ):
+            width, height = header.size
+            if width * height > _MAX_PIXELS:
+                raise PillowImage.DecompressionBombError(
+                    f"{width} x {height} px exceed the limit of {_MAX_PIXELS:.0e} pixels"
+                )
+            if header.format == "TIFF":
+                header.load()  # OpenCV ignores errors in TIFF data
+        image: Any = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     except PillowImage.DecompressionBombError as error:
         raise FileError(f"image '{path}' is too large: {error}; give a smaller image.") from error
     except Exception as error:  # errors of damaged files have no common base class
-        raise _unreadable(path) from error
-    if width * height > _MAX_PIXELS:
         raise FileError(
-            f"image '{path}' is too large: {width} x {height} px exceed the limit of"
-            f" {_MAX_PIXELS:.0e} pixels; give a smaller image."
-        )
-
-
-def _unreadable(path: str | Path) -> FileError:
-    return FileError(
-        f"image '{path}' cannot be read: it is damaged or no image; take or copy it again."
-    )
+            f"image '{path}' cannot be read: it is damaged or no image; take or copy it again."
+        ) from error
 
 
 def _folder_frames(path: Path) -> Iterator[Frame]:
@@ -363,11 +334,7 @@ def _faulty_frame(index: int, name: str, fault: str) -> Frame:
 
 
 def video_length(path: Path) -> int:
-    """Return the number of frames that the header of a video declares; 0 if unknown.
-
-    Raises:
-        FileError: The file is missing, damaged, of an unknown codec, or has too many pixels.
-    """
+    """Return the number of frames that the header of a video declares; 0 if unknown."""
     capture = _open_video(path)
     count = _declared_length(capture)
     capture.release()
@@ -376,8 +343,6 @@ def video_length(path: Path) -> int:
 
 def _open_video(path: Path) -> Any:
     """Open a video file as `cv2.VideoCapture`."""
-    import cv2
-
     require_file(path, "video")
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
@@ -394,15 +359,11 @@ def _open_video(path: Path) -> Any:
 
 
 def _declared_length(capture: Any) -> int:
-    import cv2
-
     count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     return int(count) if 0 < count < 1e9 else 0
 
 
 def _video_frames(capture: Any, path: Path) -> Iterator[Frame]:
-    import cv2
-
     rate, expected = capture.get(cv2.CAP_PROP_FPS), _declared_length(capture)
     known_rate = 0 < rate <= _MAX_FRAME_RATE_HZ
     count = 0
@@ -440,8 +401,6 @@ def _array_frames(images: Iterable[np.ndarray]) -> Iterator[Frame]:
 
 
 def _open_camera(number: int) -> Iterator[Frame]:
-    import cv2
-
     if number < 0:  # OpenCV interprets negative numbers as any camera, and may crash
         raise FileError(f"camera {number} does not exist; cameras are numbered from 0.")
     capture = cv2.VideoCapture(number)
@@ -470,33 +429,28 @@ def _camera_frames(capture: Any, number: int) -> Iterator[Frame]:
 
 def _capture(capture: Any, number: int, queue: Queue[Frame | None], stop: Event) -> None:
     """Queue frames until `stop` is set or the camera times out, then queue None."""
+    # The monotonic clock is independent of adjustments of the system time.
+    start, start_unix, index, last_image_s = time.monotonic(), time.time(), 0, 0.0
     try:
-        for frame in _captured_frames(capture, number, stop):
+        while not stop.is_set():
+            success, image = capture.read()
+            time_s = time.monotonic() - start
+            name, unix_s = f"camera {number} frame {index}", start_unix + time_s
+            if success:
+                rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+                frame = Frame(index, name, rgb, time_s, unix_s=unix_s)
+                last_image_s = time_s
+            elif time_s - last_image_s >= _CAMERA_TIMEOUT_S:
+                return
+            else:
+                fault = "the camera gave no image"
+                frame = Frame(index, name, None, time_s, fault, usable=False, unix_s=unix_s)
+                time.sleep(_CAMERA_RETRY_S)
             with suppress(Full):
                 queue.put_nowait(frame)
+            index += 1
     finally:  # after an error too: the consumer must not wait forever
         while not stop.is_set():
             with suppress(Full):
                 queue.put(None, timeout=_QUEUE_POLL_S)
                 break
-
-
-def _captured_frames(capture: Any, number: int, stop: Event) -> Iterator[Frame]:
-    import cv2
-
-    # The monotonic clock is independent of adjustments of the system time.
-    start, start_unix, index, last_image_s = time.monotonic(), time.time(), 0, 0.0
-    while not stop.is_set():
-        success, image = capture.read()
-        time_s = time.monotonic() - start
-        name, unix_s = f"camera {number} frame {index}", start_unix + time_s
-        if success:
-            rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-            yield Frame(index, name, rgb, time_s, unix_s=unix_s)
-            last_image_s = time_s
-        elif time_s - last_image_s >= _CAMERA_TIMEOUT_S:
-            return
-        else:
-            yield Frame(index, name, None, time_s, "the camera gave no image", False, unix_s)
-            time.sleep(_CAMERA_RETRY_S)
-        index += 1

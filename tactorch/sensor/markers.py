@@ -6,9 +6,10 @@ A marker whose match is ambiguous is dropped from the frame rather than mismatch
 from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import center_of_mass, map_coordinates
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
@@ -80,8 +81,6 @@ def _relative_darkness(image: Image, appearance: MarkerAppearance) -> _Darkness:
     Markers are dark in every color, colored light is not. The brightest of the three colors is
     therefore compared with its median over a window that is wider than a marker.
     """
-    import cv2
-
     brightest = image.max(axis=2)
     size = 2 * round(0.7 * np.sqrt(appearance.max_area) * appearance.diameter_px) + 1
     margin = size // 2
@@ -113,8 +112,6 @@ def _label_spots(
     mask: Bool[np.ndarray, "h w"], appearance: MarkerAppearance
 ) -> Int[np.ndarray, "h w"]:
     """Label the spots that may be markers, from 1."""
-    import cv2
-
     # Bright specks within a marker must not split it.
     size = max(1, round(0.3 * appearance.diameter_px))
     kernel = np.ones((size, size), np.uint8)
@@ -135,7 +132,6 @@ def _label_spots(
 
 def _split_spot(spot: Bool[np.ndarray, "h w"], diameter_px: float) -> Int[np.ndarray, "h w"]:
     """Label the pieces of a spot with necks from 1; 0 for a spot without."""
-    import cv2
     from skimage.feature import peak_local_max
     from skimage.segmentation import watershed
 
@@ -159,19 +155,12 @@ def _split_spot(spot: Bool[np.ndarray, "h w"], diameter_px: float) -> Int[np.nda
 
 def _centroids(darkness: _Darkness, labels: Int[np.ndarray, "h w"], threshold: float) -> _Points:
     """Centroids of the darkness in excess of half the threshold, in and next to each spot."""
-    import cv2
-
     dilated = cv2.dilate(labels.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int64)
     dilated = np.where(labels > 0, labels, dilated)
     weight = np.maximum(darkness - 0.5 * threshold, 0.0)
-    spots, index = np.unique(dilated, return_inverse=True)
-    index = index.reshape(-1)
-    mass = np.bincount(index, weight.ravel())
-    rows, columns = np.indices(labels.shape)
-    x, y = (np.bincount(index, (weight * v).ravel()) for v in (columns, rows))
-    selected = (spots > 0) & (mass > 0)
-    centers = np.stack([x[selected], y[selected]], axis=1) / mass[selected][:, None]
-    return centers[np.lexsort((centers[:, 0], centers[:, 1]))]
+    spots = np.unique(dilated[(weight > 0) & (dilated > 0)])
+    centers = np.array(center_of_mass(weight, dilated, spots)).reshape(-1, 2)
+    return centers[np.lexsort(centers.T[::-1])][:, ::-1]
 
 
 @dataclass(eq=False)
@@ -221,9 +210,6 @@ class MarkerTracker:
 
         Args:
             image: Rectified frame; None for a missing one, in which no marker is seen.
-
-        Raises:
-            ConfigError: The frame has another size than the reference.
         """
         if image is None:
             return np.full(self.reference_px.shape, np.nan)
@@ -251,8 +237,6 @@ class MarkerTracker:
 
     def _flow(self, image: Image) -> _Points:
         """Pyramidal Lucas-Kanade flow (Bouguet, 2001), smoothed over the neighbors."""
-        import cv2
-
         side = 2 * round(self.appearance.diameter_px) + 1
         first, second = self._previous_image.max(axis=2), image.max(axis=2)
         settings: Any = {"winSize": (side, side), "maxLevel": _FLOW_LEVELS, "nextPts": None}
@@ -294,8 +278,6 @@ class MarkerTracker:
         Comparing patches is less noisy than comparing centroids. A correction of more than a fifth
         of a marker is not applied.
         """
-        import cv2
-
         known = ~np.isnan(positions[:, 0])
         if not known.any():
             return positions
@@ -336,9 +318,6 @@ def marker_displacements(
 
     Returns:
         Rest positions, and displacements with NaN for markers that are not seen.
-
-    Raises:
-        ConfigError: `height_mm` and the image have different sizes.
     """
     rest, current = sensor.to_mm(reference_px), sensor.to_mm(positions_px)
     rest_height = sensor.gel.height_mm(rest)
@@ -368,36 +347,33 @@ def _assign_spots(predicted: _Points, spots: _Points, gate: float) -> _Points:
 
 
 def _smooth_motion(positions: _Points, motion: _Points, neighbors: np.ndarray) -> _Points:
-    """Motion of each marker predicted by robust affine fits to its neighbors' motion."""
+    """Motion of each marker predicted by a robust affine fit to its neighbors' motion."""
     known = ~np.isnan(motion[:, 0])
     if not known.any():
         return np.zeros_like(motion)
-    median = np.median(motion[known], axis=0)
-    return np.stack(
-        [
-            _affine_prediction(positions[nearest], motion[nearest], positions[i], median)
-            for i, nearest in enumerate([row[known[row]] for row in neighbors])
-        ]
-    )
+    smooth = np.tile(np.median(motion[known], axis=0), (len(motion), 1))
+    count = known[neighbors].sum(axis=1)
+    few, many = (count > 0) & (count < 4), count >= 4
+    smooth[few] = np.nanmedian(motion[neighbors[few]], axis=1)
+    offsets = positions[neighbors[many]] - positions[many][:, None]
+    smooth[many] = _affine_fits(offsets, motion[neighbors[many]])
+    return smooth
 
 
-def _affine_prediction(
-    positions: _Points, motion: _Points, target: np.ndarray, default: np.ndarray
-) -> np.ndarray:
-    """Fit an affine displacement by reweighted least squares and evaluate it at the target."""
-    if len(positions) == 0:
-        return default
-    if len(positions) < 4:
-        return np.median(motion, axis=0)
-    offset = positions - target
-    scale = float(np.abs(offset).max())
-    design = np.column_stack([np.ones(len(positions)), offset / scale])
-    weight = np.ones(len(positions))
+def _affine_fits(
+    offsets: Float[np.ndarray, "n k 2"], motion: Float[np.ndarray, "n k 2"]
+) -> Float[np.ndarray, "n 2"]:
+    """Values at offset 0 of affine displacements, fitted by reweighted least squares."""
+    known = ~np.isnan(motion[..., :1])
+    offsets, motion = np.where(known, offsets, 0.0), np.where(known, motion, 0.0)
+    scale = np.abs(offsets).max(axis=(1, 2), keepdims=True)
+    design = np.concatenate([known, offsets / scale], axis=2)
     ridge = np.diag([0.0, 0.05, 0.05])  # neighbors on a line determine one slope only
+    weight = np.ones(known.shape)
     for _ in range(4):
-        normal = design.T @ (weight[:, None] * design) + ridge
-        fit = np.linalg.solve(normal, design.T @ (weight[:, None] * motion))
-        residual = np.linalg.norm(motion - design @ fit, axis=1)
-        spread = max(float(np.median(residual)), 0.1)
-        weight = 1.0 / (1.0 + (residual / (2.0 * spread)) ** 2)
-    return fit[0]
+        transposed = (weight * design).swapaxes(1, 2)
+        fit = np.linalg.solve(transposed @ design + ridge, transposed @ motion)
+        residual = np.linalg.norm(motion - design @ fit, axis=2, keepdims=True)
+        spread = np.nanmedian(np.where(known, residual, np.nan), axis=1, keepdims=True)
+        weight = 1.0 / (1.0 + (residual / (2.0 * np.maximum(spread, 0.1))) ** 2)
+    return fit[:, 0]

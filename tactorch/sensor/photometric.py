@@ -7,6 +7,7 @@ image to second degree because the lamps are near. It is fitted where slopes are
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -37,17 +38,7 @@ class Photometric:
         known: Bool[np.ndarray, "h w"],
         smooth_px: float = 1.0,
     ) -> "Photometric":
-        """Fit the map where slopes are known.
-
-        Args:
-            images: Brightness under each lamp.
-            slopes: dz/dx and dz/dy.
-            known: Pixels whose slopes are known.
-            smooth_px: Standard deviation of the smoothing of images.
-
-        Raises:
-            ConfigError: There are fewer than three lamps, or too few known pixels.
-        """
+        """Return the map fitted to images under each lamp where the slopes are known."""
         if images.shape[2] < 3:
             raise ConfigError(f"{images.shape[2]} images: slopes take three lamps or more.")
         terms = _terms(images, smooth_px)[known]
@@ -59,23 +50,15 @@ class Photometric:
         return cls(np.linalg.solve(normal, terms.T @ slopes[known]), images.shape[2], smooth_px)
 
     def slopes(self, images: Float[np.ndarray, "h w lamps"]) -> Float[np.ndarray, "h w 2"]:
-        """Return dz/dx and dz/dy.
-
-        Raises:
-            ConfigError: The number of lamps differs from that of the fit.
-        """
+        """Return dz/dx and dz/dy."""
         if images.shape[2] != self.lamps:
             raise ConfigError(f"{images.shape[2]} images; the map is of {self.lamps} lamps.")
         return _terms(images, self.smooth_px) @ self.weights
 
 
 def _terms(images: Float[np.ndarray, "h w lamps"], smooth_px: float) -> np.ndarray:
-    import cv2
-
     if smooth_px > 0:
-        channels = np.moveaxis(images, 2, 0)
-        blurred = [cv2.GaussianBlur(channel, (0, 0), smooth_px) for channel in channels]
-        images = np.stack(blurred, axis=-1)
+        images = cv2.GaussianBlur(images, (0, 0), smooth_px)
     ratio = images / np.maximum(images.mean(axis=-1, keepdims=True), 1e-9)
     rows, columns = ratio.shape[:2]
     y, x = (v[..., None] for v in np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : columns * 1j])

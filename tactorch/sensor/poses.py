@@ -18,6 +18,8 @@ from tactorch.sensor.table import read_rows
 _TOLERANCE = 1e-4  # of a rotation's orthonormality
 _MAX_DISTANCE_MM = 1e4
 _COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+_Pose = Float[np.ndarray, "4 4"]
+_Vectors = Float[np.ndarray, "*n 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +29,6 @@ class Poses:
     Attributes:
         time_s: Strictly increasing times, (n,).
         T_object_sensor: Rigid transforms, (n, 4, 4), mm.
-
-    Raises:
-        ConfigError: Shapes differ, times do not increase, or a pose is not a rigid transform.
     """
 
     time_s: Float[np.ndarray, " n"]
@@ -85,12 +84,8 @@ class Poses:
         return poses
 
 
-def check_pose(pose: Float[np.ndarray, "4 4"], name: str = "T_object_sensor") -> None:
-    """Check that a matrix is a rigid transform.
-
-    Raises:
-        ConfigError: The matrix is not finite, mirrors, scales, or translates too far.
-    """
+def check_pose(pose: _Pose, name: str = "T_object_sensor") -> None:
+    """Check that a matrix is a rigid transform."""
     if not np.isfinite(pose).all():
         raise ConfigError(f"{name} is not finite; leave out poses that the robot did not report.")
     if np.abs(pose[3] - (0, 0, 0, 1)).max() > _TOLERANCE:
@@ -114,16 +109,12 @@ def check_pose(pose: Float[np.ndarray, "4 4"], name: str = "T_object_sensor") ->
         raise ConfigError(f"{name} is {distance:.4g} mm away from the object's origin; give mm.")
 
 
-def transform_points(
-    pose: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*n 3"]
-) -> Float[np.ndarray, "*n 3"]:
+def transform_points(pose: _Pose, points: _Vectors) -> _Vectors:
     """Transform points from the sensor frame to the object frame, mm."""
     return points @ pose[:3, :3].T + pose[:3, 3]
 
 
-def rotate_vectors(
-    pose: Float[np.ndarray, "4 4"], vectors: Float[np.ndarray, "*n 3"]
-) -> Float[np.ndarray, "*n 3"]:
+def rotate_vectors(pose: _Pose, vectors: _Vectors) -> _Vectors:
     """Rotate vectors, such as forces, from the sensor frame to the object frame."""
     return vectors @ pose[:3, :3].T
 
@@ -134,13 +125,6 @@ def read_poses(path: str | Path, *, growing: bool = False) -> Poses:
     Args:
         path: Path of the file.
         growing: Whether lines are still appended; an unterminated last line is then ignored.
-
-    Returns:
-        The poses.
-
-    Raises:
-        FileError: The file is missing or a line cannot be read.
-        ConfigError: A pose or a time is not valid.
     """
     rows = list(read_rows(path, "table of poses", _COLUMNS, growing=growing))
     table = np.array([[row.number(name) for name in _COLUMNS] for row in rows])

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
@@ -77,8 +78,6 @@ class Lamps(Options):
 
 def _shadow(height_mm: np.ndarray, direction: np.ndarray, size: tuple[float, float]) -> np.ndarray:
     """Fraction of each pixel in the shadow of the face between it and the lamp."""
-    import cv2
-
     relief = -height_mm.astype(np.float32)  # into the sensor
     in_plane = float(np.hypot(direction[0], direction[1]))
     rise = -direction[2] / in_plane  # of a ray per mm toward the lamp
@@ -162,9 +161,6 @@ def render(
         surface: Deformed face of the gel.
         options: Appearance.
         seed: Seed of the camera noise; None for no noise.
-
-    Raises:
-        ConfigError: The surface has another size than the image, or is not finite.
     """
     options = options or RenderOptions()
     if surface.height_mm.shape != sensor.shape:

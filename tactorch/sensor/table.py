@@ -40,18 +40,11 @@ def read_rows(
     *,
     growing: bool = False,
 ) -> Iterator[Row]:
-    """Yield the lines of a CSV file.
+    """Yield the lines of a CSV file with the required columns.
 
-    Args:
-        path: Path of the file.
-        kind: Kind of the table, for messages.
-        columns: Names of the required columns.
-        aliases: Required name by alternative name of a column.
-        growing: Whether another program still appends lines; an unterminated last line is then
-            ignored.
-
-    Raises:
-        FileError: The file is missing, too large or not text, or lacks a column.
+    `aliases` are required names by alternative name. The unterminated last line of a file to which
+    another program still appends lines (`growing`) is ignored. A file that is missing, too large
+    or not text, or that lacks a column, raises `FileError`.
     """
     file, what = require_file(path, kind), f"{kind} '{path}'"
     if file.stat().st_size > _MAX_BYTES:

@@ -20,17 +20,7 @@ def add_noise(
     snr_db: Real,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "n 3"], float]:
-    """Add white Gaussian noise to the observed degrees of freedom of one press.
-
-    Args:
-        displacement: Exact displacement, mm.
-        observed: Degrees of freedom of the signal; all three components have equal weight.
-        snr_db: Signal-to-noise ratio, see `noise_level`.
-        rng: Generator of the noise.
-
-    Returns:
-        The noisy displacement, mm, and the standard deviation of the noise, mm.
-    """
+    """Add white Gaussian noise to the observed degrees of freedom; return its deviation too, mm."""
     sigma = noise_level(displacement[observed], snr_db)
     noisy = displacement.copy()
     noisy[observed] += sigma * rng.standard_normal(int(observed.sum()))

@@ -97,8 +97,14 @@ def simulate(
         weight = body.gravity(density, acceleration.tolist()).numpy()
     simulator = PressSimulator(body, phantom.on_mesh(fine_mesh, samples), mesh, plan, weight)
     sites = [simulator.conditions(site) for site in plan.sites]
-    count = _counter(plan.n_presses, progress)
-    displacements = map_cases(lambda i: simulator.solve(sites[i], count), len(sites))
+    lock, solved = threading.Lock(), itertools.count(1)
+
+    def on_solved() -> None:
+        with lock:
+            if progress is not None:
+                progress(next(solved), plan.n_presses)
+
+    displacements = map_cases(lambda i: simulator.solve(sites[i], on_solved), len(sites))
     presses: list[Press] = []
     for conditions, steps in zip(sites, displacements, strict=True):
         for step, (pressure, displacement) in enumerate(zip(plan.pressures, steps, strict=True)):
@@ -140,18 +146,6 @@ def simulate(
         density=density,
         gravity=acceleration,
     )
-
-
-def _counter(total: int, progress: Callable[[int, int], None] | None) -> Callable[[], None]:
-    """Return a thread-safe function that counts its calls and reports them."""
-    lock, solved = threading.Lock(), itertools.count(1)
-
-    def count() -> None:
-        with lock:
-            if progress is not None:
-                progress(next(solved), total)
-
-    return count
 
 
 def _summarize(mesh: TetMesh) -> dict[str, Any]:

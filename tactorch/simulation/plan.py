@@ -16,15 +16,10 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class PressSite:
-    """Location of presses with increasing pressure: a face, or a patch of it.
+    """Location of presses with increasing pressure: a face, or a patch of it."""
 
-    Attributes:
-        face: Pressed face, one of `tactorch.mesh.FACE_NAMES`.
-        center_mm: Centre of the patch; None for the whole face or a patch in its middle.
-    """
-
-    face: str
-    center_mm: Point | None = None
+    face: str  # of `tactorch.mesh.FACE_NAMES`
+    center_mm: Point | None = None  # of the patch; None for the whole face or a patch in its middle
 
     @property
     def axis(self) -> int:

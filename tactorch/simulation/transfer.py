@@ -20,25 +20,17 @@ _MAX_OUTSIDE = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Interpolation with the shape functions of linear or quadratic elements.
+    """Interpolation with the shape functions of linear or quadratic elements."""
 
-    Attributes:
-        nodes: Nodes that each target point is interpolated from.
-        weights: Weights of the nodes; they sum to 1.
-    """
-
-    nodes: Int[np.ndarray, "p k"]
-    weights: Float[np.ndarray, "p k"]
+    nodes: Int[np.ndarray, "p k"]  # from which each target point is interpolated
+    weights: Float[np.ndarray, "p k"]  # of these nodes; their sum is 1
 
     @classmethod
     def between(cls, source: Discretisation, points: Float[np.ndarray, "p 3"]) -> "Transfer":
         """Prepare the interpolation from `source` to points (mm).
 
-        The field of the nearest element is extrapolated to points just outside, as occur between
-        two meshes of one curved surface.
-
-        Raises:
-            MeshError: A point is farther outside than 1 % of the diagonal.
+        The field of the nearest element is extrapolated to points outside by up to 1 % of the
+        diagonal, as occur between two meshes of one curved surface.
         """
         mesh = source.mesh
         elements = locate(mesh, points)

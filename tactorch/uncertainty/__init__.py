@@ -10,15 +10,9 @@
 - `GaussianState`: Kalman update by a press (eq. 16 and 17).
 """
 
-from tactorch.uncertainty.coverage import (
-    Coverage,
-    calibration_curve,
-    calibration_error,
-    coverage,
-)
-from tactorch.uncertainty.gaussian import GaussianPosterior
+from tactorch.uncertainty.coverage import Coverage, calibration_curve, calibration_error, coverage
 from tactorch.uncertainty.gaussian_state import GaussianState
-from tactorch.uncertainty.laplace import LaplacePosterior
+from tactorch.uncertainty.laplace import GaussianPosterior, LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
 from tactorch.uncertainty.select import compute_posterior
 from tactorch.uncertainty.sensitivity import (

@@ -1,21 +1,20 @@
 """Coverage and calibration of posterior intervals over objects of known truth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import ndtri
 
 from tactorch.errors import ConfigError
+from tactorch.uncertainty.laplace import normal_quantile
 
 # Truth, mean and standard deviation of each element, in the posterior's parameter.
 Estimate = tuple[np.ndarray, np.ndarray, np.ndarray]
 _LEVELS = np.linspace(0.05, 0.95, 19)
 
 
-@dataclass(frozen=True, eq=False)
-class Coverage:
+class Coverage(NamedTuple):
     """Fraction of true values within intervals of one level.
 
     Attributes:
@@ -30,9 +29,7 @@ class Coverage:
 
 
 def coverage(
-    objects: Sequence[Estimate],
-    level: float = 0.95,
-    weights: Sequence[np.ndarray] | None = None,
+    objects: Sequence[Estimate], level: float = 0.95, weights: Sequence[np.ndarray] | None = None
 ) -> Coverage:
     """Count true values within the central normal intervals.
 
@@ -41,18 +38,13 @@ def coverage(
         level: Nominal probability of the intervals.
         weights: Weight of each element, per object, such as its volume; equal by default.
 
-    Returns:
-        Fractions of true values within the intervals.
-
     Raises:
         ConfigError: there is no object, shapes differ, a deviation is not positive, weights are
             negative or do not fit, or the level is not between 0 and 1.
     """
-    if not 0 < level < 1:
-        raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
+    quantile = normal_quantile(level)
     if len(objects) == 0:
         raise ConfigError("objects is empty; give at least one (truth, mean, deviation).")
-    quantile = float(ndtri(0.5 + 0.5 * level))
     hits = [_distance(i, *estimate) <= quantile for i, estimate in enumerate(objects)]
     if weights is None:
         weights = [np.ones(len(hit)) for hit in hits]

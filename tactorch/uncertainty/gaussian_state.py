@@ -37,9 +37,6 @@ class GaussianState:
             observed: Map of the press, in the unit of the mean.
             credibility: Credibility of each element, in the inverse square of that unit.
 
-        Returns:
-            The updated distribution.
-
         Raises:
             ConfigError: lengths differ, or a credibility is negative or not finite.
         """
@@ -62,9 +59,6 @@ class GaussianState:
             jacobian: Derivative of the data, in standard deviations of the noise.
             innovation: Observed minus predicted data at the mean, in the same unit.
 
-        Returns:
-            The updated distribution.
-
         Raises:
             ConfigError: shapes do not fit.
         """
@@ -81,11 +75,7 @@ class GaussianState:
     def information_gain(self, jacobian: Float[np.ndarray, "data m"]) -> float:
         """Return the mutual information of moduli and data, log det(I + J Sigma J^T) / 2, nats.
 
-        Args:
-            jacobian: See `after_press`.
-
-        Raises:
-            ConfigError: the jacobian has another number of columns than there are elements.
+        See `after_press` for the jacobian.
         """
         lower, _ = self._factor(jacobian)
         return float(np.log(lower.diagonal()).sum())
@@ -95,11 +85,7 @@ class GaussianState:
     ) -> Float[np.ndarray, " m"]:
         """Return the reduction of each element's variance by a press, before its data.
 
-        Args:
-            jacobian: See `after_press`.
-
-        Raises:
-            ConfigError: the jacobian has another number of columns than there are elements.
+        See `after_press` for the jacobian.
         """
         lower, cross = self._factor(jacobian)
         return np.square(sl.solve_triangular(lower, cross, lower=True)).sum(axis=0)

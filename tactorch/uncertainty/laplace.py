@@ -1,4 +1,4 @@
-"""Gaussian (Laplace) approximation of the posterior at a solution, by dense algebra.
+"""Gaussian posteriors, and the Laplace approximation at a solution by dense algebra.
 
 The precision is H = J^T J + P, with J the sensitivity of the residuals (in standard deviations)
 and P the prior's weighted curvature, both in parameters x. Memory is two m x m matrices, suitable
@@ -6,6 +6,7 @@ for a few thousand elements; `LowRankPosterior` is for larger meshes. Total vari
 approximated by its quadratic majorant at the map; `variational_posterior` estimates its scales.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,25 +14,81 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 from jaxtyping import Float, Int
+from scipy.special import ndtri
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Parameterization, Point
 from tactorch.linalg import DenseCholesky
-from tactorch.uncertainty.gaussian import GaussianPosterior
+
+Field = Float[np.ndarray, " m"]  # a value per element
+
+
+class GaussianPosterior(ABC):
+    """Normal distribution of the parameters x, one per element.
+
+    Attributes:
+        mean: Mean.
+        parameterization: Map from x to moduli.
+    """
+
+    mean: Field
+    parameterization: Parameterization
+
+    @abstractmethod
+    def variance(self) -> Field:
+        """Return the variance of each element's parameter."""
+
+    @abstractmethod
+    def covariance(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+        """Return the covariance of some elements' parameters."""
+
+    @abstractmethod
+    def resolution_diagonal(self) -> Field:
+        """Return diag(H^-1 J^T J): near 1 where data dominate, near 0 where the prior does."""
+
+    @abstractmethod
+    def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
+        """Draw parameters, one map per row."""
+
+    @abstractmethod
+    def log_det(self) -> float:
+        """Return the logarithm of the determinant of the precision H."""
+
+    def deviation(self) -> Field:
+        """Return the standard deviation of each element's parameter."""
+        return np.sqrt(self.variance())
+
+    def interval(self, level: float = 0.95) -> tuple[Field, Field]:
+        """Return the central interval of each element's modulus, (lower, upper), MPa.
+
+        It is the normal interval of x with probability `level`, mapped to moduli and clipped to
+        the bounds.
+
+        Raises:
+            ConfigError: `level` is not between 0 and 1.
+        """
+        half_width = normal_quantile(level) * self.deviation()
+        limits = self.parameterization.limits
+        low, high = (np.clip(self.mean + sign * half_width, *limits) for sign in (-1, 1))
+        return self.parameterization.youngs(low), self.parameterization.youngs(high)
+
+    def correlation(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+        """Return the correlation of some elements' parameters."""
+        covariance = self.covariance(elements)
+        deviation = np.sqrt(covariance.diagonal())
+        return covariance / np.outer(deviation, deviation)
 
 
 @dataclass(frozen=True, eq=False)
 class LaplacePosterior(GaussianPosterior):
-    """Normal distribution of the parameters x.
+    """Normal distribution of the parameters x, with a dense precision.
 
     Attributes:
-        mean: Parameters at the solution, elements only.
         jacobian: D residuals / d x; columns beyond the elements are nuisance parameters.
         factor: Cholesky factor of the precision, with as many rows as the Jacobian has columns.
-        parameterization: Map from x to moduli.
     """
 
-    mean: Float[np.ndarray, " m"]
+    mean: Field
     jacobian: Float[np.ndarray, "data unknowns"]
     factor: DenseCholesky
     parameterization: Parameterization
@@ -42,10 +99,6 @@ class LaplacePosterior(GaussianPosterior):
 
         Nuisance parameters are marginalised: their uncertainty widens the elements' deviations.
 
-        Args:
-            point: The solution.
-            weight: Weight of the prior on the map.
-
         Raises:
             ConfigError: the weight is negative, or data and prior leave moduli undetermined.
         """
@@ -55,23 +108,15 @@ class LaplacePosterior(GaussianPosterior):
 
     @staticmethod
     def of(
-        mean: Float[np.ndarray, " m"],
+        mean: Field,
         jacobian: Float[np.ndarray, "data unknowns"],
         weight: float,
         prior: sp.spmatrix | sp.sparray,
         parameterization: Parameterization,
     ) -> "LaplacePosterior":
-        """Return the posterior of a linear model.
+        """Return the posterior of a linear model; see `at`.
 
-        Args:
-            mean: Parameters at the solution.
-            jacobian: D residuals / d x.
-            weight: Weight of the prior.
-            prior: Precision of the prior without its weight.
-            parameterization: Map from x to moduli.
-
-        Raises:
-            ConfigError: the weight is negative, or data and prior leave moduli undetermined.
+        The precision of the prior is `weight` times `prior`.
         """
         check_weight(weight)
         precision = jacobian.T @ jacobian
@@ -89,7 +134,7 @@ class LaplacePosterior(GaussianPosterior):
     def _covariance(self) -> Float[np.ndarray, "unknowns unknowns"]:
         return torch.cholesky_inverse(self.factor.lower).numpy()
 
-    def variance(self) -> Float[np.ndarray, " m"]:
+    def variance(self) -> Field:
         """See `GaussianPosterior.variance`."""
         return self._covariance.diagonal()[: len(self.mean)].copy()
 
@@ -97,7 +142,7 @@ class LaplacePosterior(GaussianPosterior):
         """See `GaussianPosterior.covariance`."""
         return self._covariance[np.ix_(elements, elements)]
 
-    def resolution_diagonal(self) -> Float[np.ndarray, " m"]:
+    def resolution_diagonal(self) -> Field:
         """See `GaussianPosterior.resolution_diagonal`."""
         gain = self._covariance[: len(self.mean)] @ self.jacobian.T
         return np.einsum("mp,pm->m", gain, self.jacobian[:, : len(self.mean)])
@@ -111,6 +156,13 @@ class LaplacePosterior(GaussianPosterior):
     def log_det(self) -> float:
         """See `GaussianPosterior.log_det`."""
         return 2.0 * float(torch.log(torch.diagonal(self.factor.lower)).sum())
+
+
+def normal_quantile(level: float) -> float:
+    """Return half the width of the central normal interval of a level, in standard deviations."""
+    if not 0 < level < 1:
+        raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
+    return float(ndtri(0.5 + 0.5 * level))
 
 
 def check_weight(weight: float) -> None:

@@ -16,7 +16,6 @@ either way, more than the range of all solids; its effect in other directions is
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,8 +24,7 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Parameterization, Point
-from tactorch.uncertainty.gaussian import GaussianPosterior
-from tactorch.uncertainty.laplace import check_weight
+from tactorch.uncertainty.laplace import Field, GaussianPosterior, check_weight
 from tactorch.uncertainty.selected_inverse import SparseFactor
 
 Product = Callable[[np.ndarray], np.ndarray]
@@ -40,15 +38,13 @@ class LowRankPosterior(GaussianPosterior):
     """Normal distribution of the parameters x without a dense matrix.
 
     Attributes:
-        mean: Parameters at the solution, elements only.
         precision: Precision P of the prior; rows beyond the elements are nuisance parameters.
         factor: Factorisation of the precision.
         eigenvalues: Lambda in descending order: precision of data over prior, by direction.
         directions: V, one per column.
-        parameterization: Map from x to moduli.
     """
 
-    mean: Float[np.ndarray, " m"]
+    mean: Field
     precision: sp.csr_matrix
     factor: SparseFactor
     eigenvalues: Float[np.ndarray, " r"]
@@ -86,7 +82,7 @@ class LowRankPosterior(GaussianPosterior):
 
     @staticmethod
     def of(
-        mean: Float[np.ndarray, " m"],
+        mean: Field,
         data_hessian: Product,
         precision: sp.csr_matrix,
         parameterization: Parameterization,
@@ -94,18 +90,9 @@ class LowRankPosterior(GaussianPosterior):
         *,
         seed: int = 0,
     ) -> "LowRankPosterior":
-        """Return the posterior of a linear model.
+        """Return the posterior of a linear model; see `at`.
 
-        Args:
-            mean: Parameters at the solution.
-            data_hessian: Multiplies a vector by J^T J.
-            precision: Precision of the prior, positive definite.
-            parameterization: Map from parameters to moduli.
-            rank: Number of directions, below the number of unknowns.
-            seed: Seed of the first Lanczos vector.
-
-        Raises:
-            ConfigError: the rank cannot be used, or the precision is not positive definite.
+        `data_hessian` multiplies a vector by J^T J, and `precision` is that of the prior.
         """
         size = precision.shape[0]
         if not 0 < rank < size:
@@ -113,21 +100,20 @@ class LowRankPosterior(GaussianPosterior):
         factor = SparseFactor.of(precision)
         if factor is None:
             raise ConfigError(
-                "the prior's precision is not positive definite: it leaves moduli "
-                "undetermined; give a prior, and a weight above 0."
+                "the prior's precision is not positive definite: it leaves moduli undetermined; "
+                "give a prior, and a weight above 0."
             )
-        values, vectors = spla.eigsh(
-            spla.LinearOperator((size, size), matvec=data_hessian, dtype=np.float64),
-            rank,
-            M=precision,
-            Minv=spla.LinearOperator((size, size), matvec=factor.solve, dtype=np.float64),
-            v0=np.random.default_rng(seed).standard_normal(size),
+        hessian, inverse = (
+            spla.LinearOperator((size, size), matvec=product, dtype=np.float64)
+            for product in (data_hessian, factor.solve)
         )
+        start = np.random.default_rng(seed).standard_normal(size)
+        values, vectors = spla.eigsh(hessian, rank, M=precision, Minv=inverse, v0=start)
         # Zero eigenvalues may be negative by round-off.
         values, vectors = np.maximum(values[::-1], 0.0), np.ascontiguousarray(vectors[:, ::-1])
         return LowRankPosterior(mean, precision, factor, values, vectors, parameterization)
 
-    def excess(self) -> Float[np.ndarray, " m"]:
+    def excess(self) -> Field:
         """Return an upper bound of each variance's error by the finite rank.
 
         No omitted eigenvalue exceeds the last one, and the omitted directions share the prior
@@ -141,17 +127,14 @@ class LowRankPosterior(GaussianPosterior):
         """Relative reduction of the prior variance by the data along each direction."""
         return self.eigenvalues / (1.0 + self.eigenvalues)
 
-    @cached_property
-    def _variance(self) -> Float[np.ndarray, " unknowns"]:
-        return self.factor.inverse_diagonal - self.directions**2 @ self._reduction
-
-    def prior_variance(self) -> Float[np.ndarray, " m"]:
+    def prior_variance(self) -> Field:
         """Return the variance of each element's parameter before the data."""
         return self.factor.inverse_diagonal[: len(self.mean)].copy()
 
-    def variance(self) -> Float[np.ndarray, " m"]:
+    def variance(self) -> Field:
         """See `GaussianPosterior.variance`."""
-        return self._variance[: len(self.mean)].copy()
+        variance = self.factor.inverse_diagonal - self.directions**2 @ self._reduction
+        return variance[: len(self.mean)]
 
     def covariance(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
         """See `GaussianPosterior.covariance`; one sparse solve per element."""
@@ -161,7 +144,7 @@ class LowRankPosterior(GaussianPosterior):
         prior = self.factor.solve(columns)[elements]
         return 0.5 * (prior + prior.T) - (rows * self._reduction) @ rows.T
 
-    def resolution_diagonal(self) -> Float[np.ndarray, " m"]:
+    def resolution_diagonal(self) -> Field:
         """See `GaussianPosterior.resolution_diagonal`."""
         weighted = self.precision @ self.directions
         return ((self.directions * weighted) @ self._reduction)[: len(self.mean)]

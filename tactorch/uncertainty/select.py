@@ -4,8 +4,7 @@ from tactorch.errors import TactorchError
 from tactorch.inverse import Point, Reconstruction, Settings
 from tactorch.inverse.invert import solution
 from tactorch.recording import Recording
-from tactorch.uncertainty.gaussian import GaussianPosterior
-from tactorch.uncertainty.laplace import LaplacePosterior
+from tactorch.uncertainty.laplace import GaussianPosterior, LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
 from tactorch.uncertainty.variational import has_variational_posterior, variational_posterior
 
@@ -27,9 +26,6 @@ def compute_posterior(
         reconstruction: Result of `invert`.
         settings: Settings of the inversion.
 
-    Returns:
-        The posterior.
-
     Raises:
         ConfigError: settings and result do not match, or data and prior leave moduli undetermined.
         ConvergenceError: a press has no stable equilibrium at the map.
@@ -43,8 +39,4 @@ def posterior_at(point: Point, weight: float) -> GaussianPosterior:
     size = point.objective.size
     if size <= MAX_VARIATIONAL and has_variational_posterior(point, weight):
         return variational_posterior(point, weight)
-    return (
-        LaplacePosterior.at(point, weight)
-        if size <= MAX_DENSE
-        else LowRankPosterior.at(point, weight)
-    )
+    return (LaplacePosterior if size <= MAX_DENSE else LowRankPosterior).at(point, weight)

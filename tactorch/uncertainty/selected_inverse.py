@@ -14,6 +14,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from jaxtyping import Float, Int
 
+from tactorch.linalg.superlu import symmetric_lu
+
 
 @dataclass(frozen=True, eq=False)
 class SparseFactor:
@@ -36,12 +38,7 @@ class SparseFactor:
     def of(matrix: sp.spmatrix | sp.sparray) -> "SparseFactor | None":
         """Factor a matrix; None if it is not positive definite."""
         try:
-            lu = spla.splu(
-                sp.csc_matrix(matrix),
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            lu = symmetric_lu(matrix, "MMD_AT_PLUS_A")
         except RuntimeError:  # exactly singular
             return None
         pivots = lu.U.diagonal()
@@ -54,7 +51,7 @@ class SparseFactor:
         return SparseFactor(below, pivots, place, lu)
 
     def solve(self, rhs: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "n *k"]:
-        """Solve A x = rhs, one or many columns."""
+        """Return the solution of A x = rhs, one or many columns."""
         return self.lu.solve(np.ascontiguousarray(rhs))
 
     def log_det(self) -> float:

@@ -1,6 +1,6 @@
 """The sensitivity matrix and the credibility metric of the paper (eq. 14 and 15, Fig. 3)."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -12,8 +12,7 @@ from tactorch.mesh import TetMesh
 _SUBDIVISIONS = 11  # sample points along an edge of an element
 
 
-@dataclass(frozen=True, eq=False)
-class Credibility:
+class Credibility(NamedTuple):
     """The credibility metric of each element.
 
     Attributes:
@@ -29,11 +28,7 @@ class Credibility:
 
 
 def sensitivity_matrix(evaluation: Evaluation) -> Float[np.ndarray, "data m"]:
-    """Return M = S du/de (eq. 14), mm/MPa; one row per observed degree of freedom.
-
-    Raises:
-        ConvergenceError: an equilibrium is unstable and has no derivatives.
-    """
+    """Return M = S du/de (eq. 14), mm/MPa; one row per observed degree of freedom."""
     return np.concatenate([press.matrix() for press in evaluation.sensitivities])
 
 
@@ -45,12 +40,6 @@ def credibility(matrix: Evaluation | Float[np.ndarray, "data m"]) -> Credibility
     Args:
         matrix: Sensitivity matrix, or an evaluation, of which one press's rows are in memory at a
             time.
-
-    Returns:
-        Credibility of each element.
-
-    Raises:
-        ConvergenceError: an equilibrium is unstable and has no derivatives.
     """
     if isinstance(matrix, np.ndarray):
         return Credibility(np.abs(matrix).max(axis=0, initial=0.0))

@@ -54,23 +54,14 @@ class VariationalPosterior(LaplacePosterior):
 
 @dataclass(frozen=True, eq=False)
 class _Jumps:
-    """Jumps of the log-moduli across faces, to first order in x.
+    """Jumps of the log-moduli across faces, to first order in x."""
 
-    Attributes:
-        matrix: Derivative of the jumps by x.
-        pairs: Elements on either side of each face.
-        chain: Derivative of each log-modulus by its parameter.
-        values: Jumps at the map.
-        areas: Relative areas of the faces.
-        rank: Rank of the jump matrix.
-    """
-
-    matrix: sp.csr_matrix
-    pairs: Int[np.ndarray, "faces 2"]
-    chain: Float[np.ndarray, " m"]
-    values: Float[np.ndarray, " faces"]
-    areas: Float[np.ndarray, " faces"]
-    rank: int
+    matrix: sp.csr_matrix  # derivative of the jumps by x
+    pairs: Int[np.ndarray, "faces 2"]  # elements on either side of each face
+    chain: Float[np.ndarray, " m"]  # derivative of each log-modulus by its parameter
+    values: Float[np.ndarray, " faces"]  # at the map
+    areas: Float[np.ndarray, " faces"]  # relative
+    rank: int  # of the jump matrix
 
     @staticmethod
     def at(point: Point) -> "_Jumps":
@@ -94,10 +85,6 @@ class _Jumps:
         variance = c**2 * covariance.diagonal()[: len(c)]
         of_jumps = variance[i] + variance[j] - 2.0 * c[i] * c[j] * covariance[i, j]
         return np.sqrt((self.values + self.matrix @ step) ** 2 + np.maximum(of_jumps, 0.0))
-
-    def weight(self, sizes: np.ndarray) -> float:
-        """Return the most probable weight for jumps of these sizes."""
-        return self.rank / float(self.areas @ sizes)
 
 
 def has_variational_posterior(point: Point, weight: float) -> bool:
@@ -124,9 +111,6 @@ def variational_posterior(
         tolerance: Relative change of weight and sizes at which the iteration ends.
         max_iterations: Iteration limit.
 
-    Returns:
-        The posterior at the last iterate.
-
     Raises:
         ConfigError: the prior is not total variation, the weight is not positive, or data and
             prior leave moduli undetermined.
@@ -149,20 +133,14 @@ def variational_posterior(
         factor, step = _solve(point, jump_model, hessian, weight * jump_model.areas / sizes)
         old_sizes, old_weight = sizes, weight
         sizes = jump_model.sizes(step, torch.cholesky_inverse(factor.lower).numpy())
-        weight = jump_model.weight(sizes)
+        weight = jump_model.rank / float(jump_model.areas @ sizes)
         change = np.abs(np.log(sizes / old_sizes)).max()
         if max(change, abs(np.log(weight / old_weight))) < tolerance:
             break
     factor, step = _solve(point, jump_model, hessian, weight * jump_model.areas / sizes)
-    return VariationalPosterior(
-        mean=point.elements + step[: len(point.elements)],
-        jacobian=point.jacobian,
-        factor=factor,
-        parameterization=point.objective.parameterization,
-        weight=weight,
-        sizes=sizes,
-        iterations=iterations,
-    )
+    mean = point.elements + step[: len(point.elements)]
+    state = (mean, point.jacobian, factor, point.objective.parameterization)
+    return VariationalPosterior(*state, weight, sizes, iterations)
 
 
 def _solve(

@@ -228,7 +228,9 @@ def test_map_is_chosen_by_presses_left_out(tactorch: Any, files: Path, tmp_path:
     assert done.status == 0, done.err
     facts = load_calibration(tmp_path / "run" / "calib.npz").facts
     assert facts["maps"].keys() == {"mlp", "mlp_colour", "lookup"}
-    assert facts["fit"]["map"] == min(facts["maps"], key=lambda n: sum(facts["maps"][n]["mae"]))
+    assert facts["fit"]["map"]["name"] == min(
+        facts["maps"], key=lambda n: sum(facts["maps"][n]["mae"])
+    )
 
 
 # ---------------------------------------------------------------- frames

@@ -72,7 +72,7 @@ def test_every_public_name_is_in_the_api(hooks: dict[str, ModuleType]) -> None:
 
 def test_the_api_shows_the_settings_of_a_class(hooks: dict[str, ModuleType]) -> None:
     """Type, range, default and help from `option(...)`, of inherited fields too."""
-    (table,) = hooks["api"]._settings("tactorch.fem.materials.isochoric", "MooneyRivlin")
+    (table,) = hooks["api"]._settings("tactorch.fem.materials.isotropic", "MooneyRivlin")
     (row,) = [line for line in table.splitlines() if line.startswith("| `second_fraction` |")]
     assert row.endswith("| `0.2` | a number, 0 to 1 | c2 / (c1 + c2), from 0 (Neo-Hookean) to 1 |")
     assert "| `poisson` | `0.45` | a number above -1, below 0.5 |" in table

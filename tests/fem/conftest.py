@@ -43,7 +43,7 @@ class Cell:
         """Total energy of a load case in plain torch operations (eq. 2 to 5)."""
         d = self.body.discretisation
         e, nu, x = (self.inputs[k] for k in ("youngs", "poisson", "points"))
-        elastic = (reference.element_energy(d, self.body.material, u, nu, x) * e).sum()
+        elastic = (reference.element_energy(self.body.assembly, u, nu, x) * e).sum()
         springs = 0.5 * (torch.from_numpy(self.supports.case(case, d).springs) * u * u).sum()
         return elastic + springs - (self.inputs["forces"][case] * u).sum()
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, MATERIALS, SoftBody, Supports, make_material
 from tactorch.mesh import TetMesh
 
@@ -46,6 +47,18 @@ def test_cases_may_be_held_each_in_its_own_way(cell, clamped):
     for i in range(2):
         alone = c.body.solve(e, f[i], Supports(springs=springs[i]))
         torch.testing.assert_close(both[i], alone, rtol=0, atol=1e-12)
+
+
+def test_springs_at_all_nodes_are_used_as_they_are(cell):
+    discretisation = cell("neo_hookean", "tet10").body.discretisation
+    springs = np.arange(3.0 * discretisation.n_nodes).reshape(-1, 3)
+    np.testing.assert_array_equal(
+        Supports(springs=springs).case(0, discretisation).springs, springs
+    )
+    with pytest.raises(ConfigError, match=r"supports\.springs has shape"):
+        Supports(springs=springs[1:]).case(0, discretisation)
+    with pytest.raises(ConfigError, match=r"supports\.fixed has shape"):
+        Supports(fixed=springs > 0).case(0, discretisation)
 
 
 def test_doubling_moduli_springs_and_forces_changes_nothing(name, element, cell):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tactorch.linalg import DenseCholesky, column_rank, dot
+from tactorch.linalg.dense import DenseCholesky, column_rank, dot
 
 
 def test_solution_is_that_of_numpy():

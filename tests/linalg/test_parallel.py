@@ -5,7 +5,8 @@ from contextvars import ContextVar
 
 import pytest
 
-from tactorch.linalg import limit_workers, map_cases, parallel, worker_count
+from tactorch.linalg import limit_workers, map_cases, parallel
+from tactorch.linalg.parallel import worker_count
 
 
 @pytest.fixture(autouse=True)

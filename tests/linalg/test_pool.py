@@ -4,7 +4,7 @@ import threading
 import numpy as np
 import pytest
 
-from tactorch.linalg import SolverPool, Status, SymmetricPattern, available_solvers
+from tactorch.linalg import SolverPool, SymmetricPattern, available_solvers
 from tactorch.linalg.superlu import SuperLU
 
 
@@ -55,7 +55,7 @@ def test_rough_solvers_are_lent_apart(backend, lattice):
     for scale in (1.0, 1e-60):  # below the range of single precision
         expected = np.linalg.solve(system.dense, scale * rhs)
         for lease, error in ((single_precision, 1e-4), (exact, 1e-12)):
-            assert lease.factor(system.values) is Status.OK
+            assert lease.factor(system.values)
             np.testing.assert_allclose(
                 lease.solve(scale * rhs), expected, rtol=0, atol=error * np.abs(expected).max()
             )
@@ -90,7 +90,7 @@ def test_leases_hold_factorisations_of_their_own(backend, lattice):
     solvers = SolverPool(systems[0].pattern, backend)
     leases = [solvers.lease() for _ in systems]
     for lease, system in zip(leases, systems, strict=True):
-        assert lease.factor(system.values) is Status.OK
+        assert lease.factor(system.values)
     rhs = np.ones(systems[0].pattern.size)
     for lease, system in zip(leases, systems, strict=True):
         expected = np.linalg.solve(system.dense, rhs)

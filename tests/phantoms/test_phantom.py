@@ -158,6 +158,7 @@ BALL = {"shape": "sphere", "radius_mm": 1, "youngs_mpa": 1}
         ({}, "body is missing"),
         ({"body": 3}, "phantom.body is 3"),
         ({"body": {"shape": "blob"}}, "phantom.body: shape is 'blob'"),
+        ({"body": {"shape": ["box"]}}, r"phantom.body: shape is \['box'\]"),
         ({"body": BODY, "young_mpa": 1}, "unknown young_mpa"),
         ({"body": BODY, "youngs_mpa": "soft"}, "phantom.youngs_mpa is 'soft'"),
         ({"body": {**BODY, "radius": 1}}, "phantom.body: unknown radius"),

@@ -100,7 +100,7 @@ def test_appending_writes_no_more_than_the_press(path: Path, second: Press) -> N
 
 
 def test_a_long_tail_is_merged(path: Path, second: Press, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tactorch.recording.append._MIN_TAIL_BYTES", 0)
+    monkeypatch.setattr("tactorch.recording.append._MAX_SMALL_TAIL_BYTES", 0)
     for number in range(20):
         append_press(path, replace(second, name=f"press {number}"))
     with h5py.File(path) as file:

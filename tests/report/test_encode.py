@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactorch.report.encode import indices, packed, quantised, rows, script_json
+from tactorch.report.figure_data import indices, packed, quantised, rows, script_json
 
 
 def unpacked(told: dict[str, Any]) -> np.ndarray:

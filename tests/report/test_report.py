@@ -28,7 +28,7 @@ from tactorch.inverse.settings import stored_settings
 from tactorch.recording import Recording
 from tactorch.report import load_run, run_names, write_report
 from tactorch.report.assessment import assess
-from tactorch.report.content import describe_run, score_table
+from tactorch.report.content import RunReport, score_table
 
 
 def page_of(run: Any, out: Path, **options: Any) -> str:
@@ -68,7 +68,7 @@ def test_a_thousand_elements_take_some_tens_of_kilobytes(run_folder: Path, tmp_p
 def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
     run = load_run(run_folder)
     assessment = assess(run)
-    told = describe_run(run, assessment)
+    told = RunReport(run, assessment)
     assert told.inclusion is not None
     assert told.headline.startswith("A stiff inclusion, ")
     assert f"{told.inclusion.contrast:.2g} times" in told.headline
@@ -104,7 +104,7 @@ def test_warnings_are_those_of_the_summary(run_folder: Path) -> None:
     assert run.recording is not None
     summary = summarise(run.recording, result, None, "x")
     doubted = dataclasses.replace(run, result=result, summary=summary)
-    (warning,) = describe_run(doubted, assess(doubted, uncertainty=False)).warnings
+    (warning,) = RunReport(doubted, assess(doubted, uncertainty=False)).warnings
     assert f"DO NOT TRUST THIS MAP: {warning}" in describe(run.recording, result, None, summary)
 
 
@@ -153,7 +153,7 @@ def test_no_uncertainty_is_told_at_a_bound(make_run: Any, tmp_path: Path) -> Non
     ).all()
     volumes = run.result.mesh.volumes
     share = volumes[assessment.uncertainty.at_bound].sum() / volumes.sum()
-    told = [line for line in describe_run(run, assessment).limitations if "factor of two" in line]
+    told = [line for line in RunReport(run, assessment).limitations if "factor of two" in line]
     assert f"{100 * share:.0f} %" in told[0]
     page_of(run, tmp_path)
 
@@ -202,7 +202,7 @@ def test_a_nuisance_whose_deviation_was_not_computed_is_not_said_to_be_unknown(
     for deviation, words in ((np.nan, "was not computed"), (0.02, "hardly determine"), (0.001, "")):
         estimate = NuisanceEstimate(np.array([0.4]), np.array([deviation]), 0.02)
         found = dataclasses.replace(run.result, nuisance={"poisson": estimate})
-        told = describe_run(
+        told = RunReport(
             dataclasses.replace(run, result=found), assess(run, uncertainty=False)
         ).limitations
         named = [line for line in told if "poisson" in line]

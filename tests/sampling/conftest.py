@@ -1,6 +1,8 @@
 """A small object, presses on it, and a view that remembers."""
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import pytest
 from tactorch.inverse import Settings
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
-from tactorch.recording import Recording
+from tactorch.recording import Press, Recording
 from tactorch.sampling import (
     LoopOptions,
     LoopResult,
@@ -20,6 +22,7 @@ from tactorch.sampling import (
     SuggestOptions,
     Update,
 )
+from tactorch.sampling.store import HISTORY
 from tactorch.simulation import PressPlan, simulate
 
 
@@ -49,11 +52,6 @@ class Memory(Observer):
         self.suggestions.append(update)
 
 
-@pytest.fixture
-def view() -> Memory:
-    return Memory()
-
-
 @pytest.fixture(scope="session")
 def whole() -> Recording:
     """Four presses on a cube of 135 tetrahedra with a large stiff ball, with noise."""
@@ -73,35 +71,46 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "session.h5"
 
 
-def _follow(
-    path: Path,
-    folder: Path,
-    view: Memory,
-    *,
-    rule: str = "none",
-    patience: float = 5.0,
-    **options: Any,
-) -> LoopResult:
-    """Follow until nothing comes any more, one press at a time."""
-    settings = Settings()
-    usual = {"idle_seconds": 0.05, "poll_seconds": 0.01, "max_batch": 1, "max_iterations": 3}
-    usual["update_seconds"] = None
-    source = RecordingSource(path, patience_seconds=patience, report=view.show_message)
-    return SamplingLoop(
-        source,
-        settings,
-        folder,
-        view,
-        options=LoopOptions(**{**usual, **options}),
-        suggester=Suggester(settings, SuggestOptions(rule=rule, candidates=6)),
-    ).run()
+class Live:
+    """A recording at `path`, of which tests write presses of `whole`, and runs that follow it."""
+
+    def __init__(self, path: Path, whole: Recording) -> None:
+        self.path, self.whole, self.run = path, whole, path.with_name("run")
+        self.view, self.new_view = Memory(), Memory
+
+    def save(self, *presses: int | Press) -> None:
+        """Write presses, by number where they are those of `whole`."""
+        chosen = tuple(self.whole.presses[p] if isinstance(p, int) else p for p in presses)
+        replace(self.whole, presses=chosen, check_units=False).save(self.path)
+
+    def follow(
+        self,
+        view: Memory | None = None,
+        *,
+        folder: Path | None = None,
+        suggest: SuggestOptions | None = None,
+        rule: str = "none",
+        **options: Any,
+    ) -> LoopResult:
+        """Follow until nothing comes any more, one press at a time."""
+        settings, view = Settings(), view or self.view
+        usual = {"idle_seconds": 0.05, "poll_seconds": 0.01, "max_batch": 1, "max_iterations": 3}
+        usual["update_seconds"] = None
+        suggest = suggest or SuggestOptions(rule=rule, candidates=6)
+        return SamplingLoop(
+            RecordingSource(self.path, report=view.show_message),
+            settings,
+            folder or self.run,
+            view,
+            options=LoopOptions(**{**usual, **options}),
+            suggester=Suggester(settings, suggest),
+        ).run()
+
+    def lines(self) -> list[dict[str, Any]]:
+        """Return the history that the run has written."""
+        return [json.loads(line) for line in (self.run / HISTORY).read_text().splitlines()]
 
 
 @pytest.fixture
-def follow() -> Callable[..., LoopResult]:
-    return _follow
-
-
-@pytest.fixture
-def new_view() -> type[Memory]:
-    return Memory
+def live(path: Path, whole: Recording) -> Live:
+    return Live(path, whole)

@@ -5,8 +5,7 @@ import pytest
 
 from tactorch.fem import SoftBody, make_material
 from tactorch.mesh import box_mesh
-from tactorch.sampling.candidates import Patch
-from tactorch.sampling.presser import Presser, SimulatedPresser
+from tactorch.sampling import Patch, Presser, SimulatedPresser
 
 TOP = Patch(np.array([5.0, 5.0, 10.0]), np.array([0.0, 0.0, -1.0]), 3.0)
 

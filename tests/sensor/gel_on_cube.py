@@ -10,7 +10,7 @@ import numpy as np
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel import GelModel
+from tactorch.sensor.gel import GelModel, GelOptions
 
 GEL = GelLayer(4.0, 0.12, 0.45, size_mm=(10.0, 10.0))
 
@@ -40,7 +40,7 @@ FIRST = sensor_pose(10.0)
 
 def pressed(depth_mm: float) -> Pair:
     """Push the gel's window down."""
-    model = GelModel(GEL, 1.0, 3, "tet4")
+    model = GelModel(GEL, GelOptions(1.0, 3, "tet4"))
     cube = box_mesh(10.0, 10)
     above = model.gel_mesh.mesh.points @ FIRST[:3, :3].T + FIRST[:3, 3]
     top = np.flatnonzero(cube.points[:, 2] > 9.999)

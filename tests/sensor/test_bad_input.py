@@ -28,7 +28,7 @@ from tactorch.sensor.contact import build_press, check_pose, facing_triangles
 from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, load_sensor
 from tactorch.sensor.frames import read_frames, read_image, read_reference
-from tactorch.sensor.gel import GelContact, GelModel
+from tactorch.sensor.gel import GelContact, GelModel, GelOptions
 from tactorch.sensor.markers import MarkerAppearance, MarkerTracker
 from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.render import GelSurface, render
@@ -260,7 +260,7 @@ REFUSED = [
         ("labels.csv', line 2", "radius_px is missing"), FileError),
     Bad("contact of negative radius", "read_labels",
         lambda d: read_labels(written(d, "labels.csv", LABELS + "a.png,30,20,-9\n")),
-        ("labels.csv', line 2", "radius -9", "at least 2 px"), FileError),
+        ("labels.csv', line 2", "radius_px=-9.0", "at least 2"), FileError),
     Bad("two contacts of one image", "read_labels",
         lambda d: read_labels(written(d, "labels.csv", LABELS + "a.png,3,2,9\na.png,3,2,8\n")),
         ("labels.csv', line 3", "a.png has a contact already", "give one"), FileError),
@@ -342,7 +342,7 @@ REFUSED = [
         lambda d: reconstruct_height(np.full((48, 64, 2), np.nan), (0.3, 0.3)),
         ("not finite", "fill them in first")),
     Bad("displacement of the gel all NaN", "GelModel.forces",
-        lambda d: GelModel(GEL, 2.0, 2, "tet4").forces(np.full((99, 3), np.nan)),
+        lambda d: GelModel(GEL, GelOptions(2.0, 2, "tet4")).forces(np.full((99, 3), np.nan)),
         ("no displacement of the gel is known",)),
     Bad("sensor without markers", "SensorChain", lambda d: chain(SENSOR, IMAGE),
         ("'small' has no markers", "give markers in its description")),

@@ -16,7 +16,6 @@ from tactorch.sensor.calibration import (
     FitOptions,
     evaluate_map,
     find_circle,
-    fit_circle,
     fit_map,
     image_change,
     load_calibration,
@@ -25,6 +24,7 @@ from tactorch.sensor.calibration import (
     save_calibration,
     select_map,
 )
+from tactorch.sensor.calibration.fit import fit_circle
 from tactorch.sensor.calibration.maps import map_slopes
 from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.markers import MarkerAppearance
@@ -141,7 +141,10 @@ def test_markers_do_not_count() -> None:
         ("image,center_x_px,center_y_px\na.png,1,2\n", "lacks the column radius_px"),
         ("image,center_x_px,center_y_px,radius_px\n", "has no line"),
         ("image,center_x_px,center_y_px,radius_px\na.png,1,x,9\n", "line 2: could not convert"),
-        ("image,center_x_px,center_y_px,radius_px\na.png,1,2,9\nb.png,1,2,1\n", "line 3: circle"),
+        (
+            "image,center_x_px,center_y_px,radius_px\na.png,1,2,9\nb.png,1,2,1\n",
+            "3: radius_px=1",
+        ),
     ],
 )
 def test_tables_that_cannot_be_read(text: str, message: str, tmp_path: Path) -> None:

@@ -5,14 +5,15 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import GelLayer, load_sensor
-from tactorch.sensor.gel import GelModel, build_gel_mesh
+from tactorch.sensor.gel import GelModel, GelOptions
+from tactorch.sensor.gel.mesh import GelMesh
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 
 
 @pytest.fixture(scope="module")
 def model() -> GelModel:
-    return GelModel(GEL, 1.0, 3, "tet4")
+    return GelModel(GEL, GelOptions(1.0, 3, "tet4"))
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +23,7 @@ def pushed(model: GelModel) -> tuple[np.ndarray, np.ndarray]:
     forces = np.where((distance < 2.6)[:, None], (0.004, 0.0, -0.02), 0.0)
     loads = np.zeros(model.gel_mesh.mesh.points.shape)
     loads[model.gel_mesh.face] = forces
-    nothing = np.full(model.points.shape, np.nan)
-    held = model._supports(np.nan_to_num(nothing), np.isfinite(nothing))
+    held = model._supports(np.full(model.points.shape, np.nan))
     moved = model.body.equilibrate(model.youngs, loads, held).require().displacement
     return forces, moved[model.gel_mesh.face]
 
@@ -70,7 +70,7 @@ def test_what_is_not_seen_is_free(model: GelModel, pushed: tuple[np.ndarray, np.
 @pytest.mark.parametrize("name", ["finger", "gelsight_mini", "gelsight_markers"])
 def test_shipped_gels_are_meshed(name: str) -> None:
     gel = load_sensor(name).gel
-    meshed = build_gel_mesh(gel, 2.0, 2)
+    meshed = GelMesh(gel, 2.0, 2)
     width, height = gel.half_size_mm
     area = np.pi * width * height if gel.radius_mm is not None else 4 * width * height
     volume = meshed.mesh.volumes.sum()
@@ -80,7 +80,7 @@ def test_shipped_gels_are_meshed(name: str) -> None:
 
 def test_a_curved_gel() -> None:
     gel = GelLayer(5.0, 0.12, radius_mm=10.0, curvature_radius_mm=26.0)
-    meshed = build_gel_mesh(gel, 1.0, 3)
+    meshed = GelMesh(gel, 1.0, 3)
     points = meshed.face_points
     np.testing.assert_allclose(points[:, 2], gel.height_mm(points[:, :2]), atol=1e-9)
     assert points[:, 2].min() == pytest.approx(-2.0)
@@ -93,6 +93,6 @@ def test_wrong_input_is_refused(model: GelModel) -> None:
     with pytest.raises(ConfigError, match="no displacement of the gel is known"):
         model.forces(np.full((121, 3), np.nan))
     with pytest.raises(ConfigError, match="at least 4 cells across"):
-        build_gel_mesh(GEL, 5.0)
+        GelMesh(GEL, 5.0, 4)
     with pytest.raises(ConfigError, match="give a larger"):
-        build_gel_mesh(GEL, 0.01)
+        GelMesh(GEL, 0.01, 4)

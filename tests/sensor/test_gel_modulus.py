@@ -9,22 +9,23 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel import GelModel, KnownLoad, calibrate_modulus
+from tactorch.sensor.gel import GelModel, GelOptions, KnownLoad, calibrate_modulus
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
+CELLS = GelOptions(1.25, 2, "tet4")
 NOISE = 0.003
 
 
 @pytest.fixture(scope="module")
 def model() -> GelModel:
     """States 0.2 MPa."""
-    return GelModel(GEL, 1.25, 2, "tet4")
+    return GelModel(GEL, CELLS)
 
 
 @pytest.fixture(scope="module")
 def presses() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Displacement, total force and touched nodes of two presses on a gel of 0.35 MPa."""
-    stiffer = GelModel(replace(GEL, youngs_mpa=0.35), 1.25, 2, "tet4")
+    stiffer = GelModel(replace(GEL, youngs_mpa=0.35), CELLS)
     found = []
     for radius, pressure in ((2.6, 0.03), (1.9, 0.05)):
         touched = np.linalg.norm(stiffer.points[:, :2], axis=1) < radius
@@ -105,7 +106,7 @@ def test_the_modulus_goes_with_the_load(model: GelModel, presses: list, scale: f
 def test_what_was_stated_before_is_no_matter(model: GelModel, presses: list) -> None:
     moved, force, touched = presses[0]
     load = KnownLoad(moved + 0.0, force, 0.01, touched)
-    softer = GelModel(replace(GEL, youngs_mpa=0.05), 1.25, 2, "tet4")
+    softer = GelModel(replace(GEL, youngs_mpa=0.05), CELLS)
     one, other = (calibrate_modulus(m, [load], NOISE) for m in (model, softer))
     assert one.youngs_mpa == pytest.approx(other.youngs_mpa, rel=1e-4)
 

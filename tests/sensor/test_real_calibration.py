@@ -13,12 +13,12 @@ from tactorch.sensor.calibration import (
     cross_validate,
     evaluate_map,
     find_circle,
-    fit_circle,
     fit_map,
     image_change,
     marker_pixels,
     read_labels,
 )
+from tactorch.sensor.calibration.fit import fit_circle
 from tactorch.sensor.frames import read_image
 from tactorch.sensor.markers import MarkerAppearance
 

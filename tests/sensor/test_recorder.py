@@ -23,13 +23,13 @@ from tactorch.sensor.gel import GelContact, GelModel
 from tactorch.sensor.poses import Poses
 from tactorch.sensor.recorder import Fixture, RecordOptions, VirtualCube, record, record_streaming
 from tactorch.sensor.recorder.detector import ContactDetector
-from tactorch.sensor.recorder.first_contact import (
+from tactorch.sensor.recorder.press_builder import (
     axial_gap,
     first_pose_by_depth,
     first_pose_by_shape,
+    opposite_nodes,
     sample_surface,
 )
-from tactorch.sensor.recorder.press_builder import opposite_nodes
 
 from .gel_on_cube import FIRST, GEL, Pair, pressed, sensor_pose
 
@@ -200,7 +200,7 @@ def test_noise_is_what_frames_without_contact_show(pairs: dict[float, Pair], pos
     cube = pairs[0.2].cube
     press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC).recording.presses[0]
     assert press.noise_mm == pytest.approx(found.noise_mm)
-    given = RecordOptions(noise_mm=0.02)
+    given = RecordOptions(press_noise_mm=0.02)
     press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC, given).recording.presses[0]
     assert press.noise_mm == 0.02
 
@@ -254,7 +254,7 @@ def test_poses_that_do_not_fit_the_images_are_told(caplog: pytest.LogCaptureFixt
 
 def test_first_touch_by_depth() -> None:
     poses = Poses(np.array([0.0, 1.0]), np.stack([sensor_pose(10.5), sensor_pose(9.5)]))
-    times, depths = np.array([0.7, 0.9]), np.array([0.1, 0.2])  # half of the way goes to the gel
+    times, depths = [0.7, 0.9], [0.1, 0.2]  # half of the way goes to the gel
     np.testing.assert_allclose(first_pose_by_depth(poses, 0.4, times, depths), FIRST, atol=1e-9)
     # Not before the last frame without contact, nor by depths that do not grow.
     assert first_pose_by_depth(poses, 0.6, times, depths)[2, 3] == pytest.approx(9.9)
@@ -305,13 +305,13 @@ def test_what_holds_the_object() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Fixture("under"), "side='under': give opposite, x-"),
-        (lambda: Fixture(kind="glued"), "kind='glued': give fixed or springs"),
+        (lambda: Fixture("under"), "held_side='under': give opposite, x-"),
+        (lambda: Fixture(held_by="glued"), "held_by='glued': give fixed or springs"),
         (lambda: Fixture(spring_n_per_mm=0), "spring_n_per_mm"),
         (lambda: RecordOptions(steps=0), "steps=0: give a whole number, at least 1"),
         (lambda: RecordOptions(min_frames=0), "min_frames=0: give a whole number, at least 1"),
         (lambda: RecordOptions(first_contact="feel"), "first_contact='feel': give shape or depth"),
-        (lambda: RecordOptions(noise_mm=-1.0), "noise_mm"),
+        (lambda: RecordOptions(press_noise_mm=-1.0), "press_noise_mm"),
         (lambda: VirtualCube(10.0, edge_mm=6.0), "edge_mm=6 is more than half the region of 10"),
         (lambda: VirtualCube(10.0, edge_mm=0.1), "edge_mm=0.1 makes 6000000 elements"),
         (lambda: VirtualCube(-1.0), "side_mm"),

@@ -10,17 +10,18 @@ corrected and given as labels=) and held_out.png: each held-out press and the ba
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.sensor.inputs import load_reference, load_sensor_settings, marker_appearance
+from tactorch.cli.sensor.inputs import load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import CalibrateSettings
 from tactorch.cli.sensor.presses import (
     EvaluatedPress,
-    PressImage,
+    checksum,
+    evaluate_presses,
     prepare_folder,
     read_presses,
     write_report,
@@ -30,70 +31,60 @@ from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import (
     SENSOR_MAPS,
     Ball,
+    BallPress,
     Calibration,
-    Circle,
     FitOptions,
     MapQuality,
-    SlopeMap,
     evaluate_map,
     fit_map,
     save_calibration,
     select_map,
 )
-from tactorch.sensor.calibration.fit import fit_new_circle, validation_groups
+from tactorch.sensor.calibration.fit import validation_groups
+from tactorch.sensor.frames import read_reference
 
 AUTO = "auto"
 _HELD_OUT_FRACTION = 4  # one press in four is held out
 _SELECTION_GROUPS = 3  # of presses left out to select a map
 
 
-@dataclass(frozen=True, eq=False)
-class _Evaluation:
-    """Fitted map, and its accuracy on presses that were held out.
-
-    Attributes:
-        map: Map.
-        circles: Contacts of the presses that it was fitted to.
-        presses: Evaluated presses, with the contacts and maps used for them.
-        quality: Accuracy on these presses together.
-        title: Description of the evaluation.
-    """
-
-    map: SlopeMap
-    circles: Mapping[str, Circle]
-    presses: Sequence[EvaluatedPress]
-    quality: MapQuality
-    title: str
-
-
 def run(cfg: CalibrateSettings) -> Path:
     """Calibrate a sensor; returns the path of the calibration."""
     folder = prepare_folder()
     out = folder / "calib.npz" if cfg.out is None else cfg.out
-    options = _fit_options(cfg)
-    sensor = load_sensor_settings(cfg)
+    options, sensor = _fit_options(cfg), load_sensor_settings(cfg)
     ball = Ball(cfg.ball_radius_mm, sensor.mm_per_px)
-    reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
+    reference = read_reference(cfg.reference, sensor, cfg.reference_frames)
     markers = marker_appearance(sensor, cfg.marker_diameter_px)
-    presses = read_presses(cfg, sensor, ball, reference, markers)
-    training, held_out = _split(presses, cfg, options.seed)
+    presses, images = read_presses(cfg, sensor, ball, reference, markers)
+    training, held_out = _split(presses, cfg)
     options, maps = _select_map(cfg.map, training, ball, options)
-    if cfg.folds is None:
-        result = _evaluate_held_out(training, held_out, ball, options)
+    with progress("fitting map and contacts", "rounds") as report:
+        slope_map, circles = fit_map(training, ball, options, report)
+    title = f"{SENSOR_MAPS.name_of(type(options.map))}, "
+    if cfg.folds is not None:
+        evaluated, quality = _cross_validate(training, ball, options, cfg.folds)
+        title += f"on {len(training)} presses, each left out once, in {cfg.folds} groups"
     else:
-        result = _cross_validate(training, ball, options, cfg.folds)
+        if held_out:
+            evaluated = evaluate_presses(held_out, slope_map, ball)
+            title += f"fitted to {len(training)} presses, on {len(held_out)} others"
+        else:
+            evaluated = [EvaluatedPress(p, circles[p.name], slope_map) for p in training]
+            title += f"on the {len(training)} presses it was fitted to: others do worse"
+        contacts = [one.circle for one in evaluated]
+        quality = evaluate_map(slope_map, [one.press for one in evaluated], contacts, ball)
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,
         "fit": to_mapping(options),
-        "maps": {name: asdict(quality) for name, quality in maps.items()},
-        "judged": result.title,
-        "quality": asdict(result.quality),
-        "fitted_to": {press.name: press.digest for press in training},
+        "maps": {name: asdict(each) for name, each in maps.items()},
+        "judged": title,
+        "quality": asdict(quality),
+        "fitted_to": {press.name: checksum(images[press.name]) for press in training},
     }
-    save_calibration(Calibration(result.map, reference, ball.mm_per_px, markers, facts), out)
-    circles = {one.source.name: one.circle for one in result.presses} | dict(result.circles)
-    write_report(folder, result.title, result.quality, result.presses, ball, circles, facts)
+    save_calibration(Calibration(slope_map, reference, ball.mm_per_px, markers, facts), out)
+    write_report(folder, title, quality, evaluated, images, ball, circles, facts)
     log.info("calibration: %s", out)
     return out
 
@@ -108,13 +99,9 @@ def _fit_options(cfg: CalibrateSettings) -> FitOptions:
     return FitOptions(SENSOR_MAPS.build(name), cfg.rounds, cfg.seed)
 
 
-def _map_name(options: FitOptions) -> str:
-    return SENSOR_MAPS.name_of(type(options.map))
-
-
 def _split(
-    presses: list[PressImage], cfg: CalibrateSettings, seed: int
-) -> tuple[list[PressImage], list[PressImage]]:
+    presses: list[BallPress], cfg: CalibrateSettings
+) -> tuple[list[BallPress], list[BallPress]]:
     """Return presses for the fit and held-out presses."""
     if cfg.folds is not None:
         if not 2 <= cfg.folds <= len(presses):
@@ -127,68 +114,36 @@ def _split(
             f"held_out={count} of {len(presses)} presses leaves none to fit to; add presses, or"
             " give held_out=0 to do without a judgement."
         )
-    order = np.random.default_rng(seed).permutation(len(presses)).tolist()
+    order = np.random.default_rng(cfg.seed).permutation(len(presses)).tolist()
     held_out = set(order[:count])
     training = [press for k, press in enumerate(presses) if k not in held_out]
     return training, [presses[k] for k in sorted(held_out)]
 
 
 def _select_map(
-    name: str, training: list[PressImage], ball: Ball, options: FitOptions
+    name: str, training: Sequence[BallPress], ball: Ball, options: FitOptions
 ) -> tuple[FitOptions, Mapping[str, MapQuality]]:
     """Select the map by cross-validation on the presses for the fit."""
     if name != AUTO:
         return options, {}
     if len(training) < 2:
         raise ConfigError("map=auto takes two presses or more to fit to; give map=mlp_colour.")
-    presses = [one.press for one in training]
     groups = min(_SELECTION_GROUPS, len(training))
     with progress("choosing a map", "maps") as report:
-        selected, maps = select_map(presses, ball, options, groups, report)
+        selected, maps = select_map(training, ball, options, groups, report)
     for each, quality in maps.items():
         log.info("%s: mean error of slopes %.4f / %.4f on presses left out", each, *quality.mae)
     return replace(options, map=SENSOR_MAPS.build(selected)), maps
 
 
-def _evaluate_held_out(
-    training: list[PressImage], held_out: list[PressImage], ball: Ball, options: FitOptions
-) -> _Evaluation:
-    slope_map, circles = _fit(training, ball, options)
-    name, count = _map_name(options), len(training)
-    if held_out:
-        presses = [
-            EvaluatedPress(one, fit_new_circle(one.press, slope_map, ball), slope_map)
-            for one in held_out
-        ]
-        title = f"{name}, fitted to {count} presses, on {len(held_out)} others"
-    else:
-        presses = [EvaluatedPress(one, circles[one.name], slope_map) for one in training]
-        title = f"{name}, on the {count} presses it was fitted to: others do worse"
-    sources, fitted = [one.source.press for one in presses], [one.circle for one in presses]
-    quality = evaluate_map(slope_map, sources, fitted, ball)
-    return _Evaluation(slope_map, circles, presses, quality, title)
-
-
 def _cross_validate(
-    training: list[PressImage], ball: Ball, options: FitOptions, folds: int
-) -> _Evaluation:
-    by_name = {one.name: one for one in training}
-    presses, parts = [], []
-    groups = validation_groups([one.press for one in training], ball, options, folds)
+    training: Sequence[BallPress], ball: Ball, options: FitOptions, folds: int
+) -> tuple[list[EvaluatedPress], MapQuality]:
+    evaluated, parts = list[EvaluatedPress](), []
     with progress("judging", "groups left out") as report:
-        for slope_map, left_out, circles in groups:
-            parts.append(evaluate_map(slope_map, left_out, circles, ball))
-            pairs = zip(left_out, circles, strict=True)
-            presses += [EvaluatedPress(by_name[p.name], c, slope_map) for p, c in pairs]
+        for slope_map, group, circles in validation_groups(training, ball, options, folds):
+            parts.append(evaluate_map(slope_map, group, circles, ball))
+            pairs = zip(group, circles, strict=True)
+            evaluated += [EvaluatedPress(press, circle, slope_map) for press, circle in pairs]
             report(len(parts), folds)
-    count = len(training)
-    title = f"{_map_name(options)}, on {count} presses, each left out once, in {folds} groups"
-    final, fitted = _fit(training, ball, options)
-    return _Evaluation(final, fitted, presses, MapQuality.pool(parts), title)
-
-
-def _fit(
-    training: list[PressImage], ball: Ball, options: FitOptions
-) -> tuple[SlopeMap, Mapping[str, Circle]]:
-    with progress("fitting map and contacts", "rounds") as report:
-        return fit_map([one.press for one in training], ball, options, report)
+    return evaluated, MapQuality.pool(parts)

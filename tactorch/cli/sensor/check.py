@@ -7,14 +7,18 @@ The run folder gets quality.json and .txt, circles.csv and held_out.png. Presses
 calibration was fitted to are named: their figures are no test of the calibration.
 """
 
-from typing import Any
-
 from tactorch.cli.console import log
-from tactorch.cli.sensor.inputs import load_calibrated, load_reference
+from tactorch.cli.sensor.inputs import load_calibrated
 from tactorch.cli.sensor.options import CheckSettings
-from tactorch.cli.sensor.presses import EvaluatedPress, prepare_folder, read_presses, write_report
+from tactorch.cli.sensor.presses import (
+    checksum,
+    evaluate_presses,
+    prepare_folder,
+    read_presses,
+    write_report,
+)
 from tactorch.sensor.calibration import Ball, MapQuality, evaluate_map
-from tactorch.sensor.calibration.fit import fit_new_circle
+from tactorch.sensor.frames import read_reference
 
 
 def run(cfg: CheckSettings) -> MapQuality:
@@ -24,24 +28,19 @@ def run(cfg: CheckSettings) -> MapQuality:
     ball = Ball(cfg.ball_radius_mm, calibration.mm_per_px)
     reference = calibration.reference
     if cfg.reference is not None:
-        reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
-    presses = read_presses(cfg, sensor, ball, reference, calibration.markers)
-    evaluated = [
-        EvaluatedPress(one, fit_new_circle(one.press, calibration.map, ball), calibration.map)
-        for one in presses
-    ]
-    circles = {one.source.name: one.circle for one in evaluated}
-    sources = [one.press for one in presses]
-    quality = evaluate_map(calibration.map, sources, list(circles.values()), ball)
+        reference = read_reference(cfg.reference, sensor, cfg.reference_frames)
+    presses, images = read_presses(cfg, sensor, ball, reference, calibration.markers)
+    evaluated = evaluate_presses(presses, calibration.map, ball)
+    quality = evaluate_map(calibration.map, presses, [one.circle for one in evaluated], ball)
     known = set(calibration.facts.get("fitted_to", {}).values())
-    fitted = [one.name for one in presses if one.digest in known]
+    fitted = [name for name, image in images.items() if checksum(image) in known]
     title = f"{cfg.calibration.name} ({calibration.map_name}), on {len(evaluated)} presses"
-    facts: dict[str, Any] = {"calibration": calibration.facts, "fitted_to": fitted}
-    write_report(folder, title, quality, evaluated, ball, circles, facts)
+    facts = {"calibration": calibration.facts, "fitted_to": fitted}
+    write_report(folder, title, quality, evaluated, images, ball, {}, facts)
     if fitted:
+        names = ", ".join(fitted[:3]) + (", ..." if len(fitted) > 3 else "")
         log.info(
             "warning: the calibration was fitted to %d of these presses (%s); leave them out.",
-            len(fitted),
-            ", ".join(fitted[:3]) + (", ..." if len(fitted) > 3 else ""),
-        )
+            len(fitted), names,
+        )  # fmt: skip
     return quality

@@ -10,25 +10,18 @@ force-NUMBER.png and force.mp4.
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.cli.console import log
-from tactorch.cli.sensor.frames import (
-    FrameSequence,
-    RunFiles,
-    caption,
-    frame_times,
-    without_image,
-)
-from tactorch.cli.sensor.inputs import build_chain, load_calibrated, load_reference
+from tactorch.cli.sensor.frames import RunFiles, caption, frame_times, without_image, write_table
+from tactorch.cli.sensor.inputs import FrameSequence, build_chain
 from tactorch.cli.sensor.options import ForceSettings
 from tactorch.errors import ConvergenceError
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.frames import Frame
-from tactorch.viz.sensor_frames import ForceView, colour_limit, node_areas
+from tactorch.viz.sensor_frames import ForceView, colour_limit
 
 _TABLE, _ARRAYS = "forces.csv", "forces.npz"
 _HEADER = (
@@ -36,95 +29,82 @@ _HEADER = (
 )  # fmt: skip
 _MIN_LIMIT_MPA = 1e-4  # of the color scale, for frames without contact
 
-
-class _FrameForces(NamedTuple):
-    """Forces in a frame; NaN where unknown.
-
-    Attributes:
-        frame: Frame without its image.
-        forces: Forces on the gel at the nodes of its face, N.
-        displacement: Displacements of the nodes, mm; 0 without contact.
-        in_contact: Nodes in contact.
-        depth_mm: Depth of the deepest point.
-    """
-
-    frame: Frame
-    forces: Float[np.ndarray, "k 3"]
-    displacement: Float[np.ndarray, "k 3"]
-    in_contact: Bool[np.ndarray, " k"]
-    depth_mm: float
-
-    @property
-    def total(self) -> Float[np.ndarray, "3"]:
-        return self.forces.sum(axis=0)
+Vectors = Float[np.ndarray, "k 3"]
 
 
 def run(cfg: ForceSettings) -> Path:
     """Compute forces; returns the path of the table."""
-    files = RunFiles.prepare("force", _TABLE, _ARRAYS)
-    sensor, calibration = load_calibrated(cfg)
-    reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
-    frames = FrameSequence(cfg, sensor, reference)
-    chain = build_chain(cfg, sensor, calibration, reference)
+    files = RunFiles("force", _TABLE, _ARRAYS)
+    frames, chain = build_chain(cfg)
     results = frames.process("finding forces", lambda frame: _frame_forces(chain, frame))
-    _write(files, chain, results)
-    _draw(files, cfg, chain, frames, results)
+    measured, *arrays, depths = map(list, zip(*results, strict=True))
+    forces, displacement, in_contact = map(np.stack, arrays)
+    _write(files, chain, measured, forces, displacement, in_contact, depths)
+    _draw(files, cfg, chain, frames, measured, forces)
     log.info("forces: %s", files.folder / _TABLE)
     return files.folder / _TABLE
 
 
-def _frame_forces(chain: SensorChain, frame: Frame) -> _FrameForces:
-    """Compute the forces in a frame; a gel model that does not converge is a fault of the frame."""
-    shape = chain.model.points.shape
+def _frame_forces(
+    chain: SensorChain, frame: Frame
+) -> tuple[Frame, Vectors, Vectors, Bool[np.ndarray, " k"], float]:
+    """Frame, forces and displacements of the nodes (NaN if unknown), nodes in contact, and depth.
+
+    A gel model that does not converge is a fault of the frame.
+    """
+    shape, stored, nan = chain.model.points.shape, without_image(frame), float("nan")
     none = np.zeros(shape[0], dtype=bool)
     try:
         measurement = chain.measure(frame)
     except ConvergenceError as error:
-        unknown = np.full(shape, np.nan)
-        faulty = without_image(frame, f"no forces found: {error}")
-        return _FrameForces(faulty, unknown, unknown, none, float("nan"))
-    stored, contact, height = without_image(frame), measurement.contact, measurement.height
-    depth = float("nan") if height is None else height.depth_mm
+        unknown = np.full(shape, nan)
+        return without_image(frame, f"no forces found: {error}"), unknown, unknown, none, nan
+    contact, height = measurement.contact, measurement.height
+    depth = nan if height is None else height.depth_mm
     if contact is None:
-        free = np.full(shape, np.nan if height is None else 0.0)
-        return _FrameForces(stored, free, free, none, depth)
-    return _FrameForces(stored, contact.forces, contact.displacement, measurement.in_contact, depth)
+        free = np.full(shape, nan if height is None else 0.0)
+        return stored, free, free, none, depth
+    return stored, contact.forces, contact.displacement, measurement.in_contact, depth
 
 
-def _write(files: RunFiles, chain: SensorChain, results: list[_FrameForces]) -> None:
+def _write(
+    files: RunFiles,
+    chain: SensorChain,
+    frames: list[Frame],
+    forces: Float[np.ndarray, "f k 3"],
+    displacement: Float[np.ndarray, "f k 3"],
+    in_contact: Bool[np.ndarray, "f k"],
+    depths: list[float],
+) -> None:
     points, triangles = chain.model.points, chain.model.gel_mesh.face_triangles
-    area = node_areas(points, triangles)
-    frames = [result.frame for result in results]
-    totals = np.stack([result.total for result in results])
+    totals = forces.sum(axis=1)
     known = np.isfinite(totals).all(axis=1)
-    contacts = [float(area[result.in_contact].sum()) for result in results]
+    areas = np.where(known, in_contact @ chain.model.gel_mesh.face_areas, np.nan)
     rows = [
-        (result.frame.index, result.frame.time_s, *map(float, result.total),
-         contact if valid else None, result.depth_mm, result.frame.fault)
-        for result, contact, valid in zip(results, contacts, known, strict=True)
-    ]  # fmt: skip
-    files.write_table(_TABLE, _HEADER, rows)
+        (frame.index, frame.time_s, *total, area, depth, frame.fault)
+        for frame, total, area, depth in zip(
+            frames, totals.tolist(), areas.tolist(), depths, strict=True
+        )
+    ]
+    write_table(files.folder / _TABLE, _HEADER, rows)
     files.write_arrays(
         _ARRAYS,
         points_mm=points,
         triangles=triangles,
-        forces_n=np.stack([result.forces for result in results]),
-        displacement_mm=np.stack([result.displacement for result in results]),
-        touched=np.stack([result.in_contact for result in results]),
+        forces_n=forces,
+        displacement_mm=displacement,
+        touched=in_contact,
         time_s=frame_times(frames),
         fault=np.array([frame.fault for frame in frames]),
     )
-    pressed = sum(bool(result.in_contact.any()) for result in results)
-    size = np.linalg.norm(totals, axis=1)
-    largest = int(np.nanargmax(size)) if known.any() else 0
-    x, y, z = (float(v) for v in totals[largest])
+    pressed = int(in_contact.any(axis=1).sum())
+    largest = int(np.nanargmax(np.linalg.norm(totals, axis=1))) if known.any() else 0
+    x, y, z = totals[largest].tolist()
     files.write_frame_summary(
         frames,
         {"in_contact": pressed, "largest": {"frame": largest, "force_on_gel_n": [x, y, z]}},
-        [
-            f"{pressed} of {len(results)} frames are in contact. The largest force on the gel is in"
-            f" frame {largest}: x {x:+.3f}, y {y:+.3f}, z {z:+.3f} N."
-        ],
+        f"{pressed} of {len(frames)} frames are in contact. The largest force on the gel is in"
+        f" frame {largest}: x {x:+.3f}, y {y:+.3f}, z {z:+.3f} N.",
     )
 
 
@@ -133,22 +113,22 @@ def _draw(
     cfg: ForceSettings,
     chain: SensorChain,
     frames: FrameSequence,
-    results: list[_FrameForces],
+    measured: list[Frame],
+    forces: Float[np.ndarray, "f k 3"],
 ) -> None:
     points, triangles = chain.model.points, chain.model.gel_mesh.face_triangles
-    traction = np.stack([result.forces for result in results])
-    traction = traction / node_areas(points, triangles)[:, None]
+    traction = forces / chain.model.gel_mesh.face_areas[:, None]
     components = (-traction[..., 2], np.linalg.norm(traction[..., :2], axis=-1))
     pressure, shear = (colour_limit(component, _MIN_LIMIT_MPA) for component in components)
     view = ForceView(chain.sensor, points, triangles, (pressure, shear))
-    totals = np.stack([result.total for result in results])
+    totals = forces.sum(axis=1)
 
     def show(frame: Frame) -> None:
-        result, (x, y, z) = results[frame.index], totals[frame.index]
-        text = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} N" if np.isfinite(z) else "not known"
-        forces = result.forces if np.isfinite(z) else None
-        view.show(frame.image, forces, caption(result.frame, len(results), text))
+        x, y, z = totals[frame.index]
+        is_known = np.isfinite(z)
+        text = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} N" if is_known else "not known"
+        text = caption(measured[frame.index], len(measured), text)
+        view.show(frame.image, forces[frame.index] if is_known else None, text)
 
     series = {"force on the gel, N": {name: totals[:, k] for k, name in enumerate("xyz")}}
-    measured = [result.frame for result in results]
-    files.draw(view, frames, show, cfg, measured, series)
+    files.draw(view.figure, frames, show, cfg, measured, series)

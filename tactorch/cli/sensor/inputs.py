@@ -1,22 +1,98 @@
-"""Inputs of the commands of `tactorch sensor`: sensor, reference, calibration, processing chain."""
+"""Inputs of the commands of `tactorch sensor`: sensor, calibration, frames, processing chain."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
+from itertools import tee
+from typing import TypeVar
 
-from tactorch.cli.console import log
+from tactorch.cli.console import log, progress
 from tactorch.cli.sensor.options import (
     CalibratedSettings,
     ForceSettings,
     RecordSettings,
     SensorSettings,
+    SequenceSettings,
 )
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.description import SensorDescription, load_sensor
-from tactorch.sensor.frames import Image, read_reference
+from tactorch.sensor.frames import (
+    IMAGE_SUFFIXES,
+    VIDEO_SUFFIXES,
+    Frame,
+    read_frames,
+    read_reference,
+    video_length,
+)
 from tactorch.sensor.gel import GelModel
 from tactorch.sensor.markers import MarkerAppearance
+
+_T = TypeVar("_T")
+
+
+class FrameSequence:
+    """Frames of a folder, a video, an image or a camera, and the image without contact.
+
+    Those of a camera are stored; if they are read only `once`, it may run without end.
+    """
+
+    def __init__(
+        self, cfg: SequenceSettings, sensor: SensorDescription, *, once: bool = False
+    ) -> None:
+        self.source, self.max_frames = cfg.frames, cfg.max_frames
+        self.reference = read_reference(cfg.reference, sensor, cfg.reference_frames)
+        self._sensor, self._once = sensor, once
+        if self.is_camera and self.max_frames is None and not once:
+            raise ConfigError(f"frames={self.source} is a camera; give max_frames too.")
+        self.zero_unix_s: float | None = None  # time of a camera's first frame since 1970
+        self._first = self._read()  # a missing source is an error at once
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Iterate over the frames from the first."""
+        if self._once:
+            return self._first
+        if not self.is_camera:
+            return self._read()
+        self._first, frames = tee(self._first)  # keeps the frames
+        return frames
+
+    @property
+    def is_camera(self) -> bool:
+        """Whether the source is a camera."""
+        return isinstance(self.source, int)
+
+    @property
+    def total(self) -> int:
+        """Expected number of frames."""
+        if isinstance(self.source, int):
+            return self.max_frames or 1
+        count = 1
+        if self.source.is_dir():
+            count = sum(p.suffix.lower() in IMAGE_SUFFIXES for p in self.source.iterdir())
+        elif self.source.suffix.lower() in VIDEO_SUFFIXES:
+            count = video_length(self.source)
+        return count if self.max_frames is None else min(count, self.max_frames)
+
+    def process(self, label: str, function: Callable[[Frame], _T]) -> list[_T]:
+        """Apply a function to all frames, with a progress bar."""
+        results: list[_T] = []
+        with progress(label, "frames") as report:
+            for frame in self:
+                results.append(function(frame))
+                report(len(results), self.total)
+        return results
+
+    def _read(self) -> Iterator[Frame]:
+        return self._limited(read_frames(self.source, self._sensor, self.reference))
+
+    def _limited(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        for count, frame in enumerate(frames, start=1):
+            if self.zero_unix_s is None and frame.unix_s is not None and frame.time_s is not None:
+                self.zero_unix_s = frame.unix_s - frame.time_s
+            yield frame
+            if count == self.max_frames:
+                return
 
 
 def load_sensor_settings(cfg: SensorSettings) -> SensorDescription:
@@ -24,11 +100,6 @@ def load_sensor_settings(cfg: SensorSettings) -> SensorDescription:
     sensor = load_sensor(str(cfg.sensor))
     scale = getattr(cfg, "mm_per_px", None)
     return sensor if scale is None else replace(sensor, mm_per_px=scale)
-
-
-def load_reference(reference: int | Path, frames: int, sensor: SensorDescription) -> Image:
-    """Return the image of the gel without contact, the mean of some frames."""
-    return read_reference(reference, sensor, frames)
 
 
 def marker_appearance(
@@ -47,9 +118,6 @@ def load_calibrated(cfg: CalibratedSettings) -> tuple[SensorDescription, Calibra
     """Read sensor and calibration, and use the scale of the calibration.
 
     A calibration without markers may be used for a gel with markers, which are then masked.
-
-    Raises:
-        ConfigError: The calibration is of images of another size.
     """
     sensor, calibration = load_sensor_settings(cfg), load_calibration(str(cfg.calibration))
     shape = calibration.reference.shape[:2]
@@ -68,10 +136,9 @@ def load_calibrated(cfg: CalibratedSettings) -> tuple[SensorDescription, Calibra
 
 
 def build_chain(
-    cfg: ForceSettings | RecordSettings,
-    sensor: SensorDescription,
-    calibration: Calibration,
-    reference: Image,
-) -> SensorChain:
-    """Return the processing chain of the settings, which are those of the gel and of the chain."""
-    return SensorChain(sensor, calibration, reference, GelModel.build(sensor.gel, cfg), cfg)
+    cfg: ForceSettings | RecordSettings, *, once: bool = False
+) -> tuple[FrameSequence, SensorChain]:
+    """Return the frames of the settings and the processing chain for them."""
+    sensor, calibration = load_calibrated(cfg)
+    frames, model = FrameSequence(cfg, sensor, once=once), GelModel(sensor.gel, cfg)
+    return frames, SensorChain(sensor, calibration, frames.reference, model, cfg)

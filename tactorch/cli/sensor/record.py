@@ -15,32 +15,24 @@ The run folder gets recording.h5, session.csv (each frame), summary.json and .tx
 over_time.png (depth, contacts, frames kept) and presses.png (the contacts, on the object).
 """
 
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from tactorch.cli.console import ProgressCallback, log, progress
-from tactorch.cli.sensor.frames import OVER_TIME, FrameSequence, RunFiles
-from tactorch.cli.sensor.inputs import build_chain, load_calibrated, load_reference
+from tactorch.cli.sensor.frames import OVER_TIME, RunFiles, write_table
+from tactorch.cli.sensor.inputs import FrameSequence, build_chain
 from tactorch.cli.sensor.options import RecordSettings
 from tactorch.cli.settings import material_spec
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.recording import Recording, append_press, compact
-from tactorch.sensor.contact import ContactOptions
 from tactorch.sensor.poses import Poses, read_poses
-from tactorch.sensor.recorder import (
-    Fixture,
-    RecordOptions,
-    SessionRecording,
-    VirtualCube,
-    record,
-    record_streaming,
-)
+from tactorch.sensor.recorder import SessionRecording, VirtualCube, record, record_streaming
 from tactorch.viz.session import plot_presses, plot_session
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
@@ -50,28 +42,23 @@ _LABELS = {"frames": "following the gel", "presses": "finding forces"}
 
 def run(cfg: RecordSettings) -> Path:
     """Record a session; returns the recording's path."""
-    files = RunFiles.prepare("record", _TABLE, _PRESSES)
+    files = RunFiles("record", _TABLE, _PRESSES)
     out = files.folder / _RECORDING if cfg.out is None else cfg.out
     target = cfg.object if isinstance(cfg.object, VirtualCube) else cfg.object.mesh()
-    options, material = _record_options(cfg), material_spec(cfg.material)
-    sensor, calibration = load_calibrated(cfg)
-    reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
-    frames = FrameSequence(cfg, sensor, reference, once=cfg.as_they_end)
-    chain = build_chain(cfg, sensor, calibration, reference)
-    facts = {"settings": to_mapping(cfg), "calibration": calibration.facts}
+    material = material_spec(cfg.material)
+    frames, chain = build_chain(cfg, once=cfg.as_they_end)
+    facts = {"settings": to_mapping(cfg), "calibration": chain.calibration.facts}
     poses = _pose_reader(cfg, frames)
     if cfg.as_they_end:
-        contacts = record_streaming(
-            frames, chain, poses, target, material, options, provenance=facts
-        )
+        contacts = record_streaming(frames, chain, poses, target, material, cfg, provenance=facts)
         return _append_contacts(contacts, out)
     if frames.is_camera:
         require_file(str(cfg.poses), "table of poses")  # a robot still appends to it
     else:
         poses()  # errors of the table are reported at once
-    with _Stages(frames) as report:
+    with _stages(frames) as report:
         session = record(
-            frames, chain, poses, target, material, options, provenance=facts, progress=report
+            frames, chain, poses, target, material, cfg, provenance=facts, progress=report
         )
     session.recording.save(out)
     _write(files, session)
@@ -98,41 +85,23 @@ def _pose_reader(cfg: RecordSettings, frames: FrameSequence) -> Callable[[], Pos
     return read
 
 
-class _Stages:
+@contextmanager
+def _stages(frames: FrameSequence) -> Iterator[Callable[[str, int, int | None], None]]:
     """Progress of consecutive stages; a terminal shows one bar at a time."""
+    reports: dict[str, ProgressCallback] = {}
+    with ExitStack() as stack:
 
-    def __init__(self, frames: FrameSequence) -> None:
-        self._frames, self._stack = frames, ExitStack()
-        self._stage, self._report = "", cast(ProgressCallback | None, None)
+        def report(stage: str, done: int, total: int | None) -> None:
+            if stage not in reports:
+                stack.close()
+                reports[stage] = stack.enter_context(progress(_LABELS[stage], stage))
+            reports[stage](done, total or frames.total)
 
-    def __enter__(self) -> "_Stages":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._stack.close()
-
-    def __call__(self, stage: str, done: int, total: int | None) -> None:
-        if stage != self._stage or self._report is None:
-            self._stack.close()
-            self._stage = stage
-            self._report = self._stack.enter_context(progress(_LABELS[stage], stage))
-        self._report(done, total or self._frames.total)
-
-
-def _record_options(cfg: RecordSettings) -> RecordOptions:
-    virtual = isinstance(cfg.object, VirtualCube)
-    untouched = ("sensor" if virtual else "unseen") if cfg.untouched == "auto" else cfg.untouched
-    fixture = Fixture(cfg.held_side, cfg.held_by, cfg.spring_n_per_mm)
-    contact = ContactOptions(cfg.reach_mm, cast(Any, untouched))
-    return RecordOptions(cfg.steps, cfg.min_frames, cfg.first_contact, None, fixture, contact)
+        yield report
 
 
 def _append_contacts(contacts: Iterable[Recording], out: Path) -> Path:
-    """Append the presses of contacts to a recording until the frames end, or Ctrl-C.
-
-    Raises:
-        ConfigError: The recording exists, or there is no press.
-    """
+    """Append the presses of contacts to a recording until the frames end, or Ctrl-C."""
     if out.exists():
         raise ConfigError(f"out={out} is there already; choose another, or move it away.")
     count = 0
@@ -169,7 +138,7 @@ def _write(files: RunFiles, session: SessionRecording) -> None:
          int(frame.name in kept), frame.fault or session.skipped.get(frame.name, ""))
         for frame, number in zip(summaries, session.contact_numbers(), strict=True)
     ]  # fmt: skip
-    files.write_table(_TABLE, _HEADER, rows)
+    write_table(files.folder / _TABLE, _HEADER, rows)
     strongest = max(float(np.linalg.norm(row["force_n"])) for row in session.presses)
     values: dict[str, Any] = {
         "frames": len(summaries),

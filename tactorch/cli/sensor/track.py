@@ -8,27 +8,20 @@ The run folder gets tracks.csv and .npz, summary.json and .txt (with the faulty 
 over_time.png, markers-NUMBER.png and markers.mp4.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.sensor.frames import (
-    FrameSequence,
-    RunFiles,
-    caption,
-    frame_times,
-    without_image,
-)
-from tactorch.cli.sensor.inputs import load_reference, load_sensor_settings, marker_appearance
+from tactorch.cli.sensor.frames import RunFiles, caption, frame_times, without_image, write_table
+from tactorch.cli.sensor.inputs import FrameSequence, load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import TrackSettings
 from tactorch.errors import ConfigError
-from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Frame, Image
+from tactorch.sensor.frames import Frame
 from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, marker_displacements
 from tactorch.viz.sensor_frames import MarkerView, colour_limit
 
@@ -42,7 +35,7 @@ Positions = Float[np.ndarray, "f n 2"]
 
 def run(cfg: TrackSettings) -> Path:
     """Track markers; returns the path of the table."""
-    files = RunFiles.prepare("markers", _TABLE, _ARRAYS)
+    files = RunFiles("markers", _TABLE, _ARRAYS)
     sensor = load_sensor_settings(cfg)
     appearance = marker_appearance(sensor, cfg.marker_diameter_px)
     if appearance is None:
@@ -50,8 +43,8 @@ def run(cfg: TrackSettings) -> Path:
             f"sensor '{sensor.name}' has no markers; describe them in its file, or give"
             " marker_diameter_px."
         )
-    reference = load_reference(cfg.reference, cfg.reference_frames, sensor)
-    tracker, frames = MarkerTracker(reference, appearance), FrameSequence(cfg, sensor, reference)
+    frames = FrameSequence(cfg, sensor)
+    tracker = MarkerTracker(frames.reference, appearance)
 
     def track(frame: Frame) -> tuple[Frame, Float[np.ndarray, "n 2"]]:
         return without_image(frame), tracker.track(frame.image)
@@ -61,13 +54,34 @@ def run(cfg: TrackSettings) -> Path:
     displacements = np.stack(
         [marker_displacements(sensor, tracker.reference_px, p)[1][:, :2] for p in positions]
     )
-    _write(files, tracker.reference_px, measured, positions, displacements)
-    values, lines = _summarize(len(measured), positions, displacements)
+    valid = np.isfinite(positions[..., 0])
+    _write(files, tracker.reference_px, measured, positions, displacements, valid)
+    values, lines = _summarize(displacements, valid)
     if cfg.backward:
-        values["backward"] = _track_back(frames, positions, appearance)
-        lines.append(_describe_backward(values["backward"]))
-    files.write_frame_summary(measured, values, lines)
-    _draw(files, cfg, sensor, tracker, frames, measured, positions, displacements)
+        values["backward"], line = _track_back(frames, positions, appearance)
+        lines.append(line)
+    files.write_frame_summary(measured, values, *lines)
+    size = np.where(valid, np.linalg.norm(displacements, axis=2), np.nan)
+    limit_mm = colour_limit(size, _MIN_LIMIT_MM)
+    view = MarkerView(sensor, tracker.reference_px, limit_mm, cfg.magnify)
+
+    def show(frame: Frame) -> None:
+        k = frame.index
+        text = f"{int(valid[k].sum())} of {valid.shape[1]} markers"
+        if valid[k].any():
+            text += f", up to {np.nanmax(size[k]):.2f} mm"
+        view.show(frame.image, positions[k], caption(measured[k], len(measured), text))
+
+    tracked = [row[np.isfinite(row)] for row in size]
+    largest, median = (
+        np.array([float(statistic(row)) if len(row) else np.nan for row in tracked])
+        for statistic in (np.max, np.median)
+    )
+    series = {
+        "displacement, mm": {"largest": largest, "median": median},
+        "markers seen": {"seen": valid.sum(axis=1).astype(float)},
+    }
+    files.draw(view.figure, frames, show, cfg, measured, series)
     log.info("tracks: %s", files.folder / _TABLE)
     return files.folder / _TABLE
 
@@ -78,17 +92,15 @@ def _write(
     frames: Sequence[Frame],
     positions: Positions,
     displacements: Positions,
+    valid: Bool[np.ndarray, "f n"],
 ) -> None:
-    valid = np.isfinite(positions[..., 0])
-
-    def rows() -> Iterator[tuple[Any, ...]]:
-        for k, frame in enumerate(frames):
-            for marker in range(len(reference_px)):
-                numbers = [float(v) for v in (*positions[k, marker], *displacements[k, marker])]
-                flags = int(valid[k, marker]), frame.fault
-                yield (frame.index, frame.time_s, marker, *numbers, *flags)
-
-    files.write_table(_TABLE, _HEADER, rows())
+    numbers = np.concatenate([positions, displacements], axis=2).tolist()
+    rows = (
+        (frame.index, frame.time_s, marker, *numbers[k][marker], int(is_valid), frame.fault)
+        for k, frame in enumerate(frames)
+        for marker, is_valid in enumerate(valid[k])
+    )
+    write_table(files.folder / _TABLE, _HEADER, rows)
     files.write_arrays(
         _ARRAYS,
         begin_px=reference_px,
@@ -101,96 +113,54 @@ def _write(
 
 
 def _summarize(
-    n_frames: int, positions: Positions, displacements: Positions
+    displacements: Positions, valid: Bool[np.ndarray, "f n"]
 ) -> tuple[dict[str, Any], list[str]]:
-    valid, size = np.isfinite(positions[..., 0]), np.linalg.norm(displacements, axis=2)
-    readable = valid.any(axis=1)
+    readable, (n_frames, n_markers) = valid.any(axis=1), valid.shape
     always = int(valid[readable].all(axis=0).sum()) if readable.any() else 0
+    size = np.linalg.norm(displacements, axis=2)
     largest = float(np.nanmax(size)) if valid.any() else float("nan")
+    share = float(valid.mean())
     values: dict[str, Any] = {
-        "markers": positions.shape[1],
-        "seen_share": float(valid.mean()),
+        "markers": n_markers,
+        "seen_share": share,
         "seen_in_all_readable_frames": always,
         "largest_displacement_mm": largest,
     }
     return values, [
-        f"{positions.shape[1]} markers in {n_frames} frames: seen in {valid.mean():.1%} of cases,"
+        f"{n_markers} markers in {n_frames} frames: seen in {share:.1%} of cases,"
         f" {always} of them in every frame that can be read; largest displacement {largest:.3g} mm."
     ]
 
 
 def _track_back(
     frames: FrameSequence, positions: Positions, appearance: MarkerAppearance
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], str]:
     """Track the markers of the last frame back to the first, and compare with their start."""
+    none_found = "Tracked back, no marker is found in the first frame."
     readable = [(k, frame.image) for k, frame in enumerate(frames) if frame.image is not None]
     if len(readable) < 2:
-        return {"markers": 0}
+        return {"markers": 0}, none_found
     numbers, images = [k for k, _ in readable], [image for _, image in readable]
     tracker = MarkerTracker(images[-1], appearance)
-    ends = _track_to_first(tracker, images)
+    ends = tracker.reference_px
+    with progress("following them back", "frames") as report:
+        for done, image in enumerate(images[-2::-1], 1):
+            ends = tracker.track(image)
+            report(done, len(images) - 1)
     first, last = positions[numbers[0]], positions[numbers[-1]]
     valid = np.isfinite(first[:, 0]) & np.isfinite(last[:, 0])
     distance, match = cKDTree(tracker.reference_px).query(np.nan_to_num(last, nan=-1e6))
     matched = valid & (distance < _MATCH_PX)
     errors = np.linalg.norm(ends[match[matched]] - first[matched], axis=1)
     errors = errors[np.isfinite(errors)]
-    return {
-        "markers": len(errors),
-        "seen_at_both_ends": int(valid.sum()),
-        "median_px": float(np.median(errors)) if len(errors) else None,
-        "largest_px": float(errors.max()) if len(errors) else None,
-        "under_half_px": float((errors < 0.5).mean()) if len(errors) else None,
-    }
-
-
-def _track_to_first(tracker: MarkerTracker, images: Sequence[Image]) -> Float[np.ndarray, "n 2"]:
-    positions = tracker.reference_px
-    with progress("following them back", "frames") as report:
-        for done, image in enumerate(images[-2::-1], 1):
-            positions = tracker.track(image)
-            report(done, len(images) - 1)
-    return positions
-
-
-def _describe_backward(values: dict[str, Any]) -> str:
-    if not values["markers"]:
-        return "Tracked back, no marker is found in the first frame."
-    return (
+    values: dict[str, Any] = {"markers": len(errors), "seen_at_both_ends": int(valid.sum())}
+    if not len(errors):
+        return values | dict.fromkeys(("median_px", "largest_px", "under_half_px")), none_found
+    values["median_px"], values["largest_px"] = float(np.median(errors)), float(errors.max())
+    values["under_half_px"] = float((errors < 0.5).mean())
+    return values, (
         f"Tracked back from the last frame, {values['markers']} of the"
         f" {values['seen_at_both_ends']} markers seen at both ends are found in the first:"
         f" {values['median_px']:.2f} px from their start in the median,"
         f" {values['largest_px']:.2f} px at most, {values['under_half_px']:.1%} within 0.5 px."
     )
-
-
-def _draw(
-    files: RunFiles,
-    cfg: TrackSettings,
-    sensor: SensorDescription,
-    tracker: MarkerTracker,
-    frames: FrameSequence,
-    measured: Sequence[Frame],
-    positions: Positions,
-    displacements: Positions,
-) -> None:
-    size, valid = np.linalg.norm(displacements, axis=2), np.isfinite(positions[..., 0])
-    view = MarkerView(sensor, tracker.reference_px, colour_limit(size, _MIN_LIMIT_MM), cfg.magnify)
-
-    def show(frame: Frame) -> None:
-        k = frame.index
-        text = f"{int(valid[k].sum())} of {valid.shape[1]} markers"
-        if valid[k].any():
-            text += f", up to {np.nanmax(size[k]):.2f} mm"
-        view.show(frame.image, positions[k], caption(measured[k], len(measured), text))
-
-    tracked = [row[mask] for row, mask in zip(size, valid, strict=True)]
-    largest, median = (
-        np.array([float(statistic(row)) if len(row) else np.nan for row in tracked])
-        for statistic in (np.max, np.median)
-    )
-    series = {
-        "displacement, mm": {"largest": largest, "median": median},
-        "markers seen": {"seen": valid.sum(axis=1).astype(float)},
-    }
-    files.draw(view, frames, show, cfg, measured, series)

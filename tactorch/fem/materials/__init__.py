@@ -3,25 +3,19 @@
 from typing import Any
 
 from tactorch.config import Registry
-from tactorch.fem.materials.base import (
-    InvariantDerivatives,
-    IsotropicMaterial,
-    Material,
-    VolumetricDerivatives,
-    bulk,
-    lame,
-)
+from tactorch.fem.materials.base import EnergyDerivatives, IsotropicMaterial, Material, bulk, lame
 
+_ISOTROPIC = "tactorch.fem.materials.isotropic"
 #: Materials by name. Installed packages add theirs by entry points of the group
 #: `tactorch.material`, scripts by `MATERIALS.register`.
 MATERIALS = Registry(
     "material",
     {
-        "neo_hookean": "tactorch.fem.materials.neo_hookean:NeoHookean",
+        "neo_hookean": f"{_ISOTROPIC}:NeoHookean",
         "linear": "tactorch.fem.materials.linear:LinearElastic",
-        "st_venant_kirchhoff": "tactorch.fem.materials.st_venant_kirchhoff:StVenantKirchhoff",
-        "isochoric_neo_hookean": "tactorch.fem.materials.isochoric:IsochoricNeoHookean",
-        "mooney_rivlin": "tactorch.fem.materials.isochoric:MooneyRivlin",
+        "st_venant_kirchhoff": f"{_ISOTROPIC}:StVenantKirchhoff",
+        "isochoric_neo_hookean": f"{_ISOTROPIC}:IsochoricNeoHookean",
+        "mooney_rivlin": f"{_ISOTROPIC}:MooneyRivlin",
     },
     "hyperelastic materials",
 )
@@ -43,10 +37,9 @@ def make_material(name: str, poisson: float, **parameters: Any) -> Material:
 
 __all__ = [
     "MATERIALS",
-    "InvariantDerivatives",
+    "EnergyDerivatives",
     "IsotropicMaterial",
     "Material",
-    "VolumetricDerivatives",
     "bulk",
     "lame",
     "make_material",

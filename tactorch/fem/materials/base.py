@@ -20,42 +20,34 @@ from torch import Tensor
 
 from tactorch.config import Options, option
 
-# A float, a NumPy array or a torch tensor; elements broadcast.
-Scalars = Any
+Array = Any  # a float, a NumPy array or a torch tensor; elements broadcast
+Gradient = Float[Tensor, "*batch 3 3"]
 
 
-def lame(poisson: Scalars) -> tuple[Scalars, Scalars]:
+def lame(poisson: Array) -> tuple[Array, Array]:
     """Return Lame's parameters (lambda, mu) for a Young's modulus of one."""
     mu = 0.5 / (1.0 + poisson)
     return 2.0 * mu * poisson / (1.0 - 2.0 * poisson), mu
 
 
-def bulk(poisson: Scalars) -> Scalars:
+def bulk(poisson: Array) -> Array:
     """Return the bulk modulus for a Young's modulus of one."""
     return 1.0 / (3.0 * (1.0 - 2.0 * poisson))
 
 
-class InvariantDerivatives(NamedTuple):
-    """Strain energy psi(I1, I2, J) per unit modulus, with its first and second derivatives."""
+class EnergyDerivatives(NamedTuple):
+    """Energy psi(I1, I2, J) per unit modulus, with its first and second derivatives."""
 
-    psi: Scalars
-    d1: Scalars = 0.0
-    d2: Scalars = 0.0
-    dj: Scalars = 0.0
-    d11: Scalars = 0.0
-    d12: Scalars = 0.0
-    d1j: Scalars = 0.0
-    d22: Scalars = 0.0
-    d2j: Scalars = 0.0
-    djj: Scalars = 0.0
-
-
-class VolumetricDerivatives(NamedTuple):
-    """Volumetric energy U(J) per unit modulus, with its first and second derivatives."""
-
-    psi: Scalars
-    dj: Scalars = 0.0
-    djj: Scalars = 0.0
+    psi: Array
+    d1: Array = 0.0
+    d2: Array = 0.0
+    dj: Array = 0.0
+    d11: Array = 0.0
+    d12: Array = 0.0
+    d1j: Array = 0.0
+    d22: Array = 0.0
+    d2j: Array = 0.0
+    djj: Array = 0.0
 
 
 @dataclass(frozen=True)
@@ -66,11 +58,7 @@ class Material(Options, ABC):
     `tactorch.config.option`, are the parameters of the material.
 
     Attributes:
-        poisson: Poisson's ratio.
         allows_inversion: Whether the energy is finite for det F <= 0.
-
-    Raises:
-        ConfigError: A parameter is outside its range.
     """
 
     section: ClassVar[str] = "material"
@@ -81,24 +69,17 @@ class Material(Options, ABC):
     )
 
     @abstractmethod
-    def energy(self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars) -> Float[Tensor, "*batch"]:
-        """Return the energy density per unit modulus (dimensionless).
+    def energy(self, F: Gradient, poisson: Array) -> Float[Tensor, "*batch"]:
+        """Return the energy density per unit modulus, at deformation gradients (dimensionless).
 
-        Args:
-            F: Deformation gradient.
-            poisson: Poisson's ratio, one for all or one each.
+        Poisson's ratio is one for all, or one for each deformation gradient.
         """
 
-    def stress(
-        self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
-    ) -> Float[Tensor, "*batch 3 3"]:
+    def stress(self, F: Gradient, poisson: Array) -> Gradient:
         """Return the first Piola-Kirchhoff stress per unit modulus, d psi / dF."""
-        gradient = torch.func.grad(lambda A: self.energy(A, poisson).sum())(F)
-        return gradient
+        return torch.func.grad(lambda A: self.energy(A, poisson).sum())(F)
 
-    def tangent(
-        self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars
-    ) -> Float[Tensor, "*batch 3 3 3 3"]:
+    def tangent(self, F: Gradient, poisson: Array) -> Float[Tensor, "*batch 3 3 3 3"]:
         """Return the tangent per unit modulus, d P_iI / d F_jJ at [i, I, j, J]."""
         pullback = torch.func.vjp(lambda A: self.stress(A, poisson), F)[1]
         basis = torch.eye(9, dtype=F.dtype, device=F.device).reshape(9, *[1] * (F.ndim - 2), 3, 3)
@@ -115,50 +96,45 @@ class IsotropicMaterial(Material):
     """
 
     @abstractmethod
-    def strain_energy(
-        self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
-    ) -> Scalars:
+    def strain_energy(self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array) -> Array:
         """Return the energy density per unit modulus, without `volumetric_energy`."""
 
-    def volumetric_energy(self, j: Scalars, log_j: Scalars, poisson: Scalars) -> Scalars:
+    def volumetric_energy(self, j: Array, log_j: Array, poisson: Array) -> Array:
         """Return the part of the energy density that depends on J only; zero by default."""
         return 0.0 * j
 
     def strain_derivatives(
-        self, i1: Scalars, i2: Scalars, j: Scalars, log_j: Scalars, poisson: Scalars
-    ) -> InvariantDerivatives:
-        """Return `strain_energy` with its derivatives: by autograd, or in closed form."""
+        self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array
+    ) -> EnergyDerivatives:
+        """Return `strain_energy` with its derivatives; a subclass may give closed forms."""
 
-        def energy(i1: Tensor, i2: Tensor, j: Tensor, poisson: Scalars) -> Tensor:
+        def energy(i1: Tensor, i2: Tensor, j: Tensor, poisson: Array) -> Tensor:
             return self.strain_energy(i1, i2, j, torch.log(j), poisson)
 
         psi, (d1, d2, dj), (h1, h2, hj) = _differentiate(energy, (i1, i2, j), poisson)
-        return InvariantDerivatives(psi, d1, d2, dj, h1[0], h1[1], h1[2], h2[1], h2[2], hj[2])
+        return EnergyDerivatives(psi, d1, d2, dj, h1[0], h1[1], h1[2], h2[1], h2[2], hj[2])
 
-    def volumetric_derivatives(
-        self, j: Scalars, log_j: Scalars, poisson: Scalars
-    ) -> VolumetricDerivatives:
-        """Return `volumetric_energy` with its derivatives: by autograd, or in closed form."""
+    def volumetric_derivatives(self, j: Array, log_j: Array, poisson: Array) -> EnergyDerivatives:
+        """Return `volumetric_energy` with its derivatives; a subclass may give closed forms."""
         if type(self).volumetric_energy is IsotropicMaterial.volumetric_energy:
-            return VolumetricDerivatives(0.0 * j)
+            return EnergyDerivatives(0.0 * j)
 
-        def energy(j: Tensor, poisson: Scalars) -> Tensor:
+        def energy(j: Tensor, poisson: Array) -> Tensor:
             return self.volumetric_energy(j, torch.log(j), poisson)
 
         psi, (dj,), ((djj,),) = _differentiate(energy, (j,), poisson)
-        return VolumetricDerivatives(psi, dj, djj)
+        return EnergyDerivatives(psi, dj=dj, djj=djj)
 
-    def energy(self, F: Float[Tensor, "*batch 3 3"], poisson: Scalars) -> Float[Tensor, "*batch"]:
+    def energy(self, F: Gradient, poisson: Array) -> Float[Tensor, "*batch"]:
         """Return the energy density per unit modulus (dimensionless)."""
         i1, i2, j = invariants(F)
-        log_j = torch.log(j)
-        strain = self.strain_energy(i1, i2, j, log_j, poisson)
-        return strain + self.volumetric_energy(j, log_j, poisson)
+        shared = (j, torch.log(j), poisson)
+        return self.strain_energy(i1, i2, *shared) + self.volumetric_energy(*shared)
 
 
 def _differentiate(
-    energy: Callable[..., Tensor], arguments: tuple[Scalars, ...], poisson: Scalars
-) -> tuple[Scalars, tuple[Scalars, ...], tuple[tuple[Scalars, ...], ...]]:
+    energy: Callable[..., Tensor], arguments: tuple[Array, ...], poisson: Array
+) -> tuple[Array, tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
     """Value, gradient and Hessian of an elementwise function, in the type of the arguments."""
     as_numpy = not isinstance(arguments[0], Tensor)
     if as_numpy:
@@ -184,9 +160,7 @@ def _differentiate(
     return psi(*arguments).numpy(), tuple(d.numpy() for d in first), rows
 
 
-def invariants(
-    F: Float[Tensor, "*batch 3 3"],
-) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+def invariants(F: Gradient) -> tuple[Tensor, Tensor, Tensor]:
     """Return I1, I2 and J of deformation gradients."""
     C = F.mT @ F
     i1 = C.diagonal(dim1=-2, dim2=-1).sum(-1)

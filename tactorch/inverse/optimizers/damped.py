@@ -21,7 +21,7 @@ from tactorch.inverse.monitor import Monitor, StopReason
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers.base import Optimizer
 from tactorch.inverse.optimizers.schedule import MIN_GAIN, RegularizationSchedule
-from tactorch.linalg import Solver, Status, SymmetricPattern, analyse
+from tactorch.linalg import Solver, SymmetricPattern, analyse
 
 # While the weight of the prior falls, the path follows a valley that is narrow where the noise is
 # small: the misfit may rise by this factor, else the steps along it become tiny.
@@ -96,7 +96,7 @@ class PriorSolver:
         if fixed is not None:
             values = self._pattern.apply_dirichlet(values, fixed)
         self._fixed = fixed
-        return self._solver.factor(values) is Status.OK
+        return self._solver.factor(values)
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
         """Solve; held parameters remain zero."""

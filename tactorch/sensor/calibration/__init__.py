@@ -6,7 +6,6 @@ from tactorch.sensor.calibration.fit import (
     MapQuality,
     cross_validate,
     evaluate_map,
-    fit_circle,
     fit_map,
     select_map,
 )
@@ -32,7 +31,6 @@ __all__ = [
     "cross_validate",
     "evaluate_map",
     "find_circle",
-    "fit_circle",
     "fit_map",
     "image_change",
     "load_calibration",

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -20,23 +21,11 @@ _MAX_CONTACT = 0.65  # radius of a detected contact, over that of the ball
 
 
 @dataclass(frozen=True)
-class Circle:
-    """Contact with a ball in an image.
+class Circle(Options):
+    """Contact with a ball in an image."""
 
-    Attributes:
-        center_px: Column and row of the center.
-        radius_px: Radius, in pixels along x.
-    """
-
-    center_px: tuple[float, float]
-    radius_px: float
-
-    def __post_init__(self) -> None:
-        if not np.isfinite([*self.center_px, self.radius_px]).all() or self.radius_px < 2:
-            raise ConfigError(
-                f"circle at {self.center_px} with radius {self.radius_px}: give two finite numbers"
-                " and a radius of at least 2 px."
-            )
+    center_px: tuple[float, float] = option(help="Column and row of the center", unit="px")
+    radius_px: float = option(help="Radius, in pixels along x", unit="px", ge=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +78,7 @@ class Ball(Options):
         check_pixel_size(self.mm_per_px)
 
     def check(self, circle: Circle, name: str) -> None:
-        """Check that a contact is no wider than the ball.
-
-        Raises:
-            ConfigError: The contact is wider.
-        """
+        """Check that a contact is no wider than the ball."""
         radius = circle.radius_px * self.mm_per_px[0]
         if radius > self.radius_mm:
             raise ConfigError(
@@ -122,7 +107,7 @@ class Ball(Options):
         return np.moveaxis(slopes, 0, -1)
 
     def slopes(self, shape: tuple[int, int], circle: Circle) -> Float[np.ndarray, "h w 2"]:
-        """Return dz/dx and dz/dy of the ball's surface in an image, see `slopes_at`."""
+        """Return dz/dx and dz/dy of the ball's surface in an image."""
         return self.slopes_at(self.offsets(shape, circle))
 
     def heights(self, shape: tuple[int, int], circle: Circle) -> Float[np.ndarray, "h w"]:
@@ -144,9 +129,6 @@ def read_labels(path: str | Path) -> Mapping[str, Circle]:
     """Return contacts by name of the image, from a CSV file.
 
     The columns are image, center_x_px, center_y_px, radius_px.
-
-    Raises:
-        FileError: The file is missing, or a line cannot be read; the message names it.
     """
     labels: dict[str, Circle] = {}
     aliases = {"contact_radius_px": "radius_px"}  # used by published data sets
@@ -171,14 +153,12 @@ def find_circle(change: Float[np.ndarray, "h w 3"], ball: Ball, name: str = "ima
 
     Args:
         change: Change of the colors against the reference, see `image_change`.
-        ball: Ball.
+        ball: Ball, and the size of a pixel.
         name: Name of the image, for messages.
 
     Raises:
         ConfigError: There is no round change.
     """
-    import cv2
-
     radius_px = ball.radius_mm / ball.mm_per_px[0]
     rows, columns = change.shape[:2]
     if radius_px > _MAX_RADIUS * max(rows, columns):
@@ -210,7 +190,7 @@ def find_circle(change: Float[np.ndarray, "h w 3"], ball: Ball, name: str = "ima
             f"{name}: no ball found; the whole image changed. Is the reference of this sensor?"
         )
     x, y = centers[label]
-    return Circle((float(x), float(y)), float(min(np.sqrt(area / np.pi), _MAX_CONTACT * radius_px)))
+    return Circle((x, y), min(np.sqrt(area / np.pi), _MAX_CONTACT * radius_px))
 
 
 def _smooth_gradient(change: Float[np.ndarray, "h w 3"], radius_px: float) -> np.ndarray:
@@ -218,8 +198,6 @@ def _smooth_gradient(change: Float[np.ndarray, "h w 3"], radius_px: float) -> np
 
     Slopes vary steadily across a contact, unlike light scattered within the gel.
     """
-    import cv2
-
     smooth = cv2.GaussianBlur(change, (0, 0), max(1.0, 0.06 * radius_px))
     steep = np.sqrt(sum((np.gradient(smooth, axis=k) ** 2).sum(axis=-1) for k in (0, 1)))
     return cv2.GaussianBlur(steep, (0, 0), 0.3 * radius_px)

@@ -57,15 +57,12 @@ def fit_map(
 
     Args:
         presses: Presses of the ball.
-        ball: Ball.
+        ball: Ball, and the size of a pixel.
         options: Fit options.
         progress: Callback with the number of finished rounds and of all.
 
     Returns:
         The map, and the fitted contact of each press by name.
-
-    Raises:
-        ConfigError: There are no presses, or a contact is wider than the ball.
     """
     options = options or FitOptions()
     if not presses:
@@ -113,9 +110,8 @@ def fit_circle(press: BallPress, slope_map: SlopeMap, ball: Ball, circle: Circle
         misfit, start, method="Nelder-Mead",
         options={"xatol": 0.05, "fatol": 1e-6, "initial_simplex": simplex},
     ).x  # fmt: skip
-    centered = Circle((float(x), float(y)), circle.radius_px)
-    radius = _contact_radius(slopes, press, ball, centered)
-    return Circle(centered.center_px, max(radius, _MIN_RADIUS * press.circle.radius_px))
+    radius = _contact_radius(slopes, press, ball, Circle((x, y), circle.radius_px))
+    return Circle((x, y), max(radius, _MIN_RADIUS * press.circle.radius_px))
 
 
 def fit_new_circle(press: BallPress, slope_map: SlopeMap, ball: Ball) -> Circle:
@@ -202,16 +198,9 @@ class MapQuality:
 def evaluate_map(
     slope_map: SlopeMap, presses: Sequence[BallPress], circles: Sequence[Circle], ball: Ball
 ) -> MapQuality:
-    """Compare the slopes and heights of a map with those of the ball.
+    """Return the errors of the slopes and heights of a map for all presses together.
 
-    Args:
-        slope_map: Map.
-        presses: Presses.
-        circles: Contact of each press.
-        ball: Ball.
-
-    Returns:
-        The errors of all presses together.
+    They are compared with those of the ball at the contacts `circles` of the presses.
     """
     results = [_compare(slope_map, p, c, ball) for p, c in zip(presses, circles, strict=True)]
     slopes, expected, heights = (np.concatenate(parts) for parts in zip(*results, strict=True))
@@ -240,15 +229,6 @@ def validation_groups(
     """Yield for each group the map fitted to all other presses, the group, and its contacts.
 
     The contacts of left-out presses are fitted: three parameters to thousands of pixels.
-
-    Args:
-        presses: Presses.
-        ball: Ball.
-        options: Fit options; the seed also assigns the groups.
-        folds: Number of groups.
-
-    Raises:
-        ConfigError: There are fewer presses than folds, or fewer than two folds.
     """
     if not 2 <= folds <= len(presses):
         raise ConfigError(f"folds={folds}: give 2 to {len(presses)}, the number of presses.")
@@ -267,13 +247,10 @@ def cross_validate(
     """Return the errors on presses that are left out of the fit, each once, pooled over the groups.
 
     Args:
-        presses: Presses.
-        ball: Ball.
+        presses: Presses of the ball.
+        ball: Ball, and the size of a pixel.
         options: Fit options; the seed also assigns the groups.
         folds: Number of groups of presses.
-
-    Raises:
-        ConfigError: There are fewer presses than folds, or fewer than two folds.
     """
     groups = validation_groups(presses, ball, options or FitOptions(), folds)
     return MapQuality.pool([evaluate_map(*group, ball) for group in groups])
@@ -289,17 +266,14 @@ def select_map(
     """Select the map with the smallest error on left-out presses.
 
     Args:
-        presses: Presses.
-        ball: Ball.
+        presses: Presses of the ball.
+        ball: Ball, and the size of a pixel.
         options: Fit options; `map` is ignored.
-        folds: Number of groups.
+        folds: Number of groups of presses, see `cross_validate`.
         progress: Callback with the number of evaluated maps and of all.
 
     Returns:
         The name of the map, and the errors of each by name.
-
-    Raises:
-        ConfigError: There are fewer presses than folds, or fewer than two folds.
     """
     options, names = options or FitOptions(), SENSOR_MAPS.names()
     quality = {}

@@ -8,9 +8,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, runtime_checkable
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter, map_coordinates
 from torch import nn
 
 from tactorch.config import Options, Registry, option
@@ -44,18 +46,13 @@ def marker_pixels(
     """Return the pixels covered by markers in an image or in the reference."""
     if markers is None:
         return np.zeros(image.shape[:2], dtype=bool)
-    import cv2
-
     covered = marker_mask(image, markers) | marker_mask(reference, markers)
     size = 2 * max(1, round(0.15 * markers.diameter_px)) + 1  # includes blurred edges
     return cv2.dilate(covered.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
 
 
 def image_change(
-    image: Image,
-    reference: Image,
-    markers: MarkerAppearance | None = None,
-    smooth_px: float = 1.0,
+    image: Image, reference: Image, markers: MarkerAppearance | None = None, smooth_px: float = 1.0
 ) -> Float[np.ndarray, "h w 3"]:
     """Return the smoothed change of each color in units of 50 gray values.
 
@@ -64,12 +61,7 @@ def image_change(
         reference: Image of the gel without contact.
         markers: Appearance of markers, whose pixels are filled in; None without markers.
         smooth_px: Standard deviation of the smoothing.
-
-    Raises:
-        ConfigError: The images have different sizes.
     """
-    import cv2
-
     if image.shape != reference.shape:
         raise ConfigError(
             f"the image has shape {image.shape}, the reference {reference.shape}; give rectified"
@@ -209,8 +201,8 @@ class _LookupMap:
 
     def __init__(self, options: Lookup) -> None:
         self.options: SensorMap = options
-        self._bins, self._max_change = options.bins, options.max_change
-        self.table = np.zeros((self._bins, self._bins, self._bins, 2))
+        self._max_change = options.max_change
+        self.table = np.zeros((options.bins, options.bins, options.bins, 2))
         self.weights = np.zeros((9, 2))
 
     def fit(self, features: Features, slopes: Slopes, seed: int) -> None:
@@ -236,33 +228,26 @@ class _LookupMap:
                 f"table of shape {table.shape}, correction of shape {weights.shape}, largest change"
                 f" {max_change}"
             )
-        self.table, self.weights = table, weights
-        self._bins, self._max_change = len(table), float(max_change)
+        self.table, self.weights, self._max_change = table, weights, float(max_change)
 
     def _table_coordinates(self, features: Features) -> np.ndarray:
-        center = (self._bins - 1) / 2
-        return np.clip(features[:, :3] / self._max_change * center + center, 0, self._bins - 1)
+        center = (len(self.table) - 1) / 2
+        return np.clip(features[:, :3] / self._max_change * center + center, 0, 2 * center)
 
     def _table_slopes(self, features: Features) -> Slopes:
-        from scipy.ndimage import map_coordinates
-
         cells = self._table_coordinates(features).T
         return np.stack([map_coordinates(self.table[..., k], cells, order=1) for k in (0, 1)], 1)
 
     def _mean_slopes(self, features: Features, slopes: Slopes) -> np.ndarray:
         """Mean slopes of the cells; empty cells take wider and wider averages."""
-        from scipy.ndimage import gaussian_filter
-
         cells = tuple(self._table_coordinates(features).round().astype(int).T)
-        total, count = np.zeros(self.table.shape), np.zeros(self.table.shape[:3])
-        np.add.at(total, cells, slopes)
-        np.add.at(count, cells, 1.0)
-        table, known = np.zeros_like(total), np.zeros(count.shape, dtype=bool)
+        sums = np.zeros((*self.table.shape[:3], 3))  # of slopes, and number of pixels
+        np.add.at(sums, cells, np.column_stack([slopes, np.ones(len(slopes))]))
+        table, known = np.zeros(self.table.shape), np.zeros(self.table.shape[:3], dtype=bool)
         for width in (0.6, 1.2, 2.4, 4.8, 9.6):
-            weight = gaussian_filter(count, width, mode="constant")
-            mean = [gaussian_filter(total[..., k], width, mode="constant") for k in range(2)]
-            new = ~known & (weight > 1e-3)
-            table[new] = (np.stack(mean, axis=-1)[new]) / weight[new][:, None]
+            smooth = gaussian_filter(sums, (width, width, width, 0.0), mode="constant")
+            new = ~known & (smooth[..., 2] > 1e-3)
+            table[new] = smooth[new, :2] / smooth[new, 2:]
             known |= new
         return table
 

@@ -53,9 +53,6 @@ class Calibration:
         Args:
             image: Rectified image.
             reference: Image of the gel without contact on that day; None for the calibration's.
-
-        Raises:
-            ConfigError: The image has another size than the reference or the calibration.
         """
         if image.shape != self.reference.shape:
             raise ConfigError(
@@ -68,11 +65,7 @@ class Calibration:
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
-    """Write a calibration.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
+    """Write a calibration."""
     markers = calibration.markers
     text = {
         "format": FORMAT,
@@ -91,11 +84,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
 
 
 def load_calibration(path: str | Path) -> Calibration:
-    """Read a calibration.
-
-    Raises:
-        FileError: The file is missing, damaged, of another kind or of a later version.
-    """
+    """Read a calibration."""
     arrays = read_arrays(path, "calibration", _REMEDY, _MAX_BYTES)
     try:
         about = json.loads(str(arrays.pop("about")))

@@ -10,23 +10,16 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Bool, Float
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.fem import (
-    EquilibriumResult,
-    Linearization,
-    Newton,
-    NewtonOptions,
-    SoftBody,
-    Supports,
-    make_material,
-)
+from tactorch.fem import Linearization, Newton, NewtonOptions, SoftBody, Supports, make_material
 from tactorch.mesh.values import Real
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel.mesh import FaceLoads, GelMesh, build_gel_mesh
-from tactorch.sensor.gel.smoothing import Roughness, SmoothForces, fit_smooth_forces
+from tactorch.sensor.gel.mesh import GelMesh
+from tactorch.sensor.gel.smoothing import fit_smooth_forces, traction_basis
 
 _NEWTON_RTOL = 1e-8
 _MAX_LINEARIZATIONS = 8
@@ -35,6 +28,10 @@ _NOISE_FRACTION = 0.1  # acceptable linearization error, relative to the noise
 # The gel is linearized again if the linearization error exceeds this fraction of the displacement,
 # or of the error in the previous iteration.
 _DISPLACEMENT_FRACTION, _ERROR_DECREASE = 0.05, 0.3
+
+FaceVectors = Float[np.ndarray, "k 3"]
+FaceMask = Bool[np.ndarray, " k"]
+NodeVectors = Float[np.ndarray, "nodes 3"]
 
 
 @dataclass(frozen=True)
@@ -73,13 +70,14 @@ class GelContact:
         return self.forces.sum(axis=0)
 
 
-@dataclass(frozen=True, eq=False)
 class _State:
-    """Equilibrium of the gel, and its tangent."""
+    """Equilibrium found by a search, with its tangent."""
 
-    displacement: Float[np.ndarray, "nodes 3"]
-    newton: Newton
-    equilibrium: EquilibriumResult
+    def __init__(self, newton: Newton, start: NodeVectors | None = None) -> None:
+        self.newton, self.equilibrium = newton, newton.run(start).require()
+        self.displacement = self.equilibrium.displacement
+        assert self.equilibrium.response is not None
+        self.response = self.equilibrium.response
 
     @cached_property
     def tangent(self) -> Linearization:
@@ -91,46 +89,30 @@ class GelModel:
 
     Args:
         gel: Gel layer.
-        edge_mm: Edge length of a cell on the outer face.
-        layers: Number of cells through the thickness.
-        element: "tet10", which does not lock near incompressibility, or "tet4", which is fast but
-            at a Poisson's ratio of 0.49 too stiff by 10 % and more.
+        options: Discretization.
+
+    Attributes:
+        points: Rest positions of the nodes of the outer face, (k, 3), mm.
+        gel_mesh: Mesh and its outer face.
+        body: Finite element model.
+        youngs: Young's modulus of each element, MPa.
 
     Raises:
-        ConfigError: A value cannot be used.
+        ConfigError: The cells are too large or too many, or the material is unknown.
     """
 
-    def __init__(
-        self, gel: GelLayer, edge_mm: Real = 1.0, layers: int = 4, element: str = "tet10"
-    ) -> None:
-        self.gel = gel
-        self.gel_mesh: GelMesh = build_gel_mesh(gel, edge_mm, layers)
+    def __init__(self, gel: GelLayer, options: GelOptions | None = None) -> None:
+        self.gel, options = gel, options or GelOptions()
+        self.gel_mesh = GelMesh(gel, options.edge_mm, options.layers)
+        self.points = self.gel_mesh.face_points
+        self.youngs = np.full(self.gel_mesh.mesh.n_tets, gel.youngs_mpa)
         spec = gel.material_spec
         law = make_material(spec.name, spec.poisson, **spec.parameters)
         newton = NewtonOptions(rtol=_NEWTON_RTOL)
-        self.body = SoftBody(self.gel_mesh.mesh, law, element=element, newton=newton)
-        self.loads = FaceLoads(self.gel_mesh, self.body)
+        self.body = SoftBody(self.gel_mesh.mesh, law, element=options.element, newton=newton)
         self._rest_columns: dict[int, np.ndarray] = {}  # compliance at rest by node, mm/N
 
-    @classmethod
-    def build(cls, gel: GelLayer, options: GelOptions | None = None) -> "GelModel":
-        """Make a model with typed settings."""
-        options = options or GelOptions()
-        return cls(gel, options.edge_mm, options.layers, options.element)
-
-    @property
-    def points(self) -> Float[np.ndarray, "k 3"]:
-        """Rest positions of the nodes of the outer face, mm."""
-        return self.gel_mesh.face_points
-
-    @property
-    def youngs(self) -> Float[np.ndarray, " m"]:
-        """Young's modulus of each element, MPa."""
-        return np.full(self.gel_mesh.mesh.n_tets, float(self.gel.youngs_mpa))
-
-    def forces(
-        self, displacement: Float[np.ndarray, "k 3"], noise_mm: Real | None = None
-    ) -> GelContact:
+    def forces(self, displacement: FaceVectors, noise_mm: Real | None = None) -> GelContact:
         """Return the forces for exactly prescribed displacements of the outer face.
 
         Args:
@@ -145,27 +127,22 @@ class GelModel:
             ConvergenceError: Newton's method does not converge.
         """
         known = self._known(displacement)
-        supports = self._supports(np.nan_to_num(displacement), known)
         no_load = np.zeros(self.gel_mesh.mesh.points.shape)
-        newton = self.body.search(self.youngs, no_load, supports)
-        equilibrium = newton.run().require()
-        assert equilibrium.response is not None
-        internal = self.body.assembly.internal_force(equilibrium.response, self.youngs)
-        forces = np.where(known, self.loads.gather(internal), 0.0)
+        state = _State(self.body.search(self.youngs, no_load, self._supports(displacement)))
+        internal = self.body.assembly.internal_force(state.response, self.youngs)
+        forces = np.where(known, self._gather(internal), 0.0)
         covariance = None
         if noise_mm is not None:
-            state = _State(equilibrium.displacement, newton, equilibrium)
             sensitivity = self._total_force_sensitivity(state, known)
             covariance = float(noise_mm) ** 2 * sensitivity @ sensitivity.T
-        return GelContact(
-            self.points, equilibrium.displacement[self.gel_mesh.face], forces, covariance
-        )
+        moved = state.displacement[self.gel_mesh.face]
+        return GelContact(self.points, moved, forces, covariance)
 
     def smooth_forces(
         self,
-        displacement: Float[np.ndarray, "k 3"],
+        displacement: FaceVectors,
         noise_mm: Real,
-        contact: Bool[np.ndarray, " k"] | None = None,
+        contact: FaceMask | None = None,
         *,
         free_plane: bool = False,
     ) -> GelContact:
@@ -187,63 +164,74 @@ class GelModel:
             ConfigError: The shape is wrong, or no displacement or no contact is known.
             ConvergenceError: Newton's method does not converge.
         """
-        known = self._known(displacement)
+        known, face = self._known(displacement), self.gel_mesh.face
         loaded = np.ones(len(self.points), dtype=bool) if contact is None else contact
         if not loaded.any():
             raise ConfigError("contact is false at every node; without contact there is no force.")
-        prior = Roughness.from_edges(self.loads.edges(loaded), self.gel_mesh.face_areas[loaded])
+        basis = traction_basis(self.gel_mesh.edges(loaded), self.gel_mesh.face_areas[loaded])
         rows = known.ravel()
         plane = self._plane_modes()[rows] if free_plane else np.zeros((int(known.sum()), 0))
         forces, state = np.zeros((len(self.points), 3)), self._rest
         linearized, compliance, last_error = state, self._rest_compliance(loaded), np.inf
         for _ in range(_MAX_LINEARIZATIONS):
-            current = state.displacement[self.gel_mesh.face]
-            residual = (np.nan_to_num(displacement) - current)[known]
+            residual = (np.nan_to_num(displacement) - state.displacement[face])[known]
             target = residual + compliance[rows] @ forces[loaded].ravel()
-            fit = fit_smooth_forces(compliance[rows], plane, target, prior, float(noise_mm))
+            fitted, covariance, noise = fit_smooth_forces(
+                compliance[rows], plane, target, basis, float(noise_mm)
+            )
             change = np.zeros_like(forces)
-            change[loaded] = fit.forces.reshape(-1, 3) - forces[loaded]
+            change[loaded] = fitted.reshape(-1, 3) - forces[loaded]
             forces = forces + change
             linear_step = linearized.tangent.solve(self._face_load(change).ravel()).reshape(-1, 3)
             predicted = state.displacement + linear_step
             state = self._equilibrium(forces, predicted, None if state is linearized else state)
-            error = _rms((state.displacement - predicted)[self.gel_mesh.face])
-            converged = _rms(change) <= _FORCE_RTOL * _rms(forces)
-            if error <= _NOISE_FRACTION * fit.noise_mm or converged:
+            error = _rms((state.displacement - predicted)[face])
+            if error <= _NOISE_FRACTION * noise or _rms(change) <= _FORCE_RTOL * _rms(forces):
                 break
-            size = _rms(state.displacement[self.gel_mesh.face])
+            size = _rms(state.displacement[face])
             if error > min(_DISPLACEMENT_FRACTION * size, _ERROR_DECREASE * last_error):
                 linearized, compliance = state, self._compliance(state, loaded)
             last_error = error
-        return self._smooth_contact(state, forces, fit)
-
-    def _smooth_contact(
-        self, state: _State, forces: Float[np.ndarray, "k 3"], fit: SmoothForces
-    ) -> GelContact:
-        displacement = state.displacement[self.gel_mesh.face]
-        return GelContact(self.points, displacement, forces, fit.total_covariance)
+        return GelContact(self.points, state.displacement[face], forces, covariance)
 
     @cached_property
     def _rest(self) -> _State:
         return self._equilibrium(np.zeros((len(self.points), 3)))
 
-    def _face_load(self, forces: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "nodes 3"]:
-        return np.asarray(self.loads.load_matrix @ forces)
+    @cached_property
+    def _load_matrix(self) -> sp.csc_matrix:
+        """Forces on all element nodes from those on the nodes of the face, (nodes, k)."""
+        # On quadratic elements a nodal force is distributed as a traction around the node: a point
+        # force would have an unbounded displacement as the mesh is refined.
+        indicator = np.zeros(self.gel_mesh.mesh.points.shape)
+        indicator[self.gel_mesh.face] = 1.0
+        matrix = self.body.discretisation.consistent_load_matrix(indicator)
+        return matrix.tocsc()[:, self.gel_mesh.face]
+
+    def _face_load(self, forces: FaceVectors) -> NodeVectors:
+        return np.asarray(self._load_matrix @ forces)
+
+    def _gather(self, forces: NodeVectors) -> FaceVectors:
+        """Forces on the face from those on all element nodes; midside nodes go to both ends."""
+        n = self.gel_mesh.mesh.n_points
+        gathered = forces[:n].copy()
+        if len(forces) > n:
+            edges = self.body.discretisation.edges
+            on_face = self.gel_mesh.on_face[edges].all(axis=1)
+            for end in (0, 1):
+                np.add.at(gathered, edges[on_face, end], 0.5 * forces[n:][on_face])
+        return gathered[self.gel_mesh.face]
 
     def _equilibrium(
-        self,
-        forces: Float[np.ndarray, "k 3"],
-        start: Float[np.ndarray, "nodes 3"] | None = None,
-        previous: _State | None = None,
+        self, forces: FaceVectors, start: NodeVectors | None = None, previous: _State | None = None
     ) -> _State:
         """Equilibrium under forces on the face; the factorization of a previous state is reused."""
-        supports = self._supports(np.zeros(forces.shape), np.zeros(forces.shape, dtype=bool))
+        supports = self._supports(np.full(forces.shape, np.nan))
         after = None if previous is None else previous.newton
-        newton = self.body.search(self.youngs, self._face_load(forces), supports, after=after)
-        equilibrium = newton.run(start).require()
-        return _State(equilibrium.displacement, newton, equilibrium)
+        load = self._face_load(forces)
+        return _State(self.body.search(self.youngs, load, supports, after=after), start)
 
-    def _rest_compliance(self, loaded: Bool[np.ndarray, " k"]) -> Float[np.ndarray, "k3 f"]:
+    def _rest_compliance(self, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Compliance at rest; columns are cached, since presses load similar nodes."""
         nodes = np.flatnonzero(loaded).tolist()
         missing = [i for i in nodes if i not in self._rest_columns]
@@ -254,35 +242,28 @@ class GelModel:
             self._rest_columns.update(zip(missing, columns, strict=True))
         return np.hstack([self._rest_columns[i] for i in nodes])
 
-    def _compliance(
-        self, state: _State, loaded: Bool[np.ndarray, " k"]
-    ) -> Float[np.ndarray, "k3 f"]:
+    def _compliance(self, state: _State, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Displacement of the face under unit forces on the loaded nodes."""
-        solution = state.tangent.solve(self.loads.unit_loads(loaded))
-        face = self.gel_mesh.face
-        return solution.reshape(self.body.n_nodes, 3, -1)[face].reshape(3 * len(face), -1)
+        loads = np.asfortranarray(np.kron(self._load_matrix[:, loaded].toarray(), np.eye(3)))
+        solution = state.tangent.solve(loads).reshape(self.body.n_nodes, 3, -1)
+        return solution[self.gel_mesh.face].reshape(3 * len(self.points), -1)
 
     def _total_force_sensitivity(
         self, state: _State, known: Bool[np.ndarray, "k 3"]
     ) -> Float[np.ndarray, "3 known"]:
-        """Derivative of the total force with respect to the prescribed displacements.
-
-        The tangent is symmetric: these are the forces on the face when all its known components
-        move along an axis.
-        """
-        assert state.equilibrium.response is not None
-        values = self.body.assembly.tangent(state.equilibrium.response, self.youngs)
+        """Derivative of the total force with respect to the prescribed displacements."""
+        # The tangent is symmetric: these are the forces on the face when all its known components
+        # move along an axis.
+        values = self.body.assembly.tangent(state.response, self.youngs)
         pattern, extend = self.body.discretisation.pattern, self.body.discretisation.extend
         rows = []
         for axis in range(3):
-            along = np.zeros(known.shape)
-            along[:, axis] = 1.0
             moved = np.zeros(self.gel_mesh.mesh.points.shape)
-            moved[self.gel_mesh.face] = np.where(known, along, 0.0)
+            moved[self.gel_mesh.face, axis] = known[:, axis]
             prescribed = np.where(state.newton.supports.fixed, extend(moved), 0.0).ravel()
             total = prescribed - state.tangent.solve(pattern.product(values, prescribed))
             reaction = pattern.product(values, total).reshape(-1, 3)
-            rows.append(self.loads.gather(reaction)[known])
+            rows.append(self._gather(reaction)[known])
         return np.stack(rows)
 
     def _plane_modes(self) -> Float[np.ndarray, "k3 3"]:
@@ -292,18 +273,15 @@ class GelModel:
         modes[:, 2, 1:] = self.points[:, :2] / np.abs(self.points[:, :2]).max(axis=0)
         return modes.reshape(-1, 3)
 
-    def _supports(
-        self, displacement: Float[np.ndarray, "k 3"], known: Bool[np.ndarray, "k 3"]
-    ) -> Supports:
-        shape = self.gel_mesh.mesh.points.shape
-        fixed, prescribed = np.zeros(shape, dtype=bool), np.zeros(shape)
-        fixed[self.gel_mesh.window] = True
-        fixed[self.gel_mesh.face] |= known
-        prescribed[self.gel_mesh.face] = np.where(known, displacement, 0.0)
+    def _supports(self, displacement: FaceVectors) -> Supports:
+        """Bonded window, and displacements prescribed on the face; NaN where it is free."""
+        prescribed = np.full(self.gel_mesh.mesh.points.shape, np.nan)
         prescribed[self.gel_mesh.window] = 0.0
-        return Supports(fixed=fixed, prescribed=prescribed)
+        prescribed[self.gel_mesh.face] = displacement
+        fixed = np.isfinite(prescribed)
+        return Supports(fixed=fixed, prescribed=np.where(fixed, prescribed, 0.0))
 
-    def _known(self, displacement: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, "k 3"]:
+    def _known(self, displacement: FaceVectors) -> Bool[np.ndarray, "k 3"]:
         if displacement.shape != self.points.shape:
             raise ConfigError(
                 f"displacement has shape {displacement.shape}; expected {self.points.shape}, one"
@@ -315,5 +293,5 @@ class GelModel:
         return known
 
 
-def _rms(values: Float[np.ndarray, "k 3"]) -> float:
+def _rms(values: FaceVectors) -> float:
     return float(np.sqrt(np.mean(values**2)))

@@ -7,10 +7,12 @@ their variance, which includes the errors of both the load F and g.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar
+from scipy.special import chdtri
 
 from tactorch.errors import ConfigError
 from tactorch.mesh.values import Real, positive
@@ -47,20 +49,18 @@ class KnownLoad:
     def __post_init__(self) -> None:
         positive(f"{self.name}: deviation_n", self.deviation_n)
         force = self.vector
+        problem = ""
         if np.isinf(force).any() or np.isnan(force[2]):
-            raise ConfigError(
-                f"{self.name}: force_n is {force.tolist()}; give at least the z component, finite."
+            problem = f"{force.tolist()}; give at least the z component, finite."
+        elif force[2] == 0.0:
+            problem = "0 N along z, which does not determine the modulus; give a loaded press."
+        elif force[2] > 0.0:
+            problem = (
+                f"{force[2]:+g} N along z, which pulls the gel out of the sensor. On the gel a"
+                f" press is against z: give {-force[2]:g}."
             )
-        if force[2] == 0.0:
-            raise ConfigError(
-                f"{self.name}: force_n is 0 N along z, which does not determine the modulus; give a"
-                " loaded press."
-            )
-        if force[2] > 0.0:
-            raise ConfigError(
-                f"{self.name}: force_n is {force[2]:+g} N along z, which pulls the gel out of the"
-                f" sensor. On the gel a press is against z: give {-force[2]:g}."
-            )
+        if problem:
+            raise ConfigError(f"{self.name}: force_n is {problem}")
 
     @property
     def vector(self) -> Float[np.ndarray, "3"]:
@@ -93,9 +93,7 @@ class GelModulus:
     @property
     def consistent(self) -> bool:
         """Whether chi2 is below its 99 % quantile."""
-        from scipy.stats import chi2
-
-        return self.freedom == 0 or bool(self.chi2 <= chi2.ppf(0.99, self.freedom))
+        return self.freedom == 0 or bool(self.chi2 <= chdtri(self.freedom, 0.01))
 
 
 def calibrate_modulus(
@@ -132,7 +130,6 @@ def calibrate_modulus(
     noise = positive("noise_mm", noise_mm)
     if not (np.isfinite(mesh_error) and mesh_error >= 0):
         raise ConfigError(f"mesh_error={mesh_error}: give a fraction of the force, 0 or more.")
-    nominal = float(model.gel.youngs_mpa)
     if free_plane and not smooth:
         raise ConfigError("free_plane=True needs smooth=True.")
     observations = []
@@ -144,76 +141,10 @@ def calibrate_modulus(
             )
         else:
             contact = model.forces(load.displacement, noise)
-        observations.append(_LoadObservation.create(load, contact, nominal))
-    return _fit_modulus(observations, nominal, float(mesh_error))
-
-
-@dataclass(frozen=True, eq=False)
-class _LoadObservation:
-    """Measured components of a load, and of the force per unit of modulus.
-
-    Attributes:
-        load: Load, N.
-        load_variance: Variance of each component, N^2.
-        unit_force: Force per modulus, N/MPa.
-        unit_covariance: Covariance of `unit_force`, (N/MPa)^2.
-        unit_vector: All three components of the force per modulus.
-        name: Name of the press.
-    """
-
-    load: Float[np.ndarray, " c"]
-    load_variance: float
-    unit_force: Float[np.ndarray, " c"]
-    unit_covariance: Float[np.ndarray, "c c"]
-    unit_vector: Float[np.ndarray, "3"]
-    name: str
-
-    @staticmethod
-    def create(load: KnownLoad, contact: GelContact, nominal_mpa: float) -> "_LoadObservation":
-        assert contact.covariance is not None
-        measured = np.isfinite(load.vector)
-        unit = contact.total / nominal_mpa
-        if unit[2] >= 0.0:
-            raise ConfigError(
-                f"{load.name}: the gel's face moved as if pulled ({contact.total[2]:+.3g} N along"
-                " z), against the load. Do displacement and force belong together, and is z out of"
-                " the sensor?"
-            )
-        covariance = contact.covariance[np.ix_(measured, measured)] / nominal_mpa**2
-        variance = float(load.deviation_n) ** 2
-        return _LoadObservation(
-            load.vector[measured], variance, unit[measured], covariance, unit, load.name
-        )
-
-    @property
-    def modulus(self) -> float:
-        """Modulus from the z component alone, which is always measured, MPa."""
-        return float(self.load[-1] / self.unit_force[-1])
-
-    def covariance(self, youngs: float) -> Float[np.ndarray, "c c"]:
-        """Covariance of the residual force, N^2."""
-        return self.load_variance * np.eye(len(self.load)) + youngs**2 * self.unit_covariance
-
-    def chi2(self, youngs: float) -> float:
-        """Weighted squares of the residual force."""
-        residual = self.load - youngs * self.unit_force
-        return float(residual @ np.linalg.solve(self.covariance(youngs), residual))
-
-    def information(self, youngs: float) -> float:
-        """Fisher information on the modulus, 1/MPa^2."""
-        return float(self.unit_force @ np.linalg.solve(self.covariance(youngs), self.unit_force))
-
-
-def _fit_modulus(
-    observations: list[_LoadObservation], nominal_mpa: float, mesh_error: float
-) -> GelModulus:
-    """Minimize chi2 over the modulus."""
-    for observation in observations:
-        _require_plausible(observation, nominal_mpa)
+        observations.append(_observe(load, contact, model.gel.youngs_mpa))
 
     def misfit(log_youngs: float) -> float:
-        youngs = float(np.exp(log_youngs))
-        return sum(observation.chi2(youngs) for observation in observations)
+        return sum(observation.chi2(float(np.exp(log_youngs))) for observation in observations)
 
     log_moduli = np.log([observation.modulus for observation in observations])
     # The minimum is outside the single moduli where components of a load disagree.
@@ -221,10 +152,37 @@ def _fit_modulus(
     minimum = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-10})
     youngs = float(np.exp(minimum.x))
     random = 1.0 / np.sqrt(sum(observation.information(youngs) for observation in observations))
-    deviation = float(np.hypot(random, mesh_error * youngs))
+    deviation = float(np.hypot(random, float(mesh_error) * youngs))
     forces = youngs * np.stack([observation.unit_vector for observation in observations])
     freedom = sum(len(observation.load) for observation in observations) - 1
     return GelModulus(youngs, deviation, float(random), float(minimum.fun), freedom, forces)
+
+
+class _Observation(NamedTuple):
+    """Measured components of a load, N, and of the force per unit of modulus, N/MPa."""
+
+    load: Float[np.ndarray, " c"]
+    load_variance: float
+    unit_force: Float[np.ndarray, " c"]
+    unit_covariance: Float[np.ndarray, "c c"]
+    unit_vector: Float[np.ndarray, "3"]  # all components, measured or not
+
+    @property
+    def modulus(self) -> float:
+        """Modulus from the z component alone, which is always measured, MPa."""
+        return float(self.load[-1] / self.unit_force[-1])
+
+    def chi2(self, youngs: float) -> float:
+        """Weighted squares of the residual force."""
+        return self._weighted_square(self.load - youngs * self.unit_force, youngs)
+
+    def information(self, youngs: float) -> float:
+        """Fisher information on the modulus, 1/MPa^2."""
+        return self._weighted_square(self.unit_force, youngs)
+
+    def _weighted_square(self, force: Float[np.ndarray, " c"], youngs: float) -> float:
+        covariance = self.load_variance * np.eye(len(self.load)) + youngs**2 * self.unit_covariance
+        return float(force @ np.linalg.solve(covariance, force))
 
 
 def _require_contact(load: KnownLoad, noise_mm: float) -> None:
@@ -242,14 +200,26 @@ def _require_contact(load: KnownLoad, noise_mm: float) -> None:
         )
 
 
-def _require_plausible(observation: _LoadObservation, nominal_mpa: float) -> None:
+def _observe(load: KnownLoad, contact: GelContact, nominal_mpa: float) -> _Observation:
+    assert contact.covariance is not None
+    measured, unit = np.isfinite(load.vector), contact.total / nominal_mpa
+    if unit[2] >= 0.0:
+        raise ConfigError(
+            f"{load.name}: the gel's face moved as if pulled ({contact.total[2]:+.3g} N along z),"
+            " against the load. Do displacement and force belong together, and is z out of the"
+            " sensor?"
+        )
+    covariance = contact.covariance[np.ix_(measured, measured)] / nominal_mpa**2
+    variance = float(load.deviation_n) ** 2
+    observation = _Observation(load.vector[measured], variance, unit[measured], covariance, unit)
     ratio = observation.modulus / nominal_mpa
     if 1.0 / _MAX_RATIO <= ratio <= _MAX_RATIO:
-        return
-    unit, error = min(((u, abs(np.log(ratio / f))) for u, f in _UNITS.items()), key=lambda x: x[1])
-    hint = f" Is force_n in {unit}, not N?" if error < np.log(3.0) else ""
+        return observation
+    unit_name = min(_UNITS, key=lambda name: abs(np.log(ratio / _UNITS[name])))
+    is_close = abs(np.log(ratio / _UNITS[unit_name])) < np.log(3.0)
+    hint = f" Is force_n in {unit_name}, not N?" if is_close else ""
     raise ConfigError(
-        f"{observation.name}: {observation.load[-1]:g} N along z corresponds to a gel of"
+        f"{load.name}: {load.vector[2]:g} N along z corresponds to a gel of"
         f" {observation.modulus:.3g} MPa, {ratio:.3g} times the {nominal_mpa:g} MPa of its"
         f" description.{hint} Check the units (N, mm), and that displacement and force belong to"
         " the same press."

@@ -1,6 +1,6 @@
 """Recordings from frames and poses of a session, as a batch or while it runs (Section VI-B)."""
 
-from tactorch.sensor.recorder.detector import ContactDetector, ContactInterval, FrameSummary
+from tactorch.sensor.recorder.detector import ContactInterval, FrameSummary
 from tactorch.sensor.recorder.objects import OBJECTS, BoxObject, MeshObject, VirtualCube
 from tactorch.sensor.recorder.press_builder import Fixture, RecordOptions
 from tactorch.sensor.recorder.record import SessionRecording, record, record_streaming
@@ -8,7 +8,6 @@ from tactorch.sensor.recorder.record import SessionRecording, record, record_str
 __all__ = [
     "OBJECTS",
     "BoxObject",
-    "ContactDetector",
     "ContactInterval",
     "Fixture",
     "FrameSummary",

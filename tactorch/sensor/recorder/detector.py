@@ -1,6 +1,6 @@
-"""Streaming detection of contacts in a sequence of frames."""
+"""Detection of contacts in a sequence of frames, while it goes on."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -28,17 +28,9 @@ class ContactInterval:
     depths_mm: list[float] = field(default_factory=list)
     measurements: list[Measurement] = field(default_factory=list)
 
-    def add(self, measurement: Measurement, time_s: float, depth_mm: float) -> None:
-        """Append a frame; its image and height map are dropped to save memory."""
-        self.times_s.append(time_s)
-        self.depths_mm.append(depth_mm)
-        frame = replace(measurement.frame, image=None)
-        self.measurements.append(replace(measurement, frame=frame, height=None))
-
     def select_frames(self, steps: int) -> list[int]:
         """Return up to `steps` frames before the deepest, evenly spaced in depth."""
-        deepest = int(np.argmax(self.depths_mm))
-        loading = np.array(self.depths_mm[: deepest + 1])
+        loading = np.array(self.depths_mm[: int(np.argmax(self.depths_mm)) + 1])
         targets = loading[-1] * np.arange(1, steps + 1) / steps
         nearest = np.abs(loading[None] - targets[:, None]).argmin(axis=1)
         return sorted({int(i) for i in nearest})
@@ -64,66 +56,55 @@ class FrameSummary(NamedTuple):
     fault: str
 
 
-@dataclass(eq=False)
 class ContactDetector:
-    """Detector of contacts that is fed frame by frame.
+    """Detector of contacts of at least `min_frames`; `report` receives a summary of each frame.
 
     Frames that are not usable neither end a contact nor belong to one.
-
-    Attributes:
-        chain: Calibrated sensor.
-        min_frames: Shorter contacts are ignored.
-        summary: Summary of the last frame; None before the first.
     """
 
-    chain: SensorChain
-    min_frames: int = 1
-    summary: FrameSummary | None = None
-    _current: ContactInterval | None = None
-    _free_s: float | None = None
-    _squared_sum: float = 0.0  # of marker displacements without contact, mm^2
-    _count: int = 0
-
-    def feed(self, frame: Frame) -> ContactInterval | None:
-        """Process the next frame and return the contact that has ended with it, if any.
-
-        Raises:
-            ConfigError: The frame has no time, or another size than the reference.
-        """
-        depth_mm = max_slope = float("nan")
-        ended = None
-        if frame.image is not None and frame.usable:
-            time_s, measurement = _require_time(frame), self.chain.measure_deformation(frame)
-            if measurement.height is not None:
-                depth_mm, max_slope = measurement.height.depth_mm, measurement.height.max_slope
-            if measurement.displacement is None:
-                self._add_noise(measurement)
-                ended, self._free_s = self.finish(), time_s
-            else:
-                if self._current is None:
-                    self._current = ContactInterval(self._free_s)
-                self._current.add(measurement, time_s, depth_mm)
-        self.summary = FrameSummary(
-            frame.index, frame.name, frame.time_s, depth_mm, max_slope, frame.fault
-        )
-        return ended
-
-    def finish(self) -> ContactInterval | None:
-        """End the current contact and return it, if it has enough frames."""
-        current, self._current = self._current, None
-        if current is None or len(current.measurements) < self.min_frames:
-            return None
-        return current
+    def __init__(
+        self,
+        chain: SensorChain,
+        min_frames: int = 1,
+        report: Callable[[FrameSummary], object] = lambda summary: None,
+    ) -> None:
+        self.chain, self.min_frames, self.report = chain, min_frames, report
+        self._squared_sum, self._count = 0.0, 0  # of marker displacements without contact, mm^2
 
     def detect(self, frames: Iterable[Frame]) -> Iterator[ContactInterval]:
-        """Feed all frames and yield each contact when it ends."""
+        """Yield each contact when it ends."""
+        contact = ContactInterval(None)
         for frame in frames:
-            ended = self.feed(frame)
-            if ended is not None:
-                yield ended
-        last = self.finish()
-        if last is not None:
-            yield last
+            depth_mm = max_slope = float("nan")
+            measurement = None
+            if frame.image is not None and frame.usable:
+                if frame.time_s is None:
+                    raise ConfigError(
+                        f"frame '{frame.name}' has no time, which is needed to find its pose: give"
+                        " frame_rate_hz in the sensor's description."
+                    )
+                time_s, measurement = frame.time_s, self.chain.measure_deformation(frame)
+                if measurement.height is not None:
+                    depth_mm, max_slope = measurement.height.depth_mm, measurement.height.max_slope
+            self.report(
+                FrameSummary(
+                    frame.index, frame.name, frame.time_s, depth_mm, max_slope, frame.fault
+                )
+            )
+            if measurement is None:
+                continue
+            if measurement.displacement is not None:
+                contact.times_s.append(time_s)
+                contact.depths_mm.append(depth_mm)
+                stored = replace(frame, image=None)  # images and height maps fill the memory
+                contact.measurements.append(replace(measurement, frame=stored, height=None))
+                continue
+            self._add_noise(measurement)
+            if len(contact.measurements) >= self.min_frames:
+                yield contact
+            contact = ContactInterval(time_s)
+        if len(contact.measurements) >= self.min_frames:
+            yield contact
 
     @property
     def noise_mm(self) -> float | None:
@@ -138,12 +119,3 @@ class ContactDetector:
         squares = displacement[:, :2] ** 2
         self._squared_sum += float(np.nansum(squares))
         self._count += int(np.isfinite(squares).sum())
-
-
-def _require_time(frame: Frame) -> float:
-    if frame.time_s is None:
-        raise ConfigError(
-            f"frame '{frame.name}' has no time, which is needed to find its pose: give"
-            " frame_rate_hz in the sensor's description."
-        )
-    return frame.time_s

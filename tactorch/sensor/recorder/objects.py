@@ -10,6 +10,7 @@ from jaxtyping import Float
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh, box_mesh, read_mesh
+from tactorch.sensor.contact import Pose
 from tactorch.sensor.poses import check_pose, transform_points
 
 _MAX_ELEMENTS = 200_000
@@ -40,11 +41,7 @@ class BoxObject(Options):
     edge_mm: float = option(1.25, "Edge length of the elements", unit="mm", gt=0)
 
     def mesh(self) -> TetMesh:
-        """Return the mesh in the object frame, mm.
-
-        Raises:
-            ConfigError: An element is larger than the box.
-        """
+        """Return the mesh in the object frame, mm."""
         if min(self.size_mm) < self.edge_mm:
             raise ConfigError(
                 f"object.edge_mm={self.edge_mm:g} must be no more than a side of the box."
@@ -64,11 +61,7 @@ class MeshObject(Options):
     unit: Literal["mm", "cm", "m"] = option("mm", "Unit of length of the file")
 
     def mesh(self) -> TetMesh:
-        """Return the mesh in the object frame, mm.
-
-        Raises:
-            FileError: The file cannot be read.
-        """
+        """Return the mesh in the object frame, mm."""
         return read_mesh(str(self.path), self.unit)
 
 
@@ -106,26 +99,17 @@ class VirtualCube(Options):
     def _depth_mm(self) -> float:
         return self.side_mm if self.depth_mm is None else self.depth_mm
 
-    def mesh_under(
-        self, first_pose: Float[np.ndarray, "4 4"], center_mm: Float[np.ndarray, "2"]
-    ) -> TetMesh:
-        """Mesh the region under a contact.
+    def mesh_under(self, first_pose: Pose, center_mm: Float[np.ndarray, "2"]) -> TetMesh:
+        """Return the mesh in the object frame, its pressed face at the gel's highest point.
 
         Args:
             first_pose: T_object_sensor at first contact.
             center_mm: Center of the contact, x and y in the sensor frame.
-
-        Returns:
-            The mesh in the object frame, with its pressed face at the gel's highest point.
-
-        Raises:
-            ConfigError: The pose is not valid.
         """
         check_pose(first_pose, "pose of first contact")
         sizes = (self.side_mm, self.side_mm, self._depth_mm)
         counts = [max(2, round(size / self.edge_mm)) for size in sizes]
-        half = self.side_mm / 2
-        corner = (float(center_mm[0]) - half, float(center_mm[1]) - half, 0.0)
+        x, y = (center_mm - self.side_mm / 2).tolist()
         # Five tetrahedra per cell, mirrored from cell to cell, favor no direction.
-        mesh = box_mesh(sizes, counts, origin_mm=corner, tets_per_cell=5)
+        mesh = box_mesh(sizes, counts, origin_mm=(x, y, 0.0), tets_per_cell=5)
         return TetMesh.create(transform_points(first_pose, mesh.points), mesh.tets)

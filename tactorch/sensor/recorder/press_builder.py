@@ -1,8 +1,11 @@
-"""Presses from the frames of a contact, for batch and streaming recording."""
+"""Presses from the frames of a contact, and the pose of the sensor at first contact.
+
+Gel and object move together from this pose on, so its error adds to the object's displacements.
+"""
 
 import logging
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -13,45 +16,40 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.mesh import FACE_NAMES, TetMesh, face_nodes
 from tactorch.recording import Press
 from tactorch.sensor.chain import SensorChain
-from tactorch.sensor.contact import ContactOptions, build_press
-from tactorch.sensor.poses import Poses
+from tactorch.sensor.contact import MIN_FACING, ContactOptions, Pose, build_press
+from tactorch.sensor.description import GelLayer
+from tactorch.sensor.poses import Poses, transform_points
 from tactorch.sensor.recorder.detector import ContactInterval
-from tactorch.sensor.recorder.first_contact import first_pose_by_depth, first_pose_by_shape
 from tactorch.sensor.recorder.objects import VirtualCube
 
 _log = logging.getLogger(__name__)
 _MIN_ALIGNMENT = np.sqrt(0.5)  # cosine between a side's normal and the press direction
 _FLATNESS = 2e-3  # of a side, over the object's diagonal
-
-OPPOSITE = "opposite"
-Side = Literal["opposite", "x-", "x+", "y-", "y+", "z-", "z+"]
+_BISECTIONS = 30
+_POINT_SPACING_MM = 0.5  # on the object's face
+_MAX_GAP_MM = 0.5  # at the first frame with contact, without a warning
 
 
 @dataclass(frozen=True)
 class Fixture(Options):
     """Support of the object."""
 
-    side: Side = option(
-        OPPOSITE,
-        "Supported flat side of the object, or opposite: the side opposite to each press",
+    held_side: Literal["opposite", "x-", "x+", "y-", "y+", "z-", "z+"] = option(
+        "opposite", "Flat side that is held; opposite: the side opposite to each press"
     )
-    kind: Literal["fixed", "springs"] = option("fixed", "Fixed nodes, or a spring on each node")
+    held_by: Literal["fixed", "springs"] = option("fixed", "Fixed nodes, or a spring on each node")
     spring_n_per_mm: float = option(1.0, "Stiffness of each spring", unit="N/mm", gt=0)
 
     def supports(self, mesh: TetMesh, direction: Float[np.ndarray, "3"]) -> dict[str, Any]:
-        """Return the fields of a `Press` that support the object.
-
-        Args:
-            mesh: Object at rest.
-            direction: Unit vector of the press in the object frame.
+        """Return the fields of a `Press` along `direction` that support the object.
 
         Raises:
             ConfigError: The object has no flat side opposite to the press.
             MeshError: The named side is not flat.
         """
-        opposite = self.side == OPPOSITE
-        nodes = opposite_nodes(mesh, direction) if opposite else face_nodes(mesh, self.side)
-        if self.kind == "fixed":
+        opposite = self.held_side == "opposite"
+        nodes = opposite_nodes(mesh, direction) if opposite else face_nodes(mesh, self.held_side)
+        if self.held_by == "fixed":
             fixed = np.zeros(mesh.points.shape, dtype=bool)
             fixed[nodes] = True
             return {"fixed": fixed}
@@ -61,11 +59,7 @@ class Fixture(Options):
 
 
 def opposite_nodes(mesh: TetMesh, direction: Float[np.ndarray, "3"]) -> Int[np.ndarray, " k"]:
-    """Return the nodes of the flat side of the object opposite to a press.
-
-    Raises:
-        ConfigError: There is no such side.
-    """
+    """Nodes of the flat side of the object opposite to a press."""
     surface, position = mesh.surface, mesh.points @ direction
     distance = (position.max() - position[surface.triangles]).max(axis=1)
     aligned = np.asarray(surface.normals @ direction > _MIN_ALIGNMENT)
@@ -80,97 +74,70 @@ def opposite_nodes(mesh: TetMesh, direction: Float[np.ndarray, "3"]) -> Int[np.n
 
 
 @dataclass(frozen=True)
-class RecordOptions(Options):
+class RecordOptions(Fixture, ContactOptions):
     """Conversion of a session of frames to presses."""
 
-    steps: int = option(3, "Frames per contact, evenly spaced in depth up to the deepest", ge=1)
+    steps: int = option(3, "Frames of each contact that become presses, evenly in depth", ge=1)
     min_frames: int = option(1, "Contacts of fewer frames are ignored", ge=1)
     first_contact: Literal["shape", "depth"] = option(
         "shape",
         "Pose of first contact: shape (where the gel and the object meet by their poses), or depth"
         " (extrapolated from the first frames, for unknown shapes)",
     )
-    noise_mm: float | None = option(
+    press_noise_mm: float | None = option(
         None,
-        "Standard deviation of the displacements; null estimates it from frames without contact",
+        "Standard deviation of the displacements of presses; null estimates it from frames without"
+        " contact",
         unit="mm", gt=0,
     )  # fmt: skip
-    fixture: Fixture = option(factory=Fixture, help="Support of the object")
-    contact: ContactOptions | None = option(
-        None,
-        "Pairing of gel and object; null leaves nodes without contact unobserved, or displaces them"
-        " with the sensor in a virtual cube",
-    )
 
 
-@dataclass(frozen=True, eq=False)
 class PressBuilder:
     """Builder of presses from the frames of contacts.
 
-    Attributes:
-        chain: Calibrated sensor.
-        poses: T_object_sensor on the frames' clock.
-        mesh: Object at rest.
-        options: Conversion options.
-        virtual: Whether the mesh is a virtual cube.
-        noise_mm: Standard deviation of the displacements.
+    The `mesh` of a virtual cube is placed under the first contact, and None before.
     """
 
-    chain: SensorChain
-    poses: Poses
-    mesh: TetMesh
-    options: RecordOptions
-    virtual: bool
-    noise_mm: float
-
-    @staticmethod
-    def create(
-        chain: SensorChain,
-        poses: Poses,
-        target: TetMesh | VirtualCube,
-        options: RecordOptions,
-        contact: ContactInterval,
-        measured_noise_mm: float | None,
-        mesh: TetMesh | None = None,
-    ) -> "PressBuilder":
-        """Make a builder; a virtual cube is placed under the given contact.
-
-        Args:
-            chain: Calibrated sensor.
-            poses: T_object_sensor on the frames' clock.
-            target: Object at rest, or a virtual cube.
-            options: Conversion options.
-            contact: First contact.
-            measured_noise_mm: Noise of frames without contact, see `ContactDetector.noise_mm`.
-            mesh: Mesh of the virtual cube, if it was placed before.
-
-        Raises:
-            ConfigError: A frame of the contact has no pose.
-        """
-        virtual = isinstance(target, VirtualCube)
-        if mesh is None:
-            mesh = target if isinstance(target, TetMesh) else _place(target, contact, poses, chain)
-        noise_mm = options.noise_mm
-        if noise_mm is None:
-            noise_mm = max(chain.options.noise_mm, measured_noise_mm or 0.0)
-        return PressBuilder(chain, poses, mesh, options, virtual, noise_mm)
+    def __init__(
+        self, chain: SensorChain, target: TetMesh | VirtualCube, options: RecordOptions
+    ) -> None:
+        self.chain, self.options = chain, options
+        self.mesh = target if isinstance(target, TetMesh) else None
+        self._cube = target if isinstance(target, VirtualCube) else None
+        if options.untouched == "auto" and self._cube is not None:
+            self.options = replace(options, untouched="sensor")
 
     def build(
-        self, contact: ContactInterval, number: int
+        self, contact: ContactInterval, number: int, poses: Poses, measured_noise_mm: float | None
     ) -> Iterator[tuple[int, Press | ConfigError | ConvergenceError]]:
         """Yield the index of each selected frame with its press, or with the error.
 
-        Args:
-            contact: Contact.
-            number: Number of the contact from 1, for the names of the presses.
+        `number` counts contacts from 1, for the names of the presses. `measured_noise_mm` is that
+        of frames without contact.
         """
-        first_pose, step = self._first_pose(contact), 0
+        first_pose = self._first_pose(contact, poses)
+        if self.mesh is None:
+            assert self._cube is not None
+            deepest = contact.measurements[int(np.argmax(contact.depths_mm))]
+            center_mm = self.chain.model.points[deepest.in_contact, :2].mean(axis=0)
+            self.mesh = self._cube.mesh_under(first_pose, center_mm)
+        noise_mm = self.options.press_noise_mm
+        if noise_mm is None:
+            noise_mm = max(self.chain.options.noise_mm, measured_noise_mm or 0.0)
+        step = 0
         for index in contact.select_frames(self.options.steps):
-            name = contact.measurements[index].frame.name
+            measurement = contact.measurements[index]
+            name = measurement.frame.name
+            pose = poses.at([contact.times_s[index]])[0]
             try:
-                press = self._press(
-                    contact, index, first_pose, step=step, name=f"contact {number}, {name}"
-                )
+                forces = self.chain.solve_contact(measurement)
+                assert forces is not None
+                press = build_press(
+                    forces, pose, first_pose, self.mesh, measurement.in_contact,
+                    options=self.options, noise_mm=noise_mm, step=step,
+                    name=f"contact {number}, {name}",
+                    **self.options.supports(self.mesh, pose[:3, 2]),
+                )  # fmt: skip
             except (ConfigError, ConvergenceError) as error:
                 _log.warning("Frame '%s' is skipped: %s", name, error)
                 yield index, error
@@ -178,40 +145,85 @@ class PressBuilder:
                 step += 1
                 yield index, press
 
-    def _first_pose(self, contact: ContactInterval) -> Float[np.ndarray, "4 4"]:
-        if self.virtual or self.options.first_contact == "depth":
-            return _first_pose_by_depth(contact, self.poses)
-        gel = self.chain.sensor.gel
-        return first_pose_by_shape(self.poses, contact.free_s, contact.times_s[0], self.mesh, gel)
-
-    def _press(
-        self,
-        contact: ContactInterval,
-        index: int,
-        first_pose: Float[np.ndarray, "4 4"],
-        **fields: Any,
-    ) -> Press:
-        measurement = contact.measurements[index]
-        forces = self.chain.solve_contact(measurement)
-        assert forces is not None
-        pose = self.poses.at([contact.times_s[index]])[0]
-        default = ContactOptions(untouched="sensor" if self.virtual else "unseen")
-        return build_press(
-            forces, pose, first_pose, self.mesh, measurement.in_contact,
-            options=self.options.contact or default, noise_mm=self.noise_mm,
-            **self.options.fixture.supports(self.mesh, pose[:3, 2]), **fields,
-        )  # fmt: skip
+    def _first_pose(self, contact: ContactInterval, poses: Poses) -> Pose:
+        times_s, gel = contact.times_s, self.chain.sensor.gel
+        if self._cube is None and self.options.first_contact == "shape":
+            assert self.mesh is not None
+            return first_pose_by_shape(poses, contact.free_s, times_s[0], self.mesh, gel)
+        return first_pose_by_depth(poses, contact.free_s, times_s, contact.depths_mm)
 
 
-def _first_pose_by_depth(contact: ContactInterval, poses: Poses) -> Float[np.ndarray, "4 4"]:
-    times_s, depths_mm = np.array(contact.times_s), np.array(contact.depths_mm)
-    return first_pose_by_depth(poses, contact.free_s, times_s, depths_mm)
+def first_pose_by_shape(
+    poses: Poses, free_s: float | None, contact_s: float, mesh: TetMesh, gel: GelLayer
+) -> Pose:
+    """Return T_object_sensor at which the gel's face meets the object's, both at rest.
+
+    `free_s` is the time of the last frame without contact, if any, `contact_s` that of the first
+    with contact.
+    """
+    surface = sample_surface(mesh)
+
+    def gap_at(time_s: float) -> float:
+        return axial_gap(poses.at([time_s])[0], *surface, gel)
+
+    pose = poses.at([contact_s])[0]
+    gap = gap_at(contact_s)
+    if gap >= 0:
+        if _MAX_GAP_MM < gap < np.inf:
+            _log.warning(
+                "At %.3f s the images show contact, but by the poses gel and object are %.2f mm"
+                " apart: check T_object_sensor and the object's mesh.", contact_s, gap,
+            )  # fmt: skip
+        return pose
+    earlier = [] if free_s is None else [free_s, *poses.time_s[poses.time_s < free_s][::-1]]
+    low = next((float(time_s) for time_s in earlier if gap_at(float(time_s)) >= 0), None)
+    if low is None:  # without an approach in the poses, retract along the sensor's axis
+        retracted = pose.copy()
+        retracted[:3, 3] += gap * pose[:3, 2]
+        return retracted
+    high = contact_s
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if gap_at(middle) >= 0 else (low, middle)
+    return poses.at([low])[0]
 
 
-def _place(
-    cube: VirtualCube, contact: ContactInterval, poses: Poses, chain: SensorChain
-) -> TetMesh:
-    """Place a virtual cube under the center of a contact in its deepest frame."""
-    measurement = contact.measurements[int(np.argmax(contact.depths_mm))]
-    center_mm = chain.model.points[measurement.in_contact, :2].mean(axis=0)
-    return cube.mesh_under(_first_pose_by_depth(contact, poses), center_mm)
+def first_pose_by_depth(
+    poses: Poses, free_s: float | None, times_s: Sequence[float], depths_mm: Sequence[float]
+) -> Pose:
+    """Return the pose at which the depth starts, extrapolated from the first two frames."""
+    first = times_s[0]
+    earliest = first if free_s is None else free_s
+    if len(times_s) < 2 or depths_mm[1] <= depths_mm[0]:
+        return poses.at([0.5 * (earliest + first)])[0]
+    rate = (depths_mm[1] - depths_mm[0]) / (times_s[1] - times_s[0])
+    start = first - depths_mm[0] / rate
+    return poses.at([float(np.clip(start, earliest, first))])[0]
+
+
+def axial_gap(
+    pose: Pose, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"], gel: GelLayer
+) -> float:
+    """Return the smallest distance along the sensor's axis from gel to object, both at rest, mm.
+
+    It is negative for an overlap, infinite if the gel is not over the object. `points` and their
+    outward `normals` are those of `sample_surface`.
+    """
+    facing = np.asarray(normals @ pose[:3, 2] < -MIN_FACING)
+    in_sensor = transform_points(np.linalg.inv(pose), points[facing])
+    # A face farther behind than the gel is thick is another part of the object.
+    near = gel.covers(in_sensor[:, :2]) & (in_sensor[:, 2] > -gel.thickness_mm)
+    if not near.any():
+        return np.inf
+    return float((in_sensor[near, 2] - gel.height_mm(in_sensor[near, :2])).min())
+
+
+def sample_surface(mesh: TetMesh) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "p 3"]]:
+    """Return points on the object's surface and the normals at them."""
+    surface = mesh.surface
+    corners = mesh.points[surface.triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+    n = max(2, int(np.ceil(longest / _POINT_SPACING_MM)))
+    grid = np.array([(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]) / n
+    points = np.einsum("pc,tcd->tpd", grid, corners).reshape(-1, 3)
+    return points, np.repeat(surface.normals, len(grid), axis=0)

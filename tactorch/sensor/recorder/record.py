@@ -92,41 +92,41 @@ def record(
         RecordingError: Presses, mesh and material are inconsistent.
     """
     options = options or RecordOptions()
-    detector, summaries = ContactDetector(chain, options.min_frames), list[FrameSummary]()
+    summaries = list[FrameSummary]()
 
-    def summarized() -> Iterator[Frame]:
-        for frame in frames:
-            yield frame
-            assert detector.summary is not None
-            summaries.append(detector.summary)
-            progress("frames", len(summaries), None)
+    def report(summary: FrameSummary) -> None:
+        summaries.append(summary)
+        progress("frames", len(summaries), None)
 
-    contacts = list(detector.detect(summarized()))
+    detector = ContactDetector(chain, options.min_frames, report)
+    contacts = list(detector.detect(frames))
     if not contacts:
         raise ConfigError(_no_contact(summaries, chain))
     known_poses = poses if isinstance(poses, Poses) else poses()
     known_poses.at([time_s for contact in contacts for time_s in contact.times_s])
-    builder = PressBuilder.create(
-        chain, known_poses, target, options, contacts[0], detector.noise_mm
-    )
+    builder = PressBuilder(chain, target, options)
     total = sum(len(contact.select_frames(options.steps)) for contact in contacts)
     presses, rows, skipped = list[Press](), [], {}
     for number, contact in enumerate(contacts, start=1):
-        for index, result in builder.build(contact, number):
+        for index, result in builder.build(contact, number, known_poses, detector.noise_mm):
+            name = contact.measurements[index].frame.name
             if isinstance(result, Press):
                 presses.append(result)
-                rows.append(_press_row(number, contact, index, result))
+                depth_mm, nodes = contact.depths_mm[index], result.observed.any(axis=1).sum()
+                row = {"contact": number, "frame": name, "time_s": contact.times_s[index]}
+                row |= {"depth_mm": depth_mm, "force_n": result.total_force.tolist()}
+                rows.append(row | {"nodes": int(nodes)})
             else:
-                skipped[contact.measurements[index].frame.name] = str(result)
+                skipped[name] = str(result)
             progress("presses", len(presses) + len(skipped), total)
     if not presses:
         name, reason = next(iter(skipped.items()))
         raise ConfigError(f"no frame with contact became a press; '{name}': {reason}")
     facts = {"sensor": chain.sensor.name, "frames": len(summaries), "presses": rows}
     facts |= {"faulty frames": _faults(summaries), "skipped": skipped, "versions": versions()}
-    recording = Recording(
-        builder.mesh, tuple(presses), material, provenance={**facts, **(provenance or {})}
-    )
+    assert builder.mesh is not None
+    facts |= provenance or {}
+    recording = Recording(builder.mesh, tuple(presses), material, provenance=facts)
     return SessionRecording(recording, rows, summaries, contacts, skipped)
 
 
@@ -150,8 +150,7 @@ def record_streaming(
         frames: Frames as they are captured, with times.
         chain: Calibrated sensor.
         read_poses: Function that returns T_object_sensor on the same clock, as far as known.
-        target: Object at rest in the object frame, mm; or a virtual cube, which is placed under
-            the first contact.
+        target: Object at rest in the object frame, mm; or a virtual cube.
         material: Material of the object, without Young's modulus.
         options: Conversion options.
         provenance: Additional facts to store.
@@ -165,40 +164,31 @@ def record_streaming(
         FileError: A camera stops giving images.
     """
     options = options or RecordOptions()
-    detector, mesh = ContactDetector(chain, options.min_frames), None
+    detector = ContactDetector(chain, options.min_frames, _log_fault)
+    builder = PressBuilder(chain, target, options)
     facts = {"sensor": chain.sensor.name, "versions": versions(), **(provenance or {})}
-    for number, contact in enumerate(detector.detect(_log_faults(frames)), start=1):
+    for number, contact in enumerate(detector.detect(frames), start=1):
         try:
             poses = _wait_for_poses(contact, read_poses, poses_timeout_s)
-            builder = PressBuilder.create(
-                chain, poses, target, options, contact, detector.noise_mm, mesh
-            )
-            mesh = builder.mesh
-            results = [result for _, result in builder.build(contact, number)]
+            results = [r for _, r in builder.build(contact, number, poses, detector.noise_mm)]
         except (ConfigError, FileError) as error:
             _log.warning("Contact %d is skipped: %s", number, error)
             continue
         presses = tuple(press for press in results if isinstance(press, Press))
         if presses:
-            yield Recording(mesh, presses, material, provenance=facts, check_units=False)
+            assert builder.mesh is not None
+            yield Recording(builder.mesh, presses, material, provenance=facts, check_units=False)
 
 
-def _log_faults(frames: Iterable[Frame]) -> Iterator[Frame]:
-    for frame in frames:
-        if frame.fault:
-            _log.warning("%s: %s", frame.name, frame.fault)
-        yield frame
+def _log_fault(summary: FrameSummary) -> None:
+    if summary.fault:
+        _log.warning("%s: %s", summary.name, summary.fault)
 
 
 def _wait_for_poses(
     contact: ContactInterval, read_poses: Callable[[], Poses], timeout_s: float
 ) -> Poses:
-    """Poses of a contact's frames, which may be late or incompletely written.
-
-    Raises:
-        ConfigError: The poses are missing after the timeout.
-        FileError: The poses cannot be read.
-    """
+    """Poses of a contact's frames, which may be late or incompletely written."""
     end = time.monotonic() + timeout_s
     while True:
         try:
@@ -214,10 +204,8 @@ def _wait_for_poses(
 def _no_contact(frames: list[FrameSummary], chain: SensorChain) -> str:
     count = len(_faults(frames))
     faulty = f", {count} of them faulty," if count else ""
-    depth, slope = (
-        float(np.nanmax([0.0, *values]))
-        for values in ([f.depth_mm for f in frames], [f.max_slope for f in frames])
-    )
+    depth = np.nanmax([0.0, *(frame.depth_mm for frame in frames)])
+    slope = np.nanmax([0.0, *(frame.max_slope for frame in frames)])
     return (
         f"none of {len(frames)} frames{faulty} shows contact: the gel is pressed by"
         f" {depth:.3g} mm at most, contact counts from {chain.options.min_depth_mm:g} mm"
@@ -229,14 +217,3 @@ def _no_contact(frames: list[FrameSummary], chain: SensorChain) -> str:
 
 def _faults(frames: list[FrameSummary]) -> dict[str, str]:
     return {frame.name: frame.fault for frame in frames if frame.fault}
-
-
-def _press_row(number: int, contact: ContactInterval, index: int, press: Press) -> dict[str, Any]:
-    return {
-        "contact": number,
-        "frame": contact.measurements[index].frame.name,
-        "time_s": contact.times_s[index],
-        "depth_mm": contact.depths_mm[index],
-        "force_n": press.total_force.tolist(),
-        "nodes": int(press.observed.any(axis=1).sum()),
-    }

@@ -6,8 +6,6 @@ blur both, so that the steepest point of a blurred profile is up to a pixel insi
 edge is therefore located by a fit of both blurred profiles.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -16,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.optimize import nnls
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.scale.shape import KnownShape, Outline
+from tactorch.sensor.scale.shape import Corners, KnownShape, Outline, sides, square_side
 
 _SEARCH_FRACTIONS = (0.07, 0.04, 0.025)  # half width of each search, over the face's size
 _END_FRACTION = 0.1  # of an edge ignored at both ends, where corners are rounded
@@ -30,114 +28,67 @@ _BLURS_PX = (0.6, 0.9, 1.2, 1.6, 2.2)
 _MAX_SHIFT_PX = 2.0
 _SHIFT_STEP_PX = 0.05
 _FINE_PX, _REACH_PX = 0.05, 30.0
-# Outward offsets from a line at which `_edge_shift` takes a profile.
-_OFFSETS_PX = np.arange(-8.0, 8.01, 0.25)
+_OFFSETS_PX = np.arange(-8.0, 8.01, 0.25)  # of the final profiles, outward
 
-
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """Line, as offsets along the normal of an approximate edge.
-
-    Attributes:
-        offsets: Offsets at the start and end of the approximate edge, px.
-        covariance: Covariance of the offsets.
-        scatter_px: Root mean square deviation of its points.
-    """
-
-    offsets: Float[np.ndarray, "2"]
-    covariance: Float[np.ndarray, "2 2"]
-    scatter_px: float
+_Line = tuple[np.ndarray, np.ndarray, float]
 
 
 def refine_outline(
     change: Float[np.ndarray, "h w 3"],
     known: Bool[np.ndarray, "h w"],
-    rough: Float[np.ndarray, "n 2"],
+    rough: Corners,
     shape: KnownShape,
     name: str,
 ) -> Outline:
-    """Fit the edges of an outline to where the change of color starts outward.
-
-    Args:
-        change: Change of the colors.
-        known: Pixels not covered by markers.
-        rough: Approximate corners (column, row).
-        shape: Pressed shape.
-        name: Name of the image, for messages.
-
-    Returns:
-        The outline.
-
-    Raises:
-        ConfigError: An edge is not visible, or not straight; the message names the image.
-    """
-    corners, size = rough, float(np.sqrt(_area(rough)))
+    """Fit the edges of a rough outline to where the change of color starts outward."""
+    missing = f"{name}: no {shape.name} found;"
+    remedy = "Give its corners by hand, or leave it out."
+    corners, size = rough, square_side(rough)
     for fraction in _SEARCH_FRACTIONS:
-        reach = max(3.0, fraction * size)
-        lines = [
-            _require_line(_find_line(change, known, start, end, reach), start, end, shape, name)
-            for start, end in _sides(corners)
-        ]
-        corners, deviation = _intersect(corners, lines)
-    scatter = max(line.scatter_px for line in lines)
+        lines = []
+        for start, end in sides(corners):
+            line = _find_line(change, known, start, end, max(3.0, fraction * size))
+            if line is None:
+                raise ConfigError(
+                    f"{missing} the edge from ({start[0]:.0f}, {start[1]:.0f}) to"
+                    f" ({end[0]:.0f}, {end[1]:.0f}) px is not visible. {remedy}"
+                )
+            lines.append(line)
+        offsets, variances, scatters = (np.array(column) for column in zip(*lines, strict=True))
+        corners, deviation = _intersect(corners, offsets, variances)
+    scatter = float(scatters.max())
     if scatter > max(_MAX_DEVIATION * size, 1.0):
         raise ConfigError(
-            f"{name}: no {shape.name} found; the edges of what changed deviate by {scatter:.1f} px"
-            " from straight lines. Give its corners by hand, or leave it out."
+            f"{missing} the edges of what changed deviate by {scatter:.1f} px from straight lines."
+            f" {remedy}"
         )
-    shifts = [_shift(change, known, start, end) for start, end in _sides(corners)]
-    shift = float(np.median(shifts))  # common to all edges
-    offset = _Line(np.array([shift, shift]), np.zeros((2, 2)), 0.0)
-    shifted, _ = _intersect(corners, [offset] * len(corners))
+    profiles = [_profiles(change, known, *side, _OFFSETS_PX) for side in sides(corners)]
+    shifts = [_edge_shift(_mean_profile(values, valid)) for values, valid, _ in profiles]
+    common_shift = np.full(corners.shape, np.median(shifts))
+    shifted, _ = _intersect(corners, common_shift, np.zeros(corners.shape))
     return Outline(name, shifted, deviation, float(np.hypot(np.std(shifts), _BIAS_PX)))
-
-
-def _sides(corners: Float[np.ndarray, "n 2"]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    return zip(corners, np.roll(corners, -1, axis=0), strict=True)
-
-
-def _require_line(
-    line: _Line | None, start: np.ndarray, end: np.ndarray, shape: KnownShape, name: str
-) -> _Line:
-    if line is None:
-        raise ConfigError(
-            f"{name}: no {shape.name} found; the edge from ({start[0]:.0f}, {start[1]:.0f}) to"
-            f" ({end[0]:.0f}, {end[1]:.0f}) px is not visible. Give its corners by hand, or leave"
-            " it out."
-        )
-    return line
-
-
-def _area(corners: Float[np.ndarray, "n 2"]) -> float:
-    x, y = corners.T
-    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _find_line(
     change: np.ndarray, known: np.ndarray, start: np.ndarray, end: np.ndarray, reach: float
 ) -> _Line | None:
-    """Fit a line to the steepest points near an approximate edge; None if there are too few."""
+    """Fit a line to the steepest points near an approximate edge; None if there are too few.
+
+    Returns:
+        Outward offsets of the line at both ends of the edge, px, their variances, and the root mean
+        square deviation of its points.
+    """
     offsets = np.arange(-reach - 3.0, reach + 3.0 + _STEP_PX, _STEP_PX)
     values, valid, positions = _profiles(change, known, start, end, offsets)
     blocks = max(_MIN_BLOCKS, round(len(positions) / _BLOCK_PX))
-    block_positions, edge_offsets, weights = [], [], []
+    points = []
     for block in np.array_split(np.arange(len(positions)), blocks):
         if len(block) == 0 or valid[block].mean() < _MIN_KNOWN:
             continue
         peak = _steepest(_mean_profile(values[block], valid[block]), offsets, reach)
         if peak is not None:
-            block_positions.append(float(positions[block].mean()))
-            edge_offsets.append(peak[0])
-            weights.append(peak[1])
-    if len(weights) < _MIN_BLOCKS:
-        return None
-    return _fit_line(np.array(block_positions), np.array(edge_offsets), np.array(weights))
-
-
-def _shift(change: np.ndarray, known: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """Outward distance of an edge from the steepest points, px."""
-    values, valid, _ = _profiles(change, known, start, end, _OFFSETS_PX)
-    return _edge_shift(_mean_profile(values, valid))
+            points.append((float(positions[block].mean()), *peak))
+    return _fit_line(*np.array(points).T) if len(points) >= _MIN_BLOCKS else None
 
 
 def _profiles(
@@ -155,9 +106,9 @@ def _profiles(
     indices = [points[..., 1], points[..., 0]]
     # Pixels outside the image are not valid.
     valid = map_coordinates(known.astype(float), indices, order=1, cval=0.0) > 0.99
+    channels = (change[..., k] for k in range(3))
     values = np.stack(
-        [map_coordinates(change[..., k], indices, order=1, mode="nearest") for k in range(3)],
-        axis=-1,
+        [map_coordinates(c, indices, order=1, mode="nearest") for c in channels], axis=-1
     )
     outside = valid & (offsets > 0)
     color = values[outside].mean(axis=0) if outside.any() else np.ones(3)
@@ -171,9 +122,7 @@ def _mean_profile(values: Float[np.ndarray, "s o"], valid: Bool[np.ndarray, "s o
     return np.where(count > 0, mean, values.mean(axis=0))
 
 
-def _steepest(
-    profile: Float[np.ndarray, " o"], offsets: Float[np.ndarray, " o"], reach: float
-) -> tuple[float, float] | None:
+def _steepest(profile: np.ndarray, offsets: np.ndarray, reach: float) -> tuple[float, float] | None:
     """Offset of the largest slope of a profile within reach, and the slope."""
     slope = gaussian_filter1d(profile, 1.0 / _STEP_PX, order=1) / _STEP_PX
     candidates = np.where(np.abs(offsets) <= reach, slope, -np.inf)
@@ -186,15 +135,10 @@ def _steepest(
     return float(offsets[i] + np.clip(shift, -1, 1) * _STEP_PX), float(peak)
 
 
-def _fit_line(
-    positions: Float[np.ndarray, " b"],
-    offsets: Float[np.ndarray, " b"],
-    weights: Float[np.ndarray, " b"],
-) -> _Line:
+def _fit_line(positions: np.ndarray, offsets: np.ndarray, weights: np.ndarray) -> _Line:
     """Fit a line with Tukey's biweight."""
     design = np.column_stack([1 - positions, positions])
     prior = np.minimum(weights / np.median(weights), 1.0)
-    robust = np.ones(len(positions))
     fit = np.full(2, float(np.median(offsets)))
     for _ in range(10):
         residual = offsets - design @ fit
@@ -204,45 +148,34 @@ def _fit_line(
         normal = design.T @ (total[:, None] * design) + 1e-9 * np.eye(2)
         fit = np.linalg.solve(normal, design.T @ (total * offsets))
     residual = offsets - design @ fit
-    total = prior * robust
     freedom = max(float(total.sum()) - 2.0, 1.0)
     variance = float(total @ residual**2) / freedom
     scatter = float(np.sqrt(np.median(residual**2)) * 1.4826)
-    return _Line(fit, variance * np.linalg.inv(normal), scatter)
+    return fit, variance * np.diag(np.linalg.inv(normal)), scatter
 
 
-def _intersect(
-    corners: Float[np.ndarray, "n 2"], lines: list[_Line]
-) -> tuple[Float[np.ndarray, "n 2"], float]:
-    """Intersections of adjacent lines, and their standard deviation, px."""
-    count = len(corners)
-    sides = np.roll(corners, -1, axis=0) - corners
-    outward = np.column_stack([sides[:, 1], -sides[:, 0]])
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    points, variance = np.zeros_like(corners), 0.0
-    for i in range(count):
-        ends = []
-        for k in (i - 1, i):
-            start = corners[k] + lines[k].offsets[0] * outward[k]
-            end = corners[(k + 1) % count] + lines[k].offsets[1] * outward[k]
-            ends.append((start, end))
-        normals = np.array([(b[1] - a[1], a[0] - b[0]) for a, b in ends])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        distances = [n @ a for n, (a, _) in zip(normals, ends, strict=True)]
-        points[i] = np.linalg.solve(normals, distances)
-        # Variance of both offsets, propagated through the same equations.
-        inverse = np.linalg.inv(normals)
-        offsets = np.diag([lines[i - 1].covariance[1, 1], lines[i].covariance[0, 0]])
-        variance += float(np.trace(inverse @ offsets @ inverse.T)) / 2 / count
-    return points, float(np.sqrt(variance))
+def _intersect(corners: Corners, offsets: Corners, variances: Corners) -> tuple[Corners, float]:
+    """Intersections of adjacent lines with offsets from the sides, and their deviation, px."""
+    following = np.roll(corners, -1, axis=0)
+    normals = _normals(corners, following)
+    starts, ends = corners + offsets[:, :1] * normals, following + offsets[:, 1:] * normals
+    normals = _normals(starts, ends)
+    distances = (normals * starts).sum(axis=1)
+    inverse = np.linalg.inv(np.stack([np.roll(normals, 1, axis=0), normals], axis=1))
+    right = np.stack([np.roll(distances, 1), distances], axis=1)
+    # Variances of both offsets, propagated through the same equations.
+    adjacent = np.stack([np.roll(variances[:, 1], 1), variances[:, 0]], axis=1)
+    variance = (inverse**2 * adjacent[:, None]).sum() / 2 / len(corners)
+    return (inverse @ right[..., None])[..., 0], float(np.sqrt(variance))
+
+
+def _normals(starts: np.ndarray, ends: np.ndarray) -> Corners:
+    x, y = (ends - starts).T
+    return np.column_stack([y, -x]) / np.hypot(x, y)[:, None]
 
 
 def _edge_shift(profile: Float[np.ndarray, " o"]) -> float:
-    """Outward distance of the face's edge from a line, px.
-
-    Args:
-        profile: Change of the colors across the line, at `_OFFSETS_PX`.
-    """
+    """Outward distance of the face's edge from a line, px, by the profile at `_OFFSETS_PX`."""
     best, edge = np.inf, 0.0
     for shift in np.arange(-_MAX_SHIFT_PX, _MAX_SHIFT_PX + _SHIFT_STEP_PX / 2, _SHIFT_STEP_PX):
         distance = _OFFSETS_PX - shift

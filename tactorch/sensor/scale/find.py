@@ -17,13 +17,16 @@ from scipy.optimize import minimize
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import check_pixel_size
 from tactorch.sensor.scale.edges import refine_outline
-from tactorch.sensor.scale.shape import KnownShape, Outline
+from tactorch.sensor.scale.shape import Corners, KnownShape, Outline, rotate, sides
 
 _MIN_CHANGE = 0.1  # of the colors: 5 gray values
 _SEARCH_PX, _FIT_PX = 80, 160  # size of the downscaled images
 _SCALE_RANGE, _SCALE_STEP = 1.7, 1.04  # relative to the expected scale
 _NARROW_BLUR_PX, _WIDE_BLUR_PX = 1.2, 4.0
 _ROTATION_STEP_PX = 1.5  # of a corner
+
+Gray = Float[np.ndarray, "h w"]
+Mask = Bool[np.ndarray, "h w"]
 
 
 def find_outline(
@@ -56,41 +59,29 @@ def find_outline(
     strength = np.linalg.norm(change, axis=-1)
     if float(np.percentile(strength[visible], 99)) < _MIN_CHANGE:
         raise ConfigError(f"{name}: no {shape.name} found; nothing changed against the reference.")
-    rough = _search(strength, visible, shape, mm_per_px, name)
-    return refine_outline(change, visible, rough, shape, name)
-
-
-def _search(
-    strength: Float[np.ndarray, "h w"],
-    known: Bool[np.ndarray, "h w"],
-    shape: KnownShape,
-    mm_per_px: tuple[float, float],
-    name: str,
-) -> Float[np.ndarray, "n 2"]:
-    """Approximate corners: the outline with the largest jump of the change across it."""
-    small, visible, factor = _downscale(strength, known, _SEARCH_PX)
-    gradient = _gradient(small, visible, _NARROW_BLUR_PX)
-    padded = tuple(fft.next_fast_len(n) for n in gradient.shape)
-    spectrum = fft.fft2(gradient, padded)
-    best, corners = 0.0, None
+    small, mask, factor = _downscale(strength, visible, _SEARCH_PX)
+    gradient = _gradient(small, mask, _NARROW_BLUR_PX)
+    spectrum = fft.fft2(gradient, tuple(fft.next_fast_len(n) for n in gradient.shape))
+    best, corners = 0.0, None  # those with the largest jump of the change across the outline
     for candidate in _candidates(shape, np.array(mm_per_px) / factor, small.shape):
-        score = _scores(spectrum, candidate, gradient.shape, padded)
-        center = np.unravel_index(int(score.argmax()), score.shape)
-        if score[center] > best:
-            best, corners = float(score[center]), candidate + np.array(center[::-1], float)
+        score = _scores(spectrum, candidate, gradient.shape)
+        row, column = np.unravel_index(int(score.argmax()), score.shape)
+        if score[row, column] > best:
+            best, corners = float(score[row, column]), candidate + np.array([column, row])
     if corners is None:
         raise ConfigError(
             f"{name}: no {shape.name} found; none of its size fits into the image. Check its size"
             " in mm and mm_per_px."
         )
-    full_size = (corners + 0.5) / factor - 0.5
-    small, visible, factor = _downscale(strength, known, _FIT_PX)
-    gradients = [_gradient(small, visible, blur) for blur in (_WIDE_BLUR_PX, _NARROW_BLUR_PX)]
-    return (_fit_placement(gradients, (full_size + 0.5) * factor - 0.5) + 0.5) / factor - 0.5
+    positions = (corners + 0.5) / factor  # relative to the corner of the first pixel
+    small, mask, factor = _downscale(strength, visible, _FIT_PX)
+    gradients = [_gradient(small, mask, blur) for blur in (_WIDE_BLUR_PX, _NARROW_BLUR_PX)]
+    rough = (_fit_placement(gradients, positions * factor - 0.5) + 0.5) / factor - 0.5
+    return refine_outline(change, visible, rough, shape, name)
 
 
 def _downscale(
-    strength: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], max_px: int
+    strength: Gray, known: Mask, max_px: int
 ) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, "2"]]:
     """Downscaled image, its known pixels, and the scale factors along x and y."""
     import cv2
@@ -103,9 +94,7 @@ def _downscale(
     return small, visible, np.array([size[0] / columns, size[1] / rows])
 
 
-def _gradient(
-    strength: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], blur_px: float
-) -> np.ndarray:
+def _gradient(strength: Gray, known: Mask, blur_px: float) -> np.ndarray:
     """Gradient of the change as x + iy, with its magnitude clipped."""
     import cv2
 
@@ -126,16 +115,13 @@ def _candidates(shape: KnownShape, mm_per_px: np.ndarray, size: tuple[int, ...])
         radius = radius_mm / (scale * float(mm_per_px.min()))
         rotations = max(2, int(np.ceil(shape.symmetry_rad * radius / _ROTATION_STEP_PX)))
         for angle in np.arange(rotations) * shape.symmetry_rad / rotations:
-            c, s = np.cos(angle), np.sin(angle)
-            corners = corners_mm @ np.array([(c, s), (-s, c)]) / (scale * mm_per_px)
+            corners = rotate(corners_mm, float(angle)) / (scale * mm_per_px)
             if (np.ptp(corners, axis=0) < size[::-1]).all():
                 candidates.append(corners)
     return candidates
 
 
-def _fit_placement(
-    gradients: Sequence[np.ndarray], corners: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n 2"]:
+def _fit_placement(gradients: Sequence[np.ndarray], corners: Corners) -> Corners:
     """Translate, rotate and stretch corners to the largest jump of the change across the outline.
 
     The aspect ratio of pixels may differ from the expected one, which the search does not vary. The
@@ -145,9 +131,8 @@ def _fit_placement(
     offsets = corners - center
     radius = float(np.linalg.norm(offsets, axis=1).max())
 
-    def place(parameters: Float[np.ndarray, "5"]) -> Float[np.ndarray, "n 2"]:
-        c, s = np.cos(parameters[2]), np.sin(parameters[2])
-        rotated = offsets @ np.array([(c, s), (-s, c)])
+    def place(parameters: Float[np.ndarray, "5"]) -> Corners:
+        rotated = rotate(offsets, float(parameters[2]))
         return rotated * np.exp(parameters[3:]) + center + parameters[:2] * radius
 
     results = []
@@ -164,42 +149,33 @@ def _fit_placement(
     return place(max(results, key=lambda result: _mean_gradient(gradients[-1], place(result))))
 
 
-def _mean_gradient(gradient: np.ndarray, corners: Float[np.ndarray, "n 2"]) -> float:
+def _mean_gradient(gradient: np.ndarray, corners: Corners) -> float:
     """Mean outward gradient over the edges."""
     total = 0.0
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+    for start, end in sides(corners):
         edge = end - start
         length = max(float(np.linalg.norm(edge)), 1e-9)
         points = start + (np.arange(0.05, 1.0, 0.03))[:, None] * edge
         indices = [points[:, 1], points[:, 0]]
-        x, y = (
-            map_coordinates(component, indices, order=1, cval=0.0)
-            for component in (gradient.real, gradient.imag)
-        )
-        total += float(np.mean(x * edge[1] - y * edge[0])) / length
+        along = map_coordinates(gradient, indices, order=1, cval=0.0)
+        total += float(np.mean(along.real * edge[1] - along.imag * edge[0])) / length
     return total / len(corners)
 
 
-def _scores(
-    spectrum: np.ndarray, corners: Float[np.ndarray, "n 2"], shape: tuple[int, ...], padded: tuple
-) -> Float[np.ndarray, "h w"]:
+def _scores(spectrum: np.ndarray, corners: Corners, shape: tuple[int, ...]) -> Gray:
     """Mean outward gradient for each position of the center; 0 if the outline leaves the image."""
-    template = np.zeros(padded, dtype=complex)
-    count = 0
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+    template, count = np.zeros(spectrum.shape, dtype=complex), 0
+    for start, end in sides(corners):
         edge = end - start
         length = float(np.linalg.norm(edge))
         outward = complex(edge[1], -edge[0]) / length
         steps = (np.arange(round(length)) + 0.5) / max(1, round(length))
-        pixels = np.rint(start + steps[:, None] * edge).astype(int)
-        np.add.at(template, (pixels[:, 1] % padded[0], pixels[:, 0] % padded[1]), outward)
+        pixels = np.rint(start + steps[:, None] * edge).astype(int)[:, ::-1] % template.shape
+        np.add.at(template, tuple(pixels.T), outward)
         count += len(steps)
     correlation = fft.ifft2(spectrum * np.conj(fft.fft2(template))).real
     scores = correlation[: shape[0], : shape[1]] / count
     low, high = np.ceil(-corners.min(axis=0)), np.floor(corners.max(axis=0))
-    inside = np.zeros(shape, dtype=bool)
-    inside[
-        max(0, int(low[1])) : max(0, int(shape[0] - high[1])),
-        max(0, int(low[0])) : max(0, int(shape[1] - high[0])),
-    ] = True
-    return np.where(inside, scores, 0.0)
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    across = (columns >= low[0]) & (columns < shape[1] - high[0])
+    return np.where(across & (rows >= low[1]) & (rows < shape[0] - high[1]), scores, 0.0)

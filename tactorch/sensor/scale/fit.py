@@ -8,20 +8,21 @@ corners also determine the perspective warp that makes all pixels square and of 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
+from scipy.optimize import approx_fprime, least_squares
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.scale.shape import KnownShape, Outline
+from tactorch.sensor.scale.shape import Corners, KnownShape, Outline, rotate, square_side
 
 _POSE_UNKNOWNS = 3  # rotation and position in each image
 _MAX_RESIDUAL, _MIN_RESIDUAL_PX = 0.03, 1.5  # relative to the size, and absolute
 _MAX_DISAGREEMENT, _MAX_DEVIATIONS = 0.02, 4.0  # of an image's scale from the others'
 _DIFFERENCE_STEP = 1e-6
+_PERSPECTIVE_TERMS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,27 +41,21 @@ class PixelScale:
     residual_px: float
     corners_px: Mapping[str, Float[np.ndarray, "_ 2"]]
 
-    def relative_difference(self, sensor: SensorDescription) -> tuple[float, float]:
-        """Return the relative difference from the scale of a description along x and y."""
-        x, y = (
-            measured / float(described) - 1.0
-            for measured, described in zip(self.mm_per_px, sensor.mm_per_px, strict=True)
-        )
-        return x, y
-
     def disagreement(self, sensor: SensorDescription) -> str:
         """Return a message if the scale of a description is inconsistent, or "".
 
         It is inconsistent if it differs by more than three standard deviations and 0.5 %.
         """
         messages = []
-        for axis, difference in enumerate(self.relative_difference(sensor)):
-            relative_deviation = self.deviation[axis] / self.mm_per_px[axis]
-            if abs(difference) > max(3.0 * relative_deviation, 0.005):
+        for axis, measured, deviation, described in zip(
+            "xy", self.mm_per_px, self.deviation, sensor.mm_per_px, strict=True
+        ):
+            difference = measured / described - 1.0
+            if abs(difference) > max(3.0 * deviation / measured, 0.005):
                 messages.append(
-                    f"along {'xy'[axis]} {self.mm_per_px[axis]:.5g} mm per px were measured"
-                    f" (+- {self.deviation[axis]:.1g}), {difference:+.1%} of mm_per_px="
-                    f"{float(sensor.mm_per_px[axis]):.5g} in the description of '{sensor.name}'"
+                    f"along {axis} {measured:.5g} mm per px were measured (+- {deviation:.1g}),"
+                    f" {difference:+.1%} of mm_per_px={described:.5g} in the description of"
+                    f" '{sensor.name}'"
                 )
         return "; ".join(messages)
 
@@ -89,25 +84,19 @@ def measure_pixel_scale(
     """
     if not outlines:
         raise ConfigError("no image of a known shape to measure the pixel's size with.")
-    x, y = (float(size) for size in sensor.mm_per_px)
-    center = (np.array(sensor.image_size_px, dtype=float) - 1) / 2
     single_fits = []
     for outline in outlines:
         _require_inside(outline, sensor)
-        fit = _fit_plane([outline], shape, y / x, center)
+        fit = _fit_plane([outline], shape, sensor)
         _require_shape(fit, outline, shape)
         single_fits.append(fit)
     _require_agreement(outlines, single_fits)
-    fit = _fit_plane(outlines, shape, y / x, center)
-    scale = fit.plane.scale
-    random = np.sqrt(np.diag(fit.covariance))
-    relative_deviation = np.hypot(random, _edge_deviation(outlines, shape))
-    return PixelScale(
-        (float(scale[0]), float(scale[1])),
-        (float(relative_deviation[0] * scale[0]), float(relative_deviation[1] * scale[1])),
-        fit.residual_px,
-        {outline.name: outline.corners_px for outline in outlines},
-    )
+    fit = _fit_plane(outlines, shape, sensor)
+    scale, random = fit.scale, np.sqrt(np.diag(fit.covariance))
+    deviation = scale * np.hypot(random, _edge_deviation(outlines, shape))
+    corners = {outline.name: outline.corners_px for outline in outlines}
+    (x, y), (dx, dy) = scale.tolist(), deviation.tolist()
+    return PixelScale((x, y), (dx, dy), fit.residual_px, corners)
 
 
 def _require_inside(outline: Outline, sensor: SensorDescription) -> None:
@@ -124,14 +113,9 @@ def _require_inside(outline: Outline, sensor: SensorDescription) -> None:
         )
 
 
-def _size_px(outline: Outline) -> float:
-    x, y = outline.corners_px.T
-    return float(np.sqrt(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))))
-
-
 def _require_shape(fit: "_PlaneFit", outline: Outline, shape: KnownShape) -> None:
-    limit = max(_MAX_RESIDUAL * _size_px(outline), _MIN_RESIDUAL_PX)
-    x, y = fit.plane.scale
+    limit = max(_MAX_RESIDUAL * square_side(outline.corners_px), _MIN_RESIDUAL_PX)
+    x, y = fit.scale
     if fit.residual_px > limit:
         raise ConfigError(
             f"{outline.name}: its corners are no {shape.name} of that size, but"
@@ -147,12 +131,11 @@ def _require_shape(fit: "_PlaneFit", outline: Outline, shape: KnownShape) -> Non
 def _require_agreement(outlines: Sequence[Outline], fits: Sequence["_PlaneFit"]) -> None:
     if len(fits) < 2:
         return
-    logs = np.array([fit.plane.terms[:2] for fit in fits])
+    logs = np.array([fit.terms[:2] for fit in fits])
     median = np.median(logs, axis=0)
     deviations = np.array([np.sqrt(np.diag(fit.covariance)) for fit in fits])
-    limits = np.maximum(
-        _MAX_DISAGREEMENT, _MAX_DEVIATIONS * np.minimum(deviations, _MAX_DISAGREEMENT)
-    )
+    uncertainty = _MAX_DEVIATIONS * np.minimum(deviations, _MAX_DISAGREEMENT)
+    limits = np.maximum(_MAX_DISAGREEMENT, uncertainty)
     excess = np.abs(logs - median) / limits
     worst = int(excess.max(axis=1).argmax())
     if excess[worst].max() > 1.0:
@@ -166,11 +149,15 @@ def _require_agreement(outlines: Sequence[Outline], fits: Sequence["_PlaneFit"])
 
 def _edge_deviation(outlines: Sequence[Outline], shape: KnownShape) -> float:
     """Relative standard deviation of the scale from a common offset of all edges."""
-    sides = np.roll(shape.corners, -1, axis=0) - shape.corners
-    cross = shape.corners[:, 0] * sides[:, 1] - shape.corners[:, 1] * sides[:, 0]
-    inner_radius = float((np.abs(cross) / np.linalg.norm(sides, axis=1)).mean())
-    size = float(np.sqrt(0.5 * np.abs(cross).sum()))
-    return float(np.mean([o.edge_px / (_size_px(o) * inner_radius / size) for o in outlines]))
+    along = np.roll(shape.corners, -1, axis=0) - shape.corners
+    cross = shape.corners[:, 0] * along[:, 1] - shape.corners[:, 1] * along[:, 0]
+    inner_radius = float((np.abs(cross) / np.linalg.norm(along, axis=1)).mean())
+    radii_px = (
+        inner_radius
+        / square_side(shape.corners)
+        * np.array([square_side(outline.corners_px) for outline in outlines])
+    )
+    return float(np.mean([outline.edge_px for outline in outlines] / radii_px))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,9 +207,7 @@ def fit_warp(outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescr
         )
     if not outlines:
         raise ConfigError("no image of a known shape to find the warp with.")
-    x, y = (float(size) for size in sensor.mm_per_px)
-    center = (np.array(sensor.image_size_px, dtype=float) - 1) / 2
-    fit = _fit_plane(outlines, shape, y / x, center, perspective=True)
+    fit = _fit_plane(outlines, shape, sensor, _PERSPECTIVE_TERMS)
     size = min(float(np.ptp(outline.corners_px, axis=0).max()) for outline in outlines)
     if fit.residual_px > max(_MAX_RESIDUAL * size, _MIN_RESIDUAL_PX):
         worst = int(np.argmax([np.linalg.norm(part) for part in fit.residuals_px]))
@@ -230,72 +215,35 @@ def fit_warp(outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescr
             f"{outlines[worst].name}: its corners are no {shape.name} of that size from any"
             f" direction, but {fit.residual_px:.1f} px off; check the shape and the corners."
         )
-    corners, scale = _warp_corners(fit.plane)
-    return Warp(corners, _corner_deviation(fit), scale, fit.residual_px)
+
+    def corners_of(terms: Float[np.ndarray, " terms"]) -> Float[np.ndarray, "8"]:
+        """Corners of an image of square pixels at the mean scale."""
+        signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
+        scale = float(np.exp(terms[:2].mean()))
+        return _to_px(signs * fit.center_px * scale, terms, fit.center_px).ravel()
+
+    jacobian = approx_fprime(fit.terms, corners_of, _DIFFERENCE_STEP)
+    variance = float(np.trace(jacobian @ fit.covariance @ jacobian.T)) / 8
+    corners, scale = corners_of(fit.terms).reshape(4, 2), float(np.exp(fit.terms[:2].mean()))
+    return Warp(corners, float(np.sqrt(variance)), scale, fit.residual_px)
 
 
-def _warp_corners(plane: "_PlaneMap") -> tuple[Float[np.ndarray, "4 2"], float]:
-    """Points that become the corners of an image of square pixels, and the size of these."""
-    scale = float(np.sqrt(plane.scale.prod()))
-    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
-    return plane.to_px(signs * plane.center_px * scale), scale
+class _PlaneFit(NamedTuple):
+    """Map from pixels to mm: X = S u / (1 + p u), with u relative to the center; X = 0 there.
 
-
-def _corner_deviation(fit: "_PlaneFit") -> float:
-    """Standard deviation of the warp's corners, by finite differences."""
-    terms = fit.plane.terms
-    corners, _ = _warp_corners(fit.plane)
-    columns = []
-    for i in range(len(terms)):
-        changed = terms.copy()
-        changed[i] += _DIFFERENCE_STEP
-        moved, _ = _warp_corners(_PlaneMap(changed, fit.plane.center_px))
-        columns.append((moved - corners).ravel() / _DIFFERENCE_STEP)
-    jacobian = np.stack(columns, axis=1)
-    return float(np.sqrt(np.trace(jacobian @ fit.covariance @ jacobian.T) / 8))
-
-
-@dataclass(frozen=True, eq=False)
-class _PlaneMap:
-    """Map from pixels to mm: X = S u / (1 + p u), with u relative to the center.
-
-    Attributes:
-        terms: Logarithms of the scales along x and y; with perspective also the shear over the
-            mean scale and the two components of p, times the center's distance from the edges.
-        center_px: Pixel at X = 0.
+    Its terms are the logarithms of the scales along x and y; with perspective also the shear over
+    the mean scale and the two components of p, times the center's distance from the edges.
     """
 
     terms: Float[np.ndarray, " terms"]
+    covariance: Float[np.ndarray, "terms terms"]
     center_px: Float[np.ndarray, "2"]
+    residuals_px: tuple[Float[np.ndarray, "_ 2"], ...]  # of each image's corners
 
     @property
     def scale(self) -> Float[np.ndarray, "2"]:
         """Size of a pixel at the center along x and y, mm."""
         return np.exp(self.terms[:2])
-
-    def to_px(self, positions_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Convert positions in mm to pixels."""
-        x, y = self.scale
-        shear, px, py = self.terms[2:] if len(self.terms) > 2 else (0.0, 0.0, 0.0)
-        linear = np.array([(x, shear * np.sqrt(x * y)), (0.0, y)])
-        perspective = np.array([px, py]) / float(self.center_px.max())
-        matrices = linear - positions_mm[:, :, None] * perspective
-        return np.linalg.solve(matrices, positions_mm[:, :, None])[..., 0] + self.center_px
-
-
-@dataclass(frozen=True, eq=False)
-class _PlaneFit:
-    """Fitted plane map.
-
-    Attributes:
-        plane: Map.
-        covariance: Covariance of its terms.
-        residuals_px: Residuals of each image's corners.
-    """
-
-    plane: _PlaneMap
-    covariance: Float[np.ndarray, "terms terms"]
-    residuals_px: tuple[Float[np.ndarray, "_ 2"], ...]
 
     @property
     def residual_px(self) -> float:
@@ -303,74 +251,65 @@ class _PlaneFit:
         return float(np.sqrt((np.concatenate(self.residuals_px) ** 2).sum(axis=1).mean()))
 
 
-def _fit_plane(
-    outlines: Sequence[Outline],
-    shape: KnownShape,
-    aspect: float,
-    center_px: Float[np.ndarray, "2"],
-    *,
-    perspective: bool = False,
-) -> _PlaneFit:
-    """Fit one plane map, and a rotation and position of the shape in each image.
+def _to_px(positions_mm: Corners, terms: np.ndarray, center_px: np.ndarray) -> Corners:
+    """Apply the inverse of the map with these terms."""
+    x, y = np.exp(terms[:2])
+    shear, px, py = terms[2:] if len(terms) > 2 else (0.0, 0.0, 0.0)
+    linear = np.array([(x, shear * np.sqrt(x * y)), (0.0, y)])
+    perspective = np.array([px, py]) / float(center_px.max())
+    matrices = linear - positions_mm[:, :, None] * perspective
+    return np.linalg.solve(matrices, positions_mm[:, :, None])[..., 0] + center_px
 
-    `aspect` is the approximate size of a pixel along y over that along x.
-    """
+
+def _fit_plane(
+    outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescription, n_terms: int = 2
+) -> _PlaneFit:
+    """Fit one plane map, and a rotation and position of the shape in each image."""
+    aspect = sensor.mm_per_px[1] / sensor.mm_per_px[0]
+    center = (np.array(sensor.image_size_px, dtype=float) - 1) / 2
     matched = [_match_corners(outline, shape, aspect) for outline in outlines]
-    terms = 5 if perspective else 2
-    freedom = sum(2 * len(c) for c, _ in matched) - terms - _POSE_UNKNOWNS * len(matched)
+    freedom = sum(2 * len(c) for c, _ in matched) - n_terms - _POSE_UNKNOWNS * len(matched)
     if freedom < 1:
         raise ConfigError(
-            f"a {shape.name} in {len(matched)} image is not enough: {freedom + terms} numbers for"
-            f" {terms} unknowns; give more images, with the {shape.name} turned and moved."
+            f"a {shape.name} in {len(matched)} image is not enough: {freedom + n_terms} numbers for"
+            f" {n_terms} unknowns; give more images, with the {shape.name} turned and moved."
         )
-    start = np.zeros(terms)
-    sizes = [abs(factor) for _, factor in matched]
-    start[:2] = -np.log(float(np.mean(sizes))) + np.array([0.0, np.log(aspect)])
-    center = np.asarray(center_px, dtype=float)
+    measured = np.concatenate([corners for corners, _ in matched])
+    start = np.zeros(n_terms)
+    size = float(np.mean([abs(factor) for _, factor in matched]))
+    start[:2] = -np.log(size) + np.array([0.0, np.log(aspect)])
     values = [start]
     for corners, factor in matched:
         position = (corners.mean(axis=0) - center) * np.exp(start[:2])
         values.append(np.array([np.angle(factor), *position]))
 
     def residuals(x: Float[np.ndarray, " x"]) -> Float[np.ndarray, " y"]:
-        plane = _PlaneMap(x[:terms], center)
-        poses = x[terms:].reshape(-1, _POSE_UNKNOWNS)
-        parts = [
-            plane.to_px(_place(shape.corners, pose)) - corners
-            for (corners, _), pose in zip(matched, poses, strict=True)
-        ]
-        return np.concatenate(parts).ravel()
+        poses = x[n_terms:].reshape(-1, _POSE_UNKNOWNS)
+        placed = [rotate(shape.corners, float(pose[0])) + pose[1:] for pose in poses]
+        return (_to_px(np.concatenate(placed), x[:n_terms], center) - measured).ravel()
 
-    solution = least_squares(
-        residuals, np.concatenate(values), x_scale="jac", xtol=1e-12, ftol=1e-12
-    )
-    variance = max(
-        float(solution.fun @ solution.fun) / freedom,
-        float(np.mean([outline.deviation_px**2 for outline in outlines])),
-    )
-    covariance = variance * np.linalg.pinv(solution.jac.T @ solution.jac)[:terms, :terms]
+    begin = np.concatenate(values)
+    solution = least_squares(residuals, begin, x_scale="jac", xtol=1e-12, ftol=1e-12)
+    stated = float(np.mean([outline.deviation_px**2 for outline in outlines]))
+    variance = max(float(solution.fun @ solution.fun) / freedom, stated)
+    covariance = variance * np.linalg.pinv(solution.jac.T @ solution.jac)[:n_terms, :n_terms]
     cuts = np.cumsum([len(corners) for corners, _ in matched])[:-1]
     parts = tuple(np.split(solution.fun.reshape(-1, 2), cuts))
-    return _PlaneFit(_PlaneMap(solution.x[:terms], center), covariance, parts)
+    return _PlaneFit(solution.x[:n_terms], covariance, center, parts)
 
 
-def _place(
-    corners: Float[np.ndarray, "n 2"], pose: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "n 2"]:
-    c, s = np.cos(pose[0]), np.sin(pose[0])
-    return corners @ np.array([(c, s), (-s, c)]) + pose[1:]
-
-
-def _match_corners(
-    outline: Outline, shape: KnownShape, aspect: float
-) -> tuple[Float[np.ndarray, "n 2"], complex]:
+def _match_corners(outline: Outline, shape: KnownShape, aspect: float) -> tuple[Corners, complex]:
     """Corners in the shape's order, and rotation and scale of the best similarity transform."""
-    outline.require(shape)
-    reference = shape.corners[:, 0] + 1j * shape.corners[:, 1]
+    given, expected = len(outline.corners_px), len(shape.corners)
+    if given != expected:
+        raise ConfigError(
+            f"{outline.name}: {given} corners, but a {shape.name} has {expected}; give each once."
+        )
+    reference = shape.corners @ (1, 1j)
     best, match = np.inf, None
     for shift in range(len(reference)):
         corners = np.roll(outline.corners_px, -shift, axis=0)
-        z = corners[:, 0] + 1j * corners[:, 1] * aspect
+        z = corners @ (1, 1j * aspect)
         factor = complex(np.vdot(reference, z - z.mean()) / np.vdot(reference, reference))
         misfit = float(np.linalg.norm(z - z.mean() - factor * reference))
         if misfit < best * (1 - 1e-9):

@@ -1,6 +1,6 @@
 """Objects of known size for the measurement of the pixel size: corners in mm and in images."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,28 +17,25 @@ _MIN_SINE = 0.1  # of the exterior angle at a corner
 _MIN_SIDE_PX = 3.0
 _LABEL_DEVIATION_PX = 0.5  # standard deviation of labeled corners
 
+Corners = Float[np.ndarray, "n 2"]
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class KnownShape:
     """Flat face of an object: a convex polygon of known size.
 
     Attributes:
         name: Name of the shape, for messages.
-        corners_mm: Corners about the center, ordered from x toward y as in the image.
+        corners: Corners about the center, mm, ordered from x toward y as in the image.
     """
 
     name: str
-    corners_mm: tuple[tuple[float, float], ...]
-
-    @property
-    def corners(self) -> Float[np.ndarray, "n 2"]:
-        """Corners as an array, mm."""
-        return np.array(self.corners_mm)
+    corners: Corners
 
     @property
     def symmetry_rad(self) -> float:
         """Smallest rotation that maps the shape to itself."""
-        corners = self.corners[:, 0] + 1j * self.corners[:, 1]
+        corners = self.corners @ (1, 1j)
         for shift in range(1, len(corners)):
             ratio = np.roll(corners, -shift) / corners
             if np.ptp(ratio.real) < 1e-9 and np.ptp(ratio.imag) < 1e-9:
@@ -47,49 +44,42 @@ class KnownShape:
 
 
 def hexagon(across_flats_mm: Real) -> KnownShape:
-    """Return the face of a regular hexagon: a nut, or a prism.
-
-    Args:
-        across_flats_mm: Distance of opposite sides.
-
-    Returns:
-        The shape.
-
-    Raises:
-        ConfigError: The size is not positive, or not plausible.
-    """
-    size = _size("across_flats_mm", across_flats_mm)
-    angles = np.deg2rad(60.0 * np.arange(6))
-    radius = size / np.sqrt(3.0)
-    corners = tuple((float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles)
-    return KnownShape("hexagon", corners)
+    """Return the face of a regular hexagon (a nut, or a prism) from the distance of its sides."""
+    radius, angles = _size("across_flats_mm", across_flats_mm) / np.sqrt(3.0), np.arange(6)
+    unit = np.exp(1j * np.deg2rad(60.0 * angles))
+    return KnownShape("hexagon", radius * np.column_stack([unit.real, unit.imag]))
 
 
 def cuboid(width_mm: Real, height_mm: Real) -> KnownShape:
-    """Return the face of a cuboid.
-
-    Args:
-        width_mm: One side of the face.
-        height_mm: The other side.
-
-    Returns:
-        The shape.
-
-    Raises:
-        ConfigError: A side is not positive, or not plausible.
-    """
-    x, y = _size("width_mm", width_mm) / 2, _size("height_mm", height_mm) / 2
-    return KnownShape("cuboid", ((-x, -y), (x, -y), (x, y), (-x, y)))
+    """Return the face of a cuboid with these sides."""
+    half = np.array([_size("width_mm", width_mm), _size("height_mm", height_mm)]) / 2
+    return KnownShape("cuboid", half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]))
 
 
 def _size(name: str, value: Real) -> float:
     size = positive(name, value)
-    if size < _MIN_SIZE_MM:
-        metres = f" {size:g} looks like metres; give {1e3 * size:g}." if size <= 0.2 else ""
-        raise ConfigError(f"{name}={size:g}: give mm, from {_MIN_SIZE_MM:g}.{metres}")
-    if size > _MAX_SIZE_MM:
-        raise ConfigError(f"{name}={size:g}: give mm, up to {_MAX_SIZE_MM:g}.")
-    return size
+    if _MIN_SIZE_MM <= size <= _MAX_SIZE_MM:
+        return size
+    limit = f"from {_MIN_SIZE_MM:g}" if size < _MIN_SIZE_MM else f"up to {_MAX_SIZE_MM:g}"
+    metres = f" {size:g} looks like metres; give {1e3 * size:g}." if size <= 0.2 else ""
+    raise ConfigError(f"{name}={size:g}: give mm, {limit}.{metres}")
+
+
+def sides(corners: Corners) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Start and end of each side of a polygon."""
+    return zip(corners, np.roll(corners, -1, axis=0), strict=True)
+
+
+def square_side(corners: Corners) -> float:
+    """Side of the square with the area of a polygon."""
+    x, y = corners.T
+    return float(np.sqrt(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))))
+
+
+def rotate(corners: Corners, angle: float) -> Corners:
+    """Rotate points about the origin from x toward y."""
+    c, s = np.cos(angle), np.sin(angle)
+    return corners @ np.array([(c, s), (-s, c)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +97,7 @@ class Outline:
     """
 
     name: str
-    corners_px: Float[np.ndarray, "n 2"]
+    corners_px: Corners
     deviation_px: float = 0.0
     edge_px: float = 0.0
 
@@ -118,34 +108,22 @@ class Outline:
         offsets = corners - corners.mean(axis=0)
         corners = corners[np.argsort(np.arctan2(offsets[:, 1], offsets[:, 0]))]
         object.__setattr__(self, "corners_px", corners)
-        sides = np.roll(corners, -1, axis=0) - corners
-        length = np.linalg.norm(sides, axis=1)
+        along = np.roll(corners, -1, axis=0) - corners
+        length = np.linalg.norm(along, axis=1)
         if length.min() < _MIN_SIDE_PX:
             x, y = corners[int(length.argmin())]
             raise ConfigError(
                 f"{self.name}: two corners are at ({x:.1f}, {y:.1f}) px or nearly so; give each"
                 " corner once."
             )
-        following = np.roll(sides, -1, axis=0)
-        sines = sides[:, 0] * following[:, 1] - sides[:, 1] * following[:, 0]
-        sines /= length * np.roll(length, -1)
+        along /= length[:, None]
+        following = np.roll(along, -1, axis=0)
+        sines = along[:, 0] * following[:, 1] - along[:, 1] * following[:, 0]
         if sines.min() < _MIN_SINE:
             x, y = corners[(int(sines.argmin()) + 1) % len(corners)]
             raise ConfigError(
                 f"{self.name}: the corner at ({x:.1f}, {y:.1f}) px is on a line with its neighbors,"
                 " or inside; give the corners of a convex polygon."
-            )
-
-    def require(self, shape: KnownShape) -> None:
-        """Check that an outline has as many corners as a shape.
-
-        Raises:
-            ConfigError: The numbers differ.
-        """
-        if len(self.corners_px) != len(shape.corners_mm):
-            raise ConfigError(
-                f"{self.name}: {len(self.corners_px)} corners, but a {shape.name} has"
-                f" {len(shape.corners_mm)}; give each once."
             )
 
 
@@ -171,11 +149,11 @@ def read_corners(path: str | Path) -> Mapping[str, Outline]:
         corners[corner] = (row.number("x_px"), row.number("y_px"))
     if not table:
         raise FileError(f"table of corners '{path}' has no line; give one for each corner.")
-    outlines = {}
     deviation = _LABEL_DEVIATION_PX
-    for image, corners in table.items():
-        try:
-            outlines[image] = Outline(image, np.array(list(corners.values())), deviation, deviation)
-        except ConfigError as error:
-            raise ConfigError(f"table of corners '{path}': {error}") from error
-    return outlines
+    try:
+        return {
+            image: Outline(image, np.array(list(corners.values())), deviation, deviation)
+            for image, corners in table.items()
+        }
+    except ConfigError as error:
+        raise ConfigError(f"table of corners '{path}': {error}") from error
