@@ -22,7 +22,7 @@ from machine import OtherWork, describe_machine
 
 from tactorch.inverse import Settings, invert
 from tactorch.metrics import scores
-from tactorch.reproduce.design import CELLS, METRICS, MODELS, Cell, simulate_cell
+from tactorch.reproduce.design import CELLS, COLUMNS, METRICS, MODELS, Cell, simulate_cell
 from tactorch.reproduce.paper import paper
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             cell = {
                 "same_mesh": run_cell(model, CELLS[name], options.regularization, same_mesh=True),
                 "other_mesh": run_cell(model, CELLS[name], options.regularization, same_mesh=False),
-                "paper": known.get(model, {}).get(CELLS[name].column or name),
+                "paper": known.get(model, {}).get(COLUMNS.get(name, name)),
             }
             results[model][name] = cell
             lines.append(_row(model, name, cell))

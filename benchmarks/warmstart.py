@@ -23,6 +23,7 @@ initialization. The last line printed is one JSON object.
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -88,8 +89,8 @@ def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str,
     about = start.with_prior_mean(Settings(), recording)
     runs = {
         "uniform": (homogeneous, Settings()),
-        "surrogate": (start.fresh(), Settings()),
-        "about": (start.fresh(), about),
+        "surrogate": (replace(start), Settings()),
+        "about": (replace(start), about),
     }
     results = {
         kind: invert(recording, settings, start_mpa=first, show_progress=False)

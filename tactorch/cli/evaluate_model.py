@@ -26,12 +26,18 @@ from tactorch.cli.train import split_folder
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.files import require_folder
-from tactorch.learning.recognizer.scores import class_scores
+from tactorch.learning.recognizer.network import class_scores
 from tactorch.learning.surrogate.features import SHARED_CHANNELS
 from tactorch.learning.surrogate.network import correlation, load_surrogate
 from tactorch.learning.training import BEST, load_weights
-from tactorch.viz.calibration import plot_coverage, plot_reliability
-from tactorch.viz.learning import plot_confusion, plot_examples, plot_predictions
+from tactorch.viz import save_figure
+from tactorch.viz.learning import (
+    confusion_figure,
+    coverage_figure,
+    examples_figure,
+    predictions_figure,
+    reliability_figure,
+)
 
 _BATCH = 32
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
@@ -97,15 +103,16 @@ def _evaluate_recognizer(splits: Sequence[_Split], out: Path) -> dict[str, Any]:
     by_split = [class_scores(probabilities, truth).accuracy for probabilities, truth, _ in results]
     probabilities, truth, maps = map(np.concatenate, zip(*results, strict=True))
     scores = class_scores(probabilities, truth)
-    plot_confusion(scores.confusion, classes, out / "confusion.png")
+    save_figure(confusion_figure(scores.confusion, classes), out / "confusion.png")
     bins = scores.bin_confidence, scores.bin_accuracy, scores.bin_counts
-    plot_reliability(*bins, out / "calibration.png")
+    save_figure(reliability_figure(*bins), out / "calibration.png")
     predicted = probabilities.argmax(axis=1)
     titles = [
         f"{classes[t]}: {classes[n]} {p:.0%}"
         for t, n, p in zip(truth, predicted, probabilities.max(axis=1), strict=True)
     ]
-    plot_examples(maps, titles, (predicted == truth).tolist(), out / "examples.png")
+    examples = examples_figure(maps, titles, (predicted == truth).tolist())
+    save_figure(examples, out / "examples.png")
     deviation = float(np.std(by_split, ddof=len(by_split) > 1))
     log.info(
         "accuracy %.1f %% of %d predictions (%d splits: %.1f +- %.1f %%), calibration error %.3f",
@@ -154,11 +161,11 @@ def _evaluate_surrogate(splits: Sequence[_Split], out: Path) -> dict[str, Any]:
     correlation_of_image = float(correlation(image.exp(), truth.exp(), inside).mean())
     errors = ((truth - mean).abs() / deviation)[inside]
     covered = [float((errors < ndtri(0.5 + 0.5 * level)).double().mean()) for level in _LEVELS]
-    plot_coverage(_LEVELS, covered, out / "calibration.png")
-    plot_predictions(
-        truth.double().numpy(), image.double().numpy(), mean.double().numpy(),
-        deviation.double().numpy(), inside.numpy(), correlations.tolist(), out / "examples.png",
-    )  # fmt: skip
+    save_figure(coverage_figure(_LEVELS, covered), out / "calibration.png")
+    maps = {"truth": truth, "image": image, "mean": mean, "deviation": deviation}
+    fields = {name: values.double().numpy() for name, values in maps.items()}
+    examples = predictions_figure(fields, inside.numpy(), correlations.tolist())
+    save_figure(examples, out / "examples.png")
     quartiles = np.quantile(correlations.numpy(), (0.25, 0.5, 0.75)).tolist()
     result = {
         "samples": len(truth),

@@ -69,10 +69,11 @@ def run(options: GenerateOptions) -> SampleSet:
     for index, reason in samples.manifest["failed"].items():
         log.info("sample %s failed: %s", index, reason)
     if options.card:
-        from tactorch.generation.card import PICTURE, looked_at, write_card
-        from tactorch.viz.learning import plot_samples
+        from tactorch.generation.card import PICTURE, card_samples, write_card
+        from tactorch.viz import save_figure
+        from tactorch.viz.learning import samples_figure
 
-        plot_samples(looked_at(samples), samples.folder / PICTURE)
+        save_figure(samples_figure(card_samples(samples)), samples.folder / PICTURE)
         log.info("data card: %s", write_card(samples))
     log.info("%d samples: %s", len(samples), out)
     return samples

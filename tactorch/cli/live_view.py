@@ -141,7 +141,7 @@ class Screen(Observer):
         if not self._plots:
             return
         from tactorch.viz import save_figure
-        from tactorch.viz.live import live_figure
+        from tactorch.viz.slices import live_figure
 
         patch = None if update.suggestion is None else update.suggestion.patch
         figure = live_figure(

@@ -207,16 +207,18 @@ def _draw(
     others: Mapping[str, History],
 ) -> list[Path]:
     """Draw slices of the map and the convergence."""
-    from tactorch.viz import plot_convergence, plot_slices
+    from tactorch.viz import convergence_figure, save_figure, slice_figure
     from tactorch.viz.contact import total_forces
 
     histories = {reconstruction.config["optimizer"]["name"]: reconstruction.history, **others}
-    slices = plot_slices(
+    slices = slice_figure(
         recording.mesh,
         reconstruction.youngs,
-        out / "slices.png",
         truth=recording.truth,
         pressed=total_forces(recording.presses),
         title="Young's modulus, reconstructed",
     )
-    return [slices, plot_convergence(histories, out / "convergence.png")]
+    return [
+        save_figure(slices, out / "slices.png"),
+        save_figure(convergence_figure(histories), out / "convergence.png"),
+    ]

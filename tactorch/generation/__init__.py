@@ -1,11 +1,9 @@
 """Synthetic elastography datasets: a recipe makes any number of samples, in parallel."""
 
 from tactorch.generation.generate import generate
-from tactorch.generation.layout import SampleMaps
-from tactorch.generation.plans import PressDraw
-from tactorch.generation.recipe import MeshSizes, Recipe
+from tactorch.generation.recipe import MeshSizes, PressDraw, Recipe
 from tactorch.generation.sample import Sample, make_sample
-from tactorch.generation.sampleset import SampleSet
+from tactorch.generation.sampleset import SampleMaps, SampleSet
 
 __all__ = [
     "MeshSizes",

@@ -1,4 +1,4 @@
-"""The data card: what is in a dataset, for people."""
+"""Data card: the content of a dataset as text."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tactorch.files import atomic_path
+from tactorch.generation.recipe import LINEAR
 from tactorch.generation.sample import Sample
 from tactorch.generation.sampleset import SampleSet
 
@@ -23,26 +24,26 @@ def write_card(samples: SampleSet) -> Path:
     """
     path = samples.folder / CARD
     with atomic_path(path) as temporary:
-        temporary.write_text(_text(samples, looked_at(samples)), encoding="utf-8")
+        temporary.write_text(_text(samples, card_samples(samples)), encoding="utf-8")
     return path
 
 
-def looked_at(samples: SampleSet) -> list[Sample]:
-    """Return the samples that the card's statistics are over, spread over the dataset."""
+def card_samples(samples: SampleSet) -> list[Sample]:
+    """Return the samples of the card's statistics, evenly spread over the dataset."""
     count = min(len(samples), _MAX_CARD_SAMPLES)
     places = np.linspace(0, len(samples) - 1, count).astype(int)
     return [samples[samples.indices[place]] for place in places]
 
 
-def _text(samples: SampleSet, chosen: Sequence[Sample]) -> str:
+def _text(samples: SampleSet, selected: Sequence[Sample]) -> str:
     manifest = samples.manifest
-    recipe = manifest["recipe"]
+    recipe, failed = manifest["recipe"], manifest["failed"]
     size = sum(shard["bytes"] for shard in manifest["shards"])
     lines = [
         f"# {manifest['name']}",
         "",
         f"{len(samples)} samples in {len(manifest['shards'])} shards, {size / 1e6:.1f} MB;"
-        f" {len(manifest['failed'])} failed. Made by `tactorch generate` from random objects of the"
+        f" {len(failed)} failed. Made by `tactorch generate` from random objects of the"
         f" family `{recipe['family']}` with seed {recipe['seed']}.",
         "",
         f"![What is inside]({PICTURE})",
@@ -52,51 +53,44 @@ def _text(samples: SampleSet, chosen: Sequence[Sample]) -> str:
         "A recording (presses on a mesh, forces in N, displacements in mm) with the true Young's"
         " modulus of each element in MPa" + _second_map(recipe),
         "",
-        *_statistics(chosen),
+        *_statistics(selected),
         "## How it was made",
         "",
-        _crime(recipe),
+        "Presses are computed on the mesh that they are inverted on, with the same model: an"
+        " inverse crime. Results on these data flatter."
+        if recipe["mesh"]["fine_relative"] is None
+        else "Presses are computed on a finer mesh than the one they are recorded and inverted on,"
+        " and have noise: no inverse crime.",
         "",
         *(f"- {key}: `{value}`" for key, value in recipe.items() if key != "inversion"),
         "",
         "Versions: " + ", ".join(f"{k} {v}" for k, v in manifest["versions"].items()) + ".",
         "",
-        *_failures(manifest["failed"]),
     ]
+    if failed:
+        lines += ["## Failed", "", *(f"- {i}: {reason}" for i, reason in failed.items()), ""]
     return "\n".join(lines)
 
 
-def _crime(recipe: dict[str, Any]) -> str:
-    if recipe["mesh"]["fine_relative"] is None:
-        return (
-            "Presses are computed on the mesh that they are inverted on, with the same model: an"
-            " inverse crime. Results on these data flatter."
-        )
-    return (
-        "Presses are computed on a finer mesh than the one they are recorded and inverted on, and"
-        " have noise: no inverse crime."
-    )
-
-
-def _statistics(chosen: Sequence[Sample]) -> list[str]:
-    if not chosen:
+def _statistics(selected: Sequence[Sample]) -> list[str]:
+    if not selected:
         return []
-    labels = Counter(sample.label for sample in chosen)
+    labels = Counter(sample.label for sample in selected)
     rows = {
-        "presses": [len(s.recording.presses) for s in chosen],
-        "elements": [s.recording.mesh.n_tets for s in chosen],
-        "lowest modulus, MPa": [s.truth.min() for s in chosen],
-        "highest modulus, MPa": [s.truth.max() for s in chosen],
-        "largest displacement, mm": [s.largest_mm for s in chosen],
+        "presses": [len(s.recording.presses) for s in selected],
+        "elements": [s.recording.mesh.n_tets for s in selected],
+        "lowest modulus, MPa": [s.truth.min() for s in selected],
+        "highest modulus, MPa": [s.truth.max() for s in selected],
+        "largest displacement, mm": [s.largest_mm for s in selected],
     }
-    figures = [s.figures for s in chosen if s.figures]
+    figures = [s.figures for s in selected if s.figures]
     for name in ("iterations", "chi2", "ssim", "pearson", "rmse_mpa"):
         if figures and name in figures[0]:
             rows[f"reconstruction: {name}"] = [f[name] for f in figures]
     lines = [
         "Labels: " + ", ".join(f"{name} {count}" for name, count in sorted(labels.items())) + ".",
         "",
-        f"| over {len(chosen)} samples | 5 % | median | 95 % |",
+        f"| over {len(selected)} samples | 5 % | median | 95 % |",
         "|---|---:|---:|---:|",
     ]
     for name, values in rows.items():
@@ -105,14 +99,8 @@ def _statistics(chosen: Sequence[Sample]) -> list[str]:
     return [*lines, ""]
 
 
-def _failures(failed: dict[str, str]) -> list[str]:
-    if not failed:
-        return []
-    return ["## Failed", "", *(f"- {index}: {reason}" for index, reason in failed.items()), ""]
-
-
 def _second_map(recipe: dict[str, Any]) -> str:
     """Return the end of a sentence: the second map of a sample."""
-    if recipe["inversion"] == "linear":
+    if recipe["inversion"] == LINEAR:
         return ", and its linear image from the presses, a stand-in for a reconstruction."
     return ", and a reconstruction from the presses alone." if recipe["inversion"] else "."

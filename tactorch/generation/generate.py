@@ -1,11 +1,14 @@
-"""Generation of a dataset, or of the samples that it lacks."""
+"""Generation of a dataset, or of the samples that it lacks, in parallel."""
 
 import fcntl
 import json
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from tactorch.errors import ConfigError, FileError
@@ -19,15 +22,19 @@ from tactorch.generation.layout import (
     damaged,
     sample_name,
     shard_name,
+    to_bytes,
     write_shard,
 )
 from tactorch.generation.recipe import Recipe
-from tactorch.generation.sampleset import SampleSet, failures_in, manifest_checksum
-from tactorch.generation.work import check_executor, outcomes
+from tactorch.generation.sample import make_sample
+from tactorch.generation.sampleset import SampleSet, manifest_checksum, read_failures
+from tactorch.processes import run_in_processes, single_thread
 from tactorch.versions import versions
 
 _log = logging.getLogger(__name__)
-_BAD = ".failed.json"
+_EXECUTORS = ("processes", "dask")
+_FAILED = ".failed.json"
+_SAMPLE_LOCK = Lock()
 
 
 def generate(
@@ -54,127 +61,190 @@ def generate(
         retry_failed: Whether to repeat failed samples of incomplete shards.
         progress: Called with the number of finished samples, of failed ones among them, and of all.
 
+    Returns:
+        The dataset.
+
     Raises:
         ConfigError: The folder holds samples of another recipe or is in use by another process, or
             a setting has an invalid value.
         FileError: The folder cannot be written.
     """
-    check_executor(executor, scheduler)
-    place = Path(folder)
-    with _locked(place):
-        _prepare(place, recipe)
-        known = _known_checksums(place)
+    if executor not in _EXECUTORS:
+        raise ConfigError(f"executor={executor!r}: choose one of {', '.join(_EXECUTORS)}.")
+    if executor == "dask" and scheduler is None:
+        raise ConfigError(
+            "executor=dask needs scheduler=ADDRESS, such as tcp://127.0.0.1:8786; start one with"
+            " `dask scheduler`, and workers with `dask worker ADDRESS --nthreads 1`."
+        )
+    dataset = _Dataset(Path(folder), recipe)
+    with _locked(dataset.folder):
+        dataset.prepare()
+        known = dataset.known_checksums()
         if retry_failed:
-            for bad in (place / PARTIAL).glob(f"*{_BAD}"):
-                bad.unlink()
-        missing = [i for i in range(recipe.count) if not _is_done(place, recipe, i)]
-        done, failed = recipe.count - len(missing), len(_all_failures(place, recipe))
+            for failure in dataset.partial.glob(f"*{_FAILED}"):
+                failure.unlink()
+        missing = [index for index in range(recipe.count) if not dataset.is_done(index)]
+        done, failed = recipe.count - len(missing), len(dataset.failures())
         report = progress or (lambda done, failed, total: None)
         report(done, failed, recipe.count)
-        _close_shards(place, recipe)
+        for shard in range(recipe.shards):
+            dataset.close_shard(shard)
         if missing:
-            for index, content, reason in outcomes(recipe, missing, executor, workers, scheduler):
-                _keep(place, index, content, reason)
+            if executor == "dask":
+                outcomes = _run_on_dask(recipe, missing, scheduler)
+            else:
+                outcomes = run_in_processes(partial(_make, recipe), missing, workers)
+            for index, content, reason in outcomes:
+                dataset.keep(index, content, reason)
                 done, failed = done + 1, failed + (content is None)
                 report(done, failed, recipe.count)
-                _close_shard(place, recipe, index // recipe.shard)
-        _write_manifest(place, recipe, known)
-    return SampleSet.open(place)
+                dataset.close_shard(index // recipe.shard)
+        dataset.write_manifest(known)
+    return SampleSet.open(folder)
 
 
-def _prepare(place: Path, recipe: Recipe) -> None:
-    """Create the folder, or check that it belongs to this recipe."""
-    wanted = json.loads(json.dumps(recipe.to_config()))
-    stored = place / RECIPE
-    if not stored.is_file():
-        if place.is_dir() and any(place.glob("shard-*.h5")):
-            raise ConfigError(f"'{place}' holds shards without a {RECIPE}; choose another folder.")
-        _write_json(stored, wanted)
-        (place / PARTIAL).mkdir(exist_ok=True)
-        return
-    (place / PARTIAL).mkdir(exist_ok=True)
-    for stray in [*place.glob(".*.part.*"), *(place / PARTIAL).glob(".*.part.*")]:
-        stray.unlink()  # of a killed run
-    differs = _first_difference(read_json(stored, "recipe", "choose another folder."), wanted)
-    if differs:
-        raise ConfigError(
-            f"'{place}' holds samples of another recipe: {differs}. Choose another folder, or the"
-            " same settings to go on."
-        )
+@dataclass(frozen=True)
+class _Dataset:
+    """Folder of a dataset that is being generated."""
+
+    folder: Path
+    recipe: Recipe
+
+    @property
+    def partial(self) -> Path:
+        """Folder of the samples of unfinished shards."""
+        return self.folder / PARTIAL
+
+    @property
+    def shards(self) -> list[Path]:
+        """Paths of all shards."""
+        return [self.folder / shard_name(shard) for shard in range(self.recipe.shards)]
+
+    def prepare(self) -> None:
+        """Create the folder, or check that it belongs to this recipe."""
+        config = json.loads(json.dumps(self.recipe.to_config()))
+        stored = self.folder / RECIPE
+        if not stored.is_file():
+            if any(self.folder.glob("shard-*.h5")):
+                raise ConfigError(
+                    f"'{self.folder}' holds shards without a {RECIPE}; choose another folder."
+                )
+            _write_json(stored, config)
+        self.partial.mkdir(exist_ok=True)
+        for stray in [*self.folder.glob(".*.part.*"), *self.partial.glob(".*.part.*")]:
+            stray.unlink()  # of a killed run
+        differs = _first_difference(read_json(stored, "recipe", "choose another folder."), config)
+        if differs:
+            raise ConfigError(
+                f"'{self.folder}' holds samples of another recipe: {differs}. Choose another"
+                " folder, or the same settings to go on."
+            )
+
+    def known_checksums(self) -> dict[str, str]:
+        """Return the checksums of existing shards by the manifest of an earlier run."""
+        if not (self.folder / MANIFEST).is_file():
+            return {}
+        shards = SampleSet.open(self.folder).manifest["shards"]
+        return {s["file"]: s["sha256"] for s in shards if (self.folder / s["file"]).is_file()}
+
+    def _sample_files(self, index: int) -> tuple[Path, Path]:
+        """Return the file of a sample until its shard is complete, and of its failure."""
+        name = sample_name(index)
+        return self.partial / f"{name}.h5", self.partial / f"{name}{_FAILED}"
+
+    def is_done(self, index: int) -> bool:
+        """Whether a sample was made or failed."""
+        files = (self.shards[index // self.recipe.shard], *self._sample_files(index))
+        return any(path.is_file() for path in files)
+
+    def keep(self, index: int, content: bytes | None, reason: str) -> None:
+        """Store a sample or its failure until its shard is complete."""
+        path, failure = self._sample_files(index)
+        if content is None:
+            _log.warning("sample %d failed: %s", index, reason)
+            _write_json(failure, {"index": index, "reason": reason})
+            return
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(content)
+
+    def close_shard(self, shard: int) -> None:
+        """Write a shard whose samples are complete, and remove their separate files."""
+        target = self.shards[shard]
+        files = {index: self._sample_files(index) for index in self.recipe.indices(shard)}
+        if not target.is_file():
+            if not all(any(path.is_file() for path in pair) for pair in files.values()):
+                return
+            parts = {i: path.read_bytes() for i, (path, _) in files.items() if path.is_file()}
+            failed = {i: _reason(path) for i, (_, path) in files.items() if i not in parts}
+            write_shard(target, parts, failed)
+        for pair in files.values():
+            for path in pair:
+                path.unlink(missing_ok=True)
+
+    def failures(self) -> dict[int, str]:
+        """Return the reason of each failed sample."""
+        failures = {int(p.name[:6]): _reason(p) for p in self.partial.glob(f"*{_FAILED}")}
+        for path in self.shards:
+            failures |= read_failures(path) if path.is_file() else {}
+        return failures
+
+    def write_manifest(self, known: Mapping[str, str]) -> None:
+        """Write the manifest; shards of an earlier manifest must be unchanged."""
+        shards = []
+        for shard, path in enumerate(self.shards):
+            indices, digest = self.recipe.indices(shard), checksum(path)
+            if known.get(path.name, digest) != digest:
+                raise damaged(path, "its checksum is not that of the manifest")
+            place = {"file": path.name, "first": indices.start, "count": len(indices)}
+            shards.append({**place, "bytes": path.stat().st_size, "sha256": digest})
+        if len(known) == len(shards):
+            return
+        failed = self.failures()
+        manifest = {
+            "format": MANIFEST_FORMAT,
+            "version": VERSION,
+            "name": self.recipe.name,
+            "samples": self.recipe.count - len(failed),
+            "failed": {str(index): failed[index] for index in sorted(failed)},
+            "shards": shards,
+            "recipe": json.loads(json.dumps(self.recipe.to_config())),
+            "versions": versions(),
+        }
+        _write_json(self.folder / MANIFEST, {**manifest, "sha256": manifest_checksum(manifest)})
+        if not any(self.partial.iterdir()):
+            self.partial.rmdir()
 
 
-def _first_difference(found: Any, wanted: Any, name: str = "") -> str:
+def _first_difference(stored: Any, given: Any, name: str = "") -> str:
     """Return the first difference of two recipes in words; empty where they agree."""
-    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
-        for key in sorted({*found, *wanted}):
+    if isinstance(stored, Mapping) and isinstance(given, Mapping):
+        for key in sorted({*stored, *given}):
             inner = f"{name}.{key}" if name else str(key)
-            text = _first_difference(found.get(key), wanted.get(key), inner)
+            text = _first_difference(stored.get(key), given.get(key), inner)
             if text:
                 return text
         return ""
-    if isinstance(found, Mapping) or isinstance(wanted, Mapping):
-        return f"{name} is given {'there' if wanted is None else 'here'} only"
-    return "" if found == wanted else f"{name} is {found!r} there and {wanted!r} here"
+    if isinstance(stored, Mapping) or isinstance(given, Mapping):
+        return f"{name} is given {'there' if given is None else 'here'} only"
+    return "" if stored == given else f"{name} is {stored!r} there and {given!r} here"
 
 
 @contextmanager
-def _locked(place: Path) -> Iterator[None]:
+def _locked(folder: Path) -> Iterator[None]:
     """Lock the folder against a second run until the process ends."""
     try:
-        place.mkdir(parents=True, exist_ok=True)
-        lock = open(place / ".lock", "w")  # noqa: SIM115
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = open(folder / ".lock", "w")  # noqa: SIM115
     except OSError as error:
-        raise FileError(f"cannot write into '{place}': {error}; choose another folder.") from error
+        raise FileError(f"cannot write into '{folder}': {error}; choose another folder.") from error
     with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise ConfigError(
-                f"another run is generating into '{place}'; wait for it, or choose another folder."
+                f"another run is generating into '{folder}'; wait for it, or choose another folder."
             ) from error
         yield
-
-
-def _is_done(place: Path, recipe: Recipe, index: int) -> bool:
-    partial = place / PARTIAL
-    name = sample_name(index)
-    return (
-        (place / shard_name(index // recipe.shard)).is_file()
-        or (partial / f"{name}.h5").is_file()
-        or (partial / f"{name}{_BAD}").is_file()
-    )
-
-
-def _keep(place: Path, index: int, content: bytes | None, reason: str) -> None:
-    """Store a sample or its failure until its shard is complete."""
-    name = sample_name(index)
-    if content is None:
-        _log.warning("sample %d failed: %s", index, reason)
-        _write_json(place / PARTIAL / f"{name}{_BAD}", {"index": index, "reason": reason})
-        return
-    with atomic_path(place / PARTIAL / f"{name}.h5") as temporary:
-        temporary.write_bytes(content)
-
-
-def _close_shards(place: Path, recipe: Recipe) -> None:
-    for shard in range(recipe.shards):
-        _close_shard(place, recipe, shard)
-
-
-def _close_shard(place: Path, recipe: Recipe, shard: int) -> None:
-    """Write a shard whose samples are complete, and remove their separate files."""
-    target, partial = place / shard_name(shard), place / PARTIAL
-    indices = recipe.indices(shard)
-    files = {i: partial / f"{sample_name(i)}.h5" for i in indices}
-    bad = {i: partial / f"{sample_name(i)}{_BAD}" for i in indices}
-    if not target.is_file():
-        if not all(files[i].is_file() or bad[i].is_file() for i in indices):
-            return
-        parts = {i: path.read_bytes() for i, path in files.items() if path.is_file()}
-        failed = {i: _reason(path) for i, path in bad.items() if i not in parts}
-        write_shard(target, parts, failed)
-    for path in (*files.values(), *bad.values()):
-        path.unlink(missing_ok=True)
 
 
 def _reason(path: Path) -> str:
@@ -182,60 +252,46 @@ def _reason(path: Path) -> str:
     return str(read_json(path, "record of a failed sample", remedy, "reason")["reason"])
 
 
-def _all_failures(place: Path, recipe: Recipe) -> dict[int, str]:
-    failures = {int(p.name[:6]): _reason(p) for p in (place / PARTIAL).glob(f"*{_BAD}")}
-    for shard in range(recipe.shards):
-        path = place / shard_name(shard)
-        if path.is_file():
-            failures |= failures_in(path)
-    return failures
-
-
-def _known_checksums(place: Path) -> dict[str, str]:
-    """Checksums of the shards that are there, by the manifest of an earlier run.
-
-    Raises:
-        FileError: The manifest cannot be read.
-    """
-    if not (place / MANIFEST).is_file():
-        return {}
-    shards = SampleSet.open(place).manifest["shards"]
-    return {s["file"]: s["sha256"] for s in shards if (place / s["file"]).is_file()}
-
-
-def _write_manifest(place: Path, recipe: Recipe, known: Mapping[str, str]) -> None:
-    """Write the manifest; shards that stood in an earlier one must be what they were."""
-    shards = [
-        {
-            "file": shard_name(shard),
-            "first": recipe.indices(shard).start,
-            "count": len(recipe.indices(shard)),
-            "bytes": (place / shard_name(shard)).stat().st_size,
-            "sha256": checksum(place / shard_name(shard)),
-        }
-        for shard in range(recipe.shards)
-    ]
-    for shard in shards:
-        if known.get(str(shard["file"]), shard["sha256"]) != shard["sha256"]:
-            raise damaged(place / str(shard["file"]), "its checksum is not that of the manifest")
-    if len(known) == len(shards):
-        return
-    failed = _all_failures(place, recipe)
-    manifest = {
-        "format": MANIFEST_FORMAT,
-        "version": VERSION,
-        "name": recipe.name,
-        "samples": recipe.count - len(failed),
-        "failed": {str(index): failed[index] for index in sorted(failed)},
-        "shards": shards,
-        "recipe": json.loads(json.dumps(recipe.to_config())),
-        "versions": versions(),
-    }
-    _write_json(place / MANIFEST, {**manifest, "sha256": manifest_checksum(manifest)})
-    if not any((place / PARTIAL).iterdir()):
-        (place / PARTIAL).rmdir()
-
-
 def _write_json(path: Path, content: Any) -> None:
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def _make(recipe: Recipe, index: int) -> tuple[int, bytes | None, str]:
+    """Return the number of a sample, its content, and the reason of a failure."""
+    try:
+        # A cluster may run several tasks in one process, whose thread counts are common to all.
+        with _SAMPLE_LOCK, single_thread():
+            return index, to_bytes(make_sample(recipe, index)), ""
+    except Exception as error:  # a failed sample must not end the others
+        return index, None, f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _run_on_dask(
+    recipe: Recipe, indices: Sequence[int], scheduler: str | None
+) -> Iterator[tuple[int, bytes | None, str]]:
+    """Make samples on a cluster and yield each as it is finished, in any order."""
+    try:
+        from distributed import Client, as_completed
+    except ImportError as error:
+        raise ConfigError(
+            "executor=dask needs Dask: pip install 'tactorch[dask]' or 'dask[distributed]'."
+        ) from error
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ConfigError(
+            f"No Dask scheduler answers at {scheduler} ({error}); check the address, and that"
+            " `dask scheduler` runs there."
+        ) from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise ConfigError(
+                f"The Dask scheduler at {scheduler} has no workers; start some with `dask worker"
+                f" {scheduler} --nthreads 1`."
+            )
+        shared = client.scatter(recipe, broadcast=True)
+        futures = client.map(lambda i, r: _make(r, i), indices, r=shared, pure=False)
+        for future in as_completed(futures):
+            yield future.result()
+            future.release()

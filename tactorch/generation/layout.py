@@ -2,12 +2,12 @@
 
 A dataset is a folder:
 
-| file | what |
+| file | content |
 |---|---|
 | recipe.json | all settings that determine the samples |
 | shard-00000.h5 ... | samples, about 50 per file; written whole or not at all |
 | manifest.json | written last: recipe, versions, checksums, failed samples |
-| card.md, card.png | for people |
+| card.md, card.png | summary as text and as a figure |
 | partial/ | samples of unfinished shards, while generation runs |
 
 In a shard (HDF5, text and arrays as in recordings):
@@ -25,21 +25,13 @@ In a shard (HDF5, text and arrays as in recordings):
 
 import io
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from jaxtyping import Float
-
-from tactorch.errors import FileError, RecordingError
+from tactorch.errors import FileError
 from tactorch.generation.sample import Sample
-from tactorch.hdf5 import Hdf5Reader, hdf5_image, write_array, write_attribute, write_hdf5
-from tactorch.mesh import TetMesh
-from tactorch.recording import Recording
-from tactorch.recording.reader import RecordingReader
+from tactorch.hdf5 import hdf5_image, write_array, write_attribute, write_hdf5
 from tactorch.recording.storage import write_recording
 
 if TYPE_CHECKING:
@@ -79,11 +71,7 @@ def to_bytes(sample: Sample) -> bytes:
 
 
 def write_shard(path: Path, parts: Mapping[int, bytes], failed: Mapping[int, str]) -> None:
-    """Write samples to a shard, in the order of their numbers; whole or not at all.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
+    """Write samples to a shard, in the order of their numbers; whole or not at all."""
     import h5py
 
     def write(shard: "h5py.File") -> None:
@@ -102,8 +90,7 @@ def write_shard(path: Path, parts: Mapping[int, bytes], failed: Mapping[int, str
 
 def _copy(part: "h5py.File", shard: "h5py.File", name: str) -> None:
     group = shard["samples"].create_group(name)
-    for key, value in part.attrs.items():
-        group.attrs[key] = value
+    group.attrs.update(part.attrs)
     for key in part:
         if key != "mesh":
             part.copy(key, group)
@@ -113,102 +100,9 @@ def _copy(part: "h5py.File", shard: "h5py.File", name: str) -> None:
     group["mesh"] = shard["meshes"][mesh]
 
 
-@dataclass(frozen=True, eq=False)
-class SampleMaps:
-    """Maps of Young's modulus of a sample, without its presses.
-
-    Attributes:
-        index: Number in the dataset.
-        object: Number of the object.
-        label: Class of the object, for a recognizer.
-        mesh: Mesh of the recording, m elements; one object for all samples of the mesh.
-        truth: (m,), MPa.
-        reconstruction: (m,), MPa; None where none was made.
-        pushes: Direction of each press; None where one is not known.
-    """
-
-    index: int
-    object: int
-    label: str
-    mesh: TetMesh
-    truth: Float[np.ndarray, " m"]
-    reconstruction: Float[np.ndarray, " m"] | None
-    pushes: Float[np.ndarray, "k 3"] | None
-
-
-class ShardReader:
-    """Reads samples from an open shard.
-
-    Args:
-        shard: The file.
-        path: Its name, for messages.
-        meshes: Meshes that were read before, by hash; new ones are added.
-    """
-
-    def __init__(self, shard: "h5py.File", path: Path, meshes: dict[str, TetMesh]) -> None:
-        self.shard, self.path, self.meshes = shard, path, meshes
-
-    def sample(self, index: int) -> Sample:
-        """Read a sample.
-
-        Raises:
-            FileError: The shard is damaged there.
-        """
-        with self._reader(index) as reader:
-            return Sample(
-                reader.attribute("/", "index", int),
-                reader.attribute("/", "object", int),
-                reader.attribute("/", "label", str),
-                reader.parse_json("facts", reader.attribute("/", "facts", str)),
-                Recording(**reader.fields(), check_units=False),
-                _moduli(reader, "reconstruction"),
-                json.loads(reader.attribute("/", "figures", str)),
-            )
-
-    def maps(self, index: int) -> SampleMaps:
-        """Read the maps of a sample, without its presses.
-
-        Raises:
-            FileError: The shard is damaged there.
-        """
-        with self._reader(index) as reader:
-            directions = [f"presses/{i:04d}/direction" for i in range(reader.count())]
-            known = all(reader.has(name) for name in directions)
-            return SampleMaps(
-                reader.attribute("/", "index", int),
-                reader.attribute("/", "object", int),
-                reader.attribute("/", "label", str),
-                reader.mesh(),
-                reader.array("truth", "f", (reader.mesh().n_tets,)),
-                _moduli(reader, "reconstruction"),
-                np.array([reader.array(name, "f", (3,)) for name in directions]) if known else None,
-            )
-
-    @contextmanager
-    def _reader(self, index: int) -> Iterator[RecordingReader]:
-        name = sample_name(index)
-        try:
-            samples = Hdf5Reader(self.shard, self.path, "shard", "tactorch generate")
-            group = samples.group(f"samples/{name}")
-            source = f"{self.path}, {group.name}"
-            key = RecordingReader(group, source).attribute("/", "mesh_hash", str)
-            reader = RecordingReader(group, source, self.meshes.get(key))
-            self.meshes[key] = reader.mesh()
-            yield reader
-        except RecordingError as error:  # its message has the remedy
-            raise FileError(str(error)) from error
-        # What h5py raises on a damaged file has no common base.
-        except Exception as error:
-            raise damaged(self.path, f"sample {name}: {error}") from error
-
-
 def damaged(path: Path, reason: Any) -> FileError:
     """Return the error for a shard that cannot be read."""
     return FileError(
         f"shard '{path}' is damaged ({reason}); delete it and generate again: only its samples are"
         " made again."
     )
-
-
-def _moduli(reader: RecordingReader, name: str) -> Float[np.ndarray, " m"] | None:
-    return reader.array(name, "f", (reader.mesh().n_tets,)) if reader.has(name) else None

@@ -1,14 +1,16 @@
-"""What a dataset is made of: all that decides its samples."""
+"""Recipe of a dataset: all settings that determine its samples."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from functools import partial
+from itertools import product
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, make_material
-from tactorch.generation.plans import PressDraw
 from tactorch.inverse import Settings
 from tactorch.inverse.settings import stored_settings
 from tactorch.mesh import TetMesh
@@ -16,8 +18,70 @@ from tactorch.phantoms import Phantom, RandomPhantom
 from tactorch.phantoms.families import FAMILIES
 from tactorch.plain import plain
 from tactorch.recording import MaterialSpec
+from tactorch.simulation import PressPlan
 
 LINEAR = "linear"
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PressDraw(Options):
+    """Distribution of plans of presses.
+
+    A pressure of `load` follows the object's stiffness, as a person presses soft objects more
+    gently; its logarithm is uniformly distributed.
+    """
+
+    section: ClassVar[str] = "dataset.presses"
+    faces: tuple[tuple[str, ...], ...] = option(
+        (("z+", "x+", "y+"),), "Sets of pressed faces, one of which is drawn"
+    )
+    p_max_mpa: Range = option((0.02, 0.02), "Range of the highest pressure", unit="MPa", gt=0)
+    load: Range | None = option(
+        None, "Range of the highest pressure over the median modulus, in place of p_max_mpa", gt=0
+    )
+    steps: tuple[int, ...] = option((4,), "Numbers of load steps, one of which is drawn", ge=1)
+    patch_radius_mm: Range | None = option(
+        None, "Range of the radius of pressed patches; null: whole faces", unit="mm", gt=0
+    )
+    patches: tuple[int, int] = option((1, 1), "Fewest and most patches on each face", ge=1)
+    patch_share: float = option(
+        1.0, "Share of the plans that press patches; the others press whole faces", ge=0, le=1
+    )
+    support: Literal["springs", "fixed", "roller"] = option(
+        "springs", "Support of the opposite face"
+    )
+    spring_n_per_mm: float = option(1.0, "Stiffness of each spring", unit="N/mm", gt=0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.faces or not self.steps:
+            raise ConfigError("dataset.presses: faces and steps need at least one choice each.")
+        _check_ranges(self, "p_max_mpa", "load", "patch_radius_mm", "patches")
+        for faces, steps in product(self.faces, self.steps):  # refuse plans that cannot be made
+            self._plan(p_max_mpa=self.p_max_mpa[0], steps=steps, faces=faces)
+
+    def _plan(self, **options: Any) -> PressPlan:
+        return PressPlan(support=self.support, spring_n_per_mm=self.spring_n_per_mm, **options)
+
+    def draw(
+        self, rng: np.random.Generator, bounds: Float[np.ndarray, "2 3"], youngs_mpa: float
+    ) -> PressPlan:
+        """Draw a plan for an object of a bounding box, mm, and a median modulus, MPa."""
+        faces = self.faces[int(rng.integers(len(self.faces)))]
+        if self.load is None:
+            p_max_mpa = float(rng.uniform(*self.p_max_mpa))
+        else:
+            p_max_mpa = youngs_mpa * float(np.exp(rng.uniform(*np.log(self.load))))
+        steps = self.steps[int(rng.integers(len(self.steps)))]
+        plan = {"p_max_mpa": p_max_mpa, "steps": steps, "faces": faces}
+        if self.patch_radius_mm is None or rng.random() >= self.patch_share:
+            return self._plan(**plan)
+        radius = float(rng.uniform(*self.patch_radius_mm))
+        count = int(rng.integers(self.patches[0], self.patches[1] + 1))
+        margin = np.minimum(radius, (bounds[1] - bounds[0]) / 2)
+        centers = rng.uniform(bounds[0] + margin, bounds[1] - margin, (count, 3)).tolist()
+        return self._plan(**plan, patch_radius_mm=radius, patch_centers_mm=centers)
 
 
 @dataclass(frozen=True)
@@ -38,36 +102,19 @@ class MeshSizes(Options):
         Raises:
             ConfigError: The body is no box.
         """
-        own = phantom.mesh(relative_edge_length=self.relative_edge_length, generator="structured")
-        if self.fine_relative is None:
-            return own, None
-        fine = phantom.mesh(relative_edge_length=self.fine_relative, generator="structured")
-        return own, fine
+        mesh = partial(phantom.mesh, generator="structured")
+        fine = self.fine_relative
+        coarse_mesh = mesh(relative_edge_length=self.relative_edge_length)
+        return coarse_mesh, None if fine is None else mesh(relative_edge_length=fine)
 
 
 @dataclass(frozen=True)
 class Recipe(Options):
     """Settings that determine the samples of a dataset, in any order of their computation.
 
-    Attributes:
-        name: Name of the dataset.
-        count: Number of samples.
-        family: Family of objects, of `tactorch.phantoms.FAMILIES`.
-        seed: Seed of all random draws.
-        views: Recordings of each object, with their own presses and noise.
-        presses: Distribution of the plans of presses.
-        mesh: Sizes of the elements.
-        poisson: Range of Poisson's ratio, drawn for each object; None takes the material's.
-        samples: Samples per edge that average the modulus, see `Phantom.on_mesh`.
-        snr_db: Range of the signal-to-noise ratio, dB; None for no noise.
-        shard: Samples in a file.
-        material: Material, without Young's modulus.
-        element: Element type of the simulation, "tet4" or "tet10".
-        inversion: Settings of the inversion of each recording; "linear" stores the linear image in
-            place of a reconstruction (see `tactorch.inverse.linear_image`), None nothing.
-
-    Raises:
-        ConfigError: a value cannot be used.
+    `material` has no Young's modulus. `inversion` are the settings of the inversion of each
+    recording; "linear" stores the linear image in place of a reconstruction (see
+    `tactorch.inverse.linear_image`), None nothing.
     """
 
     section: ClassVar[str] = "dataset"
@@ -78,11 +125,11 @@ class Recipe(Options):
     views: int = option(1, "Recordings of each object, with their own presses and noise", ge=1)
     presses: PressDraw = option(factory=PressDraw, help="Distribution of the presses")
     mesh: MeshSizes = option(factory=MeshSizes, help="Sizes of the elements")
-    poisson: tuple[float, float] | None = option(
+    poisson: Range | None = option(
         None, "Range of Poisson's ratio; null: that of the material", ge=0, lt=0.5
     )
     samples: int = option(4, "Samples per edge that average the modulus over cut elements", ge=1)
-    snr_db: tuple[float, float] | None = option(
+    snr_db: Range | None = option(
         (40.0, 40.0), "Range of the signal-to-noise ratio; null: no noise", unit="dB"
     )
     shard: int = option(50, "Samples in a file", ge=1)
@@ -92,19 +139,16 @@ class Recipe(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("snr_db", "poisson"):
-            pair = getattr(self, name)
-            if pair is not None and pair[0] > pair[1]:
-                raise ConfigError(f"dataset.{name}={list(pair)}: give the lower end first.")
+        _check_ranges(self, "snr_db", "poisson")
         if isinstance(self.inversion, str) and self.inversion != LINEAR:
             raise ConfigError(f"inversion={self.inversion!r}: give settings, {LINEAR!r} or None.")
         if isinstance(self.inversion, Settings) and self.inversion.max_seconds is not None:
             raise ConfigError(
                 "max_seconds would make samples depend on the machine; limit max_iterations."
             )
-        # Refuse what no sample could be made of.
         if self.element not in ELEMENTS:
             raise ConfigError(f"element={self.element!r}: choose one of {', '.join(ELEMENTS)}.")
+        # Refuse what no sample could be made of.
         make_material(self.material.name, self.material.poisson, **self.material.parameters)
         self.mesh.meshes(self.drawn(0).phantom)
 
@@ -132,10 +176,18 @@ class Recipe(Options):
         return range(shard * self.shard, min((shard + 1) * self.shard, self.count))
 
     def to_config(self) -> dict[str, Any]:
-        """Return all that decides the samples as plain values, to compare recipes by."""
+        """Return all that determines the samples as plain values, to compare recipes by."""
         config = plain(self)
         assert isinstance(config, dict)
         config["family"] = {"name": FAMILIES.name_of(type(self.family)), **to_mapping(self.family)}
         if isinstance(self.inversion, Settings):
             config["inversion"] = stored_settings(self.inversion)
         return config
+
+
+def _check_ranges(options: Options, *names: str) -> None:
+    for name in names:
+        pair = getattr(options, name)
+        if pair is not None and pair[0] > pair[1]:
+            section = type(options).section
+            raise ConfigError(f"{section}.{name}={list(pair)}: give the lower end first.")

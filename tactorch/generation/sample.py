@@ -38,13 +38,13 @@ class Sample:
 
     @property
     def truth(self) -> Float[np.ndarray, " m"]:
-        """The true moduli, MPa."""
+        """True moduli, MPa."""
         assert self.recording.truth is not None
         return self.recording.truth
 
     @property
     def largest_mm(self) -> float:
-        """The largest observed component of a displacement, mm."""
+        """Largest observed component of a displacement, mm."""
         observed = [press.displacement[press.observed] for press in self.recording.presses]
         return float(np.abs(np.concatenate(observed)).max())
 
@@ -62,10 +62,9 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
         snr_db = float(rng.uniform(float(recipe.snr_db[0]), float(recipe.snr_db[1])))
     mesh, fine = recipe.mesh.meshes(drawn.phantom)
     median = float(np.median(drawn.phantom.on_mesh(mesh, samples=recipe.samples)))
-    plan = recipe.presses.draw(rng, drawn.phantom.body.bounds(), median)
     recording = simulate(
         drawn.phantom,
-        plan,
+        recipe.presses.draw(rng, drawn.phantom.body.bounds(), median),
         material=recipe.material_of(index),
         mesh=mesh,
         fine_mesh=fine,
@@ -74,24 +73,17 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
         snr_db=snr_db,
         seed=int(rng.integers(2**31)),
     )
-    youngs, figures = _reconstructed(recipe, recording)
+    youngs, figures = None, None
+    if recipe.inversion is not None:
+        assert recording.truth is not None
+        figures = {}
+        if isinstance(recipe.inversion, str):
+            youngs = linear_map(recording)
+        else:
+            result = invert(recording, recipe.inversion, show_progress=False)
+            youngs = result.youngs
+            figures["iterations"] = float(len(result.history) - 1)
+            figures["chi2"] = float(result.history[-1]["chi2"])
+        figures |= {k: float(v) for k, v in scores(mesh, youngs, recording.truth).items()}
     number = index // recipe.views
     return Sample(index, number, drawn.label, drawn.parameters, recording, youngs, figures)
-
-
-def _reconstructed(
-    recipe: Recipe, recording: Recording
-) -> tuple[Float[np.ndarray, " m"] | None, dict[str, float] | None]:
-    if recipe.inversion is None:
-        return None, None
-    if isinstance(recipe.inversion, str):
-        assert recording.truth is not None
-        youngs = linear_map(recording)
-        made = scores(recording.mesh, youngs, recording.truth)
-        return youngs, {k: float(v) for k, v in made.items()}
-    result = invert(recording, recipe.inversion, show_progress=False)
-    assert recording.truth is not None
-    last = result.history[-1]
-    figures = {"iterations": float(len(result.history) - 1), "chi2": float(last["chi2"])}
-    figures |= scores(recording.mesh, result.youngs, recording.truth)
-    return result.youngs, {k: float(v) for k, v in figures.items()}

@@ -2,12 +2,16 @@
 
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactorch.errors import FileError
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import FileError, RecordingError
 from tactorch.files import checksum, read_json, require_file, require_folder
 from tactorch.generation.layout import (
     FORMAT,
@@ -15,20 +19,44 @@ from tactorch.generation.layout import (
     MANIFEST_FORMAT,
     RECIPE,
     VERSION,
-    SampleMaps,
-    ShardReader,
     damaged,
+    sample_name,
 )
 from tactorch.generation.sample import Sample
 from tactorch.hdf5 import Hdf5Reader
 from tactorch.mesh import TetMesh
+from tactorch.recording import Recording
+from tactorch.recording.reader import RecordingReader
 
 if TYPE_CHECKING:
     import h5py
 
 
 _MAX_OPEN = 64  # shards
-MAX_SAMPLES = 10**8
+_MAX_SAMPLES = 10**8
+
+
+@dataclass(frozen=True, eq=False)
+class SampleMaps:
+    """Maps of Young's modulus of a sample, without its presses.
+
+    Attributes:
+        index: Number in the dataset.
+        object: Number of the object.
+        label: Class of the object, for a recognizer.
+        mesh: Mesh of the recording, m elements; one object for all samples of the mesh.
+        truth: (m,), MPa.
+        reconstruction: (m,), MPa; None where none was made.
+        pushes: Direction of each press; None where one is not known.
+    """
+
+    index: int
+    object: int
+    label: str
+    mesh: TetMesh
+    truth: Float[np.ndarray, " m"]
+    reconstruction: Float[np.ndarray, " m"] | None
+    pushes: Float[np.ndarray, "k 3"] | None
 
 
 @dataclass(eq=False)
@@ -62,8 +90,7 @@ class SampleSet:
                 f"dataset '{place}' is unfinished: it has no {MANIFEST}; run the same `tactorch"
                 " generate` again, which continues."
             )
-        path = require_file(place / MANIFEST, "manifest of the dataset")
-        manifest = _read_manifest(path)
+        manifest = _read_manifest(require_file(place / MANIFEST, "manifest of the dataset"))
         failed = {int(index) for index in manifest["failed"]}
         count = sum(shard["count"] for shard in manifest["shards"])
         return cls(place, manifest, tuple(i for i in range(count) if i not in failed))
@@ -80,7 +107,16 @@ class SampleSet:
         Raises:
             FileError: There is none of that number, or its shard is missing or damaged.
         """
-        return self._reader(index).sample(index)
+        with self._reader(index) as reader:
+            return Sample(
+                reader.attribute("/", "index", int),
+                reader.attribute("/", "object", int),
+                reader.attribute("/", "label", str),
+                reader.parse_json("facts", reader.attribute("/", "facts", str)),
+                Recording(**reader.fields(), check_units=False),
+                _reconstruction(reader),
+                json.loads(reader.attribute("/", "figures", str)),
+            )
 
     def maps(self, index: int) -> SampleMaps:
         """Return the maps of a sample without its presses, which is much faster.
@@ -88,17 +124,18 @@ class SampleSet:
         Raises:
             FileError: There is none of that number, or its shard is missing or damaged.
         """
-        return self._reader(index).maps(index)
-
-    def _reader(self, index: int) -> ShardReader:
-        for shard in self.manifest["shards"]:
-            if shard["first"] <= index < shard["first"] + shard["count"]:
-                path = self.folder / shard["file"]
-                reason = self.manifest["failed"].get(str(index))
-                if reason is not None:
-                    raise FileError(f"sample {index} of '{self.folder}' failed: {reason}")
-                return ShardReader(self._file(shard), path, self._meshes)
-        raise FileError(f"dataset '{self.folder}' has no sample {index}; it has {len(self)}.")
+        with self._reader(index) as reader:
+            directions = [f"presses/{i:04d}/direction" for i in range(reader.count())]
+            known = all(reader.has(name) for name in directions)
+            return SampleMaps(
+                reader.attribute("/", "index", int),
+                reader.attribute("/", "object", int),
+                reader.attribute("/", "label", str),
+                reader.mesh(),
+                reader.array("truth", "f", (reader.mesh().n_tets,)),
+                _reconstruction(reader),
+                np.array([reader.array(name, "f", (3,)) for name in directions]) if known else None,
+            )
 
     def verify(self) -> None:
         """Compare each shard with its checksum; those that were compared before are not read.
@@ -108,6 +145,31 @@ class SampleSet:
         """
         for shard in self.manifest["shards"]:
             self._verified_path(shard)
+
+    @contextmanager
+    def _reader(self, index: int) -> Iterator[RecordingReader]:
+        """Provide a reader of a sample, with the mesh that it shares with others."""
+        inside = (s for s in self.manifest["shards"] if 0 <= index - s["first"] < s["count"])
+        shard = next(inside, None)
+        if shard is None:
+            raise FileError(f"dataset '{self.folder}' has no sample {index}; it has {len(self)}.")
+        reason = self.manifest["failed"].get(str(index))
+        if reason is not None:
+            raise FileError(f"sample {index} of '{self.folder}' failed: {reason}")
+        file, path, name = self._file(shard), self.folder / shard["file"], sample_name(index)
+        try:
+            samples = Hdf5Reader(file, path, "shard", "tactorch generate")
+            group = samples.group(f"samples/{name}")
+            source = f"{path}, {group.name}"
+            key = RecordingReader(group, source).attribute("/", "mesh_hash", str)
+            reader = RecordingReader(group, source, self._meshes.get(key))
+            self._meshes[key] = reader.mesh()
+            yield reader
+        except RecordingError as error:  # its message has the remedy
+            raise FileError(str(error)) from error
+        # What h5py raises on a damaged file has no common base.
+        except Exception as error:
+            raise damaged(path, f"sample {name}: {error}") from error
 
     def _verified_path(self, shard: dict[str, Any]) -> Path:
         path = require_file(self.folder / shard["file"], "shard of the dataset")
@@ -124,7 +186,7 @@ class SampleSet:
         if path.name not in self._files:
             if len(self._files) >= _MAX_OPEN:
                 self._files.pop(next(iter(self._files))).close()
-            self._files[path.name] = open_shard(path)
+            self._files[path.name] = _open_shard(path)
         return self._files[path.name]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -132,12 +194,12 @@ class SampleSet:
         return {**self.__dict__, "_files": {}}
 
 
-def open_shard(path: Path) -> "h5py.File":
-    """Open a shard for reading.
+def _reconstruction(reader: RecordingReader) -> Float[np.ndarray, " m"] | None:
+    name = "reconstruction"
+    return reader.array(name, "f", (reader.mesh().n_tets,)) if reader.has(name) else None
 
-    Raises:
-        FileError: It is missing, damaged or no shard.
-    """
+
+def _open_shard(path: Path) -> "h5py.File":
     import h5py
 
     require_file(path, "shard of the dataset")
@@ -159,9 +221,9 @@ def open_shard(path: Path) -> "h5py.File":
     return file
 
 
-def failures_in(path: Path) -> dict[int, str]:
+def read_failures(path: Path) -> dict[int, str]:
     """Return the reason for each sample that a shard lacks, by number."""
-    with open_shard(path) as file:
+    with _open_shard(path) as file:
         try:
             reader = Hdf5Reader(file, path, "shard", "tactorch generate")
             reasons = reader.parse_json("failed", reader.attribute("/", "failed", str))
@@ -171,7 +233,7 @@ def failures_in(path: Path) -> dict[int, str]:
 
 
 def manifest_checksum(manifest: dict[str, Any]) -> str:
-    """Return the checksum of a manifest's content but the checksum."""
+    """Return the checksum of the other content of a manifest."""
     content = {key: value for key, value in manifest.items() if key != "sha256"}
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -197,7 +259,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _check_manifest(manifest: dict[str, Any]) -> None:
-    """Raise KeyError, TypeError or ValueError where a part is missing or of another type."""
+    """Raise an error if a part is missing or of another type."""
     manifest["recipe"].items()
     for index in manifest["failed"]:
         int(index)
@@ -207,5 +269,5 @@ def _check_manifest(manifest: dict[str, Any]) -> None:
             raise ValueError(f"shard {shard['file']!r}")
         if Path(shard["file"]).name != shard["file"] or not isinstance(shard["sha256"], str):
             raise ValueError(f"shard {shard['file']!r}")
-    if sum(shard["count"] for shard in manifest["shards"]) > MAX_SAMPLES:
-        raise ValueError(f"more than {MAX_SAMPLES} samples")
+    if sum(shard["count"] for shard in manifest["shards"]) > _MAX_SAMPLES:
+        raise ValueError(f"more than {_MAX_SAMPLES} samples")

@@ -1,23 +1,69 @@
-"""Splits by object, order of the samples, and the base class of the data modules."""
+"""Splits by object, order and augmentation of the samples, and the base of the data modules."""
 
+import json
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from hashlib import sha256
+from itertools import permutations, product
+from typing import Any
 
 import lightning
 import numpy as np
-from torch.utils.data import DataLoader, Sampler
+from jaxtyping import Float
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset, Sampler
 
 from tactorch.errors import ConfigError
 
 PARTS = ("train", "val", "test")
+#: Order of the axes and sign of each: axis i of the image is axis `order[i]` times `signs[i]`.
+Symmetry = tuple[tuple[int, int, int], tuple[int, int, int]]
+IDENTITY: Symmetry = ((0, 1, 2), (1, 1, 1))
 
 
 class SplitData(lightning.LightningDataModule):
-    """Data module whose parts are loaded by `loader`, in order and without augmentation."""
+    """Data module of a dataset whose samples are split by object.
+
+    `settings` are plain values that determine the samples besides the dataset and the parts. The
+    attribute `fingerprint` identifies the data and the split.
+    """
+
+    #: Function that makes a batch of samples; torch's if None.
+    collate: Callable[[Any], Any] | None = None
+
+    def __init__(
+        self,
+        manifest: Mapping[str, Any],
+        parts: dict[str, list[int]],
+        settings: Sequence[Any] = (),
+        *,
+        batch: int,
+        augment: bool,
+        seed: int,
+    ) -> None:
+        super().__init__()
+        self.parts, self.batch, self.augment, self.seed = parts, batch, augment, seed
+        shards = [shard["sha256"] for shard in manifest["shards"]]
+        content = json.dumps([shards, *settings, parts])
+        self.fingerprint = sha256(content.encode()).hexdigest()
 
     @abstractmethod
+    def dataset(self, rows: Sequence[int], augment: bool) -> Dataset:
+        """Return samples, by epoch and position in `rows`."""
+
     def loader(self, part: str) -> DataLoader:
         """Return the batches of a part, in order and without augmentation."""
+        rows = self.parts[part]
+        order = [(0, position) for position in range(len(rows))]
+        data = self.dataset(rows, augment=False)
+        return DataLoader(data, self.batch, sampler=order, collate_fn=self.collate)
+
+    def train_dataloader(self) -> DataLoader:
+        """Return shuffled batches, augmented if this is set."""
+        rows = self.parts["train"]
+        order, drop = EpochSampler(len(rows), self.seed), len(rows) > self.batch
+        data = self.dataset(rows, self.augment)
+        return DataLoader(data, self.batch, sampler=order, drop_last=drop, collate_fn=self.collate)
 
     def val_dataloader(self) -> DataLoader:
         """Return the validation batches."""
@@ -33,14 +79,10 @@ class SplitData(lightning.LightningDataModule):
 
 
 class EpochSampler(Sampler[tuple[int, int]]):
-    """Shuffles samples in an order that depends only on the seed and the epoch.
+    """Shuffles `count` samples in an order that depends only on the seed and the epoch.
 
     Yields pairs (epoch, index), for datasets whose augmentation depends on both. Lightning sets
     the epoch.
-
-    Args:
-        count: Number of samples.
-        seed: Seed of the orders.
     """
 
     def __init__(self, count: int, seed: int = 0) -> None:
@@ -59,21 +101,12 @@ class EpochSampler(Sampler[tuple[int, int]]):
 
 
 def split_objects(
-    objects: Sequence[int],
-    labels: Sequence[str],
-    sizes: Mapping[str, float],
-    seed: int = 0,
+    objects: Sequence[int], labels: Sequence[str], sizes: Mapping[str, float], seed: int = 0
 ) -> dict[str, list[int]]:
     """Split samples by object, stratified by label: samples of an object are in the same part.
 
-    Args:
-        objects: Number of the object of each sample.
-        labels: Label of each sample.
-        sizes: Fraction of the objects in each part; the sum is 1.
-        seed: Seed of the shuffling.
-
-    Returns:
-        Indices of the samples of each part, ascending.
+    `sizes` are the fractions of the objects in each part. Returns indices of the samples of each
+    part, ascending.
 
     Raises:
         ConfigError: The fractions do not add up to 1, or a part is empty.
@@ -82,27 +115,24 @@ def split_objects(
         raise ConfigError(f"shares {dict(sizes)} must be positive and add up to 1.")
     label_of = dict(zip(objects, labels, strict=True))
     rng = np.random.default_rng(seed)
-    parts: dict[str, set[int]] = {name: set() for name in sizes}
-    ordered = []
+    ordered: list[tuple[float, int]] = []
     for label in sorted(set(label_of.values())):
-        group = sorted(number for number, other in label_of.items() if other == label)
-        shuffled = rng.permutation(group)
+        group = rng.permutation(sorted(n for n, other in label_of.items() if other == label))
         # Evenly spaced positions in [0, 1) per label: each part gets its fraction of every label.
         positions = (np.arange(len(group)) + rng.random()) / len(group)
-        ordered += list(zip(positions.tolist(), shuffled.tolist(), strict=True))
+        ordered += list(zip(positions.tolist(), group.tolist(), strict=True))
     ordered.sort()
     ends = np.cumsum(_counts(list(sizes.values()), len(ordered)))
+    parts = {}
     for name, begin, end in zip(sizes, [0, *ends[:-1]], ends, strict=True):
-        parts[name] = {number for _, number in ordered[begin:end]}
-        if sizes[name] > 0 and not parts[name]:
+        members = {number for _, number in ordered[begin:end]}
+        if sizes[name] > 0 and not members:
             raise ConfigError(
                 f"part '{name}' ({sizes[name]:.0%}) of {len(ordered)} objects is empty; generate"
                 " more, or give it a larger share."
             )
-    return {
-        name: [index for index, number in enumerate(objects) if number in members]
-        for name, members in parts.items()
-    }
+        parts[name] = [index for index, number in enumerate(objects) if number in members]
+    return parts
 
 
 def _counts(shares: list[float], total: int) -> list[int]:
@@ -117,3 +147,41 @@ def _counts(shares: list[float], total: int) -> list[int]:
             counts[int(np.argmax(counts))] -= 1
             counts[part] = 1
     return counts
+
+
+def symmetries(directions: Float[np.ndarray, "k 3"]) -> list[Symmetry]:
+    """Return the symmetries of the cube that keep a set of push directions along its axes.
+
+    The transformed object is equally likely and pressed from the same sides.
+    """
+    pushed = {tuple(np.round(d).astype(int).tolist()) for d in directions}
+    return [
+        (order, signs)  # type: ignore[misc]
+        for order, signs in product(permutations(range(3)), product((1, -1), repeat=3))
+        if {tuple(s * d[o] for o, s in zip(order, signs, strict=True)) for d in pushed} == pushed
+    ]
+
+
+def apply_symmetry(symmetry: Symmetry, field: Tensor, vectors: Sequence[int] = ()) -> Tensor:
+    """Return fields on a cubic grid, (..., channels, v, v, v), transformed by a symmetry.
+
+    The components of vector fields, given by their first channels, are transformed as well.
+    """
+    order, signs = symmetry
+    lead = field.dim() - 3
+    image = field.permute(*range(lead), *(lead + axis for axis in order))
+    flipped = [lead + axis for axis, sign in enumerate(signs) if sign < 0]
+    image = image.flip(flipped) if flipped else image
+    if not vectors:
+        return image
+    rotated = image.clone()
+    for first in vectors:
+        for axis, (source, sign) in enumerate(zip(order, signs, strict=True)):
+            rotated[..., first + axis, :, :, :] = sign * image[..., first + source, :, :, :]
+    return rotated
+
+
+def draw_symmetry(allowed: Sequence[Symmetry], *seed: int) -> tuple[Symmetry, np.random.Generator]:
+    """Return a random symmetry, and the random number generator that it was drawn with."""
+    rng = np.random.default_rng(list(seed))
+    return allowed[int(rng.integers(len(allowed)))], rng

@@ -8,6 +8,7 @@ import io
 import json
 import math
 import signal
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
@@ -22,23 +23,19 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
+from torch import Tensor
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import atomic_path
 
 LAST, BEST, CURVE = "last.ckpt", "best.ckpt", "curve.json"
-_Network = TypeVar("_Network", bound=lightning.LightningModule)
+_Network = TypeVar("_Network", bound="Network")
 
 
 @dataclass(frozen=True)
 class TrainerOptions(Options):
-    """Settings of a training.
-
-    Attributes:
-        seed: Seed of weights, order, augmentation and dropout.
-        show_progress: Whether to show Lightning's progress bar.
-    """
+    """Settings of a training."""
 
     section: ClassVar[str] = "trainer"
     accelerator: Literal["cpu", "gpu", "auto"] = option("cpu", "Kind of device")
@@ -74,11 +71,7 @@ class AtomicCheckpointIO(TorchCheckpointIO):
 
 
 class LossHistory(lightning.Callback):
-    """Writes the losses of every epoch to a JSON file, and stores them in the checkpoint.
-
-    Args:
-        path: Path of the JSON file.
-    """
+    """Writes the losses of every epoch to a JSON file, and stores them in the checkpoint."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -104,11 +97,7 @@ class LossHistory(lightning.Callback):
 
 
 class EpochProgress(lightning.Callback):
-    """Reports the number of finished epochs and their losses.
-
-    Args:
-        report: Called with the finished epochs, their limit, and a note such as ", loss 0.1".
-    """
+    """Calls `report` with the finished epochs, their limit, and a note such as ", loss 0.1"."""
 
     def __init__(self, report: Callable[[int, int, str], None]) -> None:
         self.report = report
@@ -117,13 +106,11 @@ class EpochProgress(lightning.Callback):
         self, trainer: lightning.Trainer, module: lightning.LightningModule
     ) -> None:
         """Report the epoch."""
-        if not trainer.is_global_zero:
-            return
-        metrics, note = trainer.callback_metrics, ""
-        for label, name in (("loss", "train/loss"), ("validation", "val/loss")):
-            if name in metrics:
-                note += f", {label} {metrics[name]:.4g}"
-        self.report(trainer.current_epoch + 1, int(trainer.max_epochs or 0), note)
+        if trainer.is_global_zero:
+            metrics = trainer.callback_metrics
+            names = {"train/loss": "loss", "val/loss": "validation"}
+            losses = [f", {names[key]} {metrics[key]:.4g}" for key in names if key in metrics]
+            self.report(trainer.current_epoch + 1, int(trainer.max_epochs or 0), "".join(losses))
 
 
 class SeededSteps(lightning.Callback):
@@ -145,30 +132,54 @@ def derive_seed(*numbers: int) -> int:
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-def make_optimizer(
-    module: lightning.LightningModule, learning_rate: float, weight_decay: float
-) -> Any:
-    """Return AdamW with `warmup_cosine`, in the form of `configure_optimizers`."""
-    optimizer = torch.optim.AdamW(module.parameters(), lr=learning_rate, weight_decay=weight_decay)
-    factor = warmup_cosine(int(module.trainer.estimated_stepping_batches))
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, factor)
-    return [optimizer], [{"scheduler": schedule, "interval": "step"}]
+class Network(lightning.LightningModule):
+    """Network that is trained by AdamW with a linear warm-up and cosine decay.
+
+    Args:
+        learning_rate: Largest learning rate.
+        weight_decay: Weight decay.
+    """
+
+    def __init__(self, learning_rate: float, weight_decay: float) -> None:
+        super().__init__()
+        if not (learning_rate > 0 and weight_decay >= 0):
+            raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
+
+    @abstractmethod
+    def scores(self, batch: Sequence[Tensor]) -> dict[str, Tensor]:
+        """Return the loss and other scores of a batch by name."""
+
+    def validation_step(self, batch: Sequence[Tensor], index: int) -> None:
+        """Log the scores of a batch."""
+        self._log_scores("val", batch)
+
+    def test_step(self, batch: Sequence[Tensor], index: int) -> None:
+        """Log the scores of a batch."""
+        self._log_scores("test", batch)
+
+    def _log_scores(self, part: str, batch: Sequence[Tensor]) -> None:
+        values = {f"{part}/{name}": value for name, value in self.scores(batch).items()}
+        self.log_dict(values, batch_size=len(batch[-1]), sync_dist=True)
+
+    def configure_optimizers(self) -> Any:
+        """Return the optimizer and its schedule."""
+        optimizer = torch.optim.AdamW(
+            self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay
+        )
+        factor = warmup_cosine(int(self.trainer.estimated_stepping_batches))
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, factor)
+        return [optimizer], [{"scheduler": schedule, "interval": "step"}]
 
 
 def warmup_cosine(steps: int, warmup: float = 0.1) -> Callable[[int], float]:
-    """Return the learning-rate factor by step: linear warm-up, then cosine decay to 0.
-
-    Args:
-        steps: Number of steps.
-        warmup: Fraction of the steps in the warm-up.
-    """
-    total = max(1, steps)
-    first = max(1, round(warmup * total))
+    """Return the learning-rate factor by step: linear warm-up, then cosine decay to 0."""
+    first = max(1, round(warmup * max(1, steps)))
 
     def factor(step: int) -> float:
         if step < first:
             return (step + 1) / first
-        return 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - first) / max(1, total - first))))
+        return 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - first) / max(1, steps - first))))
 
     return factor
 
@@ -199,11 +210,23 @@ def fit(
     """
     options = options or TrainerOptions()
     folder.mkdir(parents=True, exist_ok=True)
-    has_validation = _has_validation(data)
-    if options.patience is not None and not has_validation:
-        raise ConfigError("trainer.patience needs a validation part; give it a share of the data.")
-    trainer = _trainer(folder, options, has_validation, callbacks)
+    validation = data.val_dataloader()
+    has_validation = validation is not None and len(validation) > 0
     last, best = folder / LAST, folder / BEST
+    checkpoints = [ModelCheckpoint(folder, last.stem, enable_version_counter=False)]
+    if has_validation:
+        checkpoint = ModelCheckpoint(
+            folder, best.stem, monitor="val/loss", enable_version_counter=False
+        )
+        checkpoints.append(checkpoint)
+    if options.patience is not None:
+        if not has_validation:
+            raise ConfigError(
+                "trainer.patience needs a validation part; give it a share of the data."
+            )
+        callbacks = [EarlyStopping("val/loss", patience=options.patience), *callbacks]
+    own = [*checkpoints, LossHistory(folder / CURVE), SeededSteps(options.seed)]
+    trainer = _make_trainer(folder, options, [*own, *callbacks])
     if last.is_file():
         check_checkpoint(last, module)
     on_interrupt = signal.getsignal(signal.SIGINT)
@@ -226,53 +249,30 @@ def fit(
     return {name: float(value) for part in scores for name, value in part.items()}
 
 
-def _trainer(
-    folder: Path,
-    options: TrainerOptions,
-    has_validation: bool,
-    callbacks: Sequence[lightning.Callback],
+def _make_trainer(
+    folder: Path, options: TrainerOptions, callbacks: list[lightning.Callback]
 ) -> lightning.Trainer:
-    """Return a trainer that saves the last epoch and, with validation data, the best one."""
-    checkpoints = [ModelCheckpoint(folder, Path(LAST).stem, enable_version_counter=False)]
-    if has_validation:
-        name = Path(BEST).stem
-        checkpoints.append(
-            ModelCheckpoint(folder, name, monitor="val/loss", enable_version_counter=False)
-        )
-    if options.patience is not None:
-        callbacks = [EarlyStopping("val/loss", patience=options.patience), *callbacks]
     limit = None if options.max_minutes is None else timedelta(minutes=options.max_minutes)
-    settings: dict[str, Any] = dict(
-        accelerator=options.accelerator,
-        devices=options.devices,
-        strategy=options.strategy,
-        precision=options.precision,
-        max_epochs=options.max_epochs,
-        max_time=limit,
-        gradient_clip_val=options.gradient_clip,
-        callbacks=[
-            *checkpoints,
-            LossHistory(folder / CURVE),
-            SeededSteps(options.seed),
-            *callbacks,
-        ],
-        logger=TensorBoardLogger(str(folder), name="", version="tensorboard"),
-        enable_progress_bar=options.show_progress,
-        enable_model_summary=False,
-        log_every_n_steps=1,
-        num_sanity_val_steps=0,
-        deterministic="warn",
-        plugins=[AtomicCheckpointIO()],
-    )
     try:
-        return lightning.Trainer(**settings)
+        return lightning.Trainer(
+            accelerator=options.accelerator,
+            devices=options.devices,
+            strategy=options.strategy,
+            precision=options.precision,  # type: ignore[arg-type]
+            max_epochs=options.max_epochs,
+            max_time=limit,
+            gradient_clip_val=options.gradient_clip,
+            callbacks=callbacks,
+            logger=TensorBoardLogger(str(folder), name="", version="tensorboard"),
+            enable_progress_bar=options.show_progress,
+            enable_model_summary=False,
+            log_every_n_steps=1,
+            num_sanity_val_steps=0,
+            deterministic="warn",
+            plugins=[AtomicCheckpointIO()],
+        )
     except (ValueError, TypeError, RuntimeError, MisconfigurationException) as error:
         raise ConfigError(f"trainer: {' '.join(str(error).split())}") from error
-
-
-def _has_validation(data: lightning.LightningDataModule) -> bool:
-    loader = data.val_dataloader()
-    return loader is not None and len(loader) > 0
 
 
 def check_checkpoint(path: Path, module: lightning.LightningModule) -> Mapping[str, Any]:
@@ -325,11 +325,7 @@ def load_network(
 ) -> _Network:
     """Return a network in evaluation mode, with the settings and weights of a checkpoint.
 
-    Args:
-        network_class: Class of the network.
-        path: Path of the checkpoint.
-        kind: Name of the network in messages.
-        advice: Remedy in the message if the checkpoint is of another network.
+    Messages name the `kind` of the network, and end with `advice` if it is another.
 
     Raises:
         FileError: The file is missing, damaged or of another network.
@@ -347,9 +343,5 @@ def load_network(
 
 
 def load_weights(module: lightning.LightningModule, path: Path) -> None:
-    """Load the weights of a checkpoint into a network.
-
-    Raises:
-        FileError: The file is missing, damaged or of another model.
-    """
+    """Load the weights of a checkpoint into a network; see `check_checkpoint`."""
     module.load_state_dict(check_checkpoint(path, module)["state_dict"])

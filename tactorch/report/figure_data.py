@@ -16,8 +16,7 @@ from tactorch.report.assessment import PressFit, UncertaintySummary
 from tactorch.report.content import RunReport, press_label
 from tactorch.report.runs import Run
 from tactorch.viz.contact import contact_patches, total_forces
-from tactorch.viz.outline import Outline
-from tactorch.viz.slicing import colour_scale
+from tactorch.viz.slicing import OUTLINE_LEVEL, colour_scale, departure_from_background
 
 #: Title, unit and description of each field.
 FIELDS: dict[str, tuple[str, str, str]] = {
@@ -112,8 +111,10 @@ def _run_data(report: RunReport) -> dict[str, Any]:
         data["interval"] = [quantised(uncertainty.low), quantised(uncertainty.high)]
         data["posterior"] = _CALIBRATION.get(uncertainty.kind, "")
     if recording is not None:
-        outline = None if recording.truth is None else Outline.of(mesh, recording.truth)
-        data["trueInclusion"] = None if outline is None else _boundary(mesh, outline.inside)
+        truth = recording.truth
+        departure = None if truth is None else departure_from_background(mesh, truth)
+        inside = None if departure is None else departure > OUTLINE_LEVEL
+        data["trueInclusion"] = None if inside is None else _boundary(mesh, inside)
         forces = total_forces(recording.presses)
         data["contact"] = [
             {"triangles": indices(p.triangles, mesh.n_points), "direction": p.direction.tolist()}

@@ -9,7 +9,6 @@ its inversions. Cases run in parallel, and each result is stored and reused.
 The numbers of the paper are in `paper.yaml`.
 """
 
-from tactorch.reproduce.exhibits import reproduce
-from tactorch.reproduce.studies import EXHIBITS
+from tactorch.reproduce.exhibits import EXHIBITS, reproduce
 
 __all__ = ["EXHIBITS", "reproduce"]

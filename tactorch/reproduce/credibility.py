@@ -9,21 +9,19 @@ The metric of an element is L(j) = max_i |du_i / de_j|. The integral over a laye
 over its elements; elements that cross a border are divided between layers.
 """
 
-from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tactorch.inverse import InverseProblem
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import make_phantom
-from tactorch.reproduce.cases import Case, CaseResult
-from tactorch.reproduce.objects import MATERIAL, mesh_arrays, stored_mesh
-from tactorch.reproduce.table import Table
+from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
+from tactorch.reproduce.paper import MATERIAL
 from tactorch.simulation import PressPlan, simulate
 from tactorch.uncertainty import credibility, layer_profile
-from tactorch.viz import depth_figure, save_figure
+from tactorch.viz import depth_figure
 
 YOUNGS_MPA = (5.0, 7.5, 10.0)
 PRESSURES_MPA = (0.06, 0.10, 0.14)
@@ -47,87 +45,75 @@ def layer_sums(mesh: TetMesh, values: np.ndarray, layers: int) -> np.ndarray:
     return layer_profile(mesh, values / mesh.volumes, 2, layers)[1][::-1]
 
 
-def cases(options: Mapping[str, Any]) -> list[Case]:
+def cases(options: CaseSettings) -> dict[str, CaseSettings]:
     """Return one case per stiffness and pressure."""
-    return [
-        Case("credibility", _name(e, p), {"youngs_mpa": e, "pressure_mpa": p, **options})
+    return {
+        _name(e, p): {"youngs_mpa": e, "pressure_mpa": p, **options}
         for e in YOUNGS_MPA
         for p in PRESSURES_MPA
-    ]
+    }
 
 
 def _name(youngs_mpa: float, pressure_mpa: float) -> str:
     return f"{1e3 * youngs_mpa:.0f}kpa-under-{1e3 * pressure_mpa:.0f}kpa"
 
 
-def run_case(case: Case, scratch: Path) -> CaseResult:
+def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     """Compute the metric of one cube."""
-    settings = case.settings
     mesh = box_mesh(_SIDE_MM, settings["divisions"], tets_per_cell=5)
     values = compute_metric(mesh, settings["youngs_mpa"], settings["pressure_mpa"])
-    return CaseResult(
-        {"layers": layer_sums(mesh, values, settings["layers"]).tolist()},
-        mesh_arrays(mesh, metric=values),
-    )
+    figures = {"layers": layer_sums(mesh, values, settings["layers"]).tolist()}
+    return CaseResult.on_mesh(mesh, figures, metric=values)
 
 
-def fig3(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 3, layer integrals and slices, and return whether the trends of the paper hold."""
+def fig3(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 3, layer integrals and slices, and whether the trends of the paper hold."""
     profiles = {
         (e, p): np.array(results[_name(e, p)].figures["layers"])
         for e in YOUNGS_MPA
         for p in PRESSURES_MPA
         if _name(e, p) in results
     }
-    table = Table(["Young's modulus, MPa", "pressure, MPa", "layer from the top", "L, mm/MPa"],
-                  [1, 2, None, 6])  # fmt: skip
+    table = Table(
+        {"Young's modulus, MPa": 1, "pressure, MPa": 2, "layer from the top": None, "L, mm/MPa": 6}
+    )
     for (e, p), values in profiles.items():
         for i, value in enumerate(values, start=1):
             table.add(e, p, i, float(value))
-    table.write_csv(out / "fig3.csv")
     groups = {
         f"E = {e:g} MPa": {f"{1e3 * p:g} kPa": profiles[e, p] for p in PRESSURES_MPA}
         for e in YOUNGS_MPA
     }
     middle = results[_name(YOUNGS_MPA[1], PRESSURES_MPA[1])]
-    mesh = stored_mesh(middle.arrays)
     # Per volume, because the central element of a cell is twice as large as the others.
-    values = middle.arrays["metric"] / mesh.volumes
+    values = middle.arrays["metric"] / middle.mesh.volumes
     curve = f"E = {YOUNGS_MPA[1]:g} MPa, {1e3 * PRESSURES_MPA[1]:g} kPa"
-    save_figure(depth_figure(groups, mesh, values, slices_of=curve), out / "fig3.png")
-    return "\n".join(
-        (
-            "| Fig. 3 of the paper | here |",
-            "| --- | --- |",
-            f"| shallow layers have a higher credibility | {_decrease(profiles)} |",
-            f"| higher pressure increases it | {_increase(profiles, by='pressure')} |",
-            f"| softer objects have a higher credibility | {_increase(profiles, by='softness')} |",
-            "",
-            "![Credibility by depth, pressure and stiffness](fig3.png)",
-        )
-    )
-
-
-def _decrease(profiles: Mapping[tuple[float, float], np.ndarray]) -> str:
     decreasing = sum(bool((np.diff(values) < 0).all()) for values in profiles.values())
     drops = [values[0] / values[-1] for values in profiles.values()]
-    return (
-        f"in {decreasing} of {len(profiles)} cubes it decreases from each layer to the next;"
-        f" the top layer has {min(drops):.0f} to {max(drops):.0f} times the value of the lowest"
+    by_pressure = [
+        profiles[e, high] / profiles[e, low]
+        for e in YOUNGS_MPA
+        for low, high in pairwise(PRESSURES_MPA)
+    ]
+    by_softness = [
+        profiles[soft, p] / profiles[stiff, p]
+        for soft, stiff in pairwise(YOUNGS_MPA)
+        for p in PRESSURES_MPA
+    ]
+    text = (
+        "| Fig. 3 of the paper | here |\n| --- | --- |\n"
+        "| shallow layers have a higher credibility |"
+        f" in {decreasing} of {len(profiles)} cubes it decreases from each layer to the next;"
+        f" the top layer has {min(drops):.0f} to {max(drops):.0f} times the value of the lowest |\n"
+        f"| higher pressure increases it | {_summary(by_pressure)} |\n"
+        f"| softer objects have a higher credibility | {_summary(by_softness)} |"
     )
+    figure = depth_figure(groups, middle.mesh, values, slices_of=curve)
+    return Exhibit([text], table, figure, "Credibility by depth, pressure and stiffness")
 
 
-def _increase(profiles: Mapping[tuple[float, float], np.ndarray], *, by: str) -> str:
+def _summary(ratios: list[np.ndarray]) -> str:
     """Return a summary of the ratios of neighbouring profiles in every layer."""
-    ratios = []
-    for e, p in profiles:
-        if by == "pressure" and p != PRESSURES_MPA[-1]:
-            larger = (e, PRESSURES_MPA[PRESSURES_MPA.index(p) + 1])
-        elif by == "softness" and e != YOUNGS_MPA[0]:
-            larger = (YOUNGS_MPA[YOUNGS_MPA.index(e) - 1], p)
-        else:
-            continue
-        ratios.append(profiles[larger] / profiles[e, p])
     layers = np.concatenate(ratios)
     return (
         f"in {np.mean(layers > 1):.0%} of the layers each step increases it, by a factor of"

@@ -10,84 +10,63 @@ The paper defines neither the presses nor the noise, nor the reference of its re
 `of the side` and `of the depth` are given.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
+from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tactorch.findings import find_lumps
-from tactorch.inverse import Settings, homogeneous, invert
+from tactorch.inverse import homogeneous
 from tactorch.phantoms import make_phantom
-from tactorch.reproduce.cases import Case, CaseResult
-from tactorch.reproduce.objects import MATERIAL, mesh_arrays
-from tactorch.reproduce.paper import paper
-from tactorch.reproduce.table import Table
-from tactorch.simulation import PressPlan, simulate
-from tactorch.viz.paper import plot_boxes
+from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
+from tactorch.reproduce.paper import invert_blindly, paper, press_finely
+from tactorch.simulation import PressPlan
+from tactorch.viz.paper import boxes_figure
 
 DEPTHS_MM = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
 SIDE_MM, RADIUS_MM = 10.0, 2.0
 
 
-def cases(options: Mapping[str, Any]) -> list[Case]:
+def cases(options: CaseSettings) -> dict[str, CaseSettings]:
     """Return one case per object."""
     shared = {k: v for k, v in options.items() if k not in ("places", "seed")}
-    return [
-        Case("depths", f"{depth:g}mm-{place:02d}", {**shared, **_object(depth, place, options)})
+    return {
+        _name(depth, place): {**shared, **_object(depth, place, options)}
         for depth in DEPTHS_MM
         for place in range(options["places"])
-    ]
-
-
-def _object(depth: float, place: int, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the position of the ball, which does not depend on the size of the study."""
-    rng = np.random.default_rng([options["seed"], int(depth), place])
-    margin = 0.5 - RADIUS_MM / SIDE_MM
-    return {
-        "depth_mm": depth,
-        "offset": [float(x) for x in rng.uniform(-margin, margin, 2)],
-        "noise_seed": int(rng.integers(2**31)),
     }
 
 
-def run_case(case: Case, scratch: Path) -> CaseResult:
+def _name(depth: float, place: int) -> str:
+    return f"{depth:g}mm-{place:02d}"
+
+
+def _object(depth: float, place: int, options: CaseSettings) -> CaseSettings:
+    """Return the position of the ball, which does not depend on the size of the study."""
+    rng = np.random.default_rng([options["seed"], int(depth), place])
+    margin = 0.5 - RADIUS_MM / SIDE_MM
+    offset = [float(x) for x in rng.uniform(-margin, margin, 2)]
+    return {"depth_mm": depth, "offset": offset, "noise_seed": int(rng.integers(2**31))}
+
+
+def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     """Simulate and invert presses, and detect the ball."""
-    settings = case.settings
-    phantom = make_phantom(
-        "depth_cube", depth=settings["depth_mm"] / SIDE_MM, offset=tuple(settings["offset"])
-    )
-    edge = settings["relative_edge_length"]
-    recording = simulate(
-        phantom,
-        PressPlan(
-            p_max_mpa=settings["p_max_mpa"],
-            steps=settings["steps"],
-            faces=settings["faces"],
-            support=settings["support"],
-        ),
-        material=MATERIAL,
-        mesh=phantom.mesh(relative_edge_length=edge),
-        fine_mesh=phantom.mesh(relative_edge_length=edge / 2),
-        snr_db=settings["snr_db"],
-        seed=settings["noise_seed"],
-    )
-    blind = replace(recording, truth=None)
-    reconstruction = invert(blind, Settings(), start_mpa=homogeneous, show_progress=False)
+    depth, offset = settings["depth_mm"] / SIDE_MM, tuple(settings["offset"])
+    phantom = make_phantom("depth_cube", depth=depth, offset=offset)
+    edge, snr_db = settings["relative_edge_length"], settings["snr_db"]
+    plan = PressPlan(**{key: settings[key] for key in ("p_max_mpa", "steps", "faces", "support")})
+    recording = press_finely(phantom, plan, edge, snr_db=snr_db, seed=settings["noise_seed"])
+    reconstruction = invert_blindly(recording, start=homogeneous)
     lumps = find_lumps(recording.mesh, reconstruction.youngs, max_lumps=1, side="stiff")
     (ball, _), *_ = phantom.inclusions
     true = np.array(ball.bounds()).mean(axis=0)
-    center = lumps[0].center_mm if lumps else None
-    return CaseResult(
-        {
-            "depth_mm": None if center is None else float(SIDE_MM - center[2]),
-            "off_mm": None if center is None else float(np.linalg.norm(center - true)),
-            "radius_mm": lumps[0].equivalent_radius_mm if lumps else None,
-            "seconds": reconstruction.seconds,
-        },
-        mesh_arrays(recording.mesh, youngs=reconstruction.youngs, center=true),
-    )
+    detected: dict[str, float | None] = {"depth_mm": None, "off_mm": None, "radius_mm": None}
+    for lump in lumps:
+        detected["depth_mm"] = float(SIDE_MM - lump.center_mm[2])
+        detected["off_mm"] = float(np.linalg.norm(lump.center_mm - true))
+        detected["radius_mm"] = lump.equivalent_radius_mm
+    figures = {**detected, "seconds": reconstruction.seconds}
+    return CaseResult.on_mesh(recording.mesh, figures, youngs=reconstruction.youngs, center=true)
 
 
 def classify_depth(depth_mm: float) -> float:
@@ -95,64 +74,44 @@ def classify_depth(depth_mm: float) -> float:
     return min(DEPTHS_MM, key=lambda known: abs(known - depth_mm))
 
 
-def fig10(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 10, estimated against true depths, and compare accuracy and error to the paper."""
-    detected = _collect(results, options["places"], out)
-    estimates = {depth: [e for e in one if e is not None] for depth, one in detected.items()}
-    correct = [
-        e is not None and classify_depth(e) == depth for depth, one in detected.items() for e in one
-    ]
-    errors = [(depth, abs(e - depth)) for depth, one in estimates.items() for e in one]
-    depths, error = np.array(errors).reshape(-1, 2).T
-    known = paper()["depth"]
-    summary = Table(["", "paper", "here"], [None, 4, 4])
+def fig10(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 10, estimated against true depths, with accuracy and error of the paper."""
+    objects = Table(
+        {"true depth, mm": 0, "place": None, "estimate, mm": 3, "class, mm": 0,
+         "position error, mm": 3}
+    )  # fmt: skip
+    estimates: dict[float, list[float]] = {}
+    correct = []
+    for depth, place in product(DEPTHS_MM, range(options["places"])):
+        if (result := results.get(_name(depth, place))) is None:
+            continue
+        estimate = result.figures["depth_mm"]
+        label = None if estimate is None else classify_depth(estimate)
+        objects.add(depth, place, estimate, label, result.figures["off_mm"])
+        estimates.setdefault(depth, []).extend([] if estimate is None else [estimate])
+        correct.append(label == depth)
+    errors = {depth: np.array(values) - depth for depth, values in estimates.items()}
+    error = np.abs(np.concatenate(list(errors.values())))
+    depths = np.concatenate([np.full(len(values), depth) for depth, values in errors.items()])
+    accuracy, known = float(np.mean(correct)), paper()["depth"]
+    summary = Table({"": None, "paper": 4, "here": 4})
     summary.add("objects", None, len(correct))
-    summary.add("accuracy of the depth class, of seven", known["accuracy"], float(np.mean(correct)))
+    summary.add("accuracy of the depth class, of seven", known["accuracy"], accuracy)
     summary.add("mean error relative to the side", known["mean_error"], _mean(error / SIDE_MM))
     summary.add("mean error relative to the depth", known["mean_error"], _mean(error / depths))
     summary.add("no inclusion detected", None, len(correct) - len(error))
-    title = f"accuracy {float(np.mean(correct)):.1%} (paper: {known['accuracy']:.0%})"
-    parts = [summary.markdown(), _by_depth(estimates).markdown()]
-    drawn = {depth: one for depth, one in estimates.items() if one}
-    if drawn:
-        plot_boxes(drawn, out / "fig10.png", reference=title)
-        parts.append("![Estimated against true depths](fig10.png)")
-    return "\n\n".join(parts)
-
-
-def _collect(
-    results: Mapping[str, CaseResult], places: int, out: Path
-) -> dict[float, list[float | None]]:
-    """Return estimates by true depth, mm, with None if not detected; write them to a CSV file."""
-    objects = Table(
-        ["true depth, mm", "place", "estimate, mm", "class, mm", "position error, mm"],
-        [0, None, 3, 0, 3],
-    )
-    detected: dict[float, list[float | None]] = {}
-    for depth in DEPTHS_MM:
-        for place in range(places):
-            result = results.get(f"{depth:g}mm-{place:02d}")
-            if result is None:
-                continue
-            estimate = result.figures["depth_mm"]
-            label = None if estimate is None else classify_depth(estimate)
-            objects.add(depth, place, estimate, label, result.figures["off_mm"])
-            detected.setdefault(depth, []).append(estimate)
-    objects.write_csv(out / "fig10.csv")
-    return detected
-
-
-def _by_depth(estimates: Mapping[float, list[float]]) -> Table:
-    """Return the errors of each true depth."""
-    table = Table(
-        ["true depth, mm", "objects", "mean error, mm", "bias, mm", "largest error, mm"],
-        [0, None, 2, 2, 2],
-    )
-    for depth, values in estimates.items():
-        error = np.array(values) - depth
-        largest = float(np.abs(error).max()) if values else None
-        table.add(depth, len(values), _mean(np.abs(error)), _mean(error), largest)
-    return table
+    by_depth = Table(
+        {"true depth, mm": 0, "objects": None, "mean error, mm": 2, "bias, mm": 2,
+         "largest error, mm": 2}
+    )  # fmt: skip
+    for depth, values in errors.items():
+        largest = float(np.abs(values).max()) if len(values) else None
+        by_depth.add(depth, len(values), _mean(np.abs(values)), _mean(values), largest)
+    drawn = {depth: values for depth, values in estimates.items() if values}
+    title = f"accuracy {accuracy:.1%} (paper: {known['accuracy']:.0%})"
+    figure = boxes_figure(drawn, title=title) if drawn else None
+    text = [summary.markdown(), by_depth.markdown()]
+    return Exhibit(text, objects, figure, "Estimated against true depths")
 
 
 def _mean(values: np.ndarray) -> float | None:

@@ -21,52 +21,41 @@ as in the paper. This is the true modulus outside the inclusion: the protocol of
 to the inversion, in both columns.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactorch.inverse import Settings, invert
-from tactorch.mesh import TetMesh, VoxelGrid
+from tactorch.mesh import VoxelGrid
 from tactorch.metrics import scores
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
-from tactorch.reproduce.cases import Case, CaseResult
-from tactorch.reproduce.objects import MATERIAL, SIDES, START_MPA, mesh_arrays, stored_mesh
-from tactorch.reproduce.paper import paper
-from tactorch.reproduce.table import Table
+from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
+from tactorch.reproduce.paper import MATERIAL, SIDES, invert_blindly, paper, press_finely
 from tactorch.simulation import PressPlan, simulate
-from tactorch.viz.paper import Panel, plot_curves, plot_panels
+from tactorch.viz.paper import Panel, curves_figure, panels_figure
 
 MODELS = {"model1": "cube_shallow_sphere", "model2": "cube_deep_sphere"}
 METRICS = {"s": "normalised_correlation", "ssim": "ssim", "psnr": "psnr", "rmse_mpa": "rmse_mpa"}
-MESHES = ("same", "other")
 _KPA = 1e-3  # MPa
 _LIMITS = (0.2, 1.0)  # colour scale, MPa: the two moduli
-_REFINEMENT = 0.5
-_PRESSURES, _FRAMES = ("p1", "p2", "p3", "p4"), ("t2", "t3", "t5", "t9")
+#: Cells of the panels of Fig. 8.
+_GROUPS = {
+    "maximum pressure": ("p1", "p2", "p3", "p4"),
+    "frames up to 20 kPa": ("t2", "t3", "t5", "t9"),
+}
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One column of Table II.
-
-    Attributes:
-        p_max_kpa: Maximum pressure, kPa.
-        frames: Number of presses on each side, in equal steps.
-        sides: Number of pressed sides.
-        snr_db: Signal-to-noise ratio, dB; None without noise.
-        column: Column of the paper if it differs from the name of the cell; cells that differ in
-            nothing else are one case.
-    """
+    """One column of Table II, with frames in equal steps on each side; equal cells are one case."""
 
     p_max_kpa: float = 20.0
     frames: int = 8
     sides: int = 1
     snr_db: float | None = None
-    column: str | None = field(default=None, compare=False)
 
 
 CELLS = {
@@ -75,9 +64,11 @@ CELLS = {
     **{f"dir{n}": Cell(sides=n) for n in (1, 2, 3)},
     "snr20": Cell(sides=3, snr_db=20.0),
     "snr10": Cell(sides=3, snr_db=10.0),
-    "amp20": Cell(sides=3, snr_db=40.0, column="snr20"),
-    "amp10": Cell(sides=3, snr_db=20.0, column="snr10"),
+    "amp20": Cell(sides=3, snr_db=40.0),
+    "amp10": Cell(sides=3, snr_db=20.0),
 }
+#: Columns of the paper that differ from the name of the cell.
+COLUMNS = {"amp20": "snr20", "amp10": "snr10"}
 
 
 def make_plan(cell: Cell) -> PressPlan:
@@ -91,31 +82,22 @@ def simulate_cell(
 ) -> Recording:
     """Simulate the presses of one cell."""
     phantom = make_phantom(MODELS[model])
-    fine = _REFINEMENT * relative_edge_length
-    return simulate(
-        phantom,
-        make_plan(cell),
-        material=MATERIAL,
-        mesh=phantom.mesh(relative_edge_length=relative_edge_length),
-        fine_mesh=None if same_mesh else phantom.mesh(relative_edge_length=fine),
-        samples=1 if same_mesh else 4,
-        snr_db=cell.snr_db,
-        seed=0,
-    )
+    options: dict[str, Any] = {"snr_db": cell.snr_db, "seed": 0}
+    if not same_mesh:
+        return press_finely(phantom, make_plan(cell), relative_edge_length, samples=4, **options)
+    mesh = phantom.mesh(relative_edge_length=relative_edge_length)
+    return simulate(phantom, make_plan(cell), material=MATERIAL, mesh=mesh, **options)
 
 
-def cases(options: Mapping[str, Any]) -> list[Case]:
+def cases(options: CaseSettings) -> dict[str, CaseSettings]:
     """Return one case per model, mesh and distinct cell."""
-    named: dict[str, Case] = {}
-    for model in MODELS:
-        for mesh in options["meshes"]:
-            for cell in CELLS.values():
-                name = _case_name(model, mesh, cell)
-                settings = {k: v for k, v in asdict(cell).items() if k != "column"}
-                shared = {"relative_edge_length": options["relative_edge_length"]}
-                values = {"model": model, "mesh": mesh, **settings, **shared}
-                named[name] = Case("design", name, values)
-    return list(named.values())
+    edge = {"relative_edge_length": options["relative_edge_length"]}
+    return {
+        _case_name(model, mesh, cell): {"model": model, "mesh": mesh, **asdict(cell), **edge}
+        for model in MODELS
+        for mesh in options["meshes"]
+        for cell in CELLS.values()
+    }
 
 
 def _case_name(model: str, mesh: str, cell: Cell) -> str:
@@ -123,137 +105,100 @@ def _case_name(model: str, mesh: str, cell: Cell) -> str:
     return f"{model}-{mesh}-{cell.p_max_kpa:g}kpa-{cell.frames}frames-{cell.sides}sides{noise}"
 
 
-def run_case(case: Case, scratch: Path) -> CaseResult:
+def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     """Simulate and invert one cell."""
-    settings = dict(case.settings)
-    model, mesh = settings.pop("model"), settings.pop("mesh")
-    edge = settings.pop("relative_edge_length")
+    cell = dict(settings)
+    model, mesh = cell.pop("model"), cell.pop("mesh")
+    edge = cell.pop("relative_edge_length")
     recording = simulate_cell(
-        model, Cell(**settings), same_mesh=mesh == "same", relative_edge_length=edge
+        model, Cell(**cell), same_mesh=mesh == "same", relative_edge_length=edge
     )
     truth = recording.truth
     assert truth is not None
-    blind = replace(recording, truth=None)
-    reconstruction = invert(blind, Settings(), start_mpa=START_MPA, show_progress=False)
-    return CaseResult(
-        {
-            "scores": scores(recording.mesh, reconstruction.youngs, truth),
-            "seconds": reconstruction.seconds,
-            "iterations": reconstruction.iterations,
-            "elements": recording.mesh.n_tets,
-        },
-        mesh_arrays(recording.mesh, truth=truth, youngs=reconstruction.youngs),
-    )
+    reconstruction = invert_blindly(recording)
+    figures = {
+        "scores": scores(recording.mesh, reconstruction.youngs, truth),
+        "seconds": reconstruction.seconds,
+        "iterations": reconstruction.iterations,
+        "elements": recording.mesh.n_tets,
+    }
+    return CaseResult.on_mesh(recording.mesh, figures, truth=truth, youngs=reconstruction.youngs)
 
 
-def table2(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Write Table II: four metrics of each cell and of the paper."""
-    shown = ["s", "SSIM", "PSNR, dB", "RMSE, MPa"]
-    heads = [f"{name}: {who}" for name in shown for who in ("paper", *options["meshes"])]
-    count = 1 + len(options["meshes"])
-    digits = [2 if metric == "psnr" else 4 for metric in METRICS for _ in range(count)]
-    position_head = f"position error, mm: {options['meshes'][0]}"
-    table = Table(["model", "cell", *heads, position_head], [None, None, *digits, 2])
+def table2(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Table II: four metrics of each cell and of the paper."""
+    meshes, known = options["meshes"], paper()["table2"]
+    columns: dict[str, int | None] = {"model": None, "cell": None}
+    for name, digits in {"s": 4, "SSIM": 4, "PSNR, dB": 2, "RMSE, MPa": 4}.items():
+        columns |= {f"{name}: {source}": digits for source in ("paper", *meshes)}
+    table = Table({**columns, f"position error, mm: {meshes[0]}": 2})
     better = total = 0
-    for model in MODELS:
-        for name, cell in CELLS.items():
-            by_mesh = _results_by_mesh(results, options, model, cell)
-            values: list[Any] = []
-            for metric, key in METRICS.items():
-                values.append(_paper_value(model, cell.column or name, metric))
-                values += [None if o is None else o.figures["scores"][key] for o in by_mesh]
-            first = by_mesh[0]
-            position = None if first is None else first.figures["scores"]["position_error_mm"]
-            table.add(model, name, *values, position)
-            if first is not None:
-                total += 1
-                better += int(first.figures["scores"]["ssim"] > values[len(by_mesh) + 1])
-    table.write_csv(out / "table2.csv")
-    first_mesh = options["meshes"][0]
-    return (
-        f"{table.markdown()}\n\nSSIM ({first_mesh} mesh) above that of the paper in {better} of"
-        f" {total} cells; amp20 and amp10 are compared to snr20 and snr10 of the paper again."
+    for model, (name, cell) in product(MODELS, CELLS.items()):
+        by_mesh = [results.get(_case_name(model, mesh, cell)) for mesh in meshes]
+        scored = [None if result is None else result.figures["scores"] for result in by_mesh]
+        column = known["columns"].index(COLUMNS.get(name, name))
+        values: list[Any] = []
+        for metric, key in METRICS.items():
+            values.append(float(known[model][metric][column]))
+            values += [None if part is None else part[key] for part in scored]
+        first = scored[0]
+        table.add(model, name, *values, None if first is None else first["position_error_mm"])
+        if first is not None:
+            total += 1
+            better += int(first["ssim"] > known[model]["ssim"][column])
+    text = (
+        f"SSIM ({meshes[0]} mesh) above that of the paper in {better} of {total} cells; amp20 and"
+        " amp10 are compared to snr20 and snr10 of the paper again."
     )
+    return Exhibit([table.markdown(), text], table)
 
 
-def _paper_value(model: str, column: str, metric: str) -> float:
-    table = paper()["table2"]
-    return float(table[model][metric][table["columns"].index(column)])
-
-
-def _results_by_mesh(
-    results: Mapping[str, CaseResult], options: Mapping[str, Any], model: str, cell: Cell
-) -> list[CaseResult | None]:
-    return [results.get(_case_name(model, mesh, cell)) for mesh in options["meshes"]]
-
-
-def fig7(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 7: maps of all cells, starting with the truth."""
-    rows: list[list[Panel]] = []
+def fig7(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 7: maps of all cells, starting with the truth."""
+    mesh, rows = options["meshes"][0], []
     for model in MODELS:
         line: list[Panel] = []
         for name, cell in CELLS.items():
-            result = _results_by_mesh(results, options, model, cell)[0]
-            if result is None or cell.column is not None:
+            result = results.get(_case_name(model, mesh, cell))
+            if result is None or name in COLUMNS:
                 continue
-            mesh = stored_mesh(result.arrays)
+            arrays = result.arrays
             if not line:
-                line.append(Panel(mesh, result.arrays["truth"], _LIMITS, title="truth"))
+                line.append(Panel(result.mesh, arrays["truth"], _LIMITS, title="truth"))
             caption = f"SSIM {result.figures['scores']['ssim']:.2f}"
-            youngs = result.arrays["youngs"]
-            line.append(Panel(mesh, youngs, _LIMITS, title=name, caption=caption))
+            line.append(Panel(result.mesh, arrays["youngs"], _LIMITS, title=name, caption=caption))
         rows.append(line)
-    plot_panels(rows, list(MODELS), out / "fig7.png")
-    return f"![Maps of all cells, {options['meshes'][0]} mesh, middle slices across y](fig7.png)"
+    caption = f"Maps of all cells, {mesh} mesh, middle slices across y"
+    return Exhibit([], None, panels_figure(rows, list(MODELS)), caption)
 
 
-def fig8(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 8: similarity of each layer by depth, for pressures (top) and frames (bottom)."""
+def fig8(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 8: similarity of each layer by depth, for pressures (top), frames (bottom)."""
     panels: dict[str, dict[str, np.ndarray]] = {}
-    groups = {"maximum pressure": _PRESSURES, "frames up to 20 kPa": _FRAMES}
-    table = Table(["model", "cell", *(f"layer {i + 1}" for i in range(options["layers"]))])
-    for group, names in groups.items():
-        for model in MODELS:
-            curves = {}
-            for name in names:
-                result = _results_by_mesh(results, options, model, CELLS[name])[0]
-                if result is not None:
-                    cell = CELLS[name]
-                    label = (
-                        f"{cell.p_max_kpa:g} kPa"
-                        if name[0] == "p"
-                        else f"{cell.frames} frame{'s' if cell.frames > 1 else ''}"
-                    )
-                    curves[label] = _layers(result, options["layers"])
-                    table.add(model, name, *curves[label].tolist())
-            panels[f"{model}: {group}"] = curves
-    table.write_csv(out / "fig8.csv")
-    plot_curves(
-        panels,
-        out / "fig8.png",
-        columns=2,
-        across="depth (fraction of the height)",
-        up="SSIM of the layer",
-    )
-    return "![Similarity to the truth by layer](fig8.png)"
+    layers = {f"layer {i + 1}": None for i in range(options["layers"])}
+    table = Table({"model": None, "cell": None, **layers})
+    for group, model in product(_GROUPS, MODELS):
+        curves = panels[f"{model}: {group}"] = {}
+        for name in _GROUPS[group]:
+            cell = CELLS[name]
+            result = results.get(_case_name(model, options["meshes"][0], cell))
+            if result is not None:
+                frames = f"{cell.frames} frame{'s' if cell.frames > 1 else ''}"
+                values = _layers(result, options["layers"])
+                curves[f"{cell.p_max_kpa:g} kPa" if name[0] == "p" else frames] = values
+                table.add(model, name, *values.tolist())
+    figure = curves_figure(panels, columns=2, ylabel="SSIM of the layer")
+    return Exhibit([], table, figure, "Similarity to the truth by layer")
 
 
 def _layers(result: CaseResult, count: int, voxels: int = 24) -> np.ndarray:
     """Return the 3-D SSIM averaged over each layer, the top one first."""
-    mesh = stored_mesh(result.arrays)
-    local = _similarity(mesh, result.arrays["youngs"], result.arrays["truth"], voxels)
-    return np.array([part.mean() for part in np.array_split(local[:, :, ::-1], count, axis=2)])
-
-
-def _similarity(
-    mesh: TetMesh, youngs: np.ndarray, truth: np.ndarray, voxels: int, window: int = 7
-) -> np.ndarray:
     from skimage.metrics import structural_similarity
 
-    grid = VoxelGrid(mesh, voxels)
-    pair: Sequence[np.ndarray] = (grid.fill(youngs), grid.fill(truth))
-    _, local = structural_similarity(*pair, win_size=window, data_range=1.0, full=True)
-    return local
+    grid = VoxelGrid(result.mesh, voxels)
+    youngs, truth = grid.fill(result.arrays["youngs"]), grid.fill(result.arrays["truth"])
+    _, local = structural_similarity(youngs, truth, win_size=7, data_range=1.0, full=True)
+    return np.array([part.mean() for part in np.array_split(local[:, :, ::-1], count, axis=2)])
 
 
 EXHIBITS = {"table2": table2, "fig7": fig7, "fig8": fig8}

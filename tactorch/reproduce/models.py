@@ -8,22 +8,30 @@ inclusion. This package uses the default settings with the stated accuracy of th
 exact data.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+import json
+import time
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tactorch.inverse import TNC, NoiseModel, NoPrior, Scaled, Settings
-from tactorch.metrics import scores
+from tactorch.inverse import (
+    TNC,
+    InverseProblem,
+    NoiseModel,
+    NoPrior,
+    Reconstruction,
+    Scaled,
+    Settings,
+    StopReason,
+    invert,
+)
+from tactorch.metrics import scores, ssim
 from tactorch.recording import Recording
-from tactorch.reproduce.cases import Case, CaseResult
-from tactorch.reproduce.objects import mesh_arrays, press_object, stored_mesh
-from tactorch.reproduce.paper import row
-from tactorch.reproduce.table import Table
-from tactorch.reproduce.trace import TracedRun, run_with_trace, warm_up
-from tactorch.viz.paper import Panel, plot_panels
+from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
+from tactorch.reproduce.paper import START_MPA, press_object, row
+from tactorch.viz.paper import Panel, panels_figure
 
 MODELS = {
     "4a": "cube_two_tiers",
@@ -37,25 +45,130 @@ MODELS = {
     "5b": "cube_layers",
     "5c": "hemisphere_random",
 }
-SCORES = {"s": "normalised_correlation", "SSIM": "ssim", "PSNR": "psnr", "RMSE": "rmse_mpa"}
+_SCORES = ("normalised_correlation", "ssim", "psnr", "rmse_mpa", "position_error_mm")
 COUNTS = (100, 500, 2500)
-_METHODS = ("ours", "tnc")
 _UNLIMITED = 10**6
+_MIN_EVALUATIONS = 0.98  # fraction of a number of evaluations that counts as reached
 
 
-def cases(options: Mapping[str, Any]) -> list[Case]:
+class TracePoint(NamedTuple):
+    """State of an inversion after an iteration, and the time of scoring up to it, s.
+
+    Evaluations are solves of all presses, called iterations of TNC in the paper. The other time is
+    that since the start without scoring; the similarity is that to the truth.
+    """
+
+    evaluations: int
+    seconds: float
+    ssim: float
+    scoring: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TracedRun:
+    """Result of an inversion with the states of all its iterations."""
+
+    result: Reconstruction
+    trace: list[TracePoint]
+
+    @property
+    def seconds(self) -> float:
+        """Total time, s."""
+        return self.trace[-1].seconds
+
+    @property
+    def limited(self) -> bool:
+        """Whether a limit of time or of evaluations stopped the inversion."""
+        limits = StopReason.EVALUATION_LIMIT, StopReason.ITERATION_LIMIT, StopReason.TIME_LIMIT
+        return self.result.stop_reason in limits
+
+    def ssim_after(self, evaluations: int) -> float | None:
+        """Return the similarity after a number of evaluations; None if a limit stopped it before.
+
+        An iteration takes several evaluations, so that a limit is reached before its exact number.
+        """
+        points = [point for point in self.trace if point.evaluations <= evaluations]
+        short = self.trace[-1].evaluations < _MIN_EVALUATIONS * evaluations
+        return None if not points or (short and self.limited) else points[-1].ssim
+
+    def first_at(self, level: float) -> TracePoint | None:
+        """Return the first state with at least this similarity, or None."""
+        return next((point for point in self.trace if point.ssim >= level), None)
+
+
+def warm_up(recording: Recording) -> None:
+    """Compile and load the code of the first solve, before time is measured."""
+    problem = InverseProblem(replace(recording, truth=None))
+    evaluation = problem.evaluate(np.full(recording.mesh.n_tets, START_MPA))
+    evaluation.gradient()
+    evaluation.jacobian()
+
+
+def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> TracedRun:
+    """Invert from the start of the paper and score the map of each iteration.
+
+    The recording is inverted without its truth. A killed call continues from its checkpoint and
+    its trace, which are in the folder `scratch`.
+    """
+    truth = recording.truth
+    assert truth is not None
+    scratch.mkdir(parents=True, exist_ok=True)
+    checkpoint, file = scratch / "checkpoint.h5", scratch / "trace.jsonl"
+    resumed = checkpoint.is_file() and file.is_file()
+    trace = _read_trace(file) if resumed else []
+    file.write_text("".join(map(_line, trace)))
+
+    def add_point(record: dict[str, Any], youngs: np.ndarray) -> None:
+        start = time.perf_counter()
+        scoring = trace[-1].scoring if trace else 0.0
+        similarity = ssim(recording.mesh, youngs, truth)
+        seconds = record["seconds"] - scoring
+        scoring += time.perf_counter() - start
+        trace.append(TracePoint(record["evaluations"], seconds, similarity, scoring))
+        with open(file, "a") as stream:
+            stream.write(_line(trace[-1]))
+
+    result = invert(
+        replace(recording, truth=None),
+        settings,
+        start_mpa=START_MPA,
+        checkpoint=checkpoint,
+        resume=checkpoint if resumed else None,
+        show_progress=False,
+        on_iteration=add_point,
+    )
+    return TracedRun(result, trace)
+
+
+def _line(point: TracePoint) -> str:
+    return json.dumps(point._asdict()) + "\n"
+
+
+def _read_trace(file: Path) -> list[TracePoint]:
+    """Return the states of an earlier call up to the first truncated line."""
+    trace = []
+    for line in file.read_text().splitlines():
+        try:
+            trace.append(TracePoint(**json.loads(line)))
+        except ValueError:
+            break
+    return trace
+
+
+def cases(options: CaseSettings) -> dict[str, CaseSettings]:
     """Return one case per model."""
     shared = {k: v for k, v in options.items() if k != "names"}
-    return [
-        Case("models", name, {"phantom": MODELS[name], "model": name, **shared})
-        for name in options["names"]
-    ]
+    return {name: {"phantom": MODELS[name], "model": name, **shared} for name in options["names"]}
 
 
-def run_case(case: Case, scratch: Path) -> CaseResult:
+def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     """Simulate presses on a model and invert them by both methods."""
-    settings = case.settings
-    recording = _recording(settings, scratch)
+    path = scratch / "recording.h5"
+    if path.is_file():  # of a case that was interrupted
+        recording = Recording.load(path, check_units=False)
+    else:
+        recording = press_object(settings)
+        recording.save(path)
     warm_up(recording)
     default = Settings(model_error="none", noise=NoiseModel(relative=settings["noise_relative"]))
     ours = run_with_trace(recording, default, scratch / "ours")
@@ -63,19 +176,18 @@ def run_case(case: Case, scratch: Path) -> CaseResult:
     tnc = _truncated_newton(recording, settings, target, ours, scratch / "tnc")
     truth = recording.truth
     assert truth is not None
-    return CaseResult(
-        {
-            "elements": recording.mesh.n_tets,
-            "presses": len(recording.presses),
-            "ours": _figures(ours, target, recording, truth),
-            "tnc": _figures(tnc, target, recording, truth),
-        },
-        mesh_arrays(recording.mesh, truth=truth, ours=ours.result.youngs, tnc=tnc.result.youngs),
-    )
+    figures = {
+        "elements": recording.mesh.n_tets,
+        "presses": len(recording.presses),
+        "ours": _figures(ours, target, recording, truth),
+        "tnc": _figures(tnc, target, recording, truth),
+    }
+    maps = {"truth": truth, "ours": ours.result.youngs, "tnc": tnc.result.youngs}
+    return CaseResult.on_mesh(recording.mesh, figures, **maps)
 
 
 def _truncated_newton(
-    recording: Recording, settings: Mapping[str, Any], target: float, ours: TracedRun, scratch: Path
+    recording: Recording, settings: CaseSettings, target: float, ours: TracedRun, scratch: Path
 ) -> TracedRun:
     """Run the method of the paper for its number of solves, and longer if it is slower."""
     paper = Settings(
@@ -96,16 +208,6 @@ def _truncated_newton(
     return run_with_trace(recording, continued, scratch)
 
 
-def _recording(settings: Mapping[str, Any], scratch: Path) -> Recording:
-    """Return the presses; a continued case uses the stored ones."""
-    path = scratch / "recording.h5"
-    if path.is_file():
-        return Recording.load(path, check_units=False)
-    recording = press_object(settings)
-    recording.save(path)
-    return recording
-
-
 def _figures(
     run: TracedRun, target: float, recording: Recording, truth: np.ndarray
 ) -> dict[str, Any]:
@@ -123,91 +225,74 @@ def _figures(
     }
 
 
-def table1(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Write Table I: the paper, its method here, and this package."""
-    heads = ["s / iteration: paper", "s / iteration: TNC"]
-    for count in COUNTS:
-        heads += [f"SSIM at {count}: paper", f"SSIM at {count}: TNC"]
-    heads += ["s to the paper's SSIM: TNC", "s to the paper's SSIM: ours", "ratio"]
-    heads += ["SSIM at the end: ours", "s to the end: ours"]
-    table = Table(
-        ["model", "elements: paper", "elements: here", *heads],
-        [None, None, None, 2, 3, *[4] * 6, 1, 2, 0, 4, 1],
-    )
+def table1(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Table I: the paper, its method here, and this package."""
+    columns: dict[str, int | None] = {"model": None, "elements: paper": None}
+    columns |= {"elements: here": None, "s / iteration: paper": 2, "s / iteration: TNC": 3}
+    columns |= {f"SSIM at {count}: {method}": 4 for count in COUNTS for method in ("paper", "TNC")}
+    columns |= {"s to the paper's SSIM: TNC": 1, "s to the paper's SSIM: ours": 2, "ratio": 0}
+    table = Table({**columns, "SSIM at the end: ours": 4, "s to the end: ours": 1})
+    ratios, bounds, never = [], [], []
     for name, result in results.items():
-        table.add(*_row(name, result.figures))
-    table.write_csv(out / "table1.csv")
-    ratios = [r for r in (_ratio(o.figures)[0] for o in results.values()) if r is not None]
-    lines = [table.markdown(), ""]
+        figures, known = result.figures, row("table1", name)
+        tnc, ours = figures["tnc"], figures["ours"]
+        reached, cells = tnc["to_target"], []
+        for count in COUNTS:
+            cells += [known[f"ssim_{count}"], tnc["after"][str(count)]]
+        ratio = None
+        if ours["to_target"] is None:
+            never.append(name)
+        else:
+            ratios.append((tnc["seconds"] if reached is None else reached) / ours["to_target"])
+            ratio = f"{'> ' if reached is None else ''}{ratios[-1]:.0f}"
+            bounds += [name] if reached is None else []
+        table.add(
+            name, known["elements"], figures["elements"],
+            known["seconds_per_iteration"], tnc["seconds_per_evaluation"], *cells,
+            f"> {tnc['seconds']:.1f}" if reached is None else reached, ours["to_target"], ratio,
+            ours["scores"]["ssim"], ours["seconds"],
+        )  # fmt: skip
+    lines = []
     if ratios:
         lines.append(f"Smallest ratio: {min(ratios):.0f}.")
-    bounds = [name for name, o in results.items() if _ratio(o.figures)[1]]
     if bounds:
         lines.append(
             f"In {', '.join(bounds)} TNC did not reach the SSIM of the paper within its time;"
             " its total time is used instead, so that the ratio is a lower bound."
         )
-    never = [name for name, o in results.items() if o.figures["ours"]["to_target"] is None]
     if never:
         lines.append(f"In {', '.join(never)} this package did not reach the SSIM of the paper.")
-    return "\n".join(lines)
+    return Exhibit([table.markdown(), "\n".join(lines)], table)
 
 
-def _row(name: str, figures: Mapping[str, Any]) -> list[Any]:
-    paper, tnc, ours = row("table1", name), figures["tnc"], figures["ours"]
-    cells: list[Any] = [name, paper["elements"], figures["elements"]]
-    cells += [paper["seconds_per_iteration"], tnc["seconds_per_evaluation"]]
-    for count in COUNTS:
-        cells += [paper[f"ssim_{count}"], tnc["after"][str(count)]]
-    reached = tnc["to_target"]
-    cells += [reached if reached is not None else f"> {tnc['seconds']:.1f}", ours["to_target"]]
-    ratio, bound = _ratio(figures)
-    shown = None if ratio is None else f"{'> ' if bound else ''}{ratio:.0f}"
-    return [*cells, shown, ours["scores"]["ssim"], ours["seconds"]]
+def fig4(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 4, objects of two materials: truth (top) and both methods."""
+    return _maps({name: result for name, result in results.items() if name[0] == "4"})
 
 
-def _ratio(figures: Mapping[str, Any]) -> tuple[float | None, bool]:
-    """Return the ratio of the times to the target, and whether it is a lower bound."""
-    tnc, ours = figures["tnc"], figures["ours"]
-    if ours["to_target"] is None:
-        return None, False
-    reached = tnc["to_target"]
-    slower = tnc["seconds"] if reached is None else reached
-    return slower / ours["to_target"], reached is None
+def fig5(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 5: heterogeneous objects."""
+    return _maps({name: result for name, result in results.items() if name[0] == "5"})
 
 
-def fig4(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 4, objects of two materials: truth (top) and both methods."""
-    return _maps("fig4", [name for name in results if name[0] == "4"], results, out)
-
-
-def fig5(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 5: heterogeneous objects."""
-    return _maps("fig5", [name for name in results if name[0] == "5"], results, out)
-
-
-def _maps(exhibit: str, names: Sequence[str], results: Mapping[str, CaseResult], out: Path) -> str:
-    table = Table(["model", "method", *SCORES, "position error, mm"], [None, None, 4, 4, 2, 4, 2])
-    rows: list[list[Panel]] = [[], [], []]
-    truths = np.concatenate([results[name].arrays["truth"] for name in names] or [np.ones(1)])
+def _maps(results: Results) -> Exhibit:
+    table = Table(
+        {"model": None, "method": None, "s": 4, "SSIM": 4, "PSNR": 2, "RMSE": 4,
+         "position error, mm": 2}
+    )  # fmt: skip
+    truths = np.concatenate([result.arrays["truth"] for result in results.values()] or [np.ones(1)])
     limits = (float(truths.min()), float(truths.max()))
-    for name in names:
-        result = results[name]
-        mesh, arrays = stored_mesh(result.arrays), result.arrays
-        for method in _METHODS:
+    rows: dict[str, list[Panel]] = {"truth": [], "ours": [], "TNC": []}
+    for name, result in results.items():
+        mesh, arrays = result.mesh, result.arrays
+        rows["truth"].append(Panel(mesh, arrays["truth"], limits, title=f"({name[1]})"))
+        for label, method in (("ours", "ours"), ("TNC", "tnc")):
             scored = result.figures[method]["scores"]
-            values = [scored[key] for key in SCORES.values()]
-            table.add(
-                name, "ours" if method == "ours" else "TNC", *values, scored["position_error_mm"]
-            )
-        rows[0].append(Panel(mesh, arrays["truth"], limits, title=f"({name[1]})"))
-        for line, method in zip(rows[1:], _METHODS, strict=True):
-            similarity = result.figures[method]["scores"]["ssim"]
-            line.append(Panel(mesh, arrays[method], limits, caption=f"SSIM {similarity:.3f}"))
-    table.write_csv(out / f"{exhibit}.csv")
-    if names:
-        plot_panels(rows, ["truth", "ours", "TNC"], out / f"{exhibit}.png")
-    return f"{table.markdown()}\n\n![Truth, this package and TNC, middle slices]({exhibit}.png)"
+            table.add(name, label, *(scored[key] for key in _SCORES))
+            caption = f"SSIM {scored['ssim']:.3f}"
+            rows[label].append(Panel(mesh, arrays[method], limits, caption=caption))
+    figure = panels_figure(list(rows.values()), list(rows)) if results else None
+    return Exhibit([table.markdown()], table, figure, "Truth, this package and TNC, middle slices")
 
 
 EXHIBITS = {"table1": table1, "fig4": fig4, "fig5": fig5}

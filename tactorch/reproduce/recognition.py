@@ -9,52 +9,39 @@ reproduce it.
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tactorch.errors import TactorchError
 from tactorch.metrics import ssim
 from tactorch.phantoms import make_phantom
-from tactorch.reproduce.cases import Case, CaseResult
+from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
 from tactorch.reproduce.models import MODELS
 from tactorch.reproduce.paper import paper
-from tactorch.reproduce.table import Table
-from tactorch.viz.paper import plot_matrices
+from tactorch.viz.paper import matrices_figure
 
 _SHAPES = {"cake": "4a", "torus": "4b", "cone": "4c"}
 _SIMILARITY, _RECOGNIZER = "similarity", "recognizer"
 
 
-def cases(options: Mapping[str, Any]) -> list[Case]:
+def cases(options: CaseSettings) -> dict[str, CaseSettings]:
     """Return two cases: similarity of the truths, and recognizer."""
     edge = options["relative_edge_length"]
-    return [
-        Case("recognition", _SIMILARITY, {"relative_edge_length": edge}),
-        Case("recognition", _RECOGNIZER, options),
-    ]
+    return {_SIMILARITY: {"relative_edge_length": edge}, _RECOGNIZER: options}
 
 
-def run_case(case: Case, scratch: Path) -> CaseResult:
-    """Compare the truths, or train and evaluate the network."""
-    return (
-        _compare_truths(case.settings)
-        if case.name == _SIMILARITY
-        else _train_recognizer(case.settings, scratch)
-    )
-
-
-def _compare_truths(settings: Mapping[str, Any]) -> CaseResult:
+def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
+    """Train and evaluate the network, or compare the truths, for which the mesh suffices."""
+    if "epochs" in settings:
+        return _train_recognizer(settings, scratch)
     phantoms = [make_phantom(MODELS[model]) for model in _SHAPES.values()]
     mesh = phantoms[0].mesh(relative_edge_length=settings["relative_edge_length"])
     truths = [phantom.on_mesh(mesh) for phantom in phantoms]
-    matrix = [[ssim(mesh, one, other) for other in truths] for one in truths]
-    return CaseResult({"matrix": matrix})
+    return CaseResult({"matrix": [[ssim(mesh, a, b) for b in truths] for a in truths]})
 
 
-def _train_recognizer(settings: Mapping[str, Any], scratch: Path) -> CaseResult:
+def _train_recognizer(settings: CaseSettings, scratch: Path) -> CaseResult:
     data, run, scores = (scratch / name for name in ("data", "run", "scores"))
     edge = settings["relative_edge_length"]
     _run_command(
@@ -84,11 +71,6 @@ def _train_recognizer(settings: Mapping[str, Any], scratch: Path) -> CaseResult:
 
 
 def _run_command(*arguments: str) -> None:
-    """Run a command of tactorch.
-
-    Raises:
-        TactorchError: The command failed.
-    """
     process = subprocess.run(
         [sys.executable, "-m", "tactorch", *arguments], capture_output=True, text=True, check=False
     )
@@ -97,10 +79,10 @@ def _run_command(*arguments: str) -> None:
         raise TactorchError(f"tactorch {' '.join(arguments)} failed: {' '.join(reason)}")
 
 
-def fig11(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 11: similarity of the truths, confusion of the network."""
+def fig11(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 11: similarity of the truths, confusion of the network."""
     known, matrices = paper()["recognition"], {}
-    summary = Table(["", "paper", "here"], [None, 3, 3])
+    summary = Table({"": None, "paper": 3, "here": 3})
     if _SIMILARITY in results:
         similarity = np.array(results[_SIMILARITY].figures["matrix"])
         matrices["SSIM of the truths"] = (similarity, tuple(_SHAPES))
@@ -115,9 +97,8 @@ def fig11(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Pa
         summary.add("accuracy of the recognizer", known["accuracy"], recognizer["accuracy"])
         summary.add("its standard deviation over splits", None, recognizer["accuracy_deviation"])
         summary.add("accuracy of people", known["human_accuracy"], None)
-    summary.write_csv(out / "fig11.csv")
-    plot_matrices(matrices, out / "fig11.png")
-    return f"{summary.markdown()}\n\n![Similarity and confusion](fig11.png)"
+    figure = matrices_figure(matrices)
+    return Exhibit([summary.markdown()], summary, figure, "Similarity and confusion")
 
 
 EXHIBITS = {"fig11": fig11}

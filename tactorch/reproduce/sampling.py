@@ -7,9 +7,7 @@ simulation is that of the inversion (inverse crime). The truth determines the pr
 noise level and is used for the scores; maps start at 0.2 MPa.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,36 +15,29 @@ from tactorch.inverse import GaussNewton, Settings
 from tactorch.mesh import TetMesh
 from tactorch.metrics import dice, pearson
 from tactorch.phantoms import make_phantom
-from tactorch.reproduce.cases import Case, CaseResult
-from tactorch.reproduce.objects import (
-    MATERIAL,
-    make_presser,
-    mesh_arrays,
-    sensor_patches,
-    stored_mesh,
-)
-from tactorch.reproduce.table import Table
+from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
+from tactorch.reproduce.paper import MATERIAL, make_presser, sensor_patches
 from tactorch.sampling import ExpectedError, LargestUncertainty, Rule, Step, sample
-from tactorch.viz.paper import Panel, plot_panels
+from tactorch.viz.paper import Panel, panels_figure
 
 OBJECTS = {"hemisphere": "hemisphere_two_spheres", "toy": "toy_two_spheres"}
 RULES = ("paper", "ours")
+_SCORES = ("pearson", "dice", "log_error", "deviation")
 _NOISE = 0.01
 _PANELS = 5  # maps of each object in the figure
 
 
-def cases(options: Mapping[str, Any]) -> list[Case]:
+def cases(options: CaseSettings) -> dict[str, CaseSettings]:
     """Return one case per object and rule."""
-    return [
-        Case("sampling", f"{name}-{rule}", {"phantom": phantom, "rule": rule, **options})
+    return {
+        f"{name}-{rule}": {"phantom": phantom, "rule": rule, **options}
         for name, phantom in OBJECTS.items()
         for rule in RULES
-    ]
+    }
 
 
-def run_case(case: Case, scratch: Path) -> CaseResult:
+def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     """Select presses by a rule and score the map after each."""
-    settings = case.settings
     phantom = make_phantom(settings["phantom"])
     mesh = phantom.mesh(relative_edge_length=settings["relative_edge_length"])
     truth = phantom.on_mesh(mesh)
@@ -66,15 +57,10 @@ def run_case(case: Case, scratch: Path) -> CaseResult:
         Settings(optimizer=GaussNewton(max_iterations=25, tolerance=1e-2), model_error="none"),
         material=MATERIAL,
     )
-    return CaseResult(
-        {"steps": [_score(mesh, step, truth) for step in steps], "background_mpa": background},
-        mesh_arrays(
-            mesh,
-            truth=truth,
-            youngs=np.array([step.youngs for step in steps]),
-            centers=np.array([patches[step.place].center for step in steps]),
-        ),
-    )
+    figures = {"steps": [_score(mesh, s, truth) for s in steps], "background_mpa": background}
+    youngs = np.array([step.youngs for step in steps])
+    centers = np.array([patches[step.place].center for step in steps])
+    return CaseResult.on_mesh(mesh, figures, truth=truth, youngs=youngs, centers=centers)
 
 
 def _score(mesh: TetMesh, step: Step, truth: np.ndarray) -> dict[str, float]:
@@ -87,45 +73,29 @@ def _score(mesh: TetMesh, step: Step, truth: np.ndarray) -> dict[str, float]:
     }
 
 
-def fig12(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 12: maps after increasing numbers of presses, with numbered positions."""
+def fig12(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 12: maps after increasing numbers of presses, with numbered positions."""
     table = Table(
-        ["object", "rule", "presses", "r", "Dice", "error of log E", "stated deviation"],
-        [None, None, None, 3, 3, 3, 3],
-    )
-    rows: list[list[Panel]] = []
-    names: list[str] = []
-    for case in results:
-        result = results[case]
+        {"object": None, "rule": None, "presses": None, "r": 3, "Dice": 3, "error of log E": 3,
+         "stated deviation": 3}
+    )  # fmt: skip
+    rows: dict[str, list[Panel]] = {}
+    for case, result in results.items():
         name, rule = case.split("-")
-        for count, step in enumerate(result.figures["steps"], start=1):
-            values = (step["pearson"], step["dice"], step["log_error"], step["deviation"])
-            table.add(name, rule, count, *values)
-        rows.append(_panels(result))
-        names.append(f"{name}: {rule}")
-    table.write_csv(out / "fig12.csv")
-    plot_panels(rows, names, out / "fig12.png")
-    return f"{table.markdown()}\n\n![Maps after increasing numbers of presses](fig12.png)"
-
-
-def _panels(result: CaseResult) -> list[Panel]:
-    arrays, mesh = result.arrays, stored_mesh(result.arrays)
-    limits = (float(arrays["truth"].min()), float(arrays["truth"].max()))
-    panels = [Panel(mesh, arrays["truth"], limits, title="truth")]
-    total = len(arrays["youngs"])
-    for count in sorted({max(1, round(total * (i + 1) / _PANELS)) for i in range(_PANELS)}):
-        correlation = result.figures["steps"][count - 1]["pearson"]
-        panels.append(
-            Panel(
-                mesh,
-                arrays["youngs"][count - 1],
-                limits,
-                title=f"{count} press{'es' if count > 1 else ''}",
-                caption=f"r {correlation:.2f}",
-                marks_mm=arrays["centers"][:count],
-            )
-        )
-    return panels
+        steps, mesh, arrays = result.figures["steps"], result.mesh, result.arrays
+        for count, step in enumerate(steps, start=1):
+            table.add(name, rule, count, *(step[key] for key in _SCORES))
+        limits = (float(arrays["truth"].min()), float(arrays["truth"].max()))
+        panels = rows[f"{name}: {rule}"] = [Panel(mesh, arrays["truth"], limits, title="truth")]
+        counts = {max(1, round(len(steps) * (i + 1) / _PANELS)) for i in range(_PANELS)}
+        for count in sorted(counts):
+            title = f"{count} press{'es' if count > 1 else ''}"
+            caption = f"r {steps[count - 1]['pearson']:.2f}"
+            marks = arrays["centers"][:count]
+            youngs = arrays["youngs"][count - 1]
+            panels.append(Panel(mesh, youngs, limits, 1, title, caption, marks))
+    figure = panels_figure(list(rows.values()), list(rows))
+    return Exhibit([table.markdown()], table, figure, "Maps after increasing numbers of presses")
 
 
 EXHIBITS = {"fig12": fig12}

@@ -12,22 +12,20 @@ that of the inversion, which then assumes another size. There are three methods:
   the paper does not do.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tactorch.findings import find_lumps
-from tactorch.inverse import NuisancePrior, Settings, invert
+from tactorch.inverse import NuisancePrior, Settings
 from tactorch.metrics import pearson
 from tactorch.phantoms import make_phantom
-from tactorch.reproduce.cases import Case, CaseResult
-from tactorch.reproduce.objects import MATERIAL, SIDES, START_MPA, mesh_arrays, stored_mesh
-from tactorch.reproduce.table import Table
-from tactorch.simulation import PressPlan, perturb_recording, simulate
-from tactorch.viz.paper import Panel, plot_panels
+from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
+from tactorch.reproduce.paper import SIDES, invert_blindly, press_finely
+from tactorch.simulation import PressPlan, perturb_recording
+from tactorch.viz.paper import Panel, panels_figure
 
 SIZES = {
     "80 %": (0.8, 0.8, 0.8),
@@ -43,100 +41,79 @@ _SIZE_DEVIATION = 0.2  # prior standard deviation of an estimated size
 _METHODS = ("positions", "contact", "estimated")
 
 
-def cases(options: Mapping[str, Any]) -> list[Case]:
+def cases(options: CaseSettings) -> dict[str, CaseSettings]:
     """Return one case per size and method."""
-    return [
-        Case("sizes", _name(size, method), {"size": list(factors), "method": method, **options})
+    return {
+        _name(size, method): {"size": list(factors), "method": method, **options}
         for size, factors in SIZES.items()
         for method in _METHODS
-    ]
+    }
 
 
 def _name(size: str, method: str) -> str:
     return f"{size.replace(' ', '').replace('%', '')}-{method}"
 
 
-def run_case(case: Case, scratch: Path) -> CaseResult:
+def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     """Simulate presses and invert them with a wrong size."""
-    settings = case.settings
     phantom = make_phantom("cube_sphere", depth=0.4)
-    edge = settings["relative_edge_length"]
-    exact = simulate(
-        phantom,
-        PressPlan(p_max_mpa=0.02, steps=settings["steps"], faces=SIDES),
-        material=MATERIAL,
-        mesh=phantom.mesh(relative_edge_length=edge),
-        fine_mesh=phantom.mesh(relative_edge_length=edge / 2),
-        snr_db=settings["snr_db"],
-        seed=0,
-    )
+    edge, method = settings["relative_edge_length"], settings["method"]
+    plan = PressPlan(p_max_mpa=0.02, steps=settings["steps"], faces=SIDES)
+    exact = press_finely(phantom, plan, edge, snr_db=settings["snr_db"], seed=0)
     truth = exact.truth
     assert truth is not None
     wrong = perturb_recording(replace(exact, truth=None), size=settings["size"])
-    if settings["method"] == "contact":
+    if method == "contact":
         pairs = zip(wrong.presses, exact.presses, strict=True)
-        wrong = replace(
-            wrong, presses=tuple(replace(w, displacement=r.displacement) for w, r in pairs)
-        )
-    nuisance = (
-        NuisancePrior(rest_scale=_SIZE_DEVIATION)
-        if settings["method"] == "estimated"
-        else NuisancePrior()
-    )
-    reconstruction = invert(
-        wrong, Settings(nuisance=nuisance), start_mpa=START_MPA, show_progress=False
-    )
+        presses = tuple(replace(w, displacement=e.displacement) for w, e in pairs)
+        wrong = replace(wrong, presses=presses)
+    estimated = NuisancePrior(rest_scale=_SIZE_DEVIATION)
+    nuisance = estimated if method == "estimated" else NuisancePrior()
+    reconstruction = invert_blindly(wrong, Settings(nuisance=nuisance))
     lumps = find_lumps(wrong.mesh, reconstruction.youngs, max_lumps=1)
     center = lumps[0].center_mm / settings["size"] if lumps else np.full(3, np.nan)
     true = find_lumps(exact.mesh, truth, max_lumps=1)[0].center_mm
     estimate = reconstruction.nuisance.get("rest_scale")
-    return CaseResult(
-        {
-            "median_mpa": float(np.median(reconstruction.youngs)),
-            "pearson": pearson(reconstruction.youngs, truth),
-            "off_mm": float(np.linalg.norm(center - true)) if lumps else None,
-            "size": None if estimate is None else [float(v) for v in estimate.value],
-        },
-        mesh_arrays(wrong.mesh, youngs=reconstruction.youngs),
-    )
+    figures = {
+        "median_mpa": float(np.median(reconstruction.youngs)),
+        "pearson": pearson(reconstruction.youngs, truth),
+        "off_mm": float(np.linalg.norm(center - true)) if lumps else None,
+        "size": None if estimate is None else [float(v) for v in estimate.value],
+    }
+    return CaseResult.on_mesh(wrong.mesh, figures, youngs=reconstruction.youngs)
 
 
-def fig9(results: Mapping[str, CaseResult], options: Mapping[str, Any], out: Path) -> str:
-    """Draw Fig. 9, maps by assumed size, and return whether larger sizes give softer maps."""
+def fig9(results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 9, maps by assumed size, and whether larger sizes give softer maps."""
     table = Table(
-        ["assumed", "method", "median, MPa", "r with the truth", "position error, mm", "estimate"],
-        [None, None, 3, 3, 2, None],
-    )
-    rows: list[list[Panel]] = [[] for _ in _METHODS]
-    for size in SIZES:
-        for line, method in zip(rows, _METHODS, strict=True):
-            result = results.get(_name(size, method))
-            if result is None:
-                continue
-            figures = result.figures
-            estimate = figures["size"] and ", ".join(f"{v:.2f}" for v in figures["size"])
-            table.add(
-                size, method, figures["median_mpa"], figures["pearson"], figures["off_mm"], estimate
-            )
-            caption = f"r {figures['pearson']:.2f}, median {figures['median_mpa']:.2f} MPa"
-            mesh = stored_mesh(result.arrays)
-            line.append(Panel(mesh, result.arrays["youngs"], _LIMITS, title=size, caption=caption))
-    table.write_csv(out / "fig9.csv")
-    plot_panels(rows, list(_METHODS), out / "fig9.png")
+        {"assumed": None, "method": None, "median, MPa": 3, "r with the truth": 3,
+         "position error, mm": 2, "estimate": None}
+    )  # fmt: skip
+    rows: dict[str, list[Panel]] = {method: [] for method in _METHODS}
+    for size, method in product(SIZES, _METHODS):
+        if (result := results.get(_name(size, method))) is None:
+            continue
+        figures = result.figures
+        median, correlation = figures["median_mpa"], figures["pearson"]
+        estimate = figures["size"] and ", ".join(f"{v:.2f}" for v in figures["size"])
+        table.add(size, method, median, correlation, figures["off_mm"], estimate)
+        caption = f"r {correlation:.2f}, median {median:.2f} MPa"
+        youngs = result.arrays["youngs"]
+        rows[method].append(Panel(result.mesh, youngs, _LIMITS, title=size, caption=caption))
     medians = [
         f"{method} {_median(results, '80 %', method)} MPa at 80 %,"
         f" {_median(results, '120 %', method)} MPa at 120 %"
         for method in _METHODS
     ]
-    return (
-        f"{table.markdown()}\n\nIn the paper an object that is assumed too large seems softer, and"
-        " stiffer if assumed too small. Median moduli here (true: 0.2 MPa):"
-        f" {'; '.join(medians)}.\n\n"
-        "![Maps by assumed size](fig9.png)"
+    text = (
+        "In the paper an object that is assumed too large seems softer, and stiffer if assumed too"
+        f" small. Median moduli here (true: 0.2 MPa): {'; '.join(medians)}."
     )
+    figure = panels_figure(list(rows.values()), list(rows))
+    return Exhibit([table.markdown(), text], table, figure, "Maps by assumed size")
 
 
-def _median(results: Mapping[str, CaseResult], size: str, method: str) -> str:
+def _median(results: Results, size: str, method: str) -> str:
     result = results.get(_name(size, method))
     return "?" if result is None else f"{result.figures['median_mpa']:.3f}"
 

@@ -1,15 +1,18 @@
-"""Figures of results.
+"""Figures of results: functions that return a matplotlib figure, and `save_figure`.
 
-Functions named `..._figure` return a matplotlib figure for `save_figure`, functions named
-`plot_...` write a file. No text is parsed as mathtext, because names may come from files.
+No text is parsed as mathtext, because names may come from files.
 """
 
-from tactorch.viz.active import sampling_figure
-from tactorch.viz.calibration import calibration_figure
-from tactorch.viz.convergence import convergence_figure, plot_convergence
-from tactorch.viz.credibility import credibility_figure, depth_figure, layer_figure
+from tactorch.viz.convergence import convergence_figure
 from tactorch.viz.figure import save_figure
-from tactorch.viz.slices import plot_slices, slice_figure
+from tactorch.viz.slices import slice_figure
+from tactorch.viz.uncertainty import (
+    calibration_figure,
+    credibility_figure,
+    depth_figure,
+    layer_figure,
+    sampling_figure,
+)
 
 __all__ = [
     "calibration_figure",
@@ -17,8 +20,6 @@ __all__ = [
     "credibility_figure",
     "depth_figure",
     "layer_figure",
-    "plot_convergence",
-    "plot_slices",
     "sampling_figure",
     "save_figure",
     "slice_figure",

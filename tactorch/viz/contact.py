@@ -1,7 +1,7 @@
 """Contact regions of an object and the direction of the force, in plane slices."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,14 +17,8 @@ _MIN_IN_PLANE = 0.3
 _CORNER_AREA = 0.15
 
 
-@dataclass(frozen=True, eq=False)
-class ContactPatch:
-    """Surface triangles in contact that face the same direction.
-
-    Attributes:
-        triangles: Node indices of the triangles, (k, 3).
-        direction: Unit vector of the force, (3,).
-    """
+class ContactPatch(NamedTuple):
+    """Node indices of surface triangles in contact, and unit vector of the force on them."""
 
     triangles: Int[np.ndarray, "k 3"]
     direction: Float[np.ndarray, "3"]
@@ -33,31 +27,38 @@ class ContactPatch:
 def contact_patches(
     mesh: TetMesh, pressed: Float[np.ndarray, "_ 3"] | Sequence[str]
 ) -> list[ContactPatch]:
-    """Return the parts of the surface in contact.
+    """Return the parts of the surface in contact, one for each axis direction that they face.
 
     Args:
         mesh: Mesh of the body.
         pressed: External force on each node, N (n, 3), summed over presses; or names of faces
             that are pushed inward, such as `["x-", "z+"]`.
 
-    Returns:
-        One patch for each of the six axis directions that triangles in contact face.
-
     Raises:
         TactorchError: Forces have the wrong shape or are not finite.
         ConfigError: A face name is unknown.
         MeshError: A named side of the body is not flat.
     """
+    surface = mesh.surface
     if isinstance(pressed, np.ndarray):
-        parts = _split_by_normal(mesh, _loaded_triangles(mesh, pressed))
-        parts = _without_corners(mesh, parts, pressed)
-        return [_patch_from_forces(mesh, part, pressed) for part in parts]
-    patches = []
-    for name in pressed:
-        face = select_face(mesh, name)
-        inward = -mesh.surface.normals[face].mean(axis=0)
-        patches.append(ContactPatch(mesh.surface.triangles[face], inward / np.linalg.norm(inward)))
-    return patches
+        loaded = _loaded_triangles(mesh, pressed)
+        axis = np.abs(surface.normals[loaded]).argmax(axis=1)
+        facing = 2 * axis + (surface.normals[loaded, axis] < 0)
+        parts = [loaded[facing == f] for f in np.unique(facing)]
+        largest = max((surface.areas[part].sum() for part in parts), default=0.0)
+        # Small parts may only share their nodes with a side in contact.
+        return [
+            ContactPatch(surface.triangles[part], _median_direction(mesh, part, pressed))
+            for part in parts
+            if surface.areas[part].sum() > _CORNER_AREA * largest
+            or _pushed_inward(mesh, part, pressed)
+        ]
+    faces = [select_face(mesh, name) for name in pressed]
+    inward = [-surface.normals[face].mean(axis=0) for face in faces]
+    return [
+        ContactPatch(surface.triangles[face], push / np.linalg.norm(push))
+        for face, push in zip(faces, inward, strict=True)
+    ]
 
 
 def total_forces(presses: Sequence[Press]) -> Float[np.ndarray, "n 3"]:
@@ -73,10 +74,9 @@ def total_forces(presses: Sequence[Press]) -> Float[np.ndarray, "n 3"]:
 def cut_triangles(
     points: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "k 3"], axis: int, position: float
 ) -> Float[np.ndarray, "s 2 2"]:
-    """Cut triangles by the plane where coordinate `axis` equals `position`.
+    """Return the segments where triangles cross the plane at a position along an axis.
 
-    Returns:
-        Ends of the segment of each triangle that is cut, in the two coordinates of the plane.
+    Segments are given by their ends in the two coordinates of the plane.
     """
     heights = points[:, axis] - position
     # A node in the plane counts as above, so that every cut triangle has two cut edges.
@@ -93,10 +93,9 @@ def cut_triangles(
 def arrow_positions(
     segments: Float[np.ndarray, "s 2 2"], direction: Float[np.ndarray, "3"], axis: int, count: int
 ) -> tuple[Float[np.ndarray, "a 2"], Float[np.ndarray, "2"]]:
-    """Return where force arrows end on a cut contact patch, and their direction.
+    """Return the tips of force arrows on a cut contact patch, and their unit direction.
 
-    Returns:
-        Arrow tips (a, 2), empty if the force is mostly normal to the slice; unit direction (2,).
+    There are no tips if the force is mostly normal to the slice.
     """
     flat = direction[list(IN_PLANE[axis])]
     length = float(np.linalg.norm(flat))
@@ -127,26 +126,6 @@ def _loaded_triangles(mesh: TetMesh, forces: np.ndarray) -> np.ndarray:
     return fully_loaded if len(fully_loaded) else np.flatnonzero(loaded.any(axis=1))
 
 
-def _split_by_normal(mesh: TetMesh, triangles: np.ndarray) -> list[np.ndarray]:
-    """Split surface triangles by the dominant axis of their normals."""
-    normals = mesh.surface.normals[triangles]
-    axis = np.abs(normals).argmax(axis=1)
-    facing = 2 * axis + (normals[np.arange(len(triangles)), axis] < 0)
-    return [triangles[facing == f] for f in np.unique(facing)]
-
-
-def _without_corners(
-    mesh: TetMesh, parts: list[np.ndarray], forces: np.ndarray
-) -> list[np.ndarray]:
-    """Drop small parts that only share their nodes with a side in contact."""
-    areas = [float(mesh.surface.areas[part].sum()) for part in parts]
-    return [
-        part
-        for part, area in zip(parts, areas, strict=True)
-        if area > _CORNER_AREA * max(areas) or _pushed_inward(mesh, part, forces)
-    ]
-
-
 def _pushed_inward(mesh: TetMesh, part: np.ndarray, forces: np.ndarray) -> bool:
     """Return whether the force on some triangles points into the body."""
     push = forces[np.unique(mesh.surface.triangles[part])].sum(axis=0)
@@ -154,13 +133,12 @@ def _pushed_inward(mesh: TetMesh, part: np.ndarray, forces: np.ndarray) -> bool:
     return float(push @ inward) > _MIN_IN_PLANE * float(np.linalg.norm(push))
 
 
-def _patch_from_forces(mesh: TetMesh, part: np.ndarray, forces: np.ndarray) -> ContactPatch:
-    """Return a patch with the direction of the median force on its nodes."""
-    triangles = mesh.surface.triangles[part]
-    nodes = np.unique(triangles)
+def _median_direction(mesh: TetMesh, part: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Return the direction of the median force on the nodes of some triangles."""
+    nodes = np.unique(mesh.surface.triangles[part])
     # The median is robust to nodes shared with a patch that is pushed in another direction.
     push = np.median(forces[nodes], axis=0)
     if not push.any():
         push = forces[nodes].sum(axis=0)
     length = np.linalg.norm(push)
-    return ContactPatch(triangles, push / length if length > 0 else push)
+    return push / length if length > 0 else push

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from tactorch.errors import ConfigError
 from tactorch.text import one_line
-from tactorch.viz.figure import COLOURS, new_figure, save_figure
+from tactorch.viz.figure import COLOURS, new_figure
 
 _FIELDS = ("iteration", "seconds", "misfit")
 _STYLES = ("-", "--", "-.", ":")  # distinguish curves in greyscale prints
@@ -22,19 +21,10 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 History = Sequence[Mapping[str, Any]]
 
 
-def plot_convergence(histories: Mapping[str, History], path: str | Path, **options: Any) -> Path:
-    """Write `convergence_figure(histories, **options)` to a png, pdf or svg file.
-
-    Returns:
-        The path.
-    """
-    return save_figure(convergence_figure(histories, **options), path)
-
-
 def convergence_figure(
     histories: Mapping[str, History], *, noise_level: float | None = None, title: str = ""
 ) -> Figure:
-    """Draw the misfit of each optimizer against iterations (left) and seconds (right).
+    """Return a figure of the misfit of each optimizer against iterations and seconds.
 
     Args:
         histories: Records of each optimizer in order, with the keys `iteration`, `seconds` and
@@ -42,25 +32,27 @@ def convergence_figure(
         noise_level: Expected misfit of the noise, mm^2, drawn as a line.
         title: Title of the figure.
 
-    Returns:
-        The figure.
-
     Raises:
         ConfigError: There is no history, one is empty, or a record lacks a finite number.
     """
     if not histories:
-        raise ConfigError("plot_convergence: no history given; pass at least one optimizer's.")
+        raise ConfigError("convergence_figure: no history given; pass at least one optimizer's.")
     curves = {name: _curve(name, history) for name, history in histories.items()}
     figure = new_figure(9.5, 4.2)
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, column, label in ((left, 0, "iteration"), (right, 1, "time (s)")):
-        _draw(axes, curves, column)
+        styles = zip(cycle(COLOURS), cycle(_STYLES), cycle(_MARKERS), strict=False)
+        for (name, curve), (colour, style, marker) in zip(curves.items(), styles, strict=False):
+            axes.semilogy(
+                curve[:, column], curve[:, 2], color=colour, linestyle=style, marker=marker,
+                markevery=max(1, len(curve) // 12), markersize=4.5, label=one_line(name, 40),
+            )  # fmt: skip
         axes.set_xlabel(label)
         axes.grid(True, which="major", alpha=0.3)
         if noise_level is not None:
             axes.axhline(noise_level, color="0.35", linewidth=1, linestyle=(0, (1, 2)))
     left.set_ylabel("misfit (mm²)")
-    _iteration_scale(left, [curve[-1, 0] for curve in curves.values()])
+    _scale_iterations(left, [curve[-1, 0] for curve in curves.values()])
     if noise_level is not None:
         right.annotate(
             "noise level", xy=(0.98, noise_level), xycoords=("axes fraction", "data"), ha="right",
@@ -72,7 +64,7 @@ def convergence_figure(
     return figure
 
 
-def _iteration_scale(axes: Axes, last: Sequence[float]) -> None:
+def _scale_iterations(axes: Axes, last: Sequence[float]) -> None:
     """Use a logarithmic scale if the numbers of iterations differ strongly."""
     if max(last) > 8 * max(min(last), 1):
         axes.set_xscale("symlog", linthresh=1)
@@ -80,16 +72,6 @@ def _iteration_scale(axes: Axes, last: Sequence[float]) -> None:
         axes.xaxis.set_major_formatter(ScalarFormatter())
     else:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-
-
-def _draw(axes: Axes, curves: Mapping[str, np.ndarray], column: int) -> None:
-    """Draw the misfit of every curve against one of its first two columns."""
-    styles = zip(cycle(COLOURS), cycle(_STYLES), cycle(_MARKERS), strict=False)
-    for (name, curve), (colour, style, marker) in zip(curves.items(), styles, strict=False):
-        axes.semilogy(
-            curve[:, column], curve[:, 2], color=colour, linestyle=style, marker=marker,
-            markevery=max(1, len(curve) // 12), markersize=4.5, label=one_line(name, 40),
-        )  # fmt: skip
 
 
 def _curve(name: str, history: History) -> np.ndarray:

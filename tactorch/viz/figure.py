@@ -1,10 +1,11 @@
-"""Figures without a display: creation, text from files, colours and atomic saving."""
+"""Figures without a display: creation, text from files, styles and atomic saving."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from matplotlib.axis import Axis
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -28,41 +29,36 @@ class PlainTextFigure(Figure):
 
     def draw(self, renderer: Any) -> None:
         """Draw the figure; see `matplotlib.figure.Figure.draw`."""
-        generated = {id(label) for label in self._log_tick_labels()}
+        generated = {
+            id(label)
+            for axes in self.axes
+            for axis in (axes.xaxis, axes.yaxis)
+            if isinstance(axis.get_major_formatter(), LogFormatter)
+            for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks())
+            for label in (tick.label1, tick.label2)
+        }
         for text in self.findobj(Text):
             if isinstance(text, Text) and id(text) not in generated:
                 text.set_parse_math(False)
                 text.set_text(printable(text.get_text()))
         super().draw(renderer)
 
-    def _log_tick_labels(self) -> list[Text]:
-        axes: list[Axis] = [axis for one in self.axes for axis in (one.xaxis, one.yaxis)]
-        ticks = [
-            tick
-            for axis in axes
-            if isinstance(axis.get_major_formatter(), LogFormatter)
-            for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks())
-        ]
-        return [label for tick in ticks for label in (tick.label1, tick.label2)]
-
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that is independent of pyplot's state.
-
-    Args:
-        width: Width, inches.
-        height: Height, inches.
-    """
+    """Return an empty figure of a size in inches that is independent of pyplot's state."""
     figure = PlainTextFigure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def save_figure(figure: Figure, path: str | Path, dpi: int = 130) -> Path:
-    """Write a figure atomically; the suffix of `path` gives the format.
+def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
+    """Return a figure of a size in inches, and its only axes."""
+    figure = new_figure(width, height)
+    return figure, figure.subplots()
 
-    Returns:
-        The path.
+
+def save_figure(figure: Figure, path: str | Path, dpi: int = 130) -> Path:
+    """Write a figure atomically and return the path, whose suffix gives the format.
 
     Raises:
         ConfigError: The suffix is none of png, pdf and svg.
@@ -80,3 +76,20 @@ def require_curves(function: str, curves: Mapping[str, Any]) -> None:
     groups = [value for value in curves.values() if isinstance(value, Mapping)]
     if not curves or not all(groups):
         raise ConfigError(f"{function}: no curve given; pass at least one.")
+
+
+def add_legend(axes: Axes, fontsize: float | None = 8) -> None:
+    """Add a grid and a legend without a frame."""
+    axes.grid(True, alpha=0.3)
+    axes.legend(frameon=False, fontsize=fontsize)
+
+
+def draw_diagonal(axes: Axes) -> None:
+    """Draw the line of exact probabilities from (0, 0) to (1, 1)."""
+    axes.plot([0, 1], [0, 1], "--", color="0.5", linewidth=1, label="exact")
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+
+
+def layer_depths(count: int) -> np.ndarray:
+    """Return the relative depth of the centre of each of `count` equal layers."""
+    return (np.arange(count) + 0.5) / count

@@ -1,35 +1,28 @@
 """Figures of datasets and of trained networks: samples, recognizer, surrogate."""
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from tactorch.errors import ConfigError
 from tactorch.generation import Sample
 from tactorch.text import one_line
-from tactorch.viz.figure import VERMILION, new_figure, save_figure
-from tactorch.viz.slicing import slice_body
+from tactorch.viz.figure import BLUE, VERMILION, draw_diagonal, new_axes, new_figure
+from tactorch.viz.slicing import cut, even_planes
 
 _MAX_SAMPLES = 6
 _PIXELS = 80
 _MAX_NAME = 24
 
 
-def plot_samples(samples: Sequence[Sample], path: str | Path) -> Path:
-    """Draw middle slices of some samples, and histograms of moduli and signals of all.
-
-    Args:
-        samples: Samples of a dataset, at least one.
-        path: Path of the png, pdf or svg file.
-
-    Returns:
-        The path.
+def samples_figure(samples: Sequence[Sample]) -> Figure:
+    """Return a figure of middle slices of some samples, and histograms of all.
 
     Raises:
-        ConfigError: There is no sample, or the suffix is none of these.
+        ConfigError: There is no sample.
     """
     if not samples:
         raise ConfigError("there is no sample to draw; generate some first.")
@@ -39,7 +32,8 @@ def plot_samples(samples: Sequence[Sample], path: str | Path) -> Path:
     figure = new_figure(2.0 * _MAX_SAMPLES, 2.2 * (len(names) + 1))
     grid = figure.subplots(len(names) + 1, _MAX_SAMPLES, squeeze=False)
     for column, sample in enumerate(shown):
-        (middle,) = slice_body(sample.recording.mesh, 1, _PIXELS)[1]
+        mesh = sample.recording.mesh
+        (middle,) = cut(mesh, even_planes(mesh, 1), _PIXELS)
         maps = (sample.truth, sample.reconstruction)
         for axes, values in zip(grid[: len(names), column], maps, strict=False):
             if values is not None:
@@ -49,27 +43,24 @@ def plot_samples(samples: Sequence[Sample], path: str | Path) -> Path:
         grid[0, column].set_title(f"{sample.index}: {label}", fontsize=8)
     for row, name in enumerate(names):
         grid[row, 0].set_ylabel(name)
-    for axes in grid[:-1, len(shown) :].ravel():
+    histograms = _histograms(samples)
+    for axes, (name, values) in zip(grid[-1], histograms.items(), strict=False):
+        axes.hist(values, bins=30, color="#4477AA")
+        axes.set_xlabel(name, fontsize=7)
+        axes.tick_params(labelsize=6)
+    for axes in (*grid[:-1, len(shown) :].ravel(), *grid[-1, len(histograms) :]):
         axes.remove()
-    _draw_histograms(grid[-1], samples)
-    return save_figure(figure, path)
+    return figure
 
 
-def _draw_histograms(row: np.ndarray, samples: Sequence[Sample]) -> None:
-    scores = [sample.figures for sample in samples if sample.figures]
+def _histograms(samples: Sequence[Sample]) -> dict[str, np.ndarray]:
     histograms = {
         "Young's modulus, log10 MPa": np.log10(np.concatenate([s.truth for s in samples])),
         "largest displacement, mm": np.array([s.largest_mm for s in samples]),
         "presses": np.array([len(s.recording.presses) for s in samples]),
-        "SSIM of the reconstruction": np.array([f["ssim"] for f in scores]),
+        "SSIM of the reconstruction": np.array([s.figures["ssim"] for s in samples if s.figures]),
     }
-    histograms = {name: values for name, values in histograms.items() if len(values)}
-    for axes, (name, values) in zip(row, histograms.items(), strict=False):
-        axes.hist(values, bins=30, color="#4477AA")
-        axes.set_xlabel(name, fontsize=7)
-        axes.tick_params(labelsize=6)
-    for axes in row[len(histograms) :]:
-        axes.remove()
+    return {name: values for name, values in histograms.items() if len(values)}
 
 
 def draw_matrix(
@@ -79,15 +70,7 @@ def draw_matrix(
     cells: Iterator[str],
     fontsize: int = 10,
 ) -> None:
-    """Draw a matrix of fractions as colours with text in its cells.
-
-    Args:
-        axes: Axes to draw on.
-        fractions: Values, 0 to 1, (c, c).
-        names: Name of each row and column.
-        cells: Text of the cells, row by row.
-        fontsize: Size of the text, points.
-    """
+    """Draw a matrix of values from 0 to 1 as colours with the text of its cells, row by row."""
     axes.imshow(fractions, cmap="cividis", vmin=0.0, vmax=1.0)
     for (i, j), cell in zip(np.ndindex(*fractions.shape), cells, strict=True):
         colour = "black" if fractions[i, j] > 0.5 else "white"
@@ -97,48 +80,50 @@ def draw_matrix(
     axes.set_yticks(range(len(labels)), labels)
 
 
-def plot_confusion(
-    confusion: Int[np.ndarray, "c c"], classes: Sequence[str], path: str | Path
-) -> Path:
-    """Draw a confusion matrix: colours are fractions of each true class, cells are counts.
+def confusion_figure(confusion: Int[np.ndarray, "c c"], classes: Sequence[str]) -> Figure:
+    """Return a figure of counts by true (row) and predicted (column) class.
 
-    Args:
-        confusion: Counts by true (row) and predicted (column) class, (c, c).
-        classes: Names of the classes.
-        path: Path of the png, pdf or svg file.
-
-    Returns:
-        The path.
+    Colours are fractions of each true class.
     """
-    figure = new_figure(1.6 + 0.8 * len(classes), 1.2 + 0.8 * len(classes))
-    axes = figure.subplots()
+    figure, axes = new_axes(1.6 + 0.8 * len(classes), 1.2 + 0.8 * len(classes))
     fractions = confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1)
     draw_matrix(axes, fractions, classes, (str(count) for count in confusion.ravel()))
     axes.set(xlabel="predicted", ylabel="true")
-    return save_figure(figure, path)
+    return figure
 
 
-def plot_examples(
-    maps: Float[np.ndarray, "n v v v"],
-    titles: Sequence[str],
-    correct: Sequence[bool],
-    path: str | Path,
-    *,
-    shown: int = 12,
-) -> Path:
-    """Draw middle slices of maps with their predicted class, misclassified ones first.
+def reliability_figure(
+    confidence: Float[np.ndarray, " b"],
+    accuracy: Float[np.ndarray, " b"],
+    counts: Int[np.ndarray, " b"],
+) -> Figure:
+    """Return a figure of the accuracy of a classifier by confidence; empty bins are omitted."""
+    figure, axes = new_axes(4.2, 4.0)
+    draw_diagonal(axes)
+    filled = counts > 0
+    axes.plot(confidence[filled], accuracy[filled], "o-", color=BLUE, label="measured")
+    for x, y, count in zip(confidence[filled], accuracy[filled], counts[filled], strict=True):
+        axes.annotate(str(count), (x, y), textcoords="offset points", xytext=(4, -10), fontsize=7)
+    axes.set(xlabel="predicted probability", ylabel="accuracy", ylim=(0, 1.02))
+    axes.legend()
+    return figure
 
-    Args:
-        maps: Maps on voxels, (n, v, v, v).
-        titles: Title of each map.
-        correct: Whether each prediction is correct.
-        path: Path of the png, pdf or svg file.
-        shown: Maximum number of maps.
 
-    Returns:
-        The path.
-    """
-    order = sorted(range(len(titles)), key=lambda i: bool(correct[i]))[:shown]
+def coverage_figure(levels: Sequence[float], covered: Sequence[float]) -> Figure:
+    """Return a figure of the fraction of voxels in predictive intervals by level, 0 to 1."""
+    figure, axes = new_axes(4.2, 4.0)
+    draw_diagonal(axes)
+    axes.plot(levels, covered, "o-", color=BLUE, label="measured")
+    axes.set(xlabel="level of the intervals", ylabel="fraction of voxels covered")
+    axes.legend()
+    return figure
+
+
+def examples_figure(
+    maps: Float[np.ndarray, "n v v v"], titles: Sequence[str], correct: Sequence[bool]
+) -> Figure:
+    """Return a figure of middle slices of 12 maps, misclassified ones first."""
+    order = sorted(range(len(titles)), key=lambda i: bool(correct[i]))[:12]
     columns = min(6, len(order))
     rows = -(-len(order) // columns)
     figure = new_figure(1.7 * columns, 2.0 * rows)
@@ -150,61 +135,40 @@ def plot_examples(
         axes.set(xticks=[], yticks=[])
     for axes in grid.ravel()[len(order) :]:
         axes.remove()
-    return save_figure(figure, path)
+    return figure
 
 
-def plot_predictions(
-    truth: Float[np.ndarray, "n v v v"],
-    image: Float[np.ndarray, "n v v v"],
-    mean: Float[np.ndarray, "n v v v"],
-    deviation: Float[np.ndarray, "n v v v"],
+def predictions_figure(
+    fields: Mapping[str, Float[np.ndarray, "n v v v"]],
     inside: Bool[np.ndarray, "n v v v"],
     correlations: Sequence[float],
-    path: str | Path,
-    *,
-    shown: int = 8,
-) -> Path:
-    """Draw slices of the logarithm of E relative to the uniform fit, for some objects.
+) -> Figure:
+    """Return a figure of the logarithm of E relative to the uniform fit, for 8 objects.
 
     Objects are selected evenly from the best to the worst; each slice, across y, is the one with
-    the largest variance of the truth.
-
-    Args:
-        truth: True values, (n, v, v, v).
-        image: Linear reconstruction, (n, v, v, v).
-        mean: Mean of the prediction, (n, v, v, v).
-        deviation: Standard deviation of the prediction, (n, v, v, v).
-        inside: Voxels within the body, (n, v, v, v).
-        correlations: Correlation of prediction and truth, (n,).
-        path: Path of the png, pdf or svg file.
-        shown: Maximum number of objects.
-
-    Returns:
-        The path.
+    the largest variance of the truth. `fields` are "truth", "image", "mean" and "deviation".
     """
     order = np.argsort(correlations)[::-1]
-    selected = order[np.linspace(0, len(order) - 1, min(shown, len(order))).round().astype(int)]
-    truth, image, mean, deviation = (
-        np.where(inside, field, np.nan)[selected] for field in (truth, image, mean, deviation)
-    )
-    levels = [int(np.argmax(np.nan_to_num(t).var(axis=(0, 2)))) for t in truth]
-    top = max(float(np.nanquantile(np.abs(truth), 0.995)), 1e-3)
+    selected = order[np.linspace(0, len(order) - 1, min(8, len(order))).round().astype(int)]
+    shown = {name: np.where(inside, field, np.nan)[selected] for name, field in fields.items()}
+    levels = [int(np.argmax(np.nan_to_num(t).var(axis=(0, 2)))) for t in shown["truth"]]
+    top = max(float(np.nanquantile(np.abs(shown["truth"]), 0.995)), 1e-3)
     rows = {
-        "truth": (truth, -top, top, "coolwarm"),
-        "linear image": (image, -top, top, "coolwarm"),
-        "prediction": (mean, -top, top, "coolwarm"),
-        "standard deviation": (deviation, 0.0, 0.5 * top, "viridis"),
+        "truth": ("truth", -top, top, "coolwarm"),
+        "linear image": ("image", -top, top, "coolwarm"),
+        "prediction": ("mean", -top, top, "coolwarm"),
+        "standard deviation": ("deviation", 0.0, 0.5 * top, "viridis"),
     }
     figure = new_figure(1.7 * len(selected) + 1.6, 7.0)
     grid = figure.subplots(4, len(selected), squeeze=False)
-    for line, (name, (fields, low, high, cmap)) in zip(grid, rows.items(), strict=True):
-        for axes, field, level in zip(line, fields, levels, strict=True):
+    for line, (label, (name, low, high, cmap)) in zip(grid, rows.items(), strict=True):
+        for axes, field, level in zip(line, shown[name], levels, strict=True):
             drawn = axes.imshow(field[:, level].T, origin="lower", cmap=cmap, vmin=low, vmax=high)
             axes.set(xticks=[], yticks=[])
-        line[0].set_ylabel(f"{name}\nz")
+        line[0].set_ylabel(f"{label}\nz")
         figure.colorbar(drawn, ax=list(line), label="log E / E uniform", shrink=0.9)
     for axes, i in zip(grid[0], selected, strict=True):
         axes.set_title(f"r = {correlations[i]:.2f}", fontsize=8)
     for axes in grid[-1]:
         axes.set_xlabel("x")
-    return save_figure(figure, path)
+    return figure

@@ -1,4 +1,7 @@
-"""Views of a sensor's frames: markers, depth and force, redrawn for each frame."""
+"""Views of a sensor's frames: markers, depth and force, redrawn for each frame.
+
+`show` of a view draws a frame: its image, or None, values measured in it, and a title.
+"""
 
 from typing import Any
 
@@ -7,14 +10,12 @@ from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.tri import Triangulation
 
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image
 from tactorch.viz.figure import VERMILION, new_figure
 
-Extent = tuple[float, float, float, float]
 DPI = 110
 #: Edge colour of what is drawn over an image, visible on light and dark.
 EDGE = "black"
@@ -22,7 +23,7 @@ _KPA_PER_MPA = 1e3
 _MIN_SHEAR = 0.04  # arrows below this fraction of the longest are not drawn
 
 
-def image_extent(sensor: SensorDescription) -> Extent:
+def image_extent(sensor: SensorDescription) -> tuple[float, float, float, float]:
     """Return left, right, bottom and top of the sensor's images for `imshow`, mm, y downward."""
     width, height = sensor.image_size_px
     left, top = sensor.to_mm(np.array([-0.5, -0.5]))
@@ -56,16 +57,9 @@ def colour_limit(values: Float[np.ndarray, "..."], minimum: float) -> float:
 
 
 class FrameView:
-    """Figure with the image of a frame on axes in mm.
+    """Figure of panels side by side, with the image of a frame in the first, on axes in mm.
 
-    Args:
-        sensor: Description of the sensor.
-        panels: Number of panels side by side; the image is in the first.
-        width: Width of a panel, inches; the height of a panel is limited to it.
-
-    Attributes:
-        figure: The figure.
-        axes: Axes of the panels.
+    Panels are at most `width` inches wide and high.
     """
 
     def __init__(self, sensor: SensorDescription, panels: int, width: float) -> None:
@@ -77,7 +71,7 @@ class FrameView:
         self.axes[0].set(xlabel="x, mm", ylabel="y, mm")
         self.extent = image_extent(sensor)
         self._blank = np.full((*sensor.shape, 3), 200, np.uint8)
-        self._image: AxesImage = self.axes[0].imshow(self._blank, extent=self.extent)
+        self._image = self.axes[0].imshow(self._blank, extent=self.extent)
         self._title = self.axes[0].set_title("frame\n ", fontsize=10, loc="left")
 
     def _fix_layout(self) -> None:
@@ -91,13 +85,9 @@ class FrameView:
 
 
 class MarkerView(FrameView):
-    """A frame with an arrow from the rest position of each marker to its position.
+    """A frame with an arrow from the position of each marker in the reference to its position.
 
-    Args:
-        sensor: Description of the sensor.
-        begin_px: Positions of the markers in the reference (column, row), px (n, 2).
-        largest_mm: Upper end of the colour scale, mm.
-        magnify: Magnification of the arrows; with 1 they end at their markers.
+    The colour scale ends at `largest_mm`; arrows that are not magnified end at their markers.
     """
 
     def __init__(
@@ -125,13 +115,7 @@ class MarkerView(FrameView):
     def show(
         self, image: Image | None, positions_px: Float[np.ndarray, "n 2"], caption: str
     ) -> None:
-        """Draw a frame.
-
-        Args:
-            image: Image of the frame, or None.
-            positions_px: Positions of the markers (column, row), px (n, 2); NaN if lost.
-            caption: Title.
-        """
+        """Draw a frame by the positions of its markers, px; NaN if lost."""
         self._show_image(None if image is None else faded(image), caption)
         shift = self.sensor.to_mm(positions_px) - self.rest
         lost = np.isnan(shift).any(axis=1)
@@ -141,12 +125,7 @@ class MarkerView(FrameView):
 
 
 class DepthView(FrameView):
-    """A frame, and a map of the indentation depth of the gel surface.
-
-    Args:
-        sensor: Description of the sensor.
-        deepest_mm: Upper end of the colour scale, mm.
-    """
+    """A frame, and a map of the indentation depth of the gel surface up to `deepest_mm`."""
 
     def __init__(self, sensor: SensorDescription, deepest_mm: float) -> None:
         super().__init__(sensor, 2, 5.0)
@@ -167,14 +146,7 @@ class DepthView(FrameView):
         contact: Bool[np.ndarray, "h w"],
         caption: str,
     ) -> None:
-        """Draw a frame.
-
-        Args:
-            image: Image of the frame, or None.
-            height_mm: Height of the gel surface, mm (h, w), negative if indented; NaN if unknown.
-            contact: Pixels in contact, (h, w).
-            caption: Title.
-        """
+        """Draw a frame by the height of its surface, mm, negative if indented; NaN if unknown."""
         self._show_image(image, caption)
         self._depth.set_data(-height_mm)
         for outline in self._outlines:
@@ -193,11 +165,7 @@ class DepthView(FrameView):
 class ForceView(FrameView):
     """A frame, and the traction on the gel surface: pressure as colour, shear as arrows.
 
-    Args:
-        sensor: Description of the sensor.
-        points: Nodes of the gel surface at rest, mm (k, 3).
-        triangles: Triangles between these nodes, (t, 3).
-        largest_mpa: Upper end of the colour scale and shear of the longest arrow, MPa.
+    `largest_mpa` are the upper end of the colour scale and the shear of the longest arrow.
     """
 
     def __init__(
@@ -227,10 +195,8 @@ class ForceView(FrameView):
             self._arrows, 0.86, 1.03, self._longest, f"shear {self._longest:.3g} kPa",
             labelpos="W", fontproperties={"size": 9},
         )  # fmt: skip
-        axes.set(
-            xlabel="x, mm", aspect="equal", xlim=self.extent[:2], ylim=self.extent[2:],
-            facecolor="0.85",
-        )  # fmt: skip
+        axes.set(xlabel="x, mm", aspect="equal", facecolor="0.85")
+        axes.set(xlim=self.extent[:2], ylim=self.extent[2:])
         bar = self.figure.colorbar(self._mesh, ax=axes, extend="both", pad=0.02)
         bar.set_label("pressure, kPa")
         self._fix_layout()
@@ -238,13 +204,7 @@ class ForceView(FrameView):
     def show(
         self, image: Image | None, forces: Float[np.ndarray, "k 3"] | None, caption: str
     ) -> None:
-        """Draw a frame.
-
-        Args:
-            image: Image of the frame, or None.
-            forces: Force of each node on the gel, N (k, 3), or None for no force.
-            caption: Title.
-        """
+        """Draw a frame by the force of each node on the gel, N; None for no force."""
         self._show_image(image, caption)
         traction = np.zeros((len(self._area), 3)) if forces is None else forces
         traction = _KPA_PER_MPA * np.nan_to_num(traction) / self._area[:, None]

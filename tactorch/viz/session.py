@@ -1,17 +1,17 @@
 """Figures of a sensor session: measurements over time, contacts, and the recorded presses."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from tactorch.errors import ConfigError
 from tactorch.recording import Press, Recording
 from tactorch.sensor.recorder import SessionRecording
 from tactorch.text import one_line
-from tactorch.viz.figure import BLUE, COLOURS, GREEN, VERMILION, new_figure, save_figure
+from tactorch.viz.figure import BLUE, COLOURS, GREEN, VERMILION, new_figure
 from tactorch.viz.slicing import AXES
 
 _MAX_PRESSES = 6
@@ -20,30 +20,23 @@ _MAX_NAME = 30
 _LEGEND = {"fontsize": 8, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
 
 
-def plot_over_time(
+def over_time_figure(
     panels: Mapping[str, Mapping[str, Float[np.ndarray, " f"]]],
     time_s: Float[np.ndarray, " f"] | None,
     faulty: Sequence[int],
-    path: str | Path,
-) -> Path:
-    """Draw measurements over time, or over frame numbers if times are unknown.
+) -> Figure:
+    """Return a figure of measurements over time, or over frame numbers if times are unknown.
 
-    Args:
-        panels: Values of each line by the label of the vertical axis and the name of the line.
-        time_s: Time of each frame, s (f,), or None.
-        faulty: Indices of the faulty frames, which are marked.
-        path: Path of the png, pdf or svg file.
-
-    Returns:
-        The path.
+    `panels` are the values of each line by the label of the vertical axis and the name of the line;
+    `faulty` are the indices of frames that are marked.
     """
     count = len(next(iter(next(iter(panels.values())).values())))
     across = np.arange(count, dtype=float) if time_s is None else time_s
     figure = new_figure(8.0, 0.8 + 2.1 * len(panels))
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    marker = "." if count <= 60 else None
     for axes, (label, lines) in zip(grid, panels.items(), strict=True):
         for colour, (name, values) in zip(COLOURS, lines.items(), strict=False):
-            marker = "." if count <= 60 else None
             axes.plot(across, values, color=colour, label=name, marker=marker, lw=1.4)
         _mark_faulty(axes, across[list(faulty)])
         axes.set_ylabel(label)
@@ -51,7 +44,7 @@ def plot_over_time(
         if len(lines) > 1 or len(faulty):
             axes.legend(fontsize=8)
     axes.set_xlabel("frame" if time_s is None else "time, s")
-    return save_figure(figure, path)
+    return figure
 
 
 def _mark_faulty(axes: Axes, positions: Float[np.ndarray, " k"]) -> None:
@@ -60,17 +53,9 @@ def _mark_faulty(axes: Axes, positions: Float[np.ndarray, " k"]) -> None:
         axes.axvline(x, color="0.6", lw=0.8, ls=":", label=label, zorder=0)
 
 
-def plot_session(recorded: SessionRecording, path: str | Path) -> Path:
-    """Draw the depth over time with contacts and recorded frames, and the forces of the presses.
-
-    Args:
-        recorded: Result of recording a session.
-        path: Path of the png, pdf or svg file.
-
-    Returns:
-        The path.
-    """
-    frames, numbers = recorded.frames, recorded.contact_numbers()
+def session_figure(recorded: SessionRecording) -> Figure:
+    """Return a figure of the depth over time with contacts, and of the forces of the presses."""
+    frames, numbers = recorded.frames, np.array(recorded.contact_numbers(), dtype=float)
     times = [frame.time_s for frame in frames]
     timed = all(time is not None for time in times)
     across = np.array(times if timed else range(len(frames)), dtype=float)
@@ -91,36 +76,25 @@ def plot_session(recorded: SessionRecording, path: str | Path) -> Path:
     directions = np.array([press.direction for press in recorded.recording.presses])
     normal = (forces * directions).sum(axis=1)
     tangential = np.linalg.norm(forces - normal[:, None] * directions, axis=1)
-    for label, marker, colour, values in (
-        ("along the press", "o", BLUE, normal),
-        ("across the press", "s", GREEN, tangential),
-    ):
-        lower.plot(presses, values, ls="none", marker=marker, color=colour, label=label)
+    lower.plot(presses, normal, ls="none", marker="o", color=BLUE, label="along the press")
+    lower.plot(presses, tangential, ls="none", marker="s", color=GREEN, label="across the press")
     lower.set_ylabel("force on the object, N")
     lower.legend(ncol=2, **_LEGEND)
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
         axes.margins(y=0.15)
         for number in range(len(recorded.contacts)):
-            contact = across[[i for i, contact in enumerate(numbers) if contact == number]]
+            contact = across[numbers == number]
             axes.axvspan(contact[0], contact[-1], color="0.88", zorder=-1)
     lower.set_xlabel("time, s" if timed else "frame")
-    return save_figure(figure, path)
+    return figure
 
 
-def plot_presses(recording: Recording, path: str | Path, max_presses: int = _MAX_PRESSES) -> Path:
-    """Draw displacement and force of presses side by side, seen along the press.
+def presses_figure(recording: Recording, max_presses: int = _MAX_PRESSES) -> Figure:
+    """Return a figure of displacement and force of presses, each seen along the press.
 
-    Colours show the components along the press, arrows those across it.
-
-    Args:
-        recording: Recording whose presses are drawn; a press without direction is seen along its
-            total force.
-        path: Path of the png, pdf or svg file.
-        max_presses: Maximum number of presses, the last step of each contact first.
-
-    Returns:
-        The path.
+    Colours show the components along the press, arrows those across it. A press without direction
+    is seen along its total force. The last step of each contact is drawn first.
 
     Raises:
         ConfigError: `max_presses` is below 1.
@@ -131,13 +105,14 @@ def plot_presses(recording: Recording, path: str | Path, max_presses: int = _MAX
     figure = new_figure(_WIDTH * len(presses) + 0.8, _HEIGHT)
     grid = figure.subplots(2, len(presses), squeeze=False)
     displacements = [np.where(p.observed, p.displacement, np.nan) for p in presses]
+    forces = [p.forces for p in presses]
     rows = (
         (displacements, [p.observed for p in presses], "displacement along the press, mm", "mm"),
-        ([p.forces for p in presses], [p.forces for p in presses], "force along the press, N", "N"),
+        (forces, forces, "force along the press, N", "N"),
     )
     for axes_row, (values, masks, label, unit) in zip(grid, rows, strict=True):
         along = [value @ _direction(press) for value, press in zip(values, presses, strict=True)]
-        top = max(float(np.nanmax(np.abs(one))) for one in along) or 1.0
+        top = max(float(np.nanmax(np.abs(part))) for part in along) or 1.0
         for axes, press, value, mask, colours in zip(
             axes_row, presses, values, masks, along, strict=True
         ):
@@ -149,14 +124,13 @@ def plot_presses(recording: Recording, path: str | Path, max_presses: int = _MAX
                 vmax=top, s=26, edgecolor="0.25", linewidth=0.3,
             )  # fmt: skip
             _draw_arrows(axes, flat, np.nan_to_num(value @ across.T), shown, unit)
-            horizontal, vertical = (_axis_name(vector) for vector in across)
-            axes.set_xlabel(f"{horizontal}, mm", fontsize=8)
-            axes.set_ylabel(f"{vertical}, mm", fontsize=8)
+            axes.set_xlabel(f"{_axis_name(across[0])}, mm", fontsize=8)
+            axes.set_ylabel(f"{_axis_name(across[1])}, mm", fontsize=8)
             axes.tick_params(labelsize=7)
         figure.colorbar(dots, ax=axes_row, label=label, shrink=0.9, pad=0.02)
     for number, (axes, press) in enumerate(zip(grid[0], presses, strict=True), start=1):
         axes.set_title(one_line(press.name, _MAX_NAME) or f"press {number}", fontsize=9)
-    return save_figure(figure, path)
+    return figure
 
 
 def _draw_arrows(
@@ -166,16 +140,15 @@ def _draw_arrows(
     arrows = vectors[shown]
     longest = max(float(np.linalg.norm(arrows, axis=1).max(initial=0.0)), 1e-12)
     low, high = flat.min(axis=0), flat.max(axis=0)
-    reach = 0.12 * float((high - low).max())
+    scale = longest / (0.12 * float((high - low).max()))
     axes.quiver(
-        *flat[shown].T, *arrows.T, angles="xy", scale_units="xy", scale=longest / reach,
-        color=VERMILION, width=0.006,
+        *flat[shown].T, *arrows.T, angles="xy", scale_units="xy", scale=scale, color=VERMILION,
+        width=0.006,
     )  # fmt: skip
     low, high = low - 0.06 * (high - low), high + 0.06 * (high - low)
     axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor="0.94")
-    axes.text(
-        0.02, 0.02, f"longest arrow {longest:.2g} {unit}", transform=axes.transAxes, fontsize=7
-    )
+    text = f"longest arrow {longest:.2g} {unit}"
+    axes.text(0.02, 0.02, text, transform=axes.transAxes, fontsize=7)
 
 
 def _select(recording: Recording, count: int) -> list[Press]:
@@ -187,9 +160,8 @@ def _select(recording: Recording, count: int) -> list[Press]:
 def _direction(press: Press) -> Float[np.ndarray, "3"]:
     if press.direction is not None:
         return press.direction
-    total = press.total_force
-    size = float(np.linalg.norm(total))
-    return total / size if size > 0 else np.array([0.0, 0.0, -1.0])
+    size = float(np.linalg.norm(press.total_force))
+    return press.total_force / size if size > 0 else np.array([0.0, 0.0, -1.0])
 
 
 def _across(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:

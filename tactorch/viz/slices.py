@@ -1,8 +1,6 @@
-"""Slices through a map of Young's modulus across three axes, in one picture."""
+"""Slices through a map of Young's modulus across three axes: evenly spaced, or in a live run."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -18,35 +16,24 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.mesh import TetMesh
 from tactorch.viz.contact import ContactPatch, arrow_positions, contact_patches, cut_triangles
-from tactorch.viz.figure import CONTACT, MODULUS_LABEL, new_figure, save_figure
-from tactorch.viz.outline import Outline
-from tactorch.viz.slicing import AXES, IN_PLANE, Slice, colour_scale, slice_body
+from tactorch.viz.figure import CONTACT, MODULUS_LABEL, new_figure
+from tactorch.viz.slicing import (
+    AXES,
+    IN_PLANE,
+    OUTLINE_STYLES,
+    Slice,
+    colour_scale,
+    departure_from_background,
+    draw_outline,
+    slice_body,
+    slices_at,
+)
 
 _ARROW = 0.13  # length of arrows, as a fraction of the longest side
 _PANEL_INCHES = 1.7
-
-
-@dataclass(frozen=True, eq=False)
-class _PanelStyle:
-    """Style shared by all panels."""
-
-    norm: Normalize
-    cmap: str
-    window_mm: np.ndarray
-    arrow_mm: float
-    patches: list[ContactPatch]
-    outline: Outline | None
-
-
-def plot_slices(
-    mesh: TetMesh, youngs: Float[np.ndarray, " _"], path: str | Path, **options: Any
-) -> Path:
-    """Write `slice_figure(mesh, youngs, **options)` to a png, pdf or svg file and return its path.
-
-    Raises:
-        ConfigError: The suffix of `path` is none of these.
-    """
-    return save_figure(slice_figure(mesh, youngs, **options), path)
+_LIVE_PIXELS = 90
+_LIVE_ARROW = 0.2  # length of the arrow of the next press, likewise
+_NEXT, _CENTRE = "#CC3399", "white"
 
 
 def slice_figure(
@@ -59,11 +46,12 @@ def slice_figure(
     scale: str = "linear",
     limits_mpa: tuple[float, float] | None = None,
     cmap: str = "viridis",
+    label: str = MODULUS_LABEL,
     title: str = "",
     truth_rows: bool = True,
     pixels: int = 120,
 ) -> Figure:
-    """Draw slices across x, y and z with one colour scale.
+    """Return a figure of slices across x, y and z with one colour scale.
 
     Args:
         mesh: Mesh of the body, mm.
@@ -75,55 +63,63 @@ def slice_figure(
         scale: Colour scale, "linear" or "log".
         limits_mpa: Ends of the colour scale, MPa; computed from the values if None.
         cmap: Name of a matplotlib colour map.
+        label: Label of the colour bar.
         title: Title of the figure.
         truth_rows: Whether rows with slices of the truth are added.
         pixels: Number of pixels along the longest side of the body.
-
-    Returns:
-        The figure.
 
     Raises:
         TactorchError: Values do not match the mesh or are not finite.
         ConfigError: A setting is out of range or unknown.
     """
-    _check_settings(n_slices, pixels, cmap)
-    maps = {"reconstruction": youngs} | ({} if truth is None else {"truth": truth})
-    for name, values in maps.items():
-        _check_values("youngs" if name == "reconstruction" else name, values, mesh)
-    patches = [] if pressed is None else contact_patches(mesh, pressed)
-    arrow = _ARROW * float(np.ptp(mesh.bounds, axis=0).max())
-    style = _PanelStyle(
-        norm=colour_scale(maps, scale, limits_mpa),
-        cmap=cmap,
-        window_mm=_window(mesh, patches, arrow),
-        arrow_mm=arrow,
-        patches=patches,
-        outline=None if truth is None else Outline.of(mesh, maps["truth"]),
-    )
-    if not truth_rows:
-        maps.pop("truth", None)
-    figure, panels = _panels(np.ptp(style.window_mm, axis=0), n_slices, len(maps))
-    slices = slice_body(mesh, n_slices, pixels)
-    for row, axes_row in enumerate(panels):
-        name, values = list(maps.items())[row % len(maps)]
-        for piece, axes in zip(slices[row // len(maps)], axes_row, strict=True):
-            _draw(axes, mesh, piece, values, style)
-        _label(axes_row, slices[row // len(maps)], name if len(maps) > 1 else "", row, len(maps))
-    _colour_bar(figure, panels, maps, style)
-    _legend(figure, style)
-    if title:
-        figure.suptitle(title, fontsize=12)
-    return figure
-
-
-def _check_settings(n_slices: int, pixels: int, cmap: str) -> None:
-    """Raise `ConfigError` if a setting is out of range or unknown."""
     if n_slices < 1:
         raise ConfigError(f"n_slices is {n_slices}; give at least 1.")
     if pixels < 2:
         raise ConfigError(f"pixels is {pixels}; give at least 2, better 100.")
     if cmap not in matplotlib.colormaps:
         raise ConfigError(f"cmap '{cmap}' is not known to matplotlib; try viridis or cividis.")
+    _check_values("youngs", youngs, mesh)
+    maps, departure = {"reconstruction": youngs}, None
+    if truth is not None:
+        _check_values("truth", truth, mesh)
+        maps["truth"], departure = truth, departure_from_background(mesh, truth)
+    patches = [] if pressed is None else contact_patches(mesh, pressed)
+    arrow_mm = _ARROW * float(np.ptp(mesh.bounds, axis=0).max())
+    window_mm = _window(mesh, patches, arrow_mm)
+    norm = colour_scale(maps, scale, limits_mpa)
+    if not truth_rows:
+        maps.pop("truth", None)
+    figure, panels = _panels(np.ptp(window_mm, axis=0), n_slices, len(maps))
+    slices = slice_body(mesh, n_slices, pixels)
+    for row, axes_row in enumerate(panels):
+        name, values = list(maps.items())[row % len(maps)]
+        for piece, axes in zip(slices[row // len(maps)], axes_row, strict=True):
+            piece.draw(axes, values, cmap=cmap, norm=norm)
+            draw_body(axes, mesh, piece)
+            if departure is not None:
+                draw_outline(axes, mesh, piece, departure)
+            for patch in patches:
+                draw_contact(axes, mesh, patch, piece, arrow_mm)
+            _set_window(axes, piece, window_mm)
+        _label(axes_row, slices[row // len(maps)], name if len(maps) > 1 else "", row, len(maps))
+    _add_colour_bar(figure, panels, np.concatenate(list(maps.values())), norm, label)
+    handles: list[Any] = []
+    labels = []
+    if patches:
+        handles.append(Line2D([], [], color=CONTACT, linewidth=2.5))
+        labels.append("contact (arrows: direction of the force)")
+    if departure is not None:
+        lines = [Line2D([], [], color=c, linewidth=w, linestyle=s) for c, w, s in OUTLINE_STYLES]
+        handles.append(tuple(lines))
+        labels.append("true inclusion")
+    if handles:
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9,
+            handlelength=3,
+        )  # fmt: skip
+    if title:
+        figure.suptitle(title, fontsize=12)
+    return figure
 
 
 def _check_values(name: str, values: np.ndarray, mesh: TetMesh) -> None:
@@ -142,12 +138,12 @@ def _check_values(name: str, values: np.ndarray, mesh: TetMesh) -> None:
         )
 
 
-def _window(mesh: TetMesh, patches: list[ContactPatch], arrow: float) -> np.ndarray:
+def _window(mesh: TetMesh, patches: list[ContactPatch], arrow_mm: float) -> np.ndarray:
     """Return the lowest and highest corner of the body with a margin for arrows, (2, 3) mm."""
-    margins = np.full((2, 3), 0.25 * arrow)
+    margins = np.full((2, 3), 0.25 * arrow_mm)
     for patch in patches:
-        margins[0, patch.direction > 0.3] = 1.25 * arrow
-        margins[1, patch.direction < -0.3] = 1.25 * arrow
+        margins[0, patch.direction > 0.3] = 1.25 * arrow_mm
+        margins[1, patch.direction < -0.3] = 1.25 * arrow_mm
     return mesh.bounds + np.array([[-1.0], [1.0]]) * margins
 
 
@@ -159,62 +155,40 @@ def _panels(size: np.ndarray, n_slices: int, n_maps: int) -> tuple[Figure, np.nd
     # Inches of titles, axis labels and legend.
     labels = 3 * (0.75 + 0.2 * (n_maps - 1)) + 0.7
     figure = new_figure((width + 0.12) * n_slices + 1.7, sum(heights) + labels)
-    panels = figure.subplots(
-        len(heights), n_slices, squeeze=False, gridspec_kw={"height_ratios": heights}
-    )
-    return figure, panels
+    ratios = {"height_ratios": heights}
+    return figure, figure.subplots(len(heights), n_slices, squeeze=False, gridspec_kw=ratios)
 
 
-def _draw(axes: Axes, mesh: TetMesh, piece: Slice, values: np.ndarray, style: _PanelStyle) -> None:
-    """Draw the map, the outlines of body and truth, and the contact in one slice."""
-    piece.draw(axes, values, cmap=style.cmap, norm=style.norm)
-    draw_cut(axes, mesh, mesh.surface.triangles, piece, colors="0.4", linewidths=0.6)
-    if style.outline is not None:
-        style.outline.draw(axes, piece)
-    _draw_contacts(axes, mesh, piece, style)
-    across, up = IN_PLANE[piece.axis]
-    # The same width in mm for every axis gives one length scale for the figure.
-    widest = max(np.ptp(style.window_mm[:, a]) for a, _ in IN_PLANE)
-    middle = style.window_mm[:, across].mean()
-    axes.set_xlim(middle - widest / 2, middle + widest / 2)
-    axes.set_ylim(*style.window_mm[:, up])
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def draw_cut(
-    axes: Axes, mesh: TetMesh, triangles: np.ndarray, piece: Slice, **options: Any
-) -> Float[np.ndarray, "s 2 2"]:
-    """Draw the segments where triangles cross a slice, with options of `LineCollection`.
-
-    Returns:
-        The ends of the segments in the two coordinates of the slice, mm.
-    """
-    segments = cut_triangles(mesh.points, triangles, piece.axis, piece.position_mm)
-    axes.add_collection(LineCollection(list(segments), **options))
-    return segments
+def draw_body(axes: Axes, mesh: TetMesh, piece: Slice) -> None:
+    """Draw the outline of the body in a slice."""
+    segments = cut_triangles(mesh.points, mesh.surface.triangles, piece.axis, piece.position_mm)
+    axes.add_collection(LineCollection(list(segments), colors="0.4", linewidths=0.6))
 
 
 def draw_contact(
-    axes: Axes, mesh: TetMesh, patch: ContactPatch, piece: Slice
-) -> Float[np.ndarray, "s 2 2"]:
-    """Draw a contact patch as thick lines; see `draw_cut`."""
-    return draw_cut(axes, mesh, patch.triangles, piece, colors=CONTACT, linewidths=2.5, zorder=3)
+    axes: Axes, mesh: TetMesh, patch: ContactPatch, piece: Slice, arrow_mm: float | None = None
+) -> None:
+    """Draw a contact patch as thick lines, with arrows along the force if their length is given."""
+    segments = cut_triangles(mesh.points, patch.triangles, piece.axis, piece.position_mm)
+    axes.add_collection(LineCollection(list(segments), colors=CONTACT, linewidths=2.5, zorder=3))
+    if arrow_mm is None:
+        return
+    tips, along = arrow_positions(segments, patch.direction, piece.axis, count=3)
+    style = {"arrowstyle": "-|>", "color": CONTACT, "linewidth": 1.1, "shrinkA": 0, "shrinkB": 1}
+    for tip in tips:
+        start = tuple(tip - arrow_mm * along)
+        arrow = axes.annotate("", xy=tuple(tip), xytext=start, arrowprops=style)
+        arrow.set_in_layout(False)  # within the panel; computing each extent takes seconds
 
 
-def _draw_contacts(axes: Axes, mesh: TetMesh, piece: Slice, style: _PanelStyle) -> None:
-    """Draw the contact as thick lines with arrows along the force."""
-    for patch in style.patches:
-        segments = draw_contact(axes, mesh, patch, piece)
-        tips, along = arrow_positions(segments, patch.direction, piece.axis, count=3)
-        for tip in tips:
-            arrow = axes.annotate(
-                "", xy=tuple(tip), xytext=tuple(tip - style.arrow_mm * along),
-                arrowprops={
-                    "arrowstyle": "-|>", "color": CONTACT, "linewidth": 1.1, "shrinkA": 0,
-                    "shrinkB": 1,
-                },
-            )  # fmt: skip
-            arrow.set_in_layout(False)  # within the panel; computing each extent takes seconds
+def _set_window(axes: Axes, piece: Slice, window_mm: np.ndarray) -> None:
+    """Limit a panel; the same width in mm for every axis gives one length scale."""
+    across, up = IN_PLANE[piece.axis]
+    widest = max(np.ptp(window_mm[:, a]) for a, _ in IN_PLANE)
+    middle = window_mm[:, across].mean()
+    axes.set_xlim(middle - widest / 2, middle + widest / 2)
+    axes.set_ylim(*window_mm[:, up])
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _label(axes_row: np.ndarray, slices: Sequence[Slice], name: str, row: int, n_maps: int) -> None:
@@ -233,39 +207,106 @@ def _label(axes_row: np.ndarray, slices: Sequence[Slice], name: str, row: int, n
     axes_row[0].set_ylabel(f"{name}\n{up} (mm)" if name else f"{up} (mm)", fontsize=9)
 
 
-def _colour_bar(
-    figure: Figure, panels: np.ndarray, maps: dict[str, np.ndarray], style: _PanelStyle
+def _add_colour_bar(
+    figure: Figure, panels: np.ndarray, values: np.ndarray, norm: Normalize, label: str
 ) -> None:
     """Add a colour bar, pointed at the ends that values exceed."""
-    beyond_low = any(values.min() < style.norm.vmin for values in maps.values())
-    beyond_high = any(values.max() > style.norm.vmax for values in maps.values())
-    extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}
+    beyond_low, beyond_high = bool(values.min() < norm.vmin), bool(values.max() > norm.vmax)
+    extend = ("neither", "min", "max", "both")[beyond_low + 2 * beyond_high]
     bar = figure.colorbar(
-        panels[0, 0].images[0],
-        ax=panels,
-        label=MODULUS_LABEL,
-        extend=extend.get((beyond_low, beyond_high), "both"),
-        aspect=40,
-        pad=0.02,
+        panels[0, 0].images[0], ax=panels, label=label, extend=extend, aspect=40, pad=0.02
     )
-    if isinstance(style.norm, LogNorm):
+    if isinstance(norm, LogNorm):
         bar.ax.yaxis.set_major_formatter(ScalarFormatter())
         bar.ax.yaxis.set_minor_formatter(ScalarFormatter())
         bar.ax.tick_params(which="minor", labelsize=7)
 
 
-def _legend(figure: Figure, style: _PanelStyle) -> None:
-    """Add the legend of contact and outline below the panels."""
-    handles: list[Any] = []
-    labels = []
-    if style.patches:
-        handles.append(Line2D([], [], color=CONTACT, linewidth=2.5))
-        labels.append("contact (arrows: direction of the force)")
-    if style.outline is not None:
-        handles.append(Outline.handle())
-        labels.append("true inclusion")
-    if handles:
-        figure.legend(
-            handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9,
-            handlelength=3,
-        )  # fmt: skip
+def live_figure(
+    mesh: TetMesh,
+    youngs: Float[np.ndarray, " m"],
+    *,
+    pressed: Float[np.ndarray, "n 3"],
+    inclusion_mm: Float[np.ndarray, "3"] | None = None,
+    next_mm: Float[np.ndarray, "3"] | None = None,
+    inward: Float[np.ndarray, "3"] | None = None,
+    radius_mm: float = 0.0,
+    title: str = "",
+) -> Figure:
+    """Return a figure of three slices through the inclusion, and three through the next press.
+
+    Forces `pressed` on the nodes are summed over presses. Without an inclusion the slices are
+    through the centre of the body; without a next press, whose unit vector is `inward`, the second
+    row is omitted.
+    """
+    name = "the middle of the object" if inclusion_mm is None else "the inclusion"
+    rows = [(f"through {name}", mesh.bounds.mean(axis=0) if inclusion_mm is None else inclusion_mm)]
+    if next_mm is not None and inward is not None:
+        rows.append(("through the next press", next_mm + 0.5 * radius_mm * inward))
+    figure = new_figure(10.0, 3.1 * len(rows) + 0.9)
+    panels = figure.subplots(len(rows), 3, squeeze=False)
+    norm = colour_scale({"reconstruction": youngs}, "linear", None)
+    patches = contact_patches(mesh, pressed)
+    for axes_row, (label, point) in zip(panels, rows, strict=True):
+        for axes, piece in zip(axes_row, slices_at(mesh, point, _LIVE_PIXELS), strict=True):
+            piece.draw(axes, youngs, cmap="viridis", norm=norm)
+            draw_body(axes, mesh, piece)
+            for patch in patches:
+                draw_contact(axes, mesh, patch, piece)
+            if inclusion_mm is not None and point is inclusion_mm:
+                x, y = inclusion_mm[list(IN_PLANE[piece.axis])]
+                axes.plot([x], [y], "+", color=_CENTRE, ms=9, mew=1.4, zorder=4)
+            if next_mm is not None and inward is not None:
+                _draw_next_press(axes, mesh, piece, next_mm, inward, radius_mm)
+            _label_live(axes, mesh, piece)
+        axes_row[0].set_ylabel(f"{label}\n{axes_row[0].get_ylabel()}", fontsize=9)
+    figure.colorbar(panels[0, 0].images[0], ax=panels, label=MODULUS_LABEL, aspect=30, pad=0.02)
+    handles = [Line2D([], [], color=CONTACT, linewidth=2.5, label="contact of the presses so far")]
+    if inclusion_mm is not None:
+        cross = Line2D([], [], color=_CENTRE, marker="P", ls="", mec="0.3", markersize=8)
+        cross.set_label("centre of the inclusion")
+        handles.append(cross)
+    if len(rows) > 1:
+        handles.append(Line2D([], [], color=_NEXT, linewidth=2.4, marker=">", label="next press"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def _label_live(axes: Axes, mesh: TetMesh, piece: Slice) -> None:
+    """Label a panel and give all panels the same size in mm, with a margin for the arrow."""
+    across, up = (AXES[a] for a in IN_PLANE[piece.axis])
+    axes.set_title(f"{AXES[piece.axis]} = {piece.position_mm:.3g} mm", fontsize=9)
+    axes.set_xlabel(f"{across} (mm)", fontsize=9)
+    axes.set_ylabel(f"{up} (mm)", fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    half = (0.5 + _LIVE_ARROW + 0.06) * float(np.ptp(mesh.bounds, axis=0).max())
+    x, y = mesh.bounds.mean(axis=0)[list(IN_PLANE[piece.axis])]
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+
+
+def _draw_next_press(
+    axes: Axes,
+    mesh: TetMesh,
+    piece: Slice,
+    next_mm: np.ndarray,
+    inward: np.ndarray,
+    radius_mm: float,
+) -> None:
+    """Draw an arrow, or a ring if seen from above, in slices that cross the contact."""
+    if abs(piece.position_mm - next_mm[piece.axis]) > radius_mm:
+        return
+    plane = list(IN_PLANE[piece.axis])
+    tip, along = next_mm[plane], inward[plane]
+    if np.linalg.norm(along) < 0.3:
+        angle = np.linspace(0.0, 2.0 * np.pi, 49)
+        ring = tip[:, None] + radius_mm * np.stack([np.cos(angle), np.sin(angle)])
+        axes.plot(*ring, color=_NEXT, lw=2)
+        axes.plot([tip[0]], [tip[1]], "o", color=_NEXT, markersize=4)
+        return
+    length = _LIVE_ARROW * float(np.ptp(mesh.bounds, axis=0).max())
+    start = tuple(tip - length * along / np.linalg.norm(along))
+    style = {"arrowstyle": "-|>", "color": _NEXT, "linewidth": 2.4, "mutation_scale": 16}
+    axes.annotate("", xy=tuple(tip), xytext=start, arrowprops=style, zorder=5)

@@ -1,5 +1,6 @@
 """Videos, written atomically."""
 
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,13 +21,6 @@ def writing_video(
     path: str | Path, rate_hz: float
 ) -> Iterator[Callable[[UInt8[np.ndarray, "h w 3"]], None]]:
     """Provide a function that appends an RGB image to a video; the file appears at the end.
-
-    Args:
-        path: Path of the video, with the suffix of an available codec; see `video_suffix`.
-        rate_hz: Frame rate, 1/s.
-
-    Yields:
-        The function that appends an image.
 
     Raises:
         FileError: There is no codec for the suffix, or the file cannot be written.
@@ -55,9 +49,7 @@ def _open_writer(path: Path, rate_hz: float, image: UInt8[np.ndarray, "h w 3"]) 
     import cv2
 
     size = (image.shape[1], image.shape[0])
-    for suffix, codec in _CODECS:
-        if suffix != path.suffix:
-            continue
+    for codec in (codec for suffix, codec in _CODECS if suffix == path.suffix):
         writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), rate_hz, size)
         if writer.isOpened():
             return writer
@@ -67,8 +59,6 @@ def _open_writer(path: Path, rate_hz: float, image: UInt8[np.ndarray, "h w 3"]) 
 
 def video_suffix() -> str | None:
     """Return the suffix of an available video codec, or None."""
-    import tempfile
-
     blank = np.zeros((64, 64, 3), np.uint8)
     with tempfile.TemporaryDirectory() as folder:
         for suffix in dict.fromkeys(suffix for suffix, _ in _CODECS):

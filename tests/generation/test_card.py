@@ -2,8 +2,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tactorch.generation import Recipe, generate
-from tactorch.generation.card import looked_at, write_card
-from tactorch.viz.learning import plot_samples
+from tactorch.generation.card import card_samples, write_card
+from tactorch.viz import save_figure
+from tactorch.viz.learning import samples_figure
 
 
 def test_card_says_what_is_inside(make_recipe: Callable[..., Recipe], tmp_path: Path) -> None:
@@ -12,7 +13,7 @@ def test_card_says_what_is_inside(make_recipe: Callable[..., Recipe], tmp_path: 
     assert "3 samples in 2 shards" in text
     assert "no inverse crime" in text
     assert "| presses |" in text
-    picture = plot_samples(looked_at(found), found.folder / "card.png")
+    picture = save_figure(samples_figure(card_samples(found)), found.folder / "card.png")
     assert picture.stat().st_size > 10_000
 
 
@@ -36,4 +37,4 @@ def test_card_tells_linear_images_from_reconstructions(
     assert "iterations" not in text
     sample = found[0]
     assert sample.reconstruction is not None
-    assert plot_samples(looked_at(found), found.folder / "card.png").is_file()
+    assert save_figure(samples_figure(card_samples(found)), found.folder / "card.png").is_file()

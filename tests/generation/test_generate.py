@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -240,13 +241,13 @@ def test_no_flipped_byte_escapes_as_another_error(made: SampleSet, tmp_path: Pat
 def test_what_breaks_a_sample_does_not_end_the_rest(
     make_recipe: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tactorch.generation import work as module
+    module = import_module("tactorch.generation.generate")
 
     def broken(*_: object) -> None:
         raise np.linalg.LinAlgError("singular\nmatrix")
 
     monkeypatch.setattr(module, "make_sample", broken)
-    assert module.work(make_recipe(), 3) == (3, None, "LinAlgError: singular matrix")
+    assert module._make(make_recipe(), 3) == (3, None, "LinAlgError: singular matrix")
 
 
 def test_unknown_numbers_and_folders(made: SampleSet, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Bounds, NoiseModel, linear_image
+from tactorch.learning.data import apply_symmetry
 from tactorch.learning.surrogate.features import (
     PRESS_CHANNELS,
     PRESS_VECTORS,
@@ -17,7 +18,6 @@ from tactorch.learning.surrogate.features import (
     compute_targets,
     select_strongest,
 )
-from tactorch.learning.symmetry import apply_symmetry
 from tactorch.mesh import TetMesh, VoxelGrid, box_mesh
 from tactorch.recording import Press, Recording
 

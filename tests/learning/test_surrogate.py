@@ -21,15 +21,14 @@ from tactorch.inverse import (
     invert,
 )
 from tactorch.inverse.starts import fits_better_than_uniform, uniform_fit
+from tactorch.learning.data import symmetries
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.surrogate import Prediction, SurrogateStart
-from tactorch.learning.surrogate import cache as feature_cache
-from tactorch.learning.surrogate.cache import load_features
+from tactorch.learning.surrogate import features as feature_cache
 from tactorch.learning.surrogate.data import AugmentedSamples, SurrogateData
-from tactorch.learning.surrogate.features import SHARED_CHANNELS
+from tactorch.learning.surrogate.features import SHARED_CHANNELS, load_features
 from tactorch.learning.surrogate.network import Surrogate, export_weights, load_surrogate
 from tactorch.learning.surrogate.unet import PressUNet
-from tactorch.learning.symmetry import symmetries
 from tactorch.learning.training import BEST, TrainerOptions, fit
 from tactorch.recording import Recording
 from tactorch.simulation import perturb_recording

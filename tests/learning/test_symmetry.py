@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from tactorch.learning.symmetry import apply_symmetry, symmetries
+from tactorch.learning.data import apply_symmetry, symmetries
 from tactorch.mesh import VoxelGrid, box_mesh
 
 X, Y, Z = np.eye(3)

@@ -13,10 +13,9 @@ import torch
 from torch.utils.data import DataLoader, TensorDataset
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.learning.data import EpochSampler
+from tactorch.learning.data import EpochSampler, symmetries
 from tactorch.learning.recognizer.data import AugmentedMaps
 from tactorch.learning.recognizer.network import Recognizer
-from tactorch.learning.symmetry import symmetries
 from tactorch.learning.training import (
     BEST,
     CURVE,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.reproduce.cases import Case, CaseResult, run_cases
+from tactorch.reproduce.cases import CaseResult, run_cases
 
 
 class Study(ModuleType):
@@ -18,15 +18,16 @@ class Study(ModuleType):
         self.made: list[str] = []
         self.mended = False
 
-    def run_case(self, case, scratch):
-        self.made.append(case.name)
+    def run_case(self, settings, scratch):
+        name = settings["name"]
+        self.made.append(name)
         scratch.mkdir(parents=True, exist_ok=True)
         (scratch / "half").write_text("what a kill would leave")
-        if case.name == "bad" and not self.mended:
+        if name == "bad" and not self.mended:
             raise ConfigError("this one\ncannot be made")
-        if case.name == "worse":
+        if name == "worse":
             raise RuntimeError("nobody foresaw this")
-        return CaseResult({"double": 2 * case.settings["x"]}, {"row": np.arange(3.0)})
+        return CaseResult({"double": 2 * settings["x"]}, {"row": np.arange(3.0)})
 
 
 @pytest.fixture
@@ -37,12 +38,12 @@ def study(monkeypatch):
 
 
 def cases(**values):
-    return [Case("counting", name, {"x": x}) for name, x in values.items()]
+    return {name: {"name": name, "x": x} for name, x in values.items()}
 
 
 def run(wanted, folder):
     told = []
-    found = run_cases(wanted, folder, 1, lambda *how: told.append(how))
+    found = run_cases("counting", wanted, folder, 1, lambda *how: told.append(how))
     return *found, told
 
 

@@ -1,6 +1,7 @@
 """Each exhibit, from the smallest study that makes it."""
 
 import csv
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ from tactorch.errors import ConfigError, TactorchError
 from tactorch.reproduce import EXHIBITS, depths, recognition, reproduce, sizes
 from tactorch.reproduce.cases import CaseResult
 from tactorch.reproduce.depths import classify_depth
-from tactorch.reproduce.studies import STUDIES, TITLES
+from tactorch.reproduce.exhibits import STUDIES, TITLES
 
 _COARSE = 0.25
 TINY = {
@@ -125,9 +126,11 @@ def test_depths_are_told(out, monkeypatch):
         assert f"| {error:.2f} |" in line
 
 
-def test_depths_without_any_lump_are_told_of(tmp_path):
+def test_depths_without_any_lump_are_reported():
     case = CaseResult({"depth_mm": None, "off_mm": None, "radius_mm": None, "seconds": 1.0})
-    text = depths.fig10({"2mm-00": case}, {"places": 1}, tmp_path)
+    exhibit = depths.fig10({"2mm-00": case}, {"places": 1})
+    assert exhibit.figure is None
+    text = "\n".join(exhibit.paragraphs)
     assert "| no inclusion detected |  | 1 |" in text
     assert "accuracy of the depth class, of seven | 0.9500 | 0.0000" in text
 
@@ -140,15 +143,17 @@ def test_the_nearest_depth(depth, told):
 def test_every_exhibit_has_a_study_and_cases_of_distinct_names():
     assert set(TITLES) == set(EXHIBITS)
     for study in set(EXHIBITS.values()) & set(TINY):
-        names = [case.name for case in STUDIES[study].cases(TINY[study])]
-        assert len(set(names)) == len(names) > 0
+        names = STUDIES[study].cases(TINY[study])
+        assert len(names) == {"credibility": 9, "models": 2, "sizes": 21, "depths": 7}.get(
+            study, 24
+        )
+        assert all(re.fullmatch(r"[\w.-]+", name) for name in names)
 
 
 def test_depths_of_a_larger_study_begin_with_those_of_a_smaller():
-    small = {case.name: case.settings for case in STUDIES["depths"].cases(TINY["depths"])}
+    small = STUDIES["depths"].cases(TINY["depths"])
     large = STUDIES["depths"].cases({**TINY["depths"], "places": 3})
-    again = {case.name: case.settings for case in large if case.name in small}
-    assert again == small
+    assert {name: large[name] for name in small} == small
 
 
 def test_unknown_exhibits_are_refused(tmp_path):
@@ -168,10 +173,10 @@ def test_failures_are_told_and_the_rest_is_written(tmp_path):
 def test_an_exhibit_that_is_nothing_without_what_failed_ends_no_other(tmp_path, monkeypatch):
     from tactorch.reproduce import credibility
 
-    first = next(iter(STUDIES["credibility"].cases(TINY["credibility"]))).name
+    first = next(iter(STUDIES["credibility"].cases(TINY["credibility"]).values()))
 
-    def failing(case, scratch):
-        if case.name == first:
+    def failing(settings, scratch):
+        if settings == first:
             raise ConfigError("no such cube")
         return CaseResult({"layers": [3.0, 2.0, 1.0]})
 
@@ -182,7 +187,7 @@ def test_an_exhibit_that_is_nothing_without_what_failed_ends_no_other(tmp_path, 
     assert len(list((tmp_path / "cases" / "credibility").glob("*.npz"))) == 8
 
 
-def test_confusion_is_by_the_shapes_of_the_paper(tmp_path, monkeypatch):
+def test_confusion_is_by_the_shapes_of_the_paper(monkeypatch):
     """From scores as `tactorch evaluate-model` writes them, whose classes go by the alphabet."""
     scores = {
         "samples": 24,
@@ -192,8 +197,8 @@ def test_confusion_is_by_the_shapes_of_the_paper(tmp_path, monkeypatch):
         "confusion": [[6, 2, 0], [3, 3, 0], [0, 0, 10]],
     }
     drawn = {}
-    monkeypatch.setattr(recognition, "plot_matrices", lambda matrices, path: drawn.update(matrices))
-    text = recognition.fig11({"recognizer": CaseResult(scores)}, {}, tmp_path)
+    monkeypatch.setattr(recognition, "matrices_figure", drawn.update)
+    (text,) = recognition.fig11({"recognizer": CaseResult(scores)}, {}).paragraphs
     assert "| accuracy of the recognizer | 0.900 | 0.792 |" in text
     ((shares, names),) = drawn.values()
     assert names == ("cake", "torus", "cone")

@@ -7,8 +7,8 @@ import pytest
 
 from tactorch.inverse import TNC, Settings
 from tactorch.reproduce import models
-from tactorch.reproduce.objects import press_object
-from tactorch.reproduce.trace import TracedRun, TracePoint, run_with_trace
+from tactorch.reproduce.models import TracedRun, TracePoint, run_with_trace
+from tactorch.reproduce.paper import press_object
 
 OBJECT = {"phantom": "cube_sphere", "relative_edge_length": 0.3, "p_max_mpa": 0.02, "steps": 1}
 

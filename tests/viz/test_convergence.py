@@ -6,7 +6,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from tactorch.errors import ConfigError
-from tactorch.viz import convergence_figure, plot_convergence
+from tactorch.viz import convergence_figure, save_figure
 
 
 def history(count: int, seconds: float, rate: float) -> list[dict]:
@@ -45,7 +45,9 @@ def test_few_iterations_stay_readable_beside_many() -> None:
 
 
 def test_picture_is_written(tmp_path: Path) -> None:
-    path = plot_convergence({"a": history(5, 1.0, 0.1)}, tmp_path / "c.png", title="box")
+    path = save_figure(
+        convergence_figure({"a": history(5, 1.0, 0.1)}, title="box"), tmp_path / "c.png"
+    )
     picture = imread(path)
     assert (np.abs(picture[..., :3] - to_rgb("#0072B2")).max(axis=-1) < 0.02).sum() > 300
     assert [p.name for p in tmp_path.iterdir()] == ["c.png"]

@@ -12,7 +12,7 @@ from tactorch.viz import (
     layer_figure,
     save_figure,
 )
-from tactorch.viz.credibility import METRIC
+from tactorch.viz.uncertainty import METRIC
 
 
 def test_layer_curves_are_written(tmp_path: Path) -> None:

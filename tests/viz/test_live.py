@@ -7,7 +7,7 @@ from matplotlib.image import imread
 
 from tactorch.mesh import TetMesh
 from tactorch.viz import save_figure
-from tactorch.viz.live import live_figure
+from tactorch.viz.slices import live_figure
 
 
 def test_the_next_press_is_drawn_where_it_is_and_the_inclusion_crossed(

@@ -9,7 +9,8 @@ import pytest
 from tactorch.errors import FileError
 from tactorch.sensor.calibration import Ball, Circle
 from tactorch.sensor.description import GelLayer, SensorDescription
-from tactorch.viz.sensor_calibration import BallPress, plot_ball_presses
+from tactorch.viz import save_figure
+from tactorch.viz.sensor_calibration import BallPress, ball_press_figure
 from tactorch.viz.sensor_frames import (
     DepthView,
     ForceView,
@@ -20,7 +21,7 @@ from tactorch.viz.sensor_frames import (
     node_areas,
     render,
 )
-from tactorch.viz.session import plot_over_time
+from tactorch.viz.session import over_time_figure
 from tactorch.viz.video import video_suffix, writing_video
 
 SENSOR = SensorDescription("s", (60, 40), (0.2, 0.25), GelLayer(3.0, 0.2, size_mm=(12.0, 10.0)))
@@ -117,10 +118,10 @@ def test_presses_are_drawn_beside_the_ball(tmp_path: Path, monkeypatch: pytest.M
     ball, circle = Ball(2.0, (0.1, 0.1)), Circle((30.0, 20.0), 10.0)
     slopes, height = ball.slopes((40, 60), circle), ball.heights((40, 60), circle)
     known = np.ones((40, 60), dtype=bool)
-    press = BallPress("p.png", IMAGE, circle, circle, known, slopes, height)
+    press = BallPress("p.png", IMAGE, circle, circle, ball, known, slopes, height)
     monkeypatch.setattr("tactorch.viz.sensor_calibration._MAX_PRESSES", 2)
-    one = plot_ball_presses([press], ball, "title", tmp_path / "one.png")
-    many = plot_ball_presses([press] * 12, ball, "title", tmp_path / "many.png")
+    one = save_figure(ball_press_figure([press], "title"), tmp_path / "one.png")
+    many = save_figure(ball_press_figure([press] * 12, "title"), tmp_path / "many.png")
     sizes = [cv2.imread(str(path)).shape for path in (one, many)]
     assert 1.7 < sizes[1][0] / sizes[0][0] < 2.0  # two rows of twelve
 
@@ -128,7 +129,8 @@ def test_presses_are_drawn_beside_the_ball(tmp_path: Path, monkeypatch: pytest.M
 def test_measures_over_time(tmp_path: Path) -> None:
     panels = {"force, N": {"x": np.array([0.0, np.nan, 1.0])}, "depth, mm": {"d": np.ones(3)}}
     for name, times in (("a.png", None), ("b.png", np.array([0.0, 0.1, 0.3]))):
-        assert plot_over_time(panels, times, [1], tmp_path / name).stat().st_size > 5000
+        figure = over_time_figure(panels, times, [1])
+        assert save_figure(figure, tmp_path / name).stat().st_size > 5000
 
 
 def frames(count: int) -> list[np.ndarray]:

@@ -9,8 +9,9 @@ from matplotlib.image import imread
 from tactorch.errors import ConfigError
 from tactorch.mesh import box_mesh
 from tactorch.recording import MaterialSpec, Press, Recording
+from tactorch.viz import save_figure
 from tactorch.viz import session as drawing
-from tactorch.viz.session import plot_presses
+from tactorch.viz.session import presses_figure
 
 MESH = box_mesh(10.0, 3)
 TOP = MESH.points[:, 2] > 9.99
@@ -32,13 +33,13 @@ def recording() -> Recording:
 
 
 def test_presses_are_drawn(recording: Recording, tmp_path: Path) -> None:
-    image = imread(plot_presses(recording, tmp_path / "presses.png"))
+    image = imread(save_figure(presses_figure(recording), tmp_path / "presses.png"))
     assert image.shape[1] > image.shape[0]  # three side by side
-    one = imread(plot_presses(recording, tmp_path / "one.png", max_presses=1))
+    one = imread(save_figure(presses_figure(recording, max_presses=1), tmp_path / "one.png"))
     assert one.shape[1] < image.shape[1] / 1.8
     assert image[..., :3].std() > 0.05
     with pytest.raises(ConfigError, match="max_presses=0 must be at least 1"):
-        plot_presses(recording, tmp_path / "none.png", max_presses=0)
+        presses_figure(recording, max_presses=0)
 
 
 def test_the_hardest_are_drawn_where_there_are_too_many(recording: Recording) -> None:

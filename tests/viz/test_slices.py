@@ -8,7 +8,7 @@ from matplotlib.image import imread
 
 from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.mesh import TetMesh
-from tactorch.viz import plot_slices, slice_figure
+from tactorch.viz import save_figure, slice_figure
 
 # Slices near the middle of the sphere, and those that miss it by more than a cell.
 WITHIN = ["x = 14 mm", "y = 6 mm", "z = 10 mm", "z = 14 mm"]
@@ -29,7 +29,8 @@ def close_to(picture: np.ndarray, colour: str) -> int:
 def test_written_picture_shows_inclusion_background_and_contact(
     cube: TetMesh, sphere_map: np.ndarray, tmp_path: Path
 ) -> None:
-    path = plot_slices(cube, sphere_map, tmp_path / "run" / "a.png", pressed=["z+"], n_slices=3)
+    figure = slice_figure(cube, sphere_map, pressed=["z+"], n_slices=3)
+    path = save_figure(figure, tmp_path / "run" / "a.png")
     assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     picture = imread(path)
     assert close_to(picture, "#fde725") > 1000  # the top of viridis: 1 MPa
@@ -109,7 +110,8 @@ def test_scale_can_be_logarithmic_or_given(cube: TetMesh, sphere_map: np.ndarray
 def test_uniform_map_can_be_drawn(cube: TetMesh, tmp_path: Path) -> None:
     uniform = np.full(cube.n_tets, 0.2)
     for scale in ("linear", "log"):
-        path = plot_slices(cube, uniform, tmp_path / f"{scale}.png", scale=scale, **QUICK)
+        figure = slice_figure(cube, uniform, scale=scale, **QUICK)
+        path = save_figure(figure, tmp_path / f"{scale}.png")
         assert path.stat().st_size > 0
 
 
@@ -146,7 +148,7 @@ def test_unknown_picture_format_is_refused_and_nothing_written(
     cube: TetMesh, sphere_map: np.ndarray, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigError, match="bmp"):
-        plot_slices(cube, sphere_map, tmp_path / "a.bmp", **QUICK)
+        save_figure(slice_figure(cube, sphere_map, **QUICK), tmp_path / "a.bmp")
     assert not list(tmp_path.iterdir())
 
 
@@ -162,6 +164,6 @@ def test_failed_write_keeps_the_old_picture(
 
     monkeypatch.setattr(Figure, "savefig", broken)
     with pytest.raises(FileError, match=r"a\.png': disk full"):
-        plot_slices(cube, sphere_map, path, **QUICK)
+        save_figure(slice_figure(cube, sphere_map, **QUICK), path)
     assert path.read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]

@@ -12,8 +12,8 @@ from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.text import MAX_NAME_LENGTH, one_line, printable
 from tactorch.viz import calibration_figure, convergence_figure, layer_figure, save_figure
 from tactorch.viz.figure import new_figure
-from tactorch.viz.learning import plot_confusion
-from tactorch.viz.session import plot_presses
+from tactorch.viz.learning import confusion_figure
+from tactorch.viz.session import presses_figure
 
 HOSTILE = [
     r"$\frac{$",
@@ -43,7 +43,7 @@ def test_names_of_presses_are_drawn_literally(name: str, suffix: str, tmp_path: 
         fixed=np.repeat(mesh.points[:, 2:] < 0.01, 3, axis=1), name=name,
     )  # fmt: skip
     recording = Recording(mesh, (press,), MaterialSpec("neo_hookean", 0.45))
-    path = plot_presses(recording, tmp_path / f"presses{suffix}")
+    path = save_figure(presses_figure(recording), tmp_path / f"presses{suffix}")
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     if suffix == ".svg":
         ElementTree.parse(path)
@@ -60,7 +60,8 @@ def test_legends_ticks_and_titles_are_drawn_literally(name: str, tmp_path: Path)
     ):
         save_figure(figure, tmp_path / "figure.svg")
         ElementTree.parse(tmp_path / "figure.svg")
-    plot_confusion(np.eye(2, dtype=int), (name, "b"), tmp_path / "confusion.png")
+    figure = confusion_figure(np.eye(2, dtype=int), (name, "b"))
+    save_figure(figure, tmp_path / "confusion.png")
 
 
 def test_logarithmic_ticks_stay_typeset(tmp_path: Path) -> None:

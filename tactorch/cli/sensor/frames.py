@@ -22,7 +22,7 @@ from tactorch.sensor.frames import Frame
 from tactorch.text import one_line
 from tactorch.viz.figure import save_figure
 from tactorch.viz.sensor_frames import DPI, render
-from tactorch.viz.session import plot_over_time
+from tactorch.viz.session import over_time_figure
 from tactorch.viz.video import video_suffix, writing_video
 
 _DEFAULT_RATE_HZ = 10.0  # of a video of frames without times
@@ -146,4 +146,4 @@ class RunFiles:
                 report(number + 1, total)
         log.info("pictures%s: %s", " and video" if suffix else "", self.folder)
         faulty = [frame.index for frame in measured if frame.fault]
-        plot_over_time(series, times, faulty, self.folder / OVER_TIME)
+        save_figure(over_time_figure(series, times, faulty), self.folder / OVER_TIME)

@@ -33,8 +33,9 @@ from tactorch.sensor.depth import integrate_slopes
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image, read_frames
 from tactorch.sensor.markers import MarkerAppearance
+from tactorch.viz import save_figure
 from tactorch.viz.sensor_calibration import BallPress as PlottedPress
-from tactorch.viz.sensor_calibration import plot_ball_presses
+from tactorch.viz.sensor_calibration import ball_press_figure
 
 _REPORT, _TEXT, _CIRCLES, _PICTURE = "quality.json", "quality.txt", "circles.csv", "held_out.png"
 
@@ -156,7 +157,7 @@ def write_report(
     ]
     write_table(folder / _CIRCLES, header, rows)
     plotted = [_plotted(one, images[one.press.name], ball) for one in evaluated]
-    plot_ball_presses(plotted, ball, title, folder / _PICTURE)
+    save_figure(ball_press_figure(plotted, title), folder / _PICTURE)
     log_text(title, table, note)
     log.info("pictures of them: %s", folder / _PICTURE)
 
@@ -165,4 +166,4 @@ def _plotted(evaluated: EvaluatedPress, image: Image, ball: Ball) -> PlottedPres
     press, circle, slope_map = evaluated
     slopes = map_slopes(slope_map, press.change)
     height = integrate_slopes(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
-    return PlottedPress(press.name, image, press.circle, circle, press.known, slopes, height)
+    return PlottedPress(press.name, image, press.circle, circle, ball, press.known, slopes, height)

@@ -33,7 +33,8 @@ from tactorch.files import require_file
 from tactorch.recording import Recording, append_press, compact
 from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.recorder import SessionRecording, VirtualCube, record, record_streaming
-from tactorch.viz.session import plot_presses, plot_session
+from tactorch.viz import save_figure
+from tactorch.viz.session import presses_figure, session_figure
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
 _HEADER = ("frame", "time_s", "depth_mm", "contact", "kept", "fault")
@@ -63,8 +64,8 @@ def run(cfg: RecordSettings) -> Path:
     session.recording.save(out)
     _write(files, session)
     if cfg.plots:
-        plot_session(session, files.folder / OVER_TIME)
-        plot_presses(session.recording, files.folder / _PRESSES)
+        save_figure(session_figure(session), files.folder / OVER_TIME)
+        save_figure(presses_figure(session.recording), files.folder / _PRESSES)
     log.info("recording: %s", out)
     return out
 

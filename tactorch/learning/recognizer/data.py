@@ -1,32 +1,33 @@
 """Maps and labels for the training of a recognizer."""
 
-import json
 from collections.abc import Sequence
-from hashlib import sha256
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, TensorDataset
+from torch.utils.data import Dataset
 
 from tactorch.errors import ConfigError
 from tactorch.generation import SampleMaps, SampleSet
-from tactorch.learning.data import PARTS, EpochSampler, SplitData, split_objects
-from tactorch.learning.symmetry import IDENTITY, Symmetry, apply_symmetry, symmetries
+from tactorch.learning.data import (
+    IDENTITY,
+    PARTS,
+    SplitData,
+    Symmetry,
+    apply_symmetry,
+    draw_symmetry,
+    split_objects,
+    symmetries,
+)
 from tactorch.mesh import VoxelGrid
 
 
 class AugmentedMaps(Dataset[tuple[Tensor, Tensor]]):
-    """Maps, each transformed by a random symmetry and factor in each epoch.
+    """Maps (n, 1, v, v, v), each transformed by a random symmetry and factor in each epoch.
 
-    Args:
-        maps: Log-modulus, (n, 1, v, v, v).
-        labels: Labels, (n,).
-        allowed: Symmetries to draw from.
-        brightness: Standard deviation of the random offset of the logarithm.
-        seed: Seed of the draws.
+    `brightness` is the standard deviation of the random offset of the logarithm.
     """
 
     def __init__(
@@ -46,16 +47,13 @@ class AugmentedMaps(Dataset[tuple[Tensor, Tensor]]):
     def __getitem__(self, item: tuple[int, int]) -> tuple[Tensor, Tensor]:
         """Return a map and its label, by epoch and index."""
         epoch, index = item
-        rng = np.random.default_rng([self.seed, epoch, index])
-        symmetry = self.allowed[int(rng.integers(len(self.allowed)))]
+        symmetry, rng = draw_symmetry(self.allowed, self.seed, epoch, index)
         offset = self.brightness * float(rng.standard_normal())
         return apply_symmetry(symmetry, self.maps[index]) + offset, self.labels[index]
 
 
 class RecognitionData(SplitData):
     """Log-modulus on a grid and the class of the inclusion.
-
-    The attribute `fingerprint` identifies the data and the split.
 
     Args:
         folder: Dataset, such as of `tactorch generate dataset=recognition`.
@@ -87,32 +85,25 @@ class RecognitionData(SplitData):
         brightness: float = 0.1,
         seed: int = 0,
     ) -> None:
-        super().__init__()
         if source not in ("reconstruction", "truth"):
             raise ConfigError(f"source={source!r}: choose reconstruction or truth.")
         if batch < 1 or voxels < 1 or split < 0 or seed < 0:
             raise ConfigError("batch and voxels must be at least 1, split and seed at least 0.")
-        self.voxels, self.batch, self.source = voxels, batch, source
-        self.augment, self.brightness, self.seed = augment, brightness, seed
         dataset = SampleSet.open(folder)
         dataset.verify()
         samples = [dataset.maps(index) for index in dataset.indices]
         if not samples:
             raise ConfigError(f"dataset '{folder}' is empty.")
-        self.classes = sorted({sample.label for sample in samples})
+        objects, labels = [s.object for s in samples], [s.label for s in samples]
+        sizes = dict(zip(PARTS, shares, strict=True))
         grids = {sample.mesh: VoxelGrid(sample.mesh, voxels) for sample in samples}
-        self.maps = torch.stack([self._map(sample, grids[sample.mesh]) for sample in samples])
-        self.labels = torch.tensor([self.classes.index(sample.label) for sample in samples])
-        self.numbers = [sample.index for sample in samples]
-        self.parts = split_objects(
-            [sample.object for sample in samples],
-            [sample.label for sample in samples],
-            dict(zip(PARTS, shares, strict=True)),
-            split,
-        )
+        maps = [_log_map(sample, source, grids[sample.mesh]) for sample in samples]
+        parts = split_objects(objects, labels, sizes, split)
+        super().__init__(dataset.manifest, parts, batch=batch, augment=augment, seed=seed)
+        self.maps, self.brightness = torch.stack(maps), brightness
+        self.classes = sorted(set(labels))
+        self.labels = torch.tensor([self.classes.index(label) for label in labels])
         self.allowed = _common_symmetries(samples)
-        shards = [shard["sha256"] for shard in dataset.manifest["shards"]]
-        self.fingerprint = sha256(json.dumps([shards, self.parts]).encode()).hexdigest()
 
     @property
     def mean(self) -> float:
@@ -126,28 +117,20 @@ class RecognitionData(SplitData):
         maps = self.maps[self.parts["train"]]
         return float(maps.std()) if len(maps) else 1.0
 
-    def train_dataloader(self) -> DataLoader:
-        """Return shuffled, augmented batches."""
-        part = self.parts["train"]
-        allowed = self.allowed if self.augment else [IDENTITY]
-        brightness = self.brightness if self.augment else 0.0
-        maps = AugmentedMaps(self.maps[part], self.labels[part], allowed, brightness, self.seed)
-        order = EpochSampler(len(maps), self.seed)
-        return DataLoader(maps, self.batch, sampler=order, drop_last=len(maps) > self.batch)
+    def dataset(self, rows: Sequence[int], augment: bool) -> AugmentedMaps:
+        """Return maps and labels, by epoch and position in `rows`."""
+        allowed, brightness = (self.allowed, self.brightness) if augment else ([IDENTITY], 0.0)
+        return AugmentedMaps(self.maps[rows], self.labels[rows], allowed, brightness, self.seed)
 
-    def loader(self, part: str) -> DataLoader:
-        """Return the batches of a part, in order and without augmentation."""
-        rows = self.parts[part]
-        return DataLoader(TensorDataset(self.maps[rows], self.labels[rows]), self.batch)
 
-    def _map(self, sample: SampleMaps, grid: VoxelGrid) -> Tensor:
-        youngs = sample.truth if self.source == "truth" else sample.reconstruction
-        if youngs is None:
-            raise ConfigError(
-                "the dataset has no reconstructions; generate it with dataset.reconstruct=true, or"
-                " learn from data.source=truth."
-            )
-        return torch.from_numpy(np.log(grid.fill(youngs))).float()[None]
+def _log_map(sample: SampleMaps, source: str, grid: VoxelGrid) -> Tensor:
+    youngs = sample.truth if source == "truth" else sample.reconstruction
+    if youngs is None:
+        raise ConfigError(
+            "the dataset has no reconstructions; generate it with dataset.reconstruct=true, or"
+            " learn from data.source=truth."
+        )
+    return torch.from_numpy(np.log(grid.fill(youngs))).float()[None]
 
 
 def _common_symmetries(samples: Sequence[SampleMaps]) -> list[Symmetry]:

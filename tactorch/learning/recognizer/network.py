@@ -1,29 +1,23 @@
-"""The recognizer: classifies the inclusion in a map of Young's modulus (Section V-B)."""
+"""The recognizer: classifies the inclusion in a map of Young's modulus (Section V-B); scores."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import NamedTuple
 
-import lightning
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
 from tactorch.errors import ConfigError
-from tactorch.learning.training import make_optimizer
+from tactorch.learning.training import Network
 
 
 class FCN(nn.Module):
     """A 3-D fully convolutional network (Long et al., 2015) with one score per class and voxel.
 
     Scores are averaged over the voxels, so that grids of any size from 4 voxels in each direction
-    are accepted.
-
-    Args:
-        classes: Number of classes.
-        hidden: Channels of the hidden layers; 64 in the paper.
-        layers: Number of hidden layers; the first two halve the grid.
-        dropout: Fraction of channels dropped before the last layer, in training.
+    are accepted. The first two of the hidden layers halve the grid.
     """
 
     def __init__(
@@ -52,7 +46,7 @@ class FCN(nn.Module):
         return self.score(self.drop(self.hidden(maps))).mean(dim=(2, 3, 4))
 
 
-class Recognizer(lightning.LightningModule):
+class Recognizer(Network):
     """Classifies inclusions from log-modulus on a grid.
 
     Args:
@@ -80,14 +74,11 @@ class Recognizer(lightning.LightningModule):
         learning_rate: float = 2e-3,
         weight_decay: float = 1e-4,
     ) -> None:
-        super().__init__()
-        if not (learning_rate > 0 and weight_decay >= 0):
-            raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
+        super().__init__(learning_rate, weight_decay)
         self.save_hyperparameters()
         self.classes = list(classes)
         self.register_buffer("mean", torch.tensor(float(mean)))
         self.register_buffer("deviation", torch.tensor(float(deviation)))
-        self.learning_rate, self.weight_decay = learning_rate, weight_decay
         self.network = FCN(len(self.classes), hidden, layers, dropout)
 
     def forward(self, log_youngs: Float[Tensor, "b 1 x y z"]) -> Float[Tensor, "b c"]:
@@ -96,33 +87,65 @@ class Recognizer(lightning.LightningModule):
 
     def training_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
         """Return the cross-entropy of a batch."""
-        loss, _ = self._loss_and_accuracy(batch)
+        loss = self.scores(batch)["loss"]
         self.log("train/loss", loss, on_step=False, on_epoch=True, sync_dist=True)
         return loss
-
-    def validation_step(self, batch: Sequence[Tensor], index: int) -> None:
-        """Log the cross-entropy and the accuracy."""
-        self._log("val", batch)
-
-    def test_step(self, batch: Sequence[Tensor], index: int) -> None:
-        """Log the cross-entropy and the accuracy."""
-        self._log("test", batch)
 
     def predict_step(self, batch: Sequence[Tensor], index: int) -> Tensor:
         """Return the probability of each class."""
         return self(batch[0]).softmax(dim=1)
 
-    def configure_optimizers(self) -> Any:
-        """Return AdamW with a linear warm-up and cosine decay."""
-        return make_optimizer(self, self.learning_rate, self.weight_decay)
-
-    def _loss_and_accuracy(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    def scores(self, batch: Sequence[Tensor]) -> dict[str, Tensor]:
+        """Return the cross-entropy and the accuracy of a batch."""
         maps, labels = batch
         logits = self(maps)
         accuracy = (logits.argmax(dim=1) == labels).double().mean()
-        return functional.cross_entropy(logits, labels), accuracy
+        return {"loss": functional.cross_entropy(logits, labels), "accuracy": accuracy}
 
-    def _log(self, part: str, batch: Sequence[Tensor]) -> None:
-        loss, accuracy = self._loss_and_accuracy(batch)
-        values = {f"{part}/loss": loss, f"{part}/accuracy": accuracy}
-        self.log_dict(values, batch_size=len(batch[1]), sync_dist=True)
+
+class ClassScores(NamedTuple):
+    """Scores of n predictions of c classes.
+
+    Rows of the confusion matrix are true classes, columns predicted ones. Precision is NaN for
+    classes that were never predicted, recall for those that never occurred. The calibration error
+    is the expected one of Guo et al. (2017). Bins are of the confidence, the probability of the
+    predicted class; means over empty bins are NaN.
+    """
+
+    confusion: Int[np.ndarray, "c c"]
+    accuracy: float
+    precision: Float[np.ndarray, " c"]
+    recall: Float[np.ndarray, " c"]
+    f1: Float[np.ndarray, " c"]
+    calibration_error: float
+    bin_confidence: Float[np.ndarray, " b"]
+    bin_accuracy: Float[np.ndarray, " b"]
+    bin_counts: Int[np.ndarray, " b"]
+
+
+def class_scores(
+    probabilities: Float[np.ndarray, "n c"], truth: Int[np.ndarray, " n"], bins: int = 10
+) -> ClassScores:
+    """Return scores of predicted probabilities, binned for the calibration.
+
+    Raises:
+        ConfigError: There are no predictions, or a class is out of range.
+    """
+    count, classes = probabilities.shape
+    if count == 0 or truth.min() < 0 or truth.max() >= classes:
+        raise ConfigError(f"{count} answers among {classes} classes do not fit the true classes.")
+    predicted = probabilities.argmax(axis=1)
+    confusion = np.zeros((classes, classes), dtype=np.int64)
+    np.add.at(confusion, (truth, predicted), 1)
+    hits = np.diag(confusion).astype(float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        precision, recall = hits / confusion.sum(axis=0), hits / confusion.sum(axis=1)
+        f1 = 2.0 * hits / (confusion.sum(axis=0) + confusion.sum(axis=1))
+        confidence = probabilities.max(axis=1)
+        index = np.minimum((confidence * bins).astype(int), bins - 1)
+        bin_counts = np.bincount(index, minlength=bins)
+        bin_confidence = np.bincount(index, confidence, minlength=bins) / bin_counts
+        bin_accuracy = np.bincount(index, predicted == truth, minlength=bins) / bin_counts
+    error = np.nansum(bin_counts * np.abs(bin_confidence - bin_accuracy)) / count
+    accuracy, in_bins = float(hits.sum() / count), (bin_confidence, bin_accuracy, bin_counts)
+    return ClassScores(confusion, accuracy, precision, recall, f1, float(error), *in_bins)

@@ -1,35 +1,39 @@
 """Presses and true maps for the training of a surrogate."""
 
-import json
 from collections.abc import Sequence
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import Dataset
 
 from tactorch.errors import ConfigError
 from tactorch.generation import SampleSet
-from tactorch.learning.data import PARTS, EpochSampler, SplitData, split_objects
-from tactorch.learning.surrogate.cache import FeatureSet, load_features
-from tactorch.learning.surrogate.features import PRESS_VECTORS, VERSION
-from tactorch.learning.symmetry import IDENTITY, Symmetry, apply_symmetry, symmetries
+from tactorch.learning.data import (
+    IDENTITY,
+    PARTS,
+    SplitData,
+    Symmetry,
+    apply_symmetry,
+    draw_symmetry,
+    split_objects,
+    symmetries,
+)
+from tactorch.learning.surrogate.features import (
+    PRESS_VECTORS,
+    VERSION,
+    FeatureSet,
+    load_features,
+)
 
 Row = tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 class AugmentedSamples(Dataset[Row]):
-    """Samples, each transformed by a random symmetry of the cube in each epoch.
+    """Samples in `rows`, each transformed by a random symmetry of the cube in each epoch.
 
     The transformed object with its transformed presses is equally likely.
-
-    Args:
-        features: Features of all samples.
-        rows: Indices of the samples of this part.
-        allowed: Symmetries to draw from.
-        seed: Seed of the draws.
     """
 
     def __init__(
@@ -44,17 +48,14 @@ class AugmentedSamples(Dataset[Row]):
     def __getitem__(self, item: tuple[int, int]) -> Row:
         """Return presses, fields of the object, target and mask, by epoch and index."""
         epoch, index = item
-        rng = np.random.default_rng([self.seed, epoch, index])
-        symmetry = self.allowed[int(rng.integers(len(self.allowed)))]
+        symmetry, _ = draw_symmetry(self.allowed, self.seed, epoch, index)
         features, i = self.features, self.rows[index]
         begin, end = features.begins[i : i + 2]
         presses = torch.from_numpy(features.presses[begin:end]).float()
-        return (
-            apply_symmetry(symmetry, presses, PRESS_VECTORS),
-            apply_symmetry(symmetry, torch.from_numpy(features.shared[i]).float()),
-            apply_symmetry(symmetry, torch.from_numpy(features.target[i]).float()),
-            apply_symmetry(symmetry, torch.from_numpy(features.inside[i])),
-        )
+        others = (features.shared[i], features.target[i], features.inside[i])
+        shared, target, inside = (apply_symmetry(symmetry, torch.from_numpy(f)) for f in others)
+        presses = apply_symmetry(symmetry, presses, PRESS_VECTORS)
+        return presses, shared.float(), target.float(), inside
 
 
 def collate(rows: Sequence[Row]) -> list[Tensor]:
@@ -72,8 +73,7 @@ def collate(rows: Sequence[Row]) -> list[Tensor]:
 class SurrogateData(SplitData):
     """Presses and true log-moduli on a grid.
 
-    The features are computed once and cached in the folder of the dataset. The attribute
-    `fingerprint` identifies the data and the split.
+    The features are computed once and cached in the folder of the dataset.
 
     Args:
         folder: Dataset, such as of `tactorch generate dataset=warmstart`.
@@ -90,6 +90,8 @@ class SurrogateData(SplitData):
         ConfigError: A setting is not valid.
     """
 
+    collate = staticmethod(collate)
+
     def __init__(
         self,
         folder: str | Path,
@@ -102,21 +104,17 @@ class SurrogateData(SplitData):
         augment: bool = True,
         seed: int = 0,
     ) -> None:
-        super().__init__()
         if batch < 1 or split < 0 or seed < 0:
             raise ConfigError("batch must be at least 1, split and seed at least 0.")
         if cells < 4 or cells % 2:
             raise ConfigError(f"cells={cells} must be even, and at least 4.")
-        self.cells, self.frames, self.batch = cells, frames, batch
-        self.augment, self.seed = augment, seed
-        self.features = load_features(folder, cells, frames)
-        objects, labels = self.features.object.tolist(), self.features.label.tolist()
+        features = load_features(folder, cells, frames)
         sizes = dict(zip(PARTS, shares, strict=True))
-        self.parts = split_objects(objects, labels, sizes, split)
-        self.numbers = self.features.index.tolist()
-        shards = [shard["sha256"] for shard in SampleSet.open(folder).manifest["shards"]]
-        content = [shards, VERSION, cells, frames, self.numbers, self.parts]
-        self.fingerprint = sha256(json.dumps(content).encode()).hexdigest()
+        parts = split_objects(features.object.tolist(), features.label.tolist(), sizes, split)
+        settings = (VERSION, cells, frames, features.index.tolist())
+        manifest = SampleSet.open(folder).manifest
+        super().__init__(manifest, parts, settings, batch=batch, augment=augment, seed=seed)
+        self.features, self.cells, self.frames = features, cells, frames
 
     @property
     def press_scale(self) -> list[float]:
@@ -131,19 +129,10 @@ class SurrogateData(SplitData):
         """Root mean square of the nonzero values of each channel of the object, likewise."""
         return _rms_per_channel(self.features.shared[self.parts["train"]])
 
-    def train_dataloader(self) -> DataLoader:
-        """Return shuffled, augmented batches."""
-        allowed = symmetries(np.zeros((0, 3))) if self.augment else [IDENTITY]
-        rows = AugmentedSamples(self.features, self.parts["train"], allowed, self.seed)
-        order = EpochSampler(len(rows), self.seed)
-        drop = len(rows) > self.batch
-        return DataLoader(rows, self.batch, sampler=order, drop_last=drop, collate_fn=collate)
-
-    def loader(self, part: str) -> DataLoader:
-        """Return the batches of a part, in order and without augmentation."""
-        rows = AugmentedSamples(self.features, self.parts[part], [IDENTITY], self.seed)
-        order = [(0, index) for index in range(len(rows))]
-        return DataLoader(rows, self.batch, sampler=order, collate_fn=collate)
+    def dataset(self, rows: Sequence[int], augment: bool) -> AugmentedSamples:
+        """Return samples, by epoch and position in `rows`."""
+        allowed = symmetries(np.zeros((0, 3))) if augment else [IDENTITY]
+        return AugmentedSamples(self.features, rows, allowed, self.seed)
 
 
 def _rms_per_channel(fields: np.ndarray) -> list[float]:

@@ -3,9 +3,7 @@
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import lightning
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -15,7 +13,7 @@ from tactorch.errors import ConfigError, FileError
 from tactorch.files import atomic_path
 from tactorch.learning.surrogate.features import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
 from tactorch.learning.surrogate.unet import PressUNet
-from tactorch.learning.training import load_network, make_optimizer, read_checkpoint
+from tactorch.learning.training import Network, load_network, read_checkpoint
 
 #: Weights of tactorch; surrogate.json states the data and settings of their training.
 INCLUDED_WEIGHTS = Path(__file__).with_name("surrogate.pt")
@@ -24,7 +22,7 @@ _MIN_LOG, _MAX_LOG = -5.0, 1.0  # limits of the logarithm of the deviation
 _IMAGE = SHARED_CHANNELS.index("image")
 
 
-class Surrogate(lightning.LightningModule):
+class Surrogate(Network):
     """Predicts a normal distribution of log-modulus per voxel, relative to the best uniform one.
 
     The loss is the negative log-likelihood, weighted per voxel by the (detached) deviation, so that
@@ -58,9 +56,7 @@ class Surrogate(lightning.LightningModule):
         frames: int = 1,
         version: int = VERSION,
     ) -> None:
-        super().__init__()
-        if not (learning_rate > 0 and weight_decay >= 0):
-            raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
+        super().__init__(learning_rate, weight_decay)
         if version != VERSION:
             raise ConfigError(
                 f"the weights are for version {version} of the input, and this tactorch has version"
@@ -70,7 +66,6 @@ class Surrogate(lightning.LightningModule):
         self.cells, self.frames = cells, frames
         self.register_buffer("press_scale", torch.tensor(list(press_scale)))
         self.register_buffer("shared_scale", torch.tensor(list(shared_scale)))
-        self.learning_rate, self.weight_decay = learning_rate, weight_decay
         self.network = PressUNet(len(PRESS_CHANNELS), len(SHARED_CHANNELS), 2, width, encoded)
 
     def forward(
@@ -81,15 +76,11 @@ class Surrogate(lightning.LightningModule):
     ) -> tuple[Float[Tensor, "b w w w"], Float[Tensor, "b w w w"]]:
         """Return mean and standard deviation of log E relative to the uniform modulus.
 
-        Args:
-            presses: Features of the presses.
-            mask: Whether a press exists, False for padding.
-            shared: Features of the object.
+        `mask` is False for padding.
         """
-        scaled = presses / self.press_scale[:, None, None, None]
-        mean, raw = self.network(
-            scaled, mask, shared / self.shared_scale[:, None, None, None]
-        ).unbind(dim=1)
+        presses = presses / self.press_scale[:, None, None, None]
+        scaled = shared / self.shared_scale[:, None, None, None]
+        mean, raw = self.network(presses, mask, scaled).unbind(dim=1)
         image = functional.interpolate(shared, scale_factor=2, mode="trilinear")[:, _IMAGE]
         middle, half = 0.5 * (_MIN_LOG + _MAX_LOG), 0.5 * (_MAX_LOG - _MIN_LOG)
         return mean + image, torch.exp(middle + half * torch.tanh(raw))
@@ -100,22 +91,10 @@ class Surrogate(lightning.LightningModule):
         self.log("train/loss", loss.detach().mean(), on_step=False, on_epoch=True, sync_dist=True)
         return (deviation.detach() * loss).mean()
 
-    def validation_step(self, batch: Sequence[Tensor], index: int) -> None:
-        """Log the loss and the correlation with the truth."""
-        self._log("val", batch)
-
-    def test_step(self, batch: Sequence[Tensor], index: int) -> None:
-        """Log the loss and the correlation with the truth."""
-        self._log("test", batch)
-
     def predict_step(self, batch: Sequence[Tensor], index: int) -> tuple[Tensor, Tensor]:
         """Return mean and deviation."""
         mean, deviation = self(*batch[:3])
         return mean, deviation
-
-    def configure_optimizers(self) -> Any:
-        """Return AdamW with a linear warm-up and cosine decay."""
-        return make_optimizer(self, self.learning_rate, self.weight_decay)
 
     def _log_likelihood(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Return negative log-likelihood (up to a constant) and deviation of the voxels inside."""
@@ -124,17 +103,17 @@ class Surrogate(lightning.LightningModule):
         residual = (target - mean) / deviation
         return (0.5 * residual * residual + deviation.log())[inside], deviation[inside]
 
-    def _log(self, part: str, batch: Sequence[Tensor]) -> None:
+    def scores(self, batch: Sequence[Tensor]) -> dict[str, Tensor]:
+        """Return the unweighted loss, correlation, error and coverage of a batch."""
         *features, target, inside = batch
         mean, deviation = self(*features)
         error, sigma = (target - mean)[inside], deviation[inside]
-        values = {
-            f"{part}/loss": (0.5 * (error / sigma).square() + sigma.log()).mean(),
-            f"{part}/correlation": correlation(mean.exp(), target.exp(), inside).mean(),
-            f"{part}/rms_log": error.square().mean().sqrt(),
-            f"{part}/covered_90": (error.abs() < 1.6449 * sigma).double().mean(),
+        return {
+            "loss": (0.5 * (error / sigma).square() + sigma.log()).mean(),
+            "correlation": correlation(mean.exp(), target.exp(), inside).mean(),
+            "rms_log": error.square().mean().sqrt(),
+            "covered_90": (error.abs() < 1.6449 * sigma).double().mean(),
         }
-        self.log_dict(values, batch_size=len(target), sync_dist=True)
 
 
 def correlation(
@@ -151,10 +130,7 @@ def correlation(
 
 
 def load_surrogate(path: Path = INCLUDED_WEIGHTS) -> Surrogate:
-    """Return a surrogate in evaluation mode.
-
-    Args:
-        path: Checkpoint, or file of `export_weights`.
+    """Return a surrogate of a checkpoint, or a file of `export_weights`, in evaluation mode.
 
     Raises:
         FileError: The file is missing, damaged or of another model.
@@ -170,10 +146,6 @@ def load_surrogate(path: Path = INCLUDED_WEIGHTS) -> Surrogate:
 
 def export_weights(checkpoint: Path, path: Path) -> None:
     """Write the weights of a checkpoint in half precision: about a fifth of its size.
-
-    Args:
-        checkpoint: Checkpoint of a training.
-        path: Path of the file to write.
 
     Raises:
         FileError: The checkpoint is missing or damaged.

@@ -4,7 +4,7 @@ import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from tactorch.inverse import (
     make_objective,
 )
 from tactorch.inverse.starts import fits_better_than_uniform
-from tactorch.learning.surrogate.features import Features, compute_features
+from tactorch.learning.surrogate.features import compute_features
 from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS, Surrogate, load_surrogate
 from tactorch.mesh import VoxelGrid
 from tactorch.recording import Recording
@@ -33,8 +33,7 @@ _log = logging.getLogger(__name__)
 MAX_TRUSTED_CHI2 = 10.0  # of maps that explain the presses up to the noise
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(NamedTuple):
     """Map predicted by a surrogate.
 
     Attributes:
@@ -51,14 +50,7 @@ class SurrogateStart(Options):
     """Start from the map that a network predicts, unless a uniform map fits better.
 
     The value of `start_mpa` of `invert`. If the predicted map fits the presses no better than the
-    best uniform map, the latter is the start.
-
-    Attributes:
-        weights: Checkpoint of `tactorch train experiment=surrogate`; None for the weights that
-            tactorch includes. They are read when first needed.
-        prior_mean: Whether the predicted map is also the mean of the prior; "auto": if it explains
-            the presses up to the noise.
-        prior_share: Fraction of the prior with this mean.
+    best uniform map, the latter is the start. The weights are read when first needed.
     """
 
     section: ClassVar[str] = "initialization"
@@ -67,34 +59,19 @@ class SurrogateStart(Options):
         None, "Checkpoint of tactorch train experiment=surrogate; null: the included one"
     )
     prior_mean: bool | Literal["auto"] = option(
-        "auto",
-        "Use the map also as the mean of the prior; auto: if it explains the presses",
+        "auto", "Use the map also as the mean of the prior; auto: if it explains the presses"
     )
     prior_share: float = option(
         0.5, "Share of the prior with this mean; at 0.5 the data decide", gt=0, le=1
     )
 
-    def fresh(self) -> "SurrogateStart":
-        """Return a start with the same network and without the cached prediction."""
-        other = replace(self)
-        vars(other)["network"] = self.network
-        return other
-
     @cached_property
     def network(self) -> Surrogate:
-        """Trained network.
-
-        Raises:
-            FileError: The weights are missing, damaged or of another model.
-        """
+        """Trained network; `FileError` if the weights are missing or damaged."""
         return load_surrogate(self.weights or INCLUDED_WEIGHTS)
 
     def predict(
-        self,
-        recording: Recording,
-        *,
-        noise: NoiseModel | None = None,
-        bounds: Bounds | None = None,
+        self, recording: Recording, *, noise: NoiseModel | None = None, bounds: Bounds | None = None
     ) -> Prediction:
         """Return the predicted map of a recording; the truth is not used.
 
@@ -111,16 +88,17 @@ class SurrogateStart(Options):
         if last and last[0] is recording and last[1] == key:
             prediction: Prediction = last[2]
             return prediction
-        cells = self.network.cells
-        frames = self.network.frames
+        cells, frames = self.network.cells, self.network.frames
         features = compute_features(recording, cells, frames, noise=noise, bounds=bounds)
-        mean, deviation = evaluate_network(self.network, features)
+        presses = torch.from_numpy(features.presses).float()[None]
+        shared = torch.from_numpy(features.shared).float()[None]
+        with torch.inference_mode():
+            fields = self.network(presses, torch.ones(presses.shape[:2], dtype=torch.bool), shared)
+        mean, deviation = (field[0].double().numpy() for field in fields)
         grid, limits = VoxelGrid(recording.mesh, 2 * cells), bounds or Bounds()
         youngs = features.youngs_mpa * np.exp(grid.at_elements(mean))
-        prediction = Prediction(
-            np.clip(youngs, limits.lower, limits.upper),
-            np.exp(grid.at_elements(np.log(deviation))),
-        )
+        spread = np.exp(grid.at_elements(np.log(deviation)))
+        prediction = Prediction(np.clip(youngs, limits.lower, limits.upper), spread)
         self._last[:] = [recording, key, prediction]
         return prediction
 
@@ -148,10 +126,6 @@ class SurrogateStart(Options):
         returned unchanged if the map is rejected as a start or does not explain the presses, as
         for objects unlike the training data. With a share of 0.5, total variation gives the same
         probability to all maps between a constant and the prediction.
-
-        Args:
-            settings: Settings of the inversion.
-            recording: Presses on an object.
 
         Returns:
             The settings, with a `ShiftedPrior` if the map is accepted: any map that fits better
@@ -184,18 +158,5 @@ class SurrogateStart(Options):
             )  # fmt: skip
             return settings
         _log.info("The surrogate's map is the mean of the prior")
-        return replace(
-            settings,
-            regularization=ShiftedPrior(prior=prior, mean_mpa=predicted, share=self.prior_share),
-        )
-
-
-def evaluate_network(
-    network: Surrogate, features: Features
-) -> tuple[Float[np.ndarray, "w w w"], Float[np.ndarray, "w w w"]]:
-    """Return mean and deviation of log E relative to the uniform modulus, on the grid."""
-    presses = torch.from_numpy(features.presses).float()[None]
-    mask = torch.ones(presses.shape[:2], dtype=torch.bool)
-    with torch.inference_mode():
-        mean, deviation = network(presses, mask, torch.from_numpy(features.shared).float()[None])
-    return mean[0].double().numpy(), deviation[0].double().numpy()
+        shifted = ShiftedPrior(prior=prior, mean_mpa=predicted, share=self.prior_share)
+        return replace(settings, regularization=shifted)

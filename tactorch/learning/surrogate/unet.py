@@ -16,12 +16,7 @@ class PressUNet(nn.Module):
     Presses are encoded one by one with the same weights and pooled by mean and maximum (Zaheer et
     al., 2017), so their number and order do not matter.
 
-    Args:
-        press_channels: Channels of a press.
-        shared_channels: Channels of the object.
-        out_channels: Channels of the result.
-        width: Channels of the widest layers of full resolution.
-        encoded: Channels of an encoded press.
+    Layers of full resolution have up to `width` channels, an encoded press has `encoded`.
     """
 
     def __init__(
@@ -88,23 +83,16 @@ class PressUNet(nn.Module):
 
 
 class Residual(nn.Module):
-    """Residual block of two normalised convolutions (He et al., 2016).
-
-    Args:
-        channels: Channels of input and output.
-    """
+    """Residual block of two normalised convolutions (He et al., 2016)."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
         groups = 4 if channels % 4 == 0 else 1
-        self.body = nn.Sequential(
-            nn.GroupNorm(groups, channels),
-            nn.SiLU(),
-            nn.Conv3d(channels, channels, 3, padding=1),
-            nn.GroupNorm(groups, channels),
-            nn.SiLU(),
-            nn.Conv3d(channels, channels, 3, padding=1),
-        )
+        layers: list[nn.Module] = []
+        for _ in range(2):
+            convolution = nn.Conv3d(channels, channels, 3, padding=1)
+            layers += [nn.GroupNorm(groups, channels), nn.SiLU(), convolution]
+        self.body = nn.Sequential(*layers)
 
     def forward(self, field: Tensor) -> Tensor:
         """Return the output, of the shape of the input."""
