@@ -297,13 +297,13 @@ def check_pixel_size(mm_per_px: tuple[float, float]) -> None:
     for size in mm_per_px:
         if size > _MAX_PIXEL_MM:
             raise ConfigError(
-                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like pixels per mm; give"
-                f" mm per pixel ({1 / size:.4g})."
+                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like pixels per mm;"
+                f" give mm per pixel ({1 / size:.4g})."
             )
         if not size >= _MIN_PIXEL_MM:
             raise ConfigError(
-                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like metres; give mm per"
-                f" pixel ({1e3 * size:.4g})."
+                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like metres; give mm"
+                f" per pixel ({1e3 * size:.4g})."
             )
 
 
