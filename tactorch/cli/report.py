@@ -18,8 +18,7 @@ from tactorch.cli.resume import saved_options
 from tactorch.cli.settings import CommandOptions, UnitCheck, make_start
 from tactorch.config import option
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.inverse import has_all_settings
-from tactorch.inverse.settings import stored_settings
+from tactorch.inverse.settings import has_all_settings, stored_settings
 from tactorch.report import Run, load_run, run_names, write_report
 
 
