@@ -35,8 +35,7 @@ import numpy as np
 from machine import peak_gib
 
 from tactorch.fem import SoftBody, Supports, make_material
-from tactorch.inverse import InverseProblem, Settings, best_uniform, homogeneous, invert
-from tactorch.inverse.optimizers import NewtonCG
+from tactorch.inverse import InverseProblem, NewtonCG, Settings, best_uniform, homogeneous, invert
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import signed_volumes
 from tactorch.mesh.locate import locate

@@ -26,8 +26,7 @@ from typing import Any
 
 from machine import describe_machine, peak_gib
 
-from tactorch.inverse import Settings, invert
-from tactorch.inverse.optimizers import NewtonCG
+from tactorch.inverse import NewtonCG, Settings, invert
 from tactorch.mesh import box_mesh
 from tactorch.metrics import position_error_mm, scores
 from tactorch.phantoms import make_phantom

@@ -15,8 +15,7 @@ from scipy.spatial import cKDTree
 
 from tactorch import PressPlan, Settings, invert, make_phantom, simulate
 from tactorch.config import option
-from tactorch.inverse import Prior, Quadratic, Regularizer, TotalVariation
-from tactorch.inverse.regularization import CompositePenalty
+from tactorch.inverse import CompositePenalty, Prior, Quadratic, Regularizer, TotalVariation
 from tactorch.mesh import TetMesh
 from tactorch.metrics import pearson
 

@@ -24,15 +24,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 PAGES = {
     "recording": ("Recordings", ["tactorch.recording", "tactorch.importers"]),
     "simulation": ("Phantoms and simulation", ["tactorch.phantoms", "tactorch.simulation"]),
-    "inverse": (
-        "Inversion",
-        [
-            "tactorch.inverse",
-            "tactorch.inverse.regularization",
-            "tactorch.inverse.optimizers",
-            "tactorch.inverse.nuisance",
-        ],
-    ),
+    "inverse": ("Inversion", ["tactorch.inverse"]),
     "credibility": ("Credibility and active sampling", ["tactorch.uncertainty"]),
     "fem": (
         "Mechanics",

@@ -4,7 +4,7 @@ import html
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from tactorch.cli.commands import COMMANDS
+from tactorch.cli import COMMANDS
 from tactorch.cli.presets import EXPERIMENT
 from tactorch.cli.schema import Schema, app_name, load_schema, text_of
 

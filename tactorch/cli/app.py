@@ -6,12 +6,12 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from tactorch.cli import console
 from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
-from tactorch.cli.console import INTERRUPTED, WRONG, is_rich, to_log_file
 from tactorch.cli.overrides import check_overrides, check_required, key_of, named
 from tactorch.cli.resume import has_state, with_resume
 from tactorch.cli.schema import command_module, load_schema
@@ -30,10 +30,6 @@ class App:
     """A command with its settings; Hydra calls `job`, once or, in a sweep, for each combination.
 
     Flags and settings are checked before Hydra composes them.
-
-    Raises:
-        ConfigError: a flag or a setting cannot be used.
-        FileError: the folder of settings, or of the run to resume, cannot be read.
     """
 
     def __init__(self, command: str, words: Sequence[str]) -> None:
@@ -78,8 +74,12 @@ class App:
             path, name = f"pkg://{SEARCH_PACKAGE}", store_config(self._schema)
             yield hydra.main(version_base="1.3", config_path=path, config_name=name)(self.job)
         except KeyboardInterrupt:
-            print(f"tactorch {self.command}: interrupted{self._continuation()}", file=sys.stderr)
-            sys.exit(INTERRUPTED)
+            message = f"tactorch {self.command}: interrupted"
+            if self._place is not None and has_state(self.command, self._place):
+                run = Path(os.path.relpath(self._place))
+                message += f"; continue with tactorch {self.command} resume={run}"
+            print(message, file=sys.stderr)
+            sys.exit(console.INTERRUPTED)
         except Exception as error:
             if debug == "1" or self._started:
                 raise
@@ -90,7 +90,7 @@ class App:
             if debug is not None:
                 os.environ[_DEBUG] = debug
         if self._failed:
-            sys.exit(WRONG)
+            sys.exit(console.WRONG)
 
     def job(self, cfg: "DictConfig") -> Any:
         """Run the command once; errors raised on purpose become a message."""
@@ -102,10 +102,13 @@ class App:
         self._place = Path(HydraConfig.get().runtime.output_dir)
         note = ", ".join(f"{name} {version}" for name, version in versions().items())
         try:
-            to_log_file(f"tactorch {self.command} with {note}")
+            console.to_log_file(f"tactorch {self.command} with {note}")
             options = build_options(self.command, cfg)
             self._check_output(getattr(options, "out", None))
-            with _plain_warnings(), _no_lines_in_the_bar():
+            # Where a progress bar shows the iterations, their lines go to the log file only.
+            has_bar = console.is_rich(sys.stderr) and console.is_rich()
+            lines = console.terminal_log(console.is_no_iteration) if has_bar else nullcontext()
+            with _plain_warnings(), lines:
                 return command_module(self.command).run(options)
         except TactorchError as error:
             self._report(str(error))
@@ -117,18 +120,11 @@ class App:
             )
         return None
 
-    def _continuation(self) -> str:
-        """Return the end of a sentence, where a run that was stopped can be continued."""
-        if self._place is None or not has_state(self.command, self._place):
-            return ""
-        place = Path(os.path.relpath(self._place))
-        return f"; continue with tactorch {self.command} resume={place}"
-
     def _report(self, message: str) -> None:
         """Print an error; other jobs of a sweep still run."""
         self._failed = True
         _print_error(message, self.command)
-        to_log_file(f"error: {message}", error=True)
+        console.to_log_file(f"error: {message}", error=True)
 
     def _check_output(self, out: Path | None) -> None:
         """Refuse that jobs of a sweep write the same file."""
@@ -156,12 +152,11 @@ def _read_flags(command: str, words: Sequence[str]) -> tuple[argparse.Namespace,
     parser = _Flags(f"tactorch {command}", add_help=False, allow_abbrev=False)
     parser.add_argument("--multirun", "-m", action="store_true")
     parser.add_argument("--cfg", "-c", choices=("job", "hydra", "all"))
-    parser.add_argument("--resolve", action="store_true")
     parser.add_argument("--package", "-p")
     parser.add_argument("--config-dir", "-cd")
-    parser.add_argument("--trust-config-dir", action="store_true")
-    parser.add_argument("--hydra-help", action="store_true")
     parser.add_argument("--info", "-i", nargs="?", const="all")
+    for flag in ("--resolve", "--trust-config-dir", "--hydra-help"):
+        parser.add_argument(flag, action="store_true")
     flags, settings = parser.parse_known_args(words)
     if any(word.startswith("-") for word in settings):
         parser.error(f"unrecognized arguments: {' '.join(settings)}")
@@ -184,32 +179,13 @@ def _composition_error(error: Exception) -> str:
 def fail(message: str, command: str = "") -> NoReturn:
     """Print one message and end the process."""
     _print_error(message, command)
-    sys.exit(WRONG)
+    sys.exit(console.WRONG)
 
 
 def _print_error(message: str, command: str) -> None:
     """Print an error as one line, also where a library's message has several."""
     start = f"tactorch {command}".rstrip()
     print(f"{start}: error: {printable(' '.join(message.split()))}", file=sys.stderr)
-
-
-@contextmanager
-def _no_lines_in_the_bar() -> Iterator[None]:
-    """Where a progress bar shows the iterations, keep their lines to the log file."""
-    handlers = [h for h in logging.getLogger().handlers if not isinstance(h, logging.FileHandler)]
-    if not (is_rich(sys.stderr) and is_rich()):
-        handlers = []
-    for handler in handlers:
-        handler.addFilter(_is_not_iteration)
-    try:
-        yield
-    finally:
-        for handler in handlers:
-            handler.removeFilter(_is_not_iteration)
-
-
-def _is_not_iteration(record: logging.LogRecord) -> bool:
-    return record.name != "tactorch.inverse.monitor" or record.levelno > logging.INFO
 
 
 @contextmanager

@@ -9,9 +9,8 @@ import re
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-from tactorch.cli.commands import COMMANDS, GROUPS, VERBS
+from tactorch.cli import COMMANDS, GROUPS, VERBS
 from tactorch.cli.help import describe_entry
 from tactorch.cli.overrides import POSITIONAL
 from tactorch.cli.schema import Schema, load_schema
@@ -32,7 +31,9 @@ _FLAGS = {
     "--cfg": "print the settings of a run without running it",
     "--config-dir": "folder of your own presets and experiments",
 }
-_CFG = ("job", "hydra", "all")
+_CFG = dict.fromkeys(("job", "hydra", "all"), "")
+#: What follows a verb that has no settings.
+_NEXT_WORDS = {"help": VERBS, "completion": dict.fromkeys(SHELLS, ""), **GROUPS}
 # Start of a value before the item that is being typed: of a list, or of a sweep.
 _PIECES = re.compile(r".*[\[,]")
 # Characters with a meaning in Hydra's grammar.
@@ -40,17 +41,11 @@ _SPECIAL = set("""'"`,=()[]{}\\#!&|;<>~""")
 _CURSOR = "_"
 
 
-class Candidate(NamedTuple):
-    """A word that completes what is typed, and its description."""
-
-    word: str
-    about: str = ""
-
-
-def completed(words: Sequence[str]) -> list[Candidate]:
-    """Return the candidates for the last of the words after `tactorch`, which may be empty."""
+def completed(words: Sequence[str]) -> dict[str, str]:
+    """Return the candidates for the last of the words after `tactorch`, with descriptions."""
     *before, current = words or [""]
-    return [c for c in _candidates(before, current) if c.word.startswith(current)]
+    candidates = _candidates(before, current).items()
+    return {word: text for word, text in candidates if word.startswith(current)}
 
 
 def typed(line: str) -> list[str]:
@@ -65,81 +60,67 @@ def typed(line: str) -> list[str]:
     return [*words[1:], last.removesuffix(_CURSOR)]
 
 
-def _candidates(before: Sequence[str], current: str) -> Iterator[Candidate]:
+def _candidates(before: Sequence[str], current: str) -> dict[str, str]:
     if not before:
-        yield from map(Candidate._make, VERBS.items())
-        if current:
-            yield from (Candidate("--help", "the commands"), Candidate("--version"))
-        return
-    verb, given = before[0], list(before[1:])
-    if verb == "help" and not given:
-        yield from map(Candidate._make, VERBS.items())
-    elif verb == "completion" and not given:
-        yield from map(Candidate, SHELLS)
-    elif verb == "doctor":
-        yield Candidate("json=true", "for programs")
-    elif verb in GROUPS and not given:
-        yield from map(Candidate._make, GROUPS[verb].items())
-    elif verb in GROUPS and f"{verb} {given[0]}" in COMMANDS:
-        yield from _settings(f"{verb} {given[0]}", given[1:], current)
-    elif verb in COMMANDS:
-        if verb in POSITIONAL and not given and "=" not in current:
-            yield from _values(load_schema(verb), given, POSITIONAL[verb][0], current)
-        yield from _settings(verb, given, current)
-
-
-def _settings(verb: str, given: Sequence[str], current: str) -> Iterator[Candidate]:
-    """Flags, settings of a command, and values of a setting."""
+        return {**VERBS, **({"--help": "the commands", "--version": ""} if current else {})}
+    verb, *given = before
+    if verb in _NEXT_WORDS and not given:
+        return _NEXT_WORDS[verb]
+    if verb == "doctor":
+        return {"json=true": "for programs"}
+    if verb in GROUPS:
+        verb = f"{verb} {given.pop(0)}"
+    if verb not in COMMANDS:
+        return {}
     if current.startswith("-"):
-        yield from map(Candidate._make, _FLAGS.items())
-        return
+        return _FLAGS
     if given and given[-1] == "--cfg":
-        yield from map(Candidate, _CFG)
-        return
+        return _CFG
     schema = load_schema(verb)
     key, equals, value = current.partition("=")
     if equals:
         start = _PIECES.match(value)
         prefix = start[0] if start else ""
-        for candidate in _values(schema, given, key, value.removeprefix(prefix)):
-            yield Candidate(f"{key}={prefix}{candidate.word}", candidate.about)
-        return
+        values = _values(schema, given, key, value.removeprefix(prefix)).items()
+        return {f"{key}={prefix}{word}": text for word, text in values}
     used = {word.partition("=")[0] for word in given}
-    yield from (c for c in _keys(schema, given, key) if c.word.rstrip("=") not in used)
+    keys = {k: v for k, v in _keys(schema, given, key).items() if k.rstrip("=") not in used}
+    if verb in POSITIONAL and not given:
+        return _values(schema, given, POSITIONAL[verb][0], current) | keys
+    return keys
 
 
-def _keys(schema: Schema, given: Sequence[str], typed_key: str) -> Iterator[Candidate]:
+def _keys(schema: Schema, given: Sequence[str], typed_key: str) -> dict[str, str]:
     """Settings and groups; those within a group or a table once its name and a dot are typed."""
     prefix, dot, _ = typed_key.rpartition(".")
     choices = schema.choices(given)
     entries = schema.entries(choices)
     tables = {name.rpartition(".")[0] for name in entries if "." in name}
-    names = [*(n for n in entries if n.rpartition(".")[0] == prefix)]
-    names += [n for n in tables if n.rpartition(".")[0] == prefix and n not in schema.defaults]
-    for key in dict.fromkeys(names if dot else [*names, *choices]):
+    names = [*entries, *(name for name in tables if name not in schema.defaults)]
+    names = [name for name in names if name.rpartition(".")[0] == prefix]
+    keys = {}
+    for key in names if dot else [*names, *choices]:
         if key in entries:
-            yield Candidate(f"{key}=", describe_entry(entries[key]))
+            keys[f"{key}="] = describe_entry(entries[key])
         elif key in choices:
-            yield Candidate(f"{key}=", f"now {choices[key] or 'none'}")
+            keys[f"{key}="] = f"now {choices[key] or 'none'}"
         if key in tables:
-            yield Candidate(f"{key}.", "its settings")
+            keys[f"{key}."] = "its settings"
+    return keys
 
 
-def _values(schema: Schema, given: Sequence[str], key: str, value: str) -> Iterator[Candidate]:
+def _values(schema: Schema, given: Sequence[str], key: str, value: str) -> dict[str, str]:
     """Options of a group, or files and listed values of a setting."""
     if key in schema.defaults:
-        for option, described in schema.options(key).items():
-            yield Candidate(option, described["help"])
-        return
-    entry = schema.entries(schema.choices(given)).get(key)
-    if entry is None:
-        return
-    yield from map(Candidate, entry["choices"])
+        return {option: described["help"] for option, described in schema.options(key).items()}
+    entry = schema.entries(schema.choices(given)).get(key, {"choices": (), "is_path": False})
+    words = list(entry["choices"])
     if entry["is_path"]:
-        # The sensors that come with tactorch have names.
-        folder = Path(__file__).parents[1] / "sensor" / "sensors"
-        names = sorted(path.stem for path in folder.glob("*.yaml")) if key == "sensor" else ()
-        yield from map(Candidate, (*names, *_files(value)))
+        if key == "sensor":  # the ones that come with tactorch have names
+            folder = Path(__file__).parents[1] / "sensor" / "sensors"
+            words += sorted(path.stem for path in folder.glob("*.yaml"))
+        words += _files(value)
+    return dict.fromkeys(words, "")
 
 
 def _files(prefix: str) -> Iterator[str]:
@@ -156,16 +137,12 @@ def _files(prefix: str) -> Iterator[str]:
 
 
 def run(words: Sequence[str]) -> None:
-    """Print a shell's script, or candidates: one per line, with its description after a tab.
-
-    Raises:
-        ConfigError: the shell is unknown.
-    """
+    """Print a shell's script, or candidates: one per line, with its description after a tab."""
     request, given = (words[0], words[1:]) if words else ("", ())
     if request in (WORDS, LINE):
         line = typed(given[0]) if request == LINE and given else list(given)
-        for candidate in completed(line) if line else ():
-            print("\t".join(part for part in candidate if part))
+        for candidate in completed(line).items() if line else ():
+            print("\t".join(filter(None, candidate)))
     elif request in SHELLS and not given:
         print(script(request), end="")
     else:

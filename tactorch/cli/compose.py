@@ -67,11 +67,7 @@ def _tree(settings: Sequence[Entry]) -> dict[str, Any]:
 
 
 def build_options(command: str, cfg: "DictConfig") -> Any:
-    """Return the typed options of a command.
-
-    Raises:
-        ConfigError: a setting is missing, unknown or holds a value that cannot be used.
-    """
+    """Return the typed options of a command."""
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 

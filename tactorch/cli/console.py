@@ -9,7 +9,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -27,19 +27,12 @@ log = logging.getLogger("tactorch")
 
 @dataclass(frozen=True)
 class Table:
-    """Cells with a header.
-
-    Attributes:
-        header: Name of each column.
-        rows: Cells of each row.
-        words: Number of columns, from the left, that hold words; numbers are set to the right.
-        styles: Rich's styles of cells that hold just this text, at a terminal.
-    """
+    """Cells with a header."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
-    words: int = 1
-    styles: Mapping[str, str] = field(default_factory=dict)
+    words: int = 1  # number of columns, from the left, of words; numbers are set to the right
+    styles: Mapping[str, str] = field(default_factory=dict)  # Rich's style of cells by their text
 
     def text(self) -> str:
         """Return aligned lines, whatever their length: nothing is wrapped or cut."""
@@ -51,11 +44,7 @@ class Table:
         return "\n".join("  ".join(formats).format(*line).rstrip() for line in lines)
 
     def draw(self) -> None:
-        """Draw the table at the terminal.
-
-        Raises:
-            ImportError: Rich is not installed.
-        """
+        """Draw the table at the terminal."""
         from rich import box
         from rich.console import Console
         from rich.table import Table as RichTable
@@ -104,6 +93,24 @@ def log_text(*parts: str | Table) -> None:
             print(text)
 
 
+@contextmanager
+def terminal_log(is_shown: Callable[[logging.LogRecord], bool]) -> Iterator[None]:
+    """Meanwhile print only some log records; the run's log file gets all of them."""
+    handlers = [h for h in logging.getLogger().handlers if not isinstance(h, logging.FileHandler)]
+    for handler in handlers:
+        handler.addFilter(is_shown)
+    try:
+        yield
+    finally:
+        for handler in handlers:
+            handler.removeFilter(is_shown)
+
+
+def is_no_iteration(record: logging.LogRecord) -> bool:
+    """Return whether a log record is other than the line of an iteration of an inversion."""
+    return record.name != "tactorch.inverse.monitor" or record.levelno > logging.INFO
+
+
 def to_log_file(message: str, error: bool = False) -> None:
     """Write to the run's log file only; errors with their traceback."""
     level, trace = (logging.ERROR, sys.exc_info()) if error else (logging.INFO, None)
@@ -146,31 +153,18 @@ class ProgressCallback(Protocol):
 
 @contextmanager
 def progress(label: str, items: str) -> Iterator[ProgressCallback]:
-    """Show the progress of a computation: a bar at a terminal, else some lines in the log.
-
-    Args:
-        label: Name of the computation.
-        items: Plural of what is counted.
-
-    Yields:
-        Function to call with the number of items that are done, and the total.
-    """
+    """Show the progress of a computation: a bar at a terminal, else some lines in the log."""
     if not is_rich(sys.stderr):
         yield _log_progress(label, items)
         return
+    from rich import progress as rich
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
 
-    counts = (MofNCompleteColumn(), items + "{task.fields[note]}")
-    times = (TimeElapsedColumn(), "left", TimeRemainingColumn())
-    columns = ("{task.description}", BarColumn(), *counts, *times)
-    with Progress(*columns, console=Console(stderr=True), speed_estimate_period=3600.0) as bar:
+    counts = (rich.MofNCompleteColumn(), items + "{task.fields[note]}")
+    times = (rich.TimeElapsedColumn(), "left", rich.TimeRemainingColumn())
+    columns = ("{task.description}", rich.BarColumn(), *counts, *times)
+    console = Console(stderr=True)
+    with rich.Progress(*columns, console=console, speed_estimate_period=3600.0) as bar:
         task = bar.add_task(label, total=None, note="")
 
         def update(done: int, total: int, note: str = "") -> None:

@@ -26,11 +26,7 @@ _MARKS = {True: "yes", False: "NO", None: "-"}
 
 
 def run(words: Sequence[str]) -> int:
-    """Check the installation and print the findings; return the exit status.
-
-    Raises:
-        ConfigError: a setting is unknown.
-    """
+    """Check the installation and print the findings; return the exit status."""
     choices = {"json=true": True, "json=false": False}
     unknown = [word for word in words if word not in choices]
     if unknown:

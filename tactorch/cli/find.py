@@ -13,7 +13,8 @@ from pathlib import Path
 
 from tactorch.cli.console import log
 from tactorch.cli.outputs import write_json, write_text
-from tactorch.cli.settings import CommandOptions, UnitCheck, with_settings
+from tactorch.cli.report import with_settings
+from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
 from tactorch.errors import FileError
 from tactorch.findings import Finding, build_finding

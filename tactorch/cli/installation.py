@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from tactorch.cli.commands import COMMANDS
+from tactorch.cli import COMMANDS
 from tactorch.cli.presets import conf_folder
 from tactorch.cli.schema import load_schema
 from tactorch.errors import ConfigError, ConvergenceError, TactorchError
@@ -32,25 +32,15 @@ _STRETCH = 0.828310984658
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check of the installation.
+    """Result of one check of the installation."""
 
-    Attributes:
-        part: Group of the check, such as "packages".
-        name: Name of the checked item.
-        works: Whether the item works; None for information only.
-        message: Version, path or size of the item, or the reason of the failure.
-        feature: Feature that needs the item.
-        remedy: Command or action if the item does not work.
-        core: Whether tactorch needs the item for everything.
-    """
-
-    part: str
+    part: str  # group of the check, such as "packages"
     name: str
-    works: bool | None
-    message: str
-    feature: str = ""
-    remedy: str = ""
-    core: bool = False
+    works: bool | None  # None: information only
+    message: str  # version, path or size of the item, or the reason of the failure
+    feature: str = ""  # what needs the item
+    remedy: str = ""  # command or action if the item does not work
+    core: bool = False  # whether everything needs the item
 
 
 def check(
@@ -63,10 +53,9 @@ def check(
 ) -> Finding:
     """Return the finding on an item: the text of a function, or the error that it raises."""
     try:
-        message = function()
+        return Finding(part, name, True, function(), feature, core=core)
     except Exception as error:  # a broken package may raise anything
         return Finding(part, name, False, _reason(error), feature, remedy, core)
-    return Finding(part, name, True, message, feature, "", core)
 
 
 def _reason(error: BaseException) -> str:
@@ -76,16 +65,13 @@ def _reason(error: BaseException) -> str:
 
 
 class Package(NamedTuple):
-    """A package: its name for pip, its module, and what needs it.
+    """A package that tactorch uses."""
 
-    `core` packages are needed by everything; `extra` is the extra of tactorch that has the package.
-    """
-
-    name: str
+    name: str  # for pip
     module: str
-    feature: str
-    core: bool = False
-    extra: str = ""
+    feature: str  # what needs the package
+    core: bool = False  # whether everything needs it
+    extra: str = ""  # extra of tactorch that has the package
 
 
 _PACKAGES = (
@@ -116,18 +102,14 @@ _PACKAGES = (
 
 def check_packages() -> Iterator[Finding]:
     """Import every package, and compare its version with the ones that tactorch takes."""
-    yield check(PACKAGES, "python", platform.python_version)
-    yield check(PACKAGES, "tactorch", _tactorch)
+    yield Finding(PACKAGES, "python", True, platform.python_version())
+    try:
+        yield Finding(PACKAGES, "tactorch", True, version("tactorch"))
+    except PackageNotFoundError:
+        yield Finding(PACKAGES, "tactorch", True, "not installed: run from its folder")
     for package in _PACKAGES:
         test, remedy = partial(_import, package), _install(package)
-        yield check(PACKAGES, package.name, test, package.feature, remedy, package.core)
-
-
-def _tactorch() -> str:
-    try:
-        return version("tactorch")
-    except PackageNotFoundError:
-        return "not installed: run from its folder"
+        yield check(PACKAGES, package.name, test, package.feature, remedy, core=package.core)
 
 
 def _import(package: Package) -> str:
@@ -248,8 +230,7 @@ def _memory() -> str:
         return "unknown"
     page = os.sysconf("SC_PAGE_SIZE")
     message = f"{page * os.sysconf('SC_PHYS_PAGES') / _GIB:.1f} GiB"
-    limit = _container_limit("memory.max")
-    if limit:
+    if limit := _container_limit("memory.max"):
         message += f", {float(limit[0]) / _GIB:.1f} GiB of them for the container"
     # Available without swapping; not all systems say it.
     lines = _read_lines("/proc/meminfo")
@@ -312,17 +293,17 @@ def _gpus() -> str:
 def check_places() -> Iterator[Finding]:
     """Check the folders of tactorch, then the programs for meshes, videos and pages."""
     reinstall = "pip install --force-reinstall"
-    yield check(
-        FILES, "settings (conf)", _conf, "the command line", f"{reinstall} tactorch", core=True
-    )
-    writable = "to a folder that can be written"
+    remedy, feature = f"{reinstall} tactorch", "the command line"
+    yield check(FILES, "settings (conf)", _conf, feature, remedy, core=True)
+    remedy = "set TACTORCH_CACHE to a folder that can be written"
     feature = "caching meshes: they are made again each time"
-    yield check(FILES, "cache of meshes", _cache, feature, f"set TACTORCH_CACHE {writable}")
+    yield check(FILES, "cache of meshes", _cache, feature, remedy)
+    remedy = "set NUMBA_CACHE_DIR to a folder that can be written"
     feature = "quick starts: kernels are compiled each time"
-    yield check(FILES, "cache of numba", _numba_cache, feature, f"set NUMBA_CACHE_DIR {writable}")
+    yield check(FILES, "cache of numba", _numba_cache, feature, remedy)
     yield _shared_data()
-    feature = "meshes of surfaces: phantoms, object=mesh"
-    yield check(TOOLS, "mesher", _mesh, feature, f"{reinstall} pytetwild")
+    remedy, feature = f"{reinstall} pytetwild", "meshes of surfaces: phantoms, object=mesh"
+    yield check(TOOLS, "mesher", _mesh, feature, remedy)
     remedy = f"{reinstall} opencv-python-headless"
     yield check(TOOLS, "videos", _video, "tactorch sensor: videos", remedy)
     yield _browser()

@@ -43,11 +43,7 @@ class InvertOptions(InversionOptions, UnitCheck, CommandOptions):
 
 
 def run(options: InvertOptions) -> Reconstruction:
-    """Invert a recording and write the results to the run's folder.
-
-    Raises:
-        KeyboardInterrupt: Ctrl-C ended the inversion; the results of its best map are written.
-    """
+    """Invert a recording and write the results to the run's folder."""
     out, path = run_folder(), options.recording
     recording = Recording.load(path, check_units=options.check_units)
     others = read_histories(options.compare, OPTIMIZERS.name_of(type(options.optimizer)))
@@ -59,5 +55,5 @@ def run(options: InvertOptions) -> Reconstruction:
     source = str(path.resolve())
     write_outputs(out, recording, result, source=source, others=others, plots=options.plots)
     if result.stop_reason == StopReason.INTERRUPTED:
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt  # the results of the best map are written
     return result

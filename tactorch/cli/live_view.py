@@ -1,7 +1,6 @@
 """Display of a live run: a table at a terminal, log lines elsewhere, a figure and a page."""
 
 import base64
-import logging
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from tactorch.cli.console import log
+from tactorch.cli.console import is_no_iteration, log, terminal_log
 from tactorch.files import atomic_path
 from tactorch.findings.text import summarize_inclusion, summarize_plain
 from tactorch.sampling import LoopResult, Observer, Update
@@ -62,13 +61,7 @@ th { color: #57606a; font-weight: 600; }
 
 
 class Screen(Observer):
-    """Display of a live run.
-
-    Args:
-        folder: Folder of the run.
-        source: Recording that is followed.
-        plots: Whether to draw the figure.
-    """
+    """Display of a live run."""
 
     def __init__(self, folder: Path, source: Path, *, plots: bool = True) -> None:
         self._folder, self._source, self._plots = folder, source, plots
@@ -81,7 +74,9 @@ class Screen(Observer):
     def __enter__(self) -> "Screen":
         """Start the table, at a terminal."""
         at_terminal = sys.stdout.isatty()
-        _filter_log(self._stack, everything=at_terminal)
+        # A table replaces all log lines.
+        is_shown = (lambda record: False) if at_terminal else is_no_iteration
+        self._stack.enter_context(terminal_log(is_shown))
         if at_terminal:
             from rich.live import Live
 
@@ -225,15 +220,3 @@ def _format_suggestion(entry: dict[str, Any]) -> str:
         for key, digits in (("center_mm", 1), ("inward", 2))
     )
     return f"({point}) mm along ({normal})"
-
-
-def _filter_log(stack: ExitStack, everything: bool) -> None:
-    """Keep log lines off the terminal: the optimizer's, or all if there is a table."""
-
-    def is_shown(record: logging.LogRecord) -> bool:
-        return not everything and record.name != "tactorch.inverse.monitor"
-
-    for handler in logging.getLogger().handlers:
-        if not isinstance(handler, logging.FileHandler):
-            handler.addFilter(is_shown)
-            stack.callback(handler.removeFilter, is_shown)

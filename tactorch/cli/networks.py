@@ -31,17 +31,11 @@ DATA = Registry("data", {n: f"{_HERE}:{c}" for n, c in _DATA.items()}, "data to 
 
 
 class DataUse(NamedTuple):
-    """Use of data by a network.
+    """Use of data by a network."""
 
-    Attributes:
-        data: Name of the data module.
-        arguments: Arguments of the network that are attributes of the data module.
-        facts: Attributes of the data module that a run stores with its fingerprint.
-    """
-
-    data: str
-    arguments: tuple[str, ...]
-    facts: tuple[str, ...] = ()
+    data: str  # name of the data module
+    arguments: tuple[str, ...]  # arguments of the network that are attributes of the data module
+    facts: tuple[str, ...] = ()  # of these, the ones that a run stores with the fingerprint
 
 
 _USES = {
@@ -75,11 +69,7 @@ class TrainOptions(CommandOptions):
         return MODELS.name_of(type(self.model))
 
     def data_use(self) -> DataUse:
-        """Return how the network uses its data.
-
-        Raises:
-            ConfigError: the data are not what the network learns from.
-        """
+        """Return how the network uses its data."""
         model, data = self.model_name, DATA.name_of(type(self.data))
         use = _USES[model]
         if data != use.data:
@@ -104,11 +94,7 @@ class TrainOptions(CommandOptions):
 
 
 def read_facts(folder: Path) -> dict[str, Any]:
-    """Return the facts that a run stored of its data.
-
-    Raises:
-        FileError: the file is missing or damaged.
-    """
+    """Return the facts that a run stored of its data."""
     path = folder / DATA_FILE
     facts = read_json(path, "record of the training data", REMEDY, "fingerprint")
     classes = facts.get("classes", [])
@@ -118,11 +104,7 @@ def read_facts(folder: Path) -> dict[str, Any]:
 
 
 def check_data(folder: Path, data: Any) -> None:
-    """Refuse data or a split other than those of the training, whose parts may overlap.
-
-    Raises:
-        ConfigError: they differ.
-    """
+    """Refuse data or a split other than those of the training, whose parts may overlap."""
     if (folder / DATA_FILE).is_file() and read_facts(folder)["fingerprint"] != data.fingerprint:
         raise ConfigError(
             f"'{folder}' was trained on other data, or on another split of them; give the same"

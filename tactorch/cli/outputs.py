@@ -103,9 +103,10 @@ def summarise(
     recording: Recording, reconstruction: Reconstruction, inclusion: Inclusion | None, source: str
 ) -> dict[str, Any]:
     """Return the numbers of a run, with scores where there is a truth."""
-    last, youngs = reconstruction.history[-1], reconstruction.youngs
-    at_bounds = _at_bounds(recording, reconstruction)
-    warnings = []
+    last, youngs, warnings = reconstruction.history[-1], reconstruction.youngs, []
+    bounds, volumes = reconstruction.config["settings"]["bounds"], recording.mesh.volumes
+    is_at_bound = (youngs < 1.01 * bounds["lower"]) | (youngs > 0.99 * bounds["upper"])
+    at_bounds = float(volumes[is_at_bound].sum() / volumes.sum())
     if at_bounds > _MAX_AT_BOUNDS:
         warnings.append(
             f"{at_bounds:.0%} of it is at a bound of Young's modulus. If the bounds are right, "
@@ -135,14 +136,6 @@ def summarise(
             reference = scores(recording.mesh, recording.reference, recording.truth)
             summary["reference"] = reference
     return summary | {"config": reconstruction.config}
-
-
-def _at_bounds(recording: Recording, reconstruction: Reconstruction) -> float:
-    """Return the share of the volume within 1 % of the smallest or largest modulus allowed."""
-    bounds, youngs = reconstruction.config["settings"]["bounds"], reconstruction.youngs
-    is_at_bound = (youngs < 1.01 * bounds["lower"]) | (youngs > 0.99 * bounds["upper"])
-    volumes = recording.mesh.volumes
-    return float(volumes[is_at_bound].sum() / volumes.sum())
 
 
 def describe(
@@ -180,11 +173,7 @@ def _describe_estimate(name: str, estimate: NuisanceEstimate) -> str:
 
 
 def read_histories(runs: Sequence[Path], own_name: str) -> dict[str, History]:
-    """Return the convergence of other runs by distinct names.
-
-    Raises:
-        FileError: one is no run, or is named twice.
-    """
+    """Return the convergence of other runs by distinct names."""
     histories: dict[str, History] = {}
     for run in runs:
         try:
@@ -201,10 +190,7 @@ def read_histories(runs: Sequence[Path], own_name: str) -> dict[str, History]:
 
 
 def _draw(
-    out: Path,
-    recording: Recording,
-    reconstruction: Reconstruction,
-    others: Mapping[str, History],
+    out: Path, recording: Recording, reconstruction: Reconstruction, others: Mapping[str, History]
 ) -> list[Path]:
     """Draw slices of the map and the convergence."""
     from tactorch.viz import convergence_figure, save_figure, slice_figure

@@ -46,17 +46,7 @@ def named(command: str, words: Sequence[str]) -> list[str]:
 def check_overrides(
     schema: Schema, words: Sequence[str], *, multirun: bool = False, trusted: bool = True
 ) -> list[str]:
-    """Return settings as Hydra takes them.
-
-    Args:
-        schema: Schema of the command.
-        words: Settings as typed.
-        multirun: Whether settings may have several values.
-        trusted: Whether settings of Hydra itself are accepted.
-
-    Raises:
-        ConfigError: a setting or an option of a group is unknown, or a word cannot be read.
-    """
+    """Return settings as Hydra takes them; Hydra's own settings only if they are trusted."""
     words = [_renamed(word, schema) for word in words]
     overrides = [_parse(word, schema) for word in words]
     chosen = {o.key_or_group: _values(o) for o in overrides if o.key_or_group in schema.defaults}
@@ -81,11 +71,7 @@ def check_overrides(
 
 
 def check_required(schema: Schema, words: Sequence[str]) -> None:
-    """Refuse that a setting without a default is not given.
-
-    Raises:
-        ConfigError: names the setting.
-    """
+    """Refuse that a setting without a default is not given."""
     experiment = schema.experiments.get(schema.choices(words)[EXPERIMENT] or "", {})
     given = {*map(key_of, words), *experiment.get("values", ())}
     for entry in schema.settings:

@@ -25,11 +25,7 @@ Entry = dict[str, Any]
 
 
 def conf_folder() -> Path:
-    """Return the folder of presets and experiments: in the package, or beside it in a checkout.
-
-    Raises:
-        FileError: they are in neither place.
-    """
+    """Return the folder of presets and experiments: in the package, or beside it in a checkout."""
     spec = importlib.util.find_spec(PACKAGE)
     places = [] if spec is None else [Path(p) for p in spec.submodule_search_locations or ()]
     for place in (*places, Path(__file__).resolve().parents[2] / "conf"):
@@ -43,9 +39,6 @@ def add_presets(folder: Path, group: dict[str, Any]) -> None:
 
     A preset names a component (`name`), or inherits from another option, or changes the settings of
     a group that has one class; what it leaves out has the typed defaults.
-
-    Raises:
-        ConfigError: a preset cannot be read, or has an unknown setting.
     """
     for path in sorted(folder.glob("*.yaml")):
         _add_preset(path, group)
@@ -123,11 +116,7 @@ def _leading_comment(path: Path) -> str:
 
 
 def check_plain(folder: Path) -> None:
-    """Refuse settings of Hydra and names of functions in the files of a folder.
-
-    Raises:
-        ConfigError: a file holds more than plain settings.
-    """
+    """Refuse settings of Hydra and names of functions in the files of a folder."""
     for path in sorted(folder.rglob("*.yaml")):
         is_hydra = path.relative_to(folder).parts[0] == "hydra"
         is_hydra = is_hydra or b"@package hydra" in path.read_bytes()
@@ -166,11 +155,7 @@ def leaves(
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the table in a YAML file.
-
-    Raises:
-        ConfigError: it is no table of settings.
-    """
+    """Return the table in a YAML file."""
     import yaml
 
     try:

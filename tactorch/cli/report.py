@@ -9,15 +9,17 @@ The file needs no server and no network: slices to scrub through, a 3-D view tha
 and uncertainty, observed and predicted presses, settings. It can be printed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.settings import CommandOptions, UnitCheck, with_settings
+from tactorch.cli.resume import saved_options
+from tactorch.cli.settings import CommandOptions, UnitCheck, make_start
 from tactorch.config import option
-from tactorch.errors import ConfigError
-from tactorch.report import load_run, run_names, write_report
+from tactorch.errors import ConfigError, TactorchError
+from tactorch.inverse.settings import has_all_settings, stored_settings
+from tactorch.report import Run, load_run, run_names, write_report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,3 +76,20 @@ def run(options: ReportOptions) -> Path:
         )
     log.info("report: %s (%.1f MB)", out, out.stat().st_size / 1e6)
     return out
+
+
+def with_settings(run: Run) -> Run:
+    """Return a run with its settings; a prior about a surrogate's map is predicted again."""
+    path = run.folder / ".hydra" / "config.yaml"
+    if has_all_settings(run.result.config) or run.recording is None or not path.is_file():
+        return run
+    try:
+        settings = make_start(saved_options("invert", run.folder), run.recording)[1]
+    except TactorchError as error:
+        log.warning("%s: the settings in '%s' cannot be used (%s)", run.name, path, error)
+        return run
+    prior = stored_settings(settings)["regularization"]
+    if prior != run.result.config["settings"]["regularization"]:
+        log.warning("%s: the surrogate predicts another map than it did for this run", run.name)
+        return run
+    return replace(run, settings=settings)

@@ -31,16 +31,6 @@ def with_resume(schema: Schema, words: list[str], *, multirun: bool = False) -> 
     """Return the settings of the run in `resume=RUN`, changed by the given ones.
 
     A run that was stopped before its first checkpoint starts from the beginning.
-
-    Args:
-        schema: Schema of the command.
-        words: Settings as Hydra takes them.
-        multirun: Whether several runs are requested.
-
-    Raises:
-        FileError: the folder is no run folder, or its settings are damaged.
-        ConfigError: the run is of another command, several runs are requested, or the folder has
-            settings that are not plain ones of the command.
     """
     chosen = [word.split("=", 1)[1] for word in words if key_of(word) == "resume"]
     if schema.command not in _STATES or not chosen or chosen[-1] in ("", "null"):
@@ -93,12 +83,7 @@ def has_state(command: str, run: Path) -> bool:
 
 
 def saved_options(command: str, run: Path) -> Any:
-    """Return the typed options that a run folder holds.
-
-    Raises:
-        FileError: there are none, they are damaged, or they hold more than plain values.
-        ConfigError: a setting cannot be used.
-    """
+    """Return the typed options that a run folder holds."""
     from omegaconf import OmegaConf
 
     path = run / ".hydra" / "config.yaml"

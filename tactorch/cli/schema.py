@@ -9,7 +9,7 @@ import inspect
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
@@ -18,14 +18,8 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from tactorch.cli.presets import (
-    EXPERIMENT,
-    Entry,
-    add_presets,
-    check_plain,
-    conf_folder,
-    read_experiments,
-)
+from tactorch.cli import presets
+from tactorch.cli.presets import EXPERIMENT, Entry, conf_folder
 from tactorch.config import REGISTRIES, Options, Registry, Setting, settings_of
 from tactorch.config.options import plain_value
 from tactorch.config.registry import NO_VALUE
@@ -54,21 +48,13 @@ def options_class(command: str) -> type[Options]:
 
 @dataclass
 class Schema:
-    """Settings and groups of one command.
-
-    Attributes:
-        command: Name of the command.
-        header: What the command does, with examples.
-        settings: Settings that belong to no group.
-        groups: Default and options of each group.
-        experiments: Experiments that apply to the command.
-    """
+    """Settings and groups of one command."""
 
     command: str
-    header: str
-    settings: list[Entry]
-    groups: dict[str, Any]
-    experiments: dict[str, Any]
+    header: str  # purpose of the command, with examples
+    settings: list[Entry]  # those that belong to no group
+    groups: dict[str, Any]  # default and options of each group
+    experiments: dict[str, Any]  # those that apply to the command
 
     @property
     def defaults(self) -> dict[str, str | None]:
@@ -80,7 +66,7 @@ class Schema:
         return dict(self.experiments if group == EXPERIMENT else self.groups[group]["options"])
 
     def option_settings(self, group: str, option: str | None) -> list[Entry]:
-        """Return the settings of an option; none of the user's own options."""
+        """Return the settings of an option; none of an experiment or an unknown option."""
         options = self.groups[group]["options"] if group in self.groups else {}
         return list(options[option]["settings"]) if option in options else []
 
@@ -107,21 +93,15 @@ class Schema:
         return entries
 
     def add_folder(self, folder: Path) -> None:
-        """Add the presets and experiments of a folder of the user.
-
-        Raises:
-            FileError: there is no such folder.
-            ConfigError: a file holds more than plain settings, an unknown setting, or has the name
-                of an option of tactorch.
-        """
-        check_plain(require_folder(folder, "folder of settings (--config-dir)"))
+        """Add the presets and experiments of a folder of the user."""
+        presets.check_plain(require_folder(folder, "folder of settings (--config-dir)"))
         for group in (*self.groups, EXPERIMENT):
             for path in (folder / group).glob("*.yaml"):
                 if path.stem in self.options(group):
                     raise ConfigError(f"'{path}' has the name of an option of tactorch; rename it.")
         for name, group in self.groups.items():
-            add_presets(folder / name, group)
-        self.experiments |= read_experiments(folder, self.settings, self.groups)
+            presets.add_presets(folder / name, group)
+        self.experiments |= presets.read_experiments(folder, self.settings, self.groups)
 
 
 def load_schema(command: str) -> Schema:
@@ -189,7 +169,7 @@ def describe_command(command: str) -> dict[str, Any]:
         "header": (command_module(command).__doc__ or "").replace("`", "").rstrip(),
         "settings": settings,
         "groups": {group: groups[group] for group in names},
-        "experiments": read_experiments(conf_folder(), settings, groups),
+        "experiments": presets.read_experiments(conf_folder(), settings, groups),
     }
 
 
@@ -206,9 +186,9 @@ def _describe_group(setting: Setting) -> dict[str, Any]:
     if registry is not None:
         group["options"] = {name: _describe_component(registry, name) for name in registry}
     elif setting.nested is not None:
-        group["settings"] = list(describe_settings(setting.nested))
+        group["settings"] = describe_settings(setting.nested)
     group["default"] = setting.constraint.preset or _default(setting)
-    add_presets(conf_folder() / setting.name, group)
+    presets.add_presets(conf_folder() / setting.name, group)
     return group
 
 
@@ -216,32 +196,26 @@ def _describe_component(registry: Registry, name: str) -> dict[str, Any]:
     try:
         component = registry[name]
         text = (inspect.getdoc(component) or "").partition("\n\n")[0].replace("\n", " ").strip()
-        settings = list(describe_settings(component))
+        settings = describe_settings(component)
     except ConfigError as error:  # of another package; choosing it says the same
         text, settings = str(error), []
     return {"component": name, "overrides": {}, "help": text, "settings": settings}
 
 
-def describe_settings(options: type, prefix: str = "") -> Iterator[Entry]:
-    """Yield the settings of a class as plain values, nested ones by their full names.
-
-    Settings that are chosen by name from a registry are plain settings with the registry's names as
-    choices.
-    """
-    for setting in settings_of(options):
-        yield from _describe(setting, prefix)
+def describe_settings(options: type, prefix: str = "") -> list[Entry]:
+    """Return the settings of a class as plain values, nested ones by their full names."""
+    return [entry for setting in settings_of(options) for entry in _describe(setting, prefix)]
 
 
-def _describe(setting: Setting, prefix: str = "") -> Iterator[Entry]:
+def _describe(setting: Setting, prefix: str = "") -> list[Entry]:
     registry = REGISTRIES.get(setting.constraint.section)
     if setting.nested is not None and registry is None:
-        yield from describe_settings(setting.nested, f"{prefix}{setting.name}.")
-        return
+        return describe_settings(setting.nested, f"{prefix}{setting.name}.")
     types, default = leaf_types(setting.annotation), _default(setting)
     names = setting.choices if registry is None else registry.names()
     # A component with settings is a table: its name alone is no value.
     is_component = registry is not None and any(settings_of(registry[name]) for name in names)
-    yield {
+    entry = {
         "name": f"{prefix}{setting.name}",
         "default": {"name": default} if is_component else default,
         "help": setting.constraint.help,
@@ -252,6 +226,7 @@ def _describe(setting: Setting, prefix: str = "") -> Iterator[Entry]:
         "is_path": Path in types,
         "is_table": dict in types or is_component,
     }
+    return [entry]
 
 
 def _default(setting: Setting) -> Any:

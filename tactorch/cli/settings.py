@@ -1,20 +1,15 @@
 """Settings that commands share, and the objects of the library that they describe."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from hydra.core.hydra_config import HydraConfig
 
-from tactorch.cli.console import log
-from tactorch.cli.resume import saved_options
 from tactorch.config import Options, option, settings_of, to_mapping
-from tactorch.errors import TactorchError
-from tactorch.inverse import Settings, Start, has_all_settings, homogeneous
-from tactorch.inverse.settings import stored_settings
+from tactorch.inverse import Settings, Start, homogeneous
 from tactorch.inverse.starts import Uniform
 from tactorch.recording import MaterialSpec, Recording
-from tactorch.report import Run
 
 T = TypeVar("T", bound=Options)
 
@@ -68,20 +63,3 @@ def make_start(options: Any, recording: Recording) -> tuple[Start, Settings]:
     if options.resume is None:
         start.network  # noqa: B018  (weights that cannot be used are reported at once)
     return start, start.with_prior_mean(settings, recording)
-
-
-def with_settings(run: Run) -> Run:
-    """Return a run with its settings; a prior about a surrogate's map is predicted again."""
-    path = run.folder / ".hydra" / "config.yaml"
-    if has_all_settings(run.result.config) or run.recording is None or not path.is_file():
-        return run
-    try:
-        settings = make_start(saved_options("invert", run.folder), run.recording)[1]
-    except TactorchError as error:
-        log.warning("%s: the settings in '%s' cannot be used (%s)", run.name, path, error)
-        return run
-    prior = stored_settings(settings)["regularization"]
-    if prior != run.result.config["settings"]["regularization"]:
-        log.warning("%s: the surrogate predicts another map than it did for this run", run.name)
-        return run
-    return replace(run, settings=settings)

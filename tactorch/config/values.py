@@ -43,24 +43,20 @@ def convert(value: Any, annotation: Any) -> Any:
 
 
 def _convert_union(value: Any, members: tuple[Any, ...]) -> Any:
-    exact = [m for m in members if isinstance(m, type) and type(value) is m]
-    for member in (*exact, *members):
-        converted = convert(value, member)
-        if converted is not INVALID:
-            return converted
-    return INVALID
+    exact = [member for member in members if type(value) is member]
+    converted = (convert(value, member) for member in (*exact, *members))
+    return next((result for result in converted if result is not INVALID), INVALID)
 
 
 def _convert_sequence(value: Any, origin: type, arguments: tuple[Any, ...]) -> Any:
     value = value.tolist() if hasattr(value, "tolist") else value  # of NumPy
     if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
         return INVALID
-    if origin is tuple and arguments[-1] is not Ellipsis:
-        if len(value) != len(arguments):
-            return INVALID
-        items = [convert(v, a) for v, a in zip(value, arguments, strict=True)]
-    else:
-        items = [convert(v, arguments[0]) for v in value]
+    if origin is not tuple or arguments[-1] is Ellipsis:
+        arguments = arguments[:1] * len(value)
+    if len(value) != len(arguments):
+        return INVALID
+    items = [convert(v, a) for v, a in zip(value, arguments, strict=True)]
     return INVALID if any(item is INVALID for item in items) else origin(items)
 
 
@@ -95,14 +91,8 @@ _PLAIN: dict[Any, Any] = {
     str: lambda value: value if isinstance(value, str) else INVALID,
     Path: _path,
 }
-_NAMES = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "text",
-    Path: "a path",
-    type(None): "null",
-}
+_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+_NAMES |= {Path: "a path", types.NoneType: "null"}
 _PLURALS = {int: "whole numbers", float: "numbers", str: "names", Path: "paths"}
 
 
@@ -120,9 +110,8 @@ def describe(annotation: Any) -> str:
         letters = ",".join(_LETTERS[:count])
         return f"a list of {_COUNTS.get(count, count)} {_plural(arguments[0])}: [{letters}]"
     if origin in (tuple, list, Sequence):
-        example = (
-            "[[...],[...]]" if get_origin(arguments[0]) in (tuple, list, Sequence) else "[A,B]"
-        )
+        is_nested = get_origin(arguments[0]) in (tuple, list, Sequence)
+        example = "[[...],[...]]" if is_nested else "[A,B]"
         return f"a list of {_plural(arguments[0])}: {example}"
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return f"a table of {_plural(arguments[1])}: {{NAME: VALUE}}"

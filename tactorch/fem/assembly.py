@@ -17,25 +17,15 @@ from tactorch.fem.materials import EnergyDerivatives, IsotropicMaterial, Materia
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Energy and forces of all elements per unit modulus, at one displacement field.
+    """Energy and forces of all elements per unit modulus, at one displacement field."""
 
-    Attributes:
-        F: Deformation gradient at the quadrature points.
-        cofactors: Its cofactors, dJ/dF.
-        invariants: I1, I2 and J at the quadrature points.
-        energy: Energy of each element, mm^3.
-        forces: Nodal forces of each element, mm^2 (the columns of eq. 11).
-        derivatives: Derivatives of the energy by the invariants; None for general materials.
-        mean: Volumetric energy at each element's mean J; None where it is not averaged.
-    """
-
-    F: Float[np.ndarray, "m q 3 3"]
-    cofactors: Float[np.ndarray, "m q 3 3"]
-    invariants: Float[np.ndarray, "3 m q"]
-    energy: Float[np.ndarray, " m"]
-    forces: Float[np.ndarray, "m k 3"]
-    derivatives: EnergyDerivatives | None
-    mean: EnergyDerivatives | None
+    F: Float[np.ndarray, "m q 3 3"]  # deformation gradient at the quadrature points
+    cofactors: Float[np.ndarray, "m q 3 3"]  # dJ/dF
+    invariants: Float[np.ndarray, "3 m q"]  # I1, I2 and J
+    energy: Float[np.ndarray, " m"]  # mm^3
+    forces: Float[np.ndarray, "m k 3"]  # of each element's nodes, mm^2 (the columns of eq. 11)
+    derivatives: EnergyDerivatives | None  # of the energy; None for general materials
+    mean: EnergyDerivatives | None  # volumetric energy at the mean J, where it is averaged
 
     @property
     def smallest_volume_ratio(self) -> tuple[int, float]:
@@ -46,19 +36,12 @@ class Response:
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """A discretised body of one material.
-
-    Attributes:
-        discretisation: Mesh and element type.
-        material: Energy per unit modulus.
-        poisson: Poisson's ratio, one for all or one for each element.
-        points: Rest positions, mm.
-    """
+    """A discretised body of one material."""
 
     discretisation: Discretisation
     material: Material
     poisson: float | Float[np.ndarray, " m"]
-    points: Float[np.ndarray, "n 3"]
+    points: Float[np.ndarray, "n 3"]  # rest positions, mm
 
     @cached_property
     def _geometry(self) -> tuple[np.ndarray, np.ndarray]:
@@ -146,11 +129,8 @@ class Assembly:
     ) -> Float[np.ndarray, " nnz"]:
         """Return the upper-triangle values of the tangent, N/mm.
 
-        Args:
-            response: Element responses.
-            youngs: Young's modulus of each element, MPa.
-            springs: Stiffness of springs on the nodes, N/mm; none by default.
-            project: Whether the negative eigenvalues of each element are set to zero.
+        `springs` (N/mm) act on the nodes; `project` sets the negative eigenvalues of each element
+        to zero.
         """
         d, weights = self.discretisation, self.weights * youngs[:, None]
         if response.derivatives is None:

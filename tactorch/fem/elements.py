@@ -119,19 +119,16 @@ class Discretisation:
         return np.concatenate([values, values[self.edges].mean(axis=1)])
 
     def consistent_loads(self, values: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "nodes 3"]:
-        """Convert nodal loads or springs at the vertices to consistent ones at all nodes.
+        """Return consistent loads or springs at all nodes, from those at the vertices.
 
-        Linear elements leave them unchanged. On quadratic ones a uniform traction acts on the
-        midside nodes: the load of each vertex on a loaded surface triangle is divided between the
-        two adjacent midside nodes. This is exact for a uniform pressure and preserves totals. A
-        triangle is loaded if all its vertices have non-zero loads. Vertices without a loaded
-        triangle (point loads, interior nodes) keep their loads.
-
-        Args:
-            values: One row per mesh point, or one per node, which is returned as it is.
+        On quadratic elements a uniform traction acts on the midside nodes: the load of each vertex
+        on a loaded surface triangle is divided between the two adjacent midside nodes. This is
+        exact for a uniform pressure and preserves totals. A triangle is loaded if all its vertices
+        have non-zero loads. Vertices without a loaded triangle (point loads, interior nodes) keep
+        their loads. Values at all nodes are returned as they are.
 
         Raises:
-            ConfigError: The number of rows is neither of the two.
+            ConfigError: There is neither one row per mesh point nor one per node.
         """
         if values.shape == (self.n_nodes, 3):  # always so on linear elements
             return values

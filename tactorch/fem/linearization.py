@@ -21,25 +21,15 @@ _MAX_COLUMNS = 256  # right-hand sides solved at once; bounds the memory on larg
 
 @dataclass(eq=False)
 class Linearization:
-    """An equilibrium with its tangent K, which is factored once, at the first solve.
-
-    Attributes:
-        assembly: The discretised body.
-        youngs: Young's modulus of each element, MPa.
-        displacement: Displacement at equilibrium, mm.
-        response: Element responses at `displacement`.
-        tangent: Stored entries of K, with the rows of fixed unknowns reduced to the diagonal.
-        fixed: Fixed unknowns, flat.
-        lease: Solver that factors K.
-    """
+    """An equilibrium with its tangent K, which is factored once, at the first solve."""
 
     assembly: Assembly
-    youngs: Float[np.ndarray, " m"]
-    displacement: Float[np.ndarray, "nodes 3"]
-    response: Response
-    tangent: Float[np.ndarray, " nnz"]
+    youngs: Float[np.ndarray, " m"]  # MPa
+    displacement: Float[np.ndarray, "nodes 3"]  # at equilibrium, mm
+    response: Response  # at the displacement
+    tangent: Float[np.ndarray, " nnz"]  # K, with the rows of fixed unknowns reduced to the diagonal
     fixed: Bool[np.ndarray, " size"]
-    lease: Lease
+    lease: Lease  # solver that factors K
 
     def factor(self) -> None:
         """Factor K, unless this is done.

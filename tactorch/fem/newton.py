@@ -72,11 +72,7 @@ class EquilibriumResult:
     response: Response | None = None
 
     def require(self) -> "EquilibriumResult":
-        """Return self, or raise.
-
-        Raises:
-            ConvergenceError: No equilibrium was found; gives the reason and the remedy.
-        """
+        """Return self, or raise ConvergenceError with the reason and the remedy."""
         if not self.converged:
             raise ConvergenceError(self.reason)
         return self
@@ -127,7 +123,7 @@ class Newton:
         return len(modes) >= 6 and column_rank(modes, 1e-8) == 6
 
     def linearize(self, result: EquilibriumResult) -> Linearization:
-        """Return the linearisation at an equilibrium; the search's solver passes to it."""
+        """Return the linearisation at an equilibrium, which shares the search's solver."""
         assert result.response is not None
         self._use_double_precision()
         tangent = self.assembly.tangent(result.response, self.youngs, self.supports.springs)
@@ -204,7 +200,10 @@ class Newton:
                     break
             if iteration == max_iterations:
                 break
-            step = self._step(response, residual, jump, self._step_rtol(relative))
+            # Accuracy of a step: that of Newton's quadratic convergence, or of the last step.
+            rtol = max(relative, 0.3 * self.options.rtol / max(relative, self.options.rtol))
+            rtol = min(max(rtol, _MIN_STEP_RTOL), _MAX_STEP_RTOL)
+            step = self._step(response, residual, jump, rtol)
             if step is None:
                 reason = (
                     "The tangent stays singular: a part of the object is not held, or moduli span "
@@ -229,11 +228,6 @@ class Newton:
             u, response = accepted
         counts = (iteration, int(converged), relative, energies)
         return EquilibriumResult(u, converged, reason, *counts, response if converged else None)
-
-    def _step_rtol(self, relative: float) -> float:
-        """Accuracy of a step: that of Newton's quadratic convergence, or of the last step."""
-        rtol = max(relative, 0.3 * self.options.rtol / max(relative, self.options.rtol))
-        return min(max(rtol, _MIN_STEP_RTOL), _MAX_STEP_RTOL)
 
     def _step(
         self, response: Response, residual: np.ndarray, jump: np.ndarray, rtol: float

@@ -26,7 +26,7 @@ from tactorch.generation.sample import Sample
 from tactorch.hdf5 import Hdf5Reader
 from tactorch.mesh import TetMesh
 from tactorch.recording import Recording
-from tactorch.recording.reader import RecordingReader
+from tactorch.recording.storage import RecordingReader
 
 if TYPE_CHECKING:
     import h5py

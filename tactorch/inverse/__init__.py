@@ -1,37 +1,16 @@
 """From presses to a map of Young's modulus: data, prior and optimizer, combined freely."""
 
-from tactorch.inverse.coarse import CoarseStart
-from tactorch.inverse.data import (
-    CorrelatedNoise,
-    DataModel,
-    NoiseModel,
-    Observation,
-    smooth_pattern,
-)
-from tactorch.inverse.evaluation import Evaluation
+from tactorch.inverse.data import NoiseModel
 from tactorch.inverse.incremental import IncrementalInversion, IncrementalResult
-from tactorch.inverse.invert import (
-    invert,
-    make_objective,
-    solution,
-)
+from tactorch.inverse.invert import invert, make_objective
 from tactorch.inverse.misfit import MISFITS, Misfit
-from tactorch.inverse.model_error import (
-    ModelError,
-    discretisation_error,
-)
-from tactorch.inverse.monitor import Monitor, StopOptimization, StopReason
-from tactorch.inverse.nuisance import Nuisance, NuisancePrior
-from tactorch.inverse.nuisance_estimate import NuisanceEstimate
+from tactorch.inverse.monitor import Monitor, StopReason
+from tactorch.inverse.nuisance import Nuisance, NuisanceEstimate, NuisancePrior
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import (
-    LBFGS,
-    OPTIMIZERS,
-    TNC,
-    GaussNewton,
-    NewtonCG,
-    Optimizer,
-)
+from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
+from tactorch.inverse.optimizers.gauss_newton import GaussNewton
+from tactorch.inverse.optimizers.newton_cg import NewtonCG
+from tactorch.inverse.optimizers.scipy_methods import LBFGS, TNC
 from tactorch.inverse.parameterization import (
     PARAMETERIZATIONS,
     Bounds,
@@ -40,36 +19,15 @@ from tactorch.inverse.parameterization import (
     Parameterization,
     Scaled,
 )
-from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.regularization import (
-    PRIORS,
-    BinaryWell,
-    Composite,
-    LogJumps,
-    Matern,
-    NoPrior,
-    Prior,
-    Quadratic,
-    Regularizer,
-    ShiftedPrior,
-    Smoothness,
-    Sparsity,
-    Tikhonov,
-    TotalVariation,
-)
-from tactorch.inverse.settings import Settings, has_all_settings, settings_from
-from tactorch.inverse.starts import (
-    INITIALIZATIONS,
-    START_MPA,
-    Start,
-    Uniform,
-    best_uniform,
-    homogeneous,
-    monte_carlo,
-    start_map,
-)
-from tactorch.inverse.uniform import UniformFit, uniform_fit
+from tactorch.inverse.regularization.base import PRIORS, NoPrior, Prior, Quadratic, Regularizer
+from tactorch.inverse.regularization.binary_well import BinaryWell
+from tactorch.inverse.regularization.combined import Composite, CompositePenalty, ShiftedPrior
+from tactorch.inverse.regularization.gaussian import Matern, Smoothness, Tikhonov
+from tactorch.inverse.regularization.sharp import LogJumps, Sparsity, TotalVariation
+from tactorch.inverse.settings import Settings, settings_from
+from tactorch.inverse.starts import INITIALIZATIONS, Start, best_uniform, homogeneous, monte_carlo
 
 __all__ = [
     "INITIALIZATIONS",
@@ -78,14 +36,11 @@ __all__ = [
     "OPTIMIZERS",
     "PARAMETERIZATIONS",
     "PRIORS",
-    "START_MPA",
     "TNC",
     "BinaryWell",
     "Bounds",
-    "CoarseStart",
     "Composite",
-    "CorrelatedNoise",
-    "DataModel",
+    "CompositePenalty",
     "Evaluation",
     "GaussNewton",
     "Identity",
@@ -96,7 +51,6 @@ __all__ = [
     "LogJumps",
     "Matern",
     "Misfit",
-    "ModelError",
     "Monitor",
     "NewtonCG",
     "NoPrior",
@@ -105,7 +59,6 @@ __all__ = [
     "NuisanceEstimate",
     "NuisancePrior",
     "Objective",
-    "Observation",
     "Optimizer",
     "Parameterization",
     "Point",
@@ -119,22 +72,13 @@ __all__ = [
     "Smoothness",
     "Sparsity",
     "Start",
-    "StopOptimization",
     "StopReason",
     "Tikhonov",
     "TotalVariation",
-    "Uniform",
-    "UniformFit",
     "best_uniform",
-    "discretisation_error",
-    "has_all_settings",
     "homogeneous",
     "invert",
     "make_objective",
     "monte_carlo",
     "settings_from",
-    "smooth_pattern",
-    "solution",
-    "start_map",
-    "uniform_fit",
 ]

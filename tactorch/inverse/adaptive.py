@@ -4,13 +4,12 @@ import logging
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from tactorch.inverse.misfit import Squares
 from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective
-from tactorch.inverse.optimizers import GaussNewton
-from tactorch.inverse.uniform import uniform_fit
+from tactorch.inverse.optimizers.gauss_newton import GaussNewton
+from tactorch.inverse.starts import uniform_fit
 
 _log = logging.getLogger(__name__)
 _MAX_ITERATIONS = 30
@@ -24,12 +23,6 @@ def adapt(objective: Objective) -> Objective:
     map; it is damped Gauss-Newton with any optimizer. A press whose residuals there are larger than
     those of the median press (and than stated) gets their size as its deviation. Most presses must
     be as good as they state. A `Press` is one frame, so a bad frame of a good series is separate.
-
-    Args:
-        objective: Objective whose misfit is `Adaptive`.
-
-    Raises:
-        ConvergenceError: no uniform map carries the presses.
     """
     problem = objective.problem
     fit = uniform_fit(problem, objective.parameterization.bounds, objective.nuisance)
@@ -39,7 +32,8 @@ def adapt(objective: Objective) -> Objective:
         replace(objective, weight=None), start, monitor
     )
     assert monitor.point is not None
-    factors = noise_factors(monitor.point.evaluation.chi2_of_presses)
+    chi2 = np.array([np.mean(r**2) for r in monitor.point.evaluation.deviations])
+    factors = np.sqrt(np.maximum(1.0, chi2 / max(1.0, float(np.median(chi2)))))
     for press, factor in zip(problem.recording.presses, factors, strict=True):
         if factor > _MIN_REPORTED:
             _log.warning(
@@ -47,8 +41,3 @@ def adapt(objective: Objective) -> Objective:
             )
     data = replace(problem.data.widened(factors), misfit=Squares())
     return replace(objective, problem=problem.with_data(data))
-
-
-def noise_factors(chi2: Float[np.ndarray, " presses"]) -> Float[np.ndarray, " presses"]:
-    """Return the factor of each press's deviation, 1 or more, from its mean squared residual."""
-    return np.sqrt(np.maximum(1.0, chi2 / max(1.0, float(np.median(chi2)))))

@@ -12,17 +12,18 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
+from scipy.sparse.csgraph import laplacian
 from scipy.spatial import cKDTree
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.inverse.monitor import Monitor, StopOptimization, StopReason
 from tactorch.inverse.objective import Objective
-from tactorch.inverse.optimizers import GaussNewton
+from tactorch.inverse.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.parameterization import Bounds, Log
 from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.regularization import Quadratic
-from tactorch.inverse.uniform import NO_TOLERANCE, small_step, uniform_fit
+from tactorch.inverse.regularization.base import Quadratic
+from tactorch.inverse.starts import NO_TOLERANCE, small_step, uniform_fit
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
 
@@ -32,19 +33,9 @@ _STEP_TOLERANCE = 0.02  # change of a log-modulus
 
 
 def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
-    """Group elements into compact clusters by Lloyd's method on their centroids.
+    """Group elements into compact clusters, numbered from 0, by Lloyd's method on their centroids.
 
     The method is deterministic: the first centres are far from each other, and no cluster is empty.
-
-    Args:
-        mesh: The object.
-        count: Number of clusters.
-
-    Returns:
-        Cluster of each element, numbered from 0, (m,).
-
-    Raises:
-        ConfigError: `count` is not between one and the number of elements.
     """
     if not 1 <= count <= mesh.n_tets:
         raise ConfigError(f"groups={count} must be from 1 to the {mesh.n_tets} elements.")
@@ -63,27 +54,22 @@ def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
 
 @dataclass(frozen=True)
 class CoarseStart(Options):
-    """The map of few moduli that fits best, each shared by a cluster of elements.
-
-    Attributes:
-        groups: Number of clusters.
-        steps: Limit of Gauss-Newton steps.
-    """
+    """The map of few moduli that fits best, each shared by a cluster of elements."""
 
     section: ClassVar[str] = "initialization"
     groups: int = option(64, "Number of clusters of elements", gt=0)
     steps: int = option(6, "Limit of Gauss-Newton steps", gt=0)
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
-        """Return the map, MPa.
-
-        Raises:
-            ConfigError: there are more groups than elements.
-            ConvergenceError: no uniform modulus within the bounds carries the presses.
-        """
+        """Return the map, MPa."""
         mesh = problem.recording.mesh
         labels = clusters(mesh, self.groups)
-        prior = Quadratic(_laplacian(mesh, labels) / _JUMP**2)
+        # The prior's matrix is the Laplacian of the graph of clusters that share a face.
+        ends = np.sort(labels[mesh.adjacency.pairs], axis=1)
+        i, j = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0).T
+        count = int(labels.max()) + 1
+        graph = sp.csr_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
+        prior = Quadratic(laplacian(graph + graph.T).tocsr() / _JUMP**2)
         objective = Objective(problem, Log(bounds), prior, weight=1.0, groups=labels)
         small = small_step(_STEP_TOLERANCE)
 
@@ -97,14 +83,3 @@ class CoarseStart(Options):
             optimizer.minimize(objective, np.full(objective.size, first), monitor)
         assert monitor.point is not None
         return monitor.point.youngs
-
-
-def _laplacian(mesh: TetMesh, labels: Int[np.ndarray, " m"]) -> sp.csr_matrix:
-    """Laplacian of the graph of clusters that share a face."""
-    ends = np.sort(labels[mesh.adjacency.pairs], axis=1)
-    pairs = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
-    count = int(labels.max()) + 1
-    weights = np.ones(len(pairs))
-    graph = sp.csr_matrix((weights, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    graph = graph + graph.T
-    return (sp.diags(np.asarray(graph.sum(axis=1)).ravel()) - graph).tocsr()

@@ -2,19 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import orth
-from scipy.special import ndtri
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.inverse.misfit import Misfit, Squares
+from tactorch.inverse.misfit import NORMAL_MEDIAN, Misfit, Squares
 from tactorch.recording import Press, Recording
-
-_NORMAL_MEDIAN = float(ndtri(0.75))  # median size of a standard normal number
 
 
 @dataclass(frozen=True)
@@ -22,12 +19,7 @@ class NoiseModel(Options):
     """Standard deviations of the observed displacements.
 
     The first that applies: `mm`, where given; the value stated by the press; the estimate from the
-    recording's unloaded frames; `relative`.
-
-    Attributes:
-        relative: Noise as a fraction of the root mean square of all observed displacements; also
-            a floor for stated and estimated noise, since no model is exact.
-        mm: Noise in mm, which overrides the recording's.
+    recording's unloaded frames; `relative`, which is also a floor, since no model is exact.
     """
 
     section: ClassVar[str] = "noise"
@@ -58,26 +50,18 @@ class NoiseModel(Options):
         """Deviation of each press before the floor, mm."""
         if self.mm is not None:
             return [self.mm] * len(recording.presses)
-        default = floor if recording.unloaded is None else unloaded_noise(recording.unloaded)
+        default = floor if recording.unloaded is None else _unloaded_noise(recording.unloaded)
         return [default if p.noise_mm is None else p.noise_mm for p in recording.presses]
 
 
-def unloaded_noise(frames: Float[np.ndarray, "frames n 3"]) -> float:
-    """Estimate the standard deviation (mm) of each displacement from frames without contact.
-
-    The estimate uses the median change between successive frames, and is robust to a slow drift and
-    to marker outliers.
-    """
+def _unloaded_noise(frames: Float[np.ndarray, "frames n 3"]) -> float:
+    """Deviation (mm) in frames without contact; robust to a slow drift and to marker outliers."""
     changes = np.abs(np.diff(frames, axis=0))
-    return float(np.nanmedian(changes)) / (_NORMAL_MEDIAN * np.sqrt(2.0))
+    return float(np.nanmedian(changes)) / (NORMAL_MEDIAN * np.sqrt(2.0))
 
 
 def signal_rms(presses: tuple[Press, ...]) -> float:
-    """Return the root mean square of all observed displacements, mm.
-
-    Raises:
-        ConfigError: all observed displacements are zero.
-    """
+    """Return the root mean square of all observed displacements, mm; refuse zero."""
     values = np.concatenate([press.displacement[press.data] for press in presses])
     rms = float(np.sqrt(np.mean(values**2)))
     if rms == 0.0:
@@ -91,13 +75,9 @@ class CorrelatedNoise:
     It whitens residuals whose covariance is the unit matrix plus B B^T. B has few columns, each the
     pattern of an error of unit standard deviation, in standard deviations of the white noise. With
     B = U S V^T the symmetric root of the inverse is 1 - U (1 - (1 + S^2)^(-1/2)) U^T.
-
-    Args:
-        patterns: B.
     """
 
     def __init__(self, patterns: Float[np.ndarray, "data k"]) -> None:
-        """Decompose the patterns."""
         self._basis, self._sizes, _ = np.linalg.svd(patterns, full_matrices=False)
         self._loss = 1.0 - 1.0 / np.sqrt(1.0 + self._sizes**2)
 
@@ -115,65 +95,54 @@ class CorrelatedNoise:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Observed displacements of one press.
+    """Observed displacements of one press."""
 
-    Attributes:
-        index: Observed degrees of freedom, 3 node + axis.
-        displacement: Their displacement, mm.
-        scale: Weight over standard deviation of each, 1/mm.
-    """
+    index: Int[np.ndarray, " p"]  # observed degrees of freedom, 3 node + axis
+    displacement: Float[np.ndarray, " p"]  # mm
+    scale: Float[np.ndarray, " p"]  # weight over standard deviation, 1/mm
 
-    index: Int[np.ndarray, " p"]
-    displacement: Float[np.ndarray, " p"]
-    scale: Float[np.ndarray, " p"]
+    @staticmethod
+    def of(press: Press, deviation: float) -> "Observation":
+        """Return the observed displacements of a press with this standard deviation, mm."""
+        weights = np.ones_like(press.forces) if press.weights is None else press.weights
+        # Data of zero weight are excluded: they would lower the mean squared residual.
+        index = np.flatnonzero(press.data & (weights > 0))
+        relative = weights.ravel()[index]
+        return Observation(index, press.displacement.ravel()[index], relative / deviation)
+
+
+class ModelError(NamedTuple):
+    """Error of the model's prediction of one press."""
+
+    offset: Float[np.ndarray, " p"]  # better minus present prediction of the data, mm
+    deviation: float  # standard deviation of what remains after subtracting it, mm
 
 
 @dataclass(frozen=True, eq=False)
 class DataModel:
-    """Observations of all presses with the statistics of their errors; immutable.
-
-    Attributes:
-        observations: Observed displacements of each press.
-        misfit: Cost of the residuals.
-        correlated: Errors that the data have in common, or None.
-        model_deviation: Standard deviation of the model's remaining error, one per press, mm; None
-            where the model is not corrected.
-        noise_fraction: Share of the data's variance that is noise rather than error of the model.
-    """
+    """Observations of all presses with the statistics of their errors; immutable."""
 
     observations: tuple[Observation, ...]
     misfit: Misfit = field(default_factory=Squares)
-    correlated: CorrelatedNoise | None = None
+    correlated: CorrelatedNoise | None = None  # errors that the data have in common
+    # Deviation of the remaining error of a corrected model, one per press, mm.
     model_deviation: tuple[float, ...] | None = None
-    noise_fraction: float = 1.0
-
-    @staticmethod
-    def of(recording: Recording, noise: NoiseModel, misfit: Misfit) -> "DataModel":
-        """Return the data of a recording.
-
-        Args:
-            recording: Presses.
-            noise: Standard deviations of presses that do not state theirs.
-            misfit: Cost of the residuals.
-        """
-        pairs = zip(recording.presses, noise.deviations(recording), strict=True)
-        return DataModel(tuple(_observe(press, deviation) for press, deviation in pairs), misfit)
+    noise_fraction: float = 1.0  # of the data's variance; the rest is error of the model
 
     @property
-    def size(self) -> int:
-        """Number of observed degrees of freedom over all presses."""
-        return sum(len(observation.index) for observation in self.observations)
+    def counts(self) -> list[int]:
+        """Number of data of each press."""
+        return [len(observation.index) for observation in self.observations]
+
+    @property
+    def begins(self) -> Int[np.ndarray, " presses"]:
+        """Index of the first datum of each press."""
+        return np.cumsum([0, *self.counts[:-1]])
 
     @property
     def scale(self) -> Float[np.ndarray, " data"]:
         """Weight over standard deviation of all data, 1/mm."""
         return np.concatenate([observation.scale for observation in self.observations])
-
-    @property
-    def begins(self) -> Int[np.ndarray, " presses"]:
-        """Index of the first datum of each press."""
-        counts = [len(observation.index) for observation in self.observations]
-        return np.cumsum([0, *counts[:-1]])
 
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
         """Return data in standard deviations of each, or derivatives, in independent ones."""
@@ -187,70 +156,36 @@ class DataModel:
         )
         correlated = self.correlated
         if correlated is not None:  # the error of the model remains as large
-            counts = [len(observation.index) for observation in observations]
-            correlated = correlated.widened(np.repeat(factors, counts))
+            correlated = correlated.widened(np.repeat(factors, self.counts))
         return replace(self, observations=observations, correlated=correlated)
 
     def corrected(
-        self,
-        offsets: Sequence[Float[np.ndarray, " _"]],
-        deviations: Sequence[float],
-        points: Float[np.ndarray, "n 3"],
+        self, errors: Sequence[ModelError], points: Float[np.ndarray, "n 3"]
     ) -> "DataModel":
         """Return the data with the model's error subtracted and its remainder as uncertainty.
 
         The remainder is partly rough, and counted as white noise, and partly smooth: it shifts and
         stretches the whole contact, equally at every pressure. That part is common to all presses
         at one place; without it the data would seem to determine small uniform motions, such as
-        those of the springs below, better than they do.
-
-        Args:
-            offsets: Error of the model at the observed degrees of freedom of each press, mm.
-            deviations: Standard deviation of the remainder of each press, mm.
-            points: Nodes of the mesh, mm.
+        those of the springs below, better than they do. The points are the nodes of the mesh, mm.
         """
-        observations = tuple(
-            replace(
-                observation,
-                displacement=observation.displacement - offset,
-                scale=observation.scale / np.sqrt(1.0 + (deviation * observation.scale) ** 2),
-            )
-            for observation, offset, deviation in zip(
-                self.observations, offsets, deviations, strict=True
-            )
+        ends, observations = np.cumsum(self.counts), []
+        patterns: dict[bytes, np.ndarray] = {}
+        for before, (offset, deviation), end in zip(self.observations, errors, ends, strict=True):
+            index, displacement = before.index, before.displacement - offset
+            scale = before.scale / np.sqrt(1.0 + (deviation * before.scale) ** 2)
+            observations.append(Observation(index, displacement, scale))
+            pattern = smooth_pattern(points, observations[-1], deviation)
+            empty = np.zeros((ends[-1], pattern.shape[1]))
+            place = patterns.setdefault(index.tobytes(), empty)
+            place[end - len(index) : end] = pattern
+        data = replace(
+            self,
+            observations=tuple(observations),
+            correlated=CorrelatedNoise(np.hstack(list(patterns.values()))),
+            model_deviation=tuple(error.deviation for error in errors),
         )
-        changed = replace(self, observations=observations, model_deviation=tuple(deviations))
-        return replace(
-            changed,
-            correlated=CorrelatedNoise(_smooth_patterns(points, changed, deviations)),
-            noise_fraction=float(np.mean((changed.scale / self.scale) ** 2)),
-        )
-
-
-def _observe(press: Press, deviation: float) -> Observation:
-    weights = np.ones_like(press.forces) if press.weights is None else press.weights
-    # Data of zero weight are excluded: they would lower the mean squared residual.
-    index = np.flatnonzero(press.data & (weights > 0))
-    relative = weights.ravel()[index]
-    return Observation(index, press.displacement.ravel()[index], relative / deviation)
-
-
-def _smooth_patterns(
-    points: Float[np.ndarray, "n 3"], data: DataModel, deviations: Sequence[float]
-) -> Float[np.ndarray, "data k"]:
-    """Affine fields over each pressed place, in standard deviations of the white noise."""
-    begins = [*data.begins, data.size]
-    places: dict[bytes, list[int]] = {}
-    for i, observation in enumerate(data.observations):
-        places.setdefault(observation.index.tobytes(), []).append(i)
-    blocks = []
-    for members in places.values():
-        parts = [smooth_pattern(points, data.observations[i], deviations[i]) for i in members]
-        block = np.zeros((begins[-1], parts[0].shape[1]))
-        for i, part in zip(members, parts, strict=True):
-            block[begins[i] : begins[i + 1]] = part
-        blocks.append(block)
-    return np.hstack(blocks)
+        return replace(data, noise_fraction=float(np.mean((data.scale / self.scale) ** 2)))
 
 
 def smooth_pattern(
@@ -261,18 +196,12 @@ def smooth_pattern(
     A single field may hold all of the error, so each has its full size. The unit is the standard
     deviation of the white noise.
     """
-    fields = _affine(points, observation.index)
-    height = deviation * np.sqrt(len(fields) / 3.0)  # a field moves one component
-    return height * observation.scale[:, None] * fields
-
-
-def _affine(
-    points: Float[np.ndarray, "n 3"], index: Int[np.ndarray, " p"]
-) -> Float[np.ndarray, "p k"]:
-    """Return orthonormal affine displacement fields, at most twelve, at the observations."""
+    index = observation.index
     positions = points[index // 3]
     extent = np.ptp(positions, axis=0).max()
     positions = (positions - positions.mean(axis=0)) / (extent if extent > 0 else 1.0)
     shapes = np.column_stack([np.ones(len(index)), positions])
-    fields = [shapes * (index % 3 == axis)[:, None] for axis in range(3)]
-    return orth(np.hstack(fields), rcond=1e-6)
+    # At most twelve orthonormal fields.
+    fields = orth(np.hstack([shapes * (index % 3 == a)[:, None] for a in range(3)]), rcond=1e-6)
+    height = deviation * np.sqrt(len(fields) / 3.0)  # a field moves one component
+    return height * observation.scale[:, None] * fields

@@ -10,19 +10,20 @@ ended.
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
+from tactorch.inverse.data import ModelError
 from tactorch.inverse.invert import ObjectiveBuilder, result_of, warn_of_assumed_noise
-from tactorch.inverse.model_error import ModelError
 from tactorch.inverse.monitor import Monitor, StopCondition, StopReason
-from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import OPTIMIZERS, Optimizer
+from tactorch.inverse.objective import Point
+from tactorch.inverse.optimizers.base import OPTIMIZERS
 from tactorch.inverse.optimizers.damped import DampedNewton
 from tactorch.inverse.optimizers.schedule import warm_start_state
+from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.starts import START_MPA, Start, homogeneous, start_map
@@ -31,15 +32,11 @@ from tactorch.recording import Press, Recording
 _WEIGHT = ("weight", "first_weight", "ended")
 
 
-@dataclass(frozen=True, eq=False)
-class IncrementalResult:
-    """The map of all presses so far.
+class IncrementalResult(NamedTuple):
+    """The map of all presses so far: the reconstruction, its point and the weight of the prior.
 
-    Attributes:
-        result: The reconstruction; its history and seconds are those of this update.
-        point: The point of the objective at the map.
-        weight: Weight of the prior.
-        converged: Whether the optimizer converged, rather than reaching the limit of an update.
+    History and seconds are those of this update. It has `converged` where the optimizer ended
+    before the limit of an update.
     """
 
     result: Reconstruction
@@ -53,7 +50,7 @@ class _State:
     """State between two updates."""
 
     presses: tuple[Press, ...] = ()
-    errors: tuple[tuple[Float[np.ndarray, " _"], float], ...] = ()  # offset and deviation, mm
+    errors: tuple[ModelError, ...] = ()  # of each press, or none
     youngs: Float[np.ndarray, " m"] | None = None  # MPa
     weight: Mapping[str, float] = field(default_factory=dict)
 
@@ -82,11 +79,6 @@ class IncrementalInversion:
         max_seconds_per_update: float | None = None,
         restart: bool = False,
     ) -> None:
-        """Make the bodies.
-
-        Raises:
-            ConfigError: a setting cannot be used.
-        """
         self._settings = settings or Settings()
         self._object, self._start, self._restart = recording, start_mpa, restart
         _check_settings(self._settings, max_iterations, restart)
@@ -101,23 +93,13 @@ class IncrementalInversion:
 
     @property
     def recording(self) -> Recording:
-        """The object with all presses so far.
-
-        Raises:
-            RecordingError: there is no press yet.
-        """
+        """The object with all presses so far, of which there must be one."""
         return self._with(self._state.presses)
 
     def add(self, presses: Sequence[Press]) -> IncrementalResult:
         """Invert all presses so far together with new ones, from the present map.
 
         A failure or an interruption leaves the state unchanged.
-
-        Args:
-            presses: New presses.
-
-        Returns:
-            The map of all presses.
 
         Raises:
             RecordingError: a press does not fit the object, or has zero displacements.
@@ -128,57 +110,52 @@ class IncrementalInversion:
         self._check(presses)
         together = (*state.presses, *presses)
         if self._restart:
-            return self._invert(together, self._model_errors(together), {}, None, None)
-        errors = sum((self._model_errors([press]) for press in presses), state.errors)
+            errors = self._builder.model_errors(self._problem(together))
+            return self._invert(together, errors, None, None, None)
+        new = (self._builder.model_errors(self._problem([press])) for press in presses)
+        errors = sum(new, state.errors)
+
+        def ends_before_limit(history: list[dict[str, Any]]) -> StopReason | None:
+            # The first record is that of the start; the next iteration takes as long as the last.
+            if self._max_seconds is None or len(history) < 2:
+                return None
+            end = time.perf_counter() + history[-1]["seconds"] - history[-2]["seconds"]
+            return StopReason.TIME_LIMIT if end > began + self._max_seconds else None
+
         growth = len(together) / (len(state.presses) or len(together))
-        weight = warm_start_state(dict(state.weight), growth)
-        limit = self._max_seconds
-        stop_condition = None if limit is None else _ends_before(began + limit)
-        return self._invert(together, errors, weight, self._max_iterations, stop_condition)
+        return self._invert(together, errors, growth, self._max_iterations, ends_before_limit)
 
     def refine(
         self, max_iterations: int = 60, *, stop: Callable[[], bool] = lambda: False
     ) -> IncrementalResult:
-        """Continue with the present presses until the optimizer converges.
+        """Continue with the present presses until the optimizer converges or `stop` returns True.
 
-        Args:
-            max_iterations: Limit of iterations.
-            stop: Called after each iteration; returns whether to stop.
-
-        Returns:
-            The map of all presses.
-
-        Raises:
-            RecordingError: there is no press yet.
-            KeyboardInterrupt: Ctrl-C; the state is unchanged.
+        Ctrl-C leaves the state unchanged.
         """
 
         def stop_condition(history: list[dict[str, Any]]) -> StopReason | None:
             return StopReason.STOPPED if len(history) > 1 and stop() else None
 
         state = self._state
-        weight = warm_start_state(dict(state.weight), 1.0)
-        return self._invert(state.presses, state.errors, weight, max_iterations, stop_condition)
+        return self._invert(state.presses, state.errors, 1.0, max_iterations, stop_condition)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return the arrays that `restore` needs in addition to the presses."""
-        now = self._state
-        assert now.youngs is not None
-        offsets = [offset for offset, _ in now.errors]
+        state = self._state
+        assert state.youngs is not None
+        # A press without a correction has an error of no data.
+        errors = state.errors or (ModelError(np.zeros(0), 0.0),) * len(state.presses)
+        offsets = [error.offset for error in errors]
         return {
-            "youngs": now.youngs,
-            "weight": np.array([now.weight.get(name, np.nan) for name in _WEIGHT]),
+            "youngs": state.youngs,
+            "weight": np.array([state.weight.get(name, np.nan) for name in _WEIGHT]),
             "offsets": np.concatenate(offsets) if offsets else np.zeros(0),
             "counts": np.array([len(offset) for offset in offsets], dtype=np.int64),
-            "deviations": np.array([deviation for _, deviation in now.errors]),
+            "deviations": np.array([error.deviation for error in errors]),
         }
 
     def restore(self, presses: Sequence[Press], state: Mapping[str, np.ndarray]) -> Point:
-        """Continue from a state, with the presses of that time.
-
-        Args:
-            presses: All presses at the time of the state.
-            state: What `state` returned.
+        """Continue from what `state` returned, with the presses of that time.
 
         Returns:
             The point of the objective at the map.
@@ -189,18 +166,19 @@ class IncrementalInversion:
         """
         youngs, counts = state["youngs"], state["counts"]
         m, n = self._object.mesh.n_tets, len(presses)
-        fits = youngs.shape == (m,) and len(counts) == len(state["deviations"])
-        if not fits or len(counts) != n:
+        if youngs.shape != (m,) or not len(counts) == len(state["deviations"]) == n:
             raise ConfigError(
                 f"the state has {len(youngs)} elements and {len(counts)} presses, not {m} and {n}; "
                 "start again without it."
             )
         offsets = np.split(state["offsets"], np.cumsum(counts)[:-1]) if n else []
-        errors = tuple(zip(offsets, (float(d) for d in state["deviations"]), strict=True))
+        errors: tuple[ModelError, ...] = ()
+        if self._builder.corrects:
+            errors = tuple(map(ModelError, offsets, state["deviations"].tolist()))
         known = dict(zip(_WEIGHT, map(float, state["weight"]), strict=True))
         weight = {} if np.isnan(known["weight"]) else known
         self._state = _State(tuple(presses), errors, youngs, weight)
-        objective = self._objective(self._state.presses, errors)
+        objective = self._builder.objective(self._problem(presses), errors)
         return objective.at(objective.start(youngs))
 
     def _with(self, presses: Sequence[Press]) -> Recording:
@@ -219,77 +197,52 @@ class IncrementalInversion:
         if not self._state.presses:
             warn_of_assumed_noise(self._settings.noise, self._with(presses))
 
-    def _model_errors(self, presses: Sequence[Press]) -> tuple[tuple[np.ndarray, float], ...]:
-        """Model's error of each press (offset and deviation, mm) at the modulus that fits best."""
-        error = self._builder.model_error(self._builder.problem(self._with(presses)))
-        if error is None:
-            return ((np.zeros(0), 0.0),) * len(presses)
-        return tuple(zip(error.offset, error.deviation, strict=True))
-
-    def _objective(
-        self, presses: Sequence[Press], errors: Sequence[tuple[np.ndarray, float]]
-    ) -> Objective:
-        error = ModelError([offset for offset, _ in errors], [deviation for _, deviation in errors])
-        problem = self._builder.problem(self._with(presses))
-        return self._builder.objective(problem, error if self._builder.corrects else None)
+    def _problem(self, presses: Sequence[Press]) -> InverseProblem:
+        return self._builder.problem(self._with(presses))
 
     def _invert(
         self,
         presses: tuple[Press, ...],
-        errors: tuple[tuple[np.ndarray, float], ...],
-        weight: dict[str, float],
+        errors: tuple[ModelError, ...],
+        growth: float | None,
         max_iterations: int | None,
         stop_condition: StopCondition | None,
     ) -> IncrementalResult:
-        objective = self._objective(presses, errors)
+        """Invert from the present map, or from a uniform one that carries all presses.
+
+        The amount of data is `growth` times that of the present weight of the prior; None forgets
+        that weight.
+        """
+        objective = self._builder.objective(self._problem(presses), errors)
         optimizer = self._settings.optimizer
         if isinstance(optimizer, DampedNewton) and max_iterations is not None:
             optimizer = replace(optimizer, max_iterations=max_iterations)
-        monitor, reason = self._run(objective, optimizer, weight, stop_condition)
-        if reason is StopReason.INTERRUPTED and not self._restart:
-            raise KeyboardInterrupt
-        assert monitor.point is not None
-        state = monitor.state
-        stored = {name: state[name] for name in _WEIGHT} if "weight" in state else {}
-        self._state = _State(presses, errors, monitor.point.youngs, stored)
-        result = result_of(objective, self._settings, optimizer, monitor, reason)
-        last = float(monitor.history[-1].get("weight", 0.0))
-        converged = self._restart or not reason.is_limit
-        return IncrementalResult(result, monitor.point, last, converged)
-
-    def _run(
-        self,
-        objective: Objective,
-        optimizer: Optimizer,
-        weight: dict[str, float],
-        stop_condition: StopCondition | None,
-    ) -> tuple[Monitor, StopReason]:
-        """Run from the present map, or from a uniform one that carries all presses."""
-        bounds, present = self._settings.bounds, self._state.youngs
+        weight = {} if growth is None else warm_start_state(self._state.weight, growth)
+        present = self._state.youngs
         starts: list[Any] = [self._start if present is None else present, homogeneous]
         for start in starts:
-            limit = self._settings.max_seconds
-            monitor = Monitor(max_seconds=limit, state=dict(weight), stop_condition=stop_condition)
-            x = objective.start(start_map(start, objective.problem, bounds))
+            monitor = Monitor(
+                max_seconds=self._settings.max_seconds, state=weight, stop_condition=stop_condition
+            )
+            x = objective.start(start_map(start, objective.problem, self._settings.bounds))
             try:
-                return monitor, optimizer.run(objective, x, monitor)
+                with monitor:
+                    monitor.reason = optimizer.minimize(objective, x, monitor)
+                break
             except ConvergenceError:
                 if start is homogeneous:
                     raise
                 weight = {}
-        raise AssertionError  # the last start returns or raises
-
-
-def _ends_before(deadline: float) -> StopCondition:
-    """Stop where an iteration as long as the last one would end after the deadline."""
-
-    def stop_condition(history: list[dict[str, Any]]) -> StopReason | None:
-        if len(history) < 2:  # the first record is that of the start
-            return None
-        last = history[-1]["seconds"] - history[-2]["seconds"]
-        return StopReason.TIME_LIMIT if time.perf_counter() + last > deadline else None
-
-    return stop_condition
+        reason, point, state = monitor.reason, monitor.point, monitor.state
+        if reason is StopReason.INTERRUPTED and not self._restart:
+            raise KeyboardInterrupt
+        assert point is not None
+        assert reason is not None
+        stored = {name: state[name] for name in _WEIGHT} if "weight" in state else {}
+        self._state = _State(presses, errors, point.youngs, stored)
+        result = result_of(objective, self._settings, optimizer, monitor)
+        last = float(monitor.history[-1].get("weight", 0.0))
+        return IncrementalResult(result, point, last, self._restart or not reason.is_limit)
 
 
 def _check_settings(settings: Settings, max_iterations: int, restart: bool) -> None:

@@ -1,7 +1,7 @@
 """From a recording to a reconstruction, in one call."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -12,19 +12,16 @@ import numpy as np
 from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody
 from tactorch.inverse.adaptive import adapt
-from tactorch.inverse.data import NoiseModel
+from tactorch.inverse.data import ModelError, NoiseModel
 from tactorch.inverse.misfit import MISFITS, Adaptive
-from tactorch.inverse.model_error import ModelError, discretisation_error, resolve_model_error
-from tactorch.inverse.monitor import Monitor
-from tactorch.inverse.nuisance_estimate import estimates
+from tactorch.inverse.model_error import discretisation_error, resolve_model_error
+from tactorch.inverse.monitor import Monitor, progress
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers import OPTIMIZERS, Optimizer
-from tactorch.inverse.problem import InverseProblem, body_of
-from tactorch.inverse.progress import progress
+from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
+from tactorch.inverse.problem import InverseProblem, make_body
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings, stored_settings
-from tactorch.inverse.starts import START_MPA, Start, start_map
-from tactorch.inverse.uniform import uniform_fit
+from tactorch.inverse.starts import START_MPA, Start, start_map, uniform_fit
 from tactorch.plain import plain
 from tactorch.recording import Recording
 from tactorch.versions import versions
@@ -57,18 +54,19 @@ def invert(
         show_progress: Whether to show a progress line; by default at a terminal.
         on_iteration: Callback with the record of each iteration and a copy of its map, MPa.
 
+    Returns:
+        The map with its history.
+
     Raises:
         ConfigError: a setting cannot be used.
         ConvergenceError: the start has no equilibrium under the recorded forces.
         FileError: the checkpoint to resume cannot be read.
     """
     settings = settings or Settings()
-    objective = make_objective(recording, settings)
-    optimizer = settings.optimizer
-    path = None if checkpoint is None else Path(checkpoint)
+    objective, optimizer = make_objective(recording, settings), settings.optimizer
     monitor = Monitor(
         max_seconds=settings.max_seconds,
-        checkpoint=path,
+        checkpoint=None if checkpoint is None else Path(checkpoint),
         on_iteration=on_iteration,
         identity={
             "mesh": recording.mesh.content_hash()[:12],
@@ -84,16 +82,15 @@ def invert(
         objective.problem.evaluations = monitor.evaluations
     x = monitor.best
     if x is None:
-        first = start_map(start_mpa, objective.problem, settings.bounds)
-        x = objective.start(first)
+        x = objective.start(start_map(start_mpa, objective.problem, settings.bounds))
     warn_of_assumed_noise(settings.noise, recording)
-    reason = monitor.ended
-    if reason is None:
-        with progress(OPTIMIZERS.name_of(type(optimizer)), show_progress) as update:
+    if monitor.ended is None:
+        with progress(OPTIMIZERS.name_of(type(optimizer)), show_progress) as update, monitor:
             monitor.on_record = update
-            reason = optimizer.run(objective, x, monitor)
+            monitor.reason = reason = optimizer.minimize(objective, x, monitor)
+            monitor.ended = None if reason.is_limit else reason
         monitor.save()
-    result = result_of(objective, settings, optimizer, monitor, reason)
+    result = result_of(objective, settings, optimizer, monitor)
     return replace(result, config={"start_mpa": _describe_start(start_mpa), **result.config})
 
 
@@ -108,61 +105,41 @@ def warn_of_assumed_noise(noise: NoiseModel, recording: Recording) -> None:
 
 
 class ObjectiveBuilder:
-    """Builds objectives for presses on one object; its bodies are made once.
-
-    Args:
-        recording: The object: mesh, material and provenance.
-        settings: Settings of the inversion.
-    """
+    """Builds objectives for presses on one object; its bodies are made once."""
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
-        """Make the body."""
         self.settings = settings
-        self._body = self._make_body(recording, settings.element)
+        self._body = make_body(recording, settings.element, settings.solver, settings.newton)
         name = resolve_model_error(settings.model_error, recording, settings.element)
         self.corrects = name == "discretisation"
         self._finer: SoftBody | None = None
 
-    def _make_body(self, recording: Recording, element: str) -> SoftBody:
-        return body_of(recording, element, self.settings.solver, self.settings.newton)
-
     def problem(self, recording: Recording) -> InverseProblem:
         """Return the inverse problem without a correction for the model's error."""
-        settings = self.settings
         return InverseProblem(
             recording,
-            noise=settings.noise,
-            misfit=settings.misfit,
-            nuisance=settings.nuisance,
+            noise=self.settings.noise,
+            misfit=self.settings.misfit,
+            nuisance=self.settings.nuisance,
             body=self._body,
         )
 
-    def model_error(self, problem: InverseProblem) -> ModelError | None:
-        """Estimate the model's error at the uniform map that fits best; None where not corrected.
-
-        Raises:
-            ConvergenceError: no uniform map carries the presses.
-        """
-        if not self.corrects:
-            return None
-        if self._finer is None:
-            self._finer = self._make_body(problem.recording, "tet10")
+    def model_errors(self, problem: InverseProblem) -> tuple[ModelError, ...]:
+        """Estimate the model's error of each press at the best uniform map, if it is corrected."""
         settings = self.settings
+        if not self.corrects:
+            return ()
+        if self._finer is None:
+            self._finer = make_body(problem.recording, "tet10", settings.solver, settings.newton)
         fit = uniform_fit(problem, settings.bounds, settings.nuisance)
-        fraction = settings.residual_model_error_fraction
-        return discretisation_error(problem, fit.youngs_mpa, fit.nuisance, fraction, self._finer)
+        remaining = settings.residual_model_error_fraction
+        return discretisation_error(problem, fit.youngs_mpa, fit.nuisance, remaining, self._finer)
 
-    def objective(self, problem: InverseProblem, error: ModelError | None) -> Objective:
-        """Combine data, corrected for the model's error, with parameterisation and prior.
-
-        Raises:
-            ConfigError: the prior does not fit the mesh.
-            ConvergenceError: the misfit is adaptive, and no uniform map carries the presses.
-        """
+    def objective(self, problem: InverseProblem, errors: Sequence[ModelError]) -> Objective:
+        """Combine data, corrected for the model's error, with parameterisation and prior."""
         settings, mesh = self.settings, problem.recording.mesh
-        if error is not None:
-            data = problem.data.corrected(error.offset, error.deviation, mesh.points)
-            problem = problem.with_data(data)
+        if errors:
+            problem = problem.with_data(problem.data.corrected(errors, mesh.points))
         objective = Objective(
             problem,
             replace(settings.parameterization, bounds=settings.bounds),
@@ -178,38 +155,27 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
 
     Raises:
         ConfigError: a setting cannot be used.
-        ConvergenceError: the model's error is to be corrected, and no uniform map carries the
-            presses.
+        ConvergenceError: the model's error is to be corrected or the misfit is adaptive, and no
+            uniform map carries the presses.
     """
     builder = ObjectiveBuilder(recording, settings)
     problem = builder.problem(recording)
-    return builder.objective(problem, builder.model_error(problem))
+    return builder.objective(problem, builder.model_errors(problem))
 
 
 def solution(recording: Recording, result: Reconstruction, settings: Settings) -> Point:
-    """Return the point of the objective at the result of an inversion.
-
-    Args:
-        recording: Presses that were inverted.
-        result: Result of the inversion.
-        settings: Settings of the inversion.
-
-    Raises:
-        ConfigError: the result has other nuisance parameters than the settings, or another mesh
-            than the recording.
-        ConvergenceError: a press has no equilibrium at the result.
-    """
-    free = settings.nuisance
-    if set(free.names) != set(result.nuisance) or recording.mesh.n_tets != len(result.youngs):
+    """Return the point of the objective at the result of an inversion with these settings."""
+    nuisance, m = settings.nuisance, len(result.youngs)
+    if set(nuisance.names) != set(result.nuisance) or recording.mesh.n_tets != m:
         raise ConfigError(
-            f"the result has {len(result.youngs)} moduli and the nuisance parameters "
-            f"{sorted(result.nuisance)}, recording and settings {recording.mesh.n_tets} and "
-            f"{sorted(free.names)}; give those of the inversion."
+            f"the result has {m} moduli and the nuisance parameters {sorted(result.nuisance)}, "
+            f"recording and settings {recording.mesh.n_tets} and {sorted(nuisance.names)}; give "
+            "those of the inversion."
         )
     objective = make_objective(recording, settings)
-    values = {name: estimate.value for name, estimate in result.nuisance.items()}
     x = objective.start(result.youngs)
-    x[len(result.youngs) :] = free.z(values, objective.problem.assumed)
+    values = {name: estimate.value for name, estimate in result.nuisance.items()}
+    x[m:] = nuisance.z(values, objective.problem.assumed)
     return objective.at(x)
 
 
@@ -240,7 +206,7 @@ def _describe_start(start: Start) -> float | str:
 
 
 def result_of(
-    objective: Objective, settings: Settings, optimizer: Optimizer, monitor: Monitor, reason: str
+    objective: Objective, settings: Settings, optimizer: Optimizer, monitor: Monitor
 ) -> Reconstruction:
     """Return the result of an optimizer that has ended."""
     recording = objective.problem.recording
@@ -248,7 +214,8 @@ def result_of(
     if point is None:  # resumed and stopped before a step
         assert monitor.best is not None
         point = objective.at(monitor.best)
-    n = recording.mesh.n_points
+    n, reason = recording.mesh.n_points, monitor.reason or monitor.ended
+    assert reason is not None
     return Reconstruction(
         mesh=recording.mesh,
         youngs=point.youngs,
@@ -256,7 +223,7 @@ def result_of(
         history=monitor.history,
         stop_reason=reason,
         seconds=monitor.seconds,
-        nuisance=estimates(point, monitor.history[-1].get("weight", 0.0)),
+        nuisance=point.nuisance_estimates(monitor.history[-1].get("weight", 0.0)),
         config={
             "settings": stored_settings(settings),
             "optimizer": stored_settings(optimizer, "optimizer"),

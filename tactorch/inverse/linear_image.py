@@ -13,10 +13,8 @@ import scipy.sparse as sp
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
-from tactorch.inverse.evaluation import Evaluation
-from tactorch.inverse.parameterization import Bounds
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.uniform import uniform_fit
+from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse.starts import uniform_fit
 from tactorch.mesh import TetMesh
 from tactorch.recording import Recording
 
@@ -31,17 +29,10 @@ def linear_map(recording: Recording, count: int = 8) -> Float[np.ndarray, " m"]:
     """Return the linear image of a recording at its elements, MPa.
 
     It approximates a reconstruction at the cost of one Gauss-Newton step, with equal blur and noise
-    but softer edges.
-
-    Args:
-        recording: Presses on an object; its truth is not read.
-        count: Cells in each direction.
-
-    Raises:
-        ConvergenceError: No uniform modulus carries the presses.
+    but softer edges. There are `count` cells in each direction.
     """
     problem = InverseProblem(recording)
-    fit = uniform_fit(problem, Bounds())
+    fit = uniform_fit(problem)
     evaluation = problem.evaluate(np.full(problem.n_elements, fit.youngs_mpa))
     deviations = problem.noise.deviations(recording)
     image, _ = linear_image(evaluation, recording.mesh, deviations, count)
@@ -53,49 +44,28 @@ def linear_image(
 ) -> tuple[Float[np.ndarray, "v v v"], Float[np.ndarray, "v v v"]]:
     """Return log E over the uniform modulus, and the explained fraction of its variance.
 
-    Args:
-        evaluation: Of a uniform map.
-        mesh: The body.
-        deviations: Standard deviation of each press's data, mm.
-        count: Cells in each direction.
-
-    Raises:
-        ConvergenceError: An equilibrium is unstable and has no derivatives.
+    The evaluation is that of a uniform map, with the standard deviation (mm) of each press's data.
     """
-    weights = _relative_weights(evaluation, deviations)
-    jacobian = weights[:, None] * _by_cells(evaluation, _cells(mesh, count))
+    parts = []
+    for observation, deviation in zip(evaluation.data.observations, deviations, strict=True):
+        observed = observation.displacement
+        floor = _FLOOR * float(np.sqrt(np.mean(observed**2)))
+        parts.append(np.full(len(observed), deviation / np.hypot(deviation, floor)))
+    weights = np.concatenate(parts)  # of data with the floor, relative to those in the residuals
+    chain = sp.diags(evaluation.youngs) @ _cells(mesh, count)
+    # One solve per datum where the matrix over all elements is small, else one per cell.
+    if len(evaluation.residuals) * len(evaluation.youngs) <= _MAX_ENTRIES:
+        by_cells = evaluation.jacobian() @ chain
+    else:
+        columns = (chain[:, [c]].toarray()[:, 0] for c in range(chain.shape[1]))
+        by_cells = np.column_stack([evaluation.jacobian_times(column) for column in columns])
+    jacobian = weights[:, None] * by_cells
     precision = _prior_precision(count) + jacobian.T @ jacobian
     factor = cho_factor(precision, lower=True, check_finite=False)
     image = -cho_solve(factor, jacobian.T @ (weights * evaluation.residuals))
     variance = cho_solve(factor, np.eye(count**3)).diagonal()
     explained = 1.0 - variance / (_SPREAD**2 + _SHIFT**2)
     return image.reshape((count,) * 3), explained.reshape((count,) * 3)
-
-
-def _by_cells(evaluation: Evaluation, cells: sp.csr_matrix) -> Float[np.ndarray, "data cells"]:
-    """Return d residuals / d log E of the cells.
-
-    It takes one solve per datum where the matrix over all elements is small, else one per cell.
-    """
-    chain = sp.diags(evaluation.youngs) @ cells
-    if len(evaluation.residuals) * len(evaluation.youngs) <= _MAX_ENTRIES:
-        return evaluation.jacobian() @ chain
-    columns = [
-        evaluation.jacobian_times(chain[:, [c]].toarray()[:, 0]) for c in range(cells.shape[1])
-    ]
-    return np.column_stack(columns)
-
-
-def _relative_weights(
-    evaluation: Evaluation, deviations: list[float]
-) -> Float[np.ndarray, " data"]:
-    """Weight of each datum with the floor, relative to its weight in the residuals."""
-    parts = []
-    for i, deviation in enumerate(deviations):
-        observed = evaluation.observed(i)
-        floor = _FLOOR * float(np.sqrt(np.mean(observed**2)))
-        parts.append(np.full(len(observed), deviation / np.hypot(deviation, floor)))
-    return np.concatenate(parts)
 
 
 def _cells(mesh: TetMesh, count: int) -> sp.csr_matrix:

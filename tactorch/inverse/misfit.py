@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from tactorch.config import Options, Registry, option
 
-_NORMAL_MEDIAN = float(ndtri(0.75))  # median of the size of a standard normal number
+NORMAL_MEDIAN = float(ndtri(0.75))  # median of the size of a standard normal number
 _Data = Float[np.ndarray, " data"]
 _Columns = Float[np.ndarray, "data *k"]
 _Begins = Int[np.ndarray, " presses"]
@@ -64,9 +64,7 @@ class Squares(Misfit):
 class Huber(Misfit):
     """Squares of small residuals, sizes of large ones (Huber, 1964): robust to marker outliers.
 
-    Attributes:
-        edge: Standard deviations at which a residual becomes an outlier; 1.345 loses 5 % of the
-            efficiency on normal noise.
+    The default edge loses 5 % of the efficiency on normal noise.
     """
 
     edge: float = option(1.345, "Standard deviations at which a residual is an outlier", gt=0)
@@ -85,7 +83,7 @@ class Huber(Misfit):
 
     def chi2(self, white: _Data, begins: _Begins) -> float:
         """Return the squared median size over that of normal noise, which outliers do not move."""
-        return float((np.median(np.abs(white)) / _NORMAL_MEDIAN) ** 2)
+        return float((np.median(np.abs(white)) / NORMAL_MEDIAN) ** 2)
 
 
 @dataclass(frozen=True)
@@ -100,13 +98,16 @@ class Adaptive(Misfit):
 
     def residuals(self, white: _Data, begins: _Begins) -> _Data:
         """Return each press's residuals times a(q), 1 or sqrt((2 sqrt(q) - 1) / q)."""
-        return np.concatenate([_shrinkage(r) * r for r in _split(white, begins)])
+        return np.concatenate(
+            [_shrinkage(_mean_square(r)) * r for r in np.split(white, begins[1:])]
+        )
 
     def derivative(self, white: _Data, begins: _Begins, values: _Columns) -> _Columns:
         """Return the values times a(q), with the change of a(q) along the residuals."""
         parts = []
-        for r, v in zip(_split(white, begins), _split(values, begins), strict=True):
-            shrinkage, q = _shrinkage(r), _mean_square(r)
+        for r, v in zip(*(np.split(x, begins[1:]) for x in (white, values)), strict=True):
+            q = _mean_square(r)
+            shrinkage = _shrinkage(q)
             part = shrinkage * v
             if q > 1.0:
                 # phi = a(q) r, so d phi = a dr + 2 a'/n r (r . dr).
@@ -117,29 +118,21 @@ class Adaptive(Misfit):
 
     def chi2(self, white: _Data, begins: _Begins) -> float:
         """Return the mean square of the median press: most presses are as good as stated."""
-        return float(np.median([_mean_square(r) for r in _split(white, begins)]))
-
-
-def _split(values: _Columns, begins: _Begins) -> list[np.ndarray]:
-    return np.split(values, begins[1:])
+        return float(np.median([_mean_square(r) for r in np.split(white, begins[1:])]))
 
 
 def _mean_square(r: Float[np.ndarray, " p"]) -> float:
     return float(r @ r) / len(r)
 
 
-def _shrinkage(r: Float[np.ndarray, " p"]) -> float:
-    q = _mean_square(r)
+def _shrinkage(q: float) -> float:
     return 1.0 if q <= 1.0 else float(np.sqrt((2.0 * np.sqrt(q) - 1.0) / q))
 
 
+_HERE = "tactorch.inverse.misfit"
 #: Settings of the misfits by name.
 MISFITS = Registry(
     "misfit",
-    {
-        "squares": "tactorch.inverse.misfit:Squares",
-        "huber": "tactorch.inverse.misfit:Huber",
-        "adaptive": "tactorch.inverse.misfit:Adaptive",
-    },
+    {"squares": f"{_HERE}:Squares", "huber": f"{_HERE}:Huber", "adaptive": f"{_HERE}:Adaptive"},
     "costs of the residuals",
 )

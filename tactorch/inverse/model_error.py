@@ -10,14 +10,11 @@ observed displacement. It excludes the error of elements that a boundary cuts, w
 modulus each; on meshes much coarser than the paper's that error is larger.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import SoftBody
-from tactorch.inverse.data import Observation
+from tactorch.inverse.data import ModelError
 from tactorch.inverse.nuisance import Nuisance
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR
@@ -31,33 +28,11 @@ def resolve_model_error(name: str, recording: Recording, element: str) -> str:
 
     The provenance states that (`inverse_crime`) for presses that were computed on the recording's
     mesh. For quadratic elements there is no better model to compare with.
-
-    Args:
-        name: "auto", "none" or "discretisation".
-        recording: Presses.
-        element: Element type of the inversion.
-
-    Returns:
-        "none" or "discretisation".
     """
     if name != "auto":
         return name
     same_model = bool(recording.provenance.get("inverse_crime")) or element != "tet4"
     return "none" if same_model else "discretisation"
-
-
-@dataclass(frozen=True, eq=False)
-class ModelError:
-    """Error of the model's predictions.
-
-    Attributes:
-        offset: Better minus present prediction at the observed degrees of freedom of each press,
-            mm.
-        deviation: Standard deviation of the error after subtracting it, one per press, mm.
-    """
-
-    offset: list[Float[np.ndarray, " _"]]
-    deviation: list[float]
 
 
 def discretisation_error(
@@ -66,19 +41,11 @@ def discretisation_error(
     nuisance: Nuisance | None = None,
     remaining: float = RESIDUAL_MODEL_ERROR,
     finer: SoftBody | None = None,
-) -> ModelError:
-    """Estimate the discretisation error at a uniform modulus (MPa) and nuisance values.
+) -> tuple[ModelError, ...]:
+    """Estimate the error of each press at a uniform modulus (MPa) and nuisance values.
 
-    Args:
-        problem: Problem with linear tetrahedra.
-        youngs_mpa: Uniform modulus, MPa.
-        nuisance: Nuisance values; by default those that the recording states.
-        remaining: Fraction of the error that remains as uncertainty, 0 to 1.
-        finer: Body of quadratic elements on the same mesh, where it exists already.
-
-    Raises:
-        ConfigError: the problem has quadratic elements, which have no better model.
-        ConvergenceError: a press has no equilibrium, at this modulus or up to a few times as much.
+    The fraction `remaining` of the error is left as uncertainty. `finer` is the body of quadratic
+    elements on the same mesh, where it exists already.
     """
     if problem.body.discretisation.element.quadratic:
         raise ConfigError(
@@ -103,24 +70,21 @@ def discretisation_error(
             if trial == _MAX_TRIALS - 1:
                 raise
             youngs *= _STIFFENING
-    observations = problem.data.observations
-    offset = [
-        _relative_size(observation, better) * (better - present)
-        for observation, present, better in zip(observations, linear, fine, strict=True)
-    ]
-    return ModelError(offset, [remaining * float(np.sqrt(np.mean(d * d))) for d in offset])
+    errors = []
+    for observation, present, better in zip(problem.data.observations, linear, fine, strict=True):
+        weighted = observation.scale**2 * better
+        # Observed over predicted displacement, by least squares.
+        relative = max(float(weighted @ observation.displacement), 0.0) / float(weighted @ better)
+        offset = relative * (better - present)
+        errors.append(ModelError(offset, remaining * float(np.sqrt(np.mean(offset * offset)))))
+    return tuple(errors)
 
 
 def _predict(
     problem: InverseProblem, youngs_mpa: float, nuisance: Nuisance | None
 ) -> list[np.ndarray]:
+    """Predicted displacements at the observed degrees of freedom of each press, mm."""
     uniform = np.full(problem.n_elements, youngs_mpa)
     evaluation = problem.evaluate(uniform, nuisance=nuisance, chained=True)
     pairs = zip(evaluation.reported, problem.data.observations, strict=True)
     return [u.ravel()[observation.index] for u, observation in pairs]
-
-
-def _relative_size(observation: Observation, predicted: Float[np.ndarray, " p"]) -> float:
-    """Observed over predicted displacement of a press, by least squares."""
-    weighted = observation.scale**2 * predicted
-    return max(float(weighted @ observation.displacement), 0.0) / float(weighted @ predicted)

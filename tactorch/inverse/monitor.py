@@ -1,8 +1,10 @@
-"""Monitor of an optimizer: history, progress, checkpoints, and reasons to stop."""
+"""Monitor of an optimizer: history, progress line, checkpoints, and reasons to stop."""
 
 import logging
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -11,11 +13,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import FileError
+from tactorch.errors import ConvergenceError, FileError
 from tactorch.files import read_arrays, write_arrays
 from tactorch.inverse.objective import Point
 
 _log = logging.getLogger(__name__)
+_COUNTS = ("iteration", "evaluations")  # whole numbers of a record
 _CHECKPOINT_PERIOD = 1.0  # s: loss if the process is killed
 
 
@@ -43,28 +46,18 @@ class StopReason(StrEnum):
     @property
     def is_limit(self) -> bool:
         """Whether a limit or a request ended the optimization, so that it can continue."""
-        return self in _LIMITS
+        return self.name in (
+            "ITERATION_LIMIT", "EVALUATION_LIMIT", "TIME_LIMIT", "STOPPED", "INTERRUPTED",
+        )  # fmt: skip
 
 
-_LIMITS = {
-    StopReason.ITERATION_LIMIT,
-    StopReason.EVALUATION_LIMIT,
-    StopReason.TIME_LIMIT,
-    StopReason.STOPPED,
-    StopReason.INTERRUPTED,
-}
 StopCondition: TypeAlias = Callable[[list[dict[str, Any]]], StopReason | None]
 
 
 class StopOptimization(Exception):  # noqa: N818  (a signal, not an error)
-    """An optimization is to stop; the monitor holds the best map so far.
-
-    Args:
-        reason: Reason for stopping.
-    """
+    """An optimization is to stop for a reason; the monitor holds the best map so far."""
 
     def __init__(self, reason: StopReason = StopReason.TIME_LIMIT) -> None:
-        """Store the reason."""
         super().__init__(reason.value)
         self.reason = reason
 
@@ -72,6 +65,12 @@ class StopOptimization(Exception):  # noqa: N818  (a signal, not an error)
 @dataclass
 class Monitor:
     """Holds the best map and its history; optimizers report every accepted iterate.
+
+    As a context manager it turns limits, interruptions, and a best map without derivatives into the
+    `reason` for the end:
+
+        with monitor:
+            monitor.reason = optimizer.minimize(objective, start, monitor)
 
     Attributes:
         max_seconds: Time limit.
@@ -89,6 +88,9 @@ class Monitor:
         task: Digest of everything that decides the result; a finished run of the same task is not
             continued.
         ended: Reason for the end of a finished run; None where it can continue.
+        reason: Reason for the end of this run.
+        best: Best parameters so far.
+        point: Point of the objective there; None where they come from a checkpoint.
     """
 
     max_seconds: float | None = None
@@ -102,11 +104,28 @@ class Monitor:
     identity: dict[str, str] = field(default_factory=dict)
     task: str = ""
     ended: str | None = None
+    reason: StopReason | None = None
     best: Float[np.ndarray, " m"] | None = None
     point: Point | None = None
     _began: float = field(default_factory=time.perf_counter)
     _earlier_seconds: float = 0.0
     _saved: float = 0.0
+
+    def __enter__(self) -> "Monitor":
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> bool:
+        if isinstance(error, StopOptimization):
+            self.reason = error.reason
+        elif isinstance(error, KeyboardInterrupt) and self.best is not None:
+            self.reason = StopReason.INTERRUPTED
+        elif isinstance(error, ConvergenceError) and self.point is not None:
+            # An unstable equilibrium has no derivatives.
+            _log.warning("No derivatives at the best map: %s", error)
+            self.reason = StopReason.NO_DERIVATIVES
+        else:
+            return False
+        return True
 
     @property
     def seconds(self) -> float:
@@ -124,11 +143,7 @@ class Monitor:
         return self.history[-1]["evaluations"] if self.history else 0
 
     def accept(self, point: Point, **record: float) -> None:
-        """Take `point` as the best so far.
-
-        Raises:
-            StopOptimization: the time limit is reached, or the stop condition is met.
-        """
+        """Take `point` as the best so far; raise `StopOptimization` at a limit or condition."""
         self.keep(point, **record)
         self.check_time()
         reason = None if self.stop_condition is None else self.stop_condition(self.history)
@@ -183,54 +198,69 @@ class Monitor:
         write_arrays(self.checkpoint, content)
 
     def restore(self, path: Path, size: int) -> None:
-        """Continue from a checkpoint.
-
-        Raises:
-            FileError: it is missing, unreadable, or of another problem.
-        """
+        """Continue from a checkpoint of the same problem, with this number of parameters."""
         remedy = "start again without resume."
-        source, saved = Path(path), read_arrays(path, "checkpoint", remedy)
+        saved = read_arrays(path, "checkpoint", remedy)
+
+        def table(name: str) -> dict[str, Any]:
+            keys, values = saved[f"{name}_names"].tolist(), saved[name].tolist()
+            return dict(zip(keys, values, strict=True))
+
         try:
-            table, names = saved["history"], saved["history_names"]
-            self.history = [_entry(names, row) for row in table]
-            self.state = _dict(saved, "state")
-            identity = _dict(saved, "identity")
+            names = saved["history_names"].tolist()
+            for row in saved["history"].tolist():
+                entry = {k: v for k, v in zip(names, row, strict=True) if not np.isnan(v)}
+                self.history.append(entry | {k: int(entry[k]) for k in _COUNTS})
+            self.state, identity = table("state"), table("identity")
             self.best, self._earlier_seconds = saved["x"], float(saved["seconds"])
             if str(saved.get("task")) == self.task:
                 self.ended = str(saved["ended"]) or None
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise FileError(f"checkpoint '{source}' cannot be read ({error}); {remedy}") from error
+            raise FileError(f"checkpoint '{path}' cannot be read ({error}); {remedy}") from error
         if self.best.shape != (size,):
             raise FileError(
-                f"checkpoint '{source}' is for {self.best.size} moduli but the recording has "
+                f"checkpoint '{path}' is for {self.best.size} moduli but the recording has "
                 f"{size}: it belongs to another mesh. Start again without resume."
             )
         for name, value in self.identity.items():
             if identity.get(name) != value:
                 raise FileError(
-                    f"checkpoint '{source}' belongs to another {name}: {identity.get(name)}, not "
-                    f"{value}. Resume with the same {name}, or start again without "
-                    "resume."
+                    f"checkpoint '{path}' belongs to another {name}: {identity.get(name)}, not "
+                    f"{value}. Resume with the same {name}, or start again without resume."
                 )
-
-
-def _dict(saved: dict[str, np.ndarray], name: str) -> dict[str, Any]:
-    return dict(zip(saved[f"{name}_names"].tolist(), saved[name].tolist(), strict=True))
-
-
-def _entry(names: np.ndarray, row: np.ndarray) -> dict[str, Any]:
-    integers = ("iteration", "evaluations")
-    values = zip(names.tolist(), row.tolist(), strict=True)
-    return {k: int(v) if k in integers else v for k, v in values if not np.isnan(v)}
 
 
 def describe(entry: dict[str, Any]) -> str:
     """Return a line of text about an iteration."""
-    parts = [
-        f"iteration {entry['iteration']:>4}",
-        f"{entry['seconds']:7.1f} s",
-        f"misfit {entry['misfit']:.4e} mm2",
-        f"chi2 {entry['chi2']:.3e}",
-    ]
-    parts += [f"{key} {entry[key]:.2g}" for key in ("weight", "step") if key in entry]
-    return "  ".join(parts)
+    text = "iteration {iteration:>4}  {seconds:7.1f} s  misfit {misfit:.4e} mm2  chi2 {chi2:.3e}"
+    parts = [f"  {key} {entry[key]:.2g}" for key in ("weight", "step") if key in entry]
+    return text.format(**entry) + "".join(parts)
+
+
+@contextmanager
+def progress(label: str, show: bool | None = None) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Show iteration, misfit and step while an optimizer runs; by default only at a terminal.
+
+    Yields:
+        A function to call with each record of the history.
+    """
+    if not (sys.stderr.isatty() if show is None else show):
+        yield lambda record: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}  iteration {task.completed}"),
+        TextColumn("{task.fields[state]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(label, total=None, state="first equilibrium")
+
+        def update(record: dict[str, Any]) -> None:
+            state = f"misfit {record['misfit']:.3e} mm2  step {record.get('step', 0.0):.2g}"
+            bar.update(task, completed=record["iteration"], state=state)
+
+        yield update

@@ -9,11 +9,13 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from tactorch.config import Options, option
+from tactorch.mesh import TetMesh
 from tactorch.recording import Press, Recording
 
 _SIZES = {"poisson": 1, "force_scale": 1, "rest_scale": 3, "translation_mm": 3, "rotation_rad": 3}
 _RATIOS = ("force_scale", "rest_scale")
 _POISSON_LIMITS = (-0.9, 0.4995)  # above, tetrahedra of any kind lock
+_MAX_RATIO = 0.9  # of posterior to prior deviation, for informative data
 _MAX_Z = 8.0  # prior standard deviations from the assumed value
 
 
@@ -78,13 +80,6 @@ class NuisancePrior(Options):
     Without springs of known stiffness, weight or prescribed motion the scales of forces and moduli
     are one unknown: the data are then uninformative about `force_scale`, and its deviation remains
     that of the prior.
-
-    Attributes:
-        poisson: Deviation of Poisson's ratio, such as 0.02.
-        force_scale: Deviation of the logarithm of true over reported force, such as 0.2.
-        rest_scale: Deviation of the logarithm of true over assumed size of each axis, such as 0.1.
-        translation_mm: Deviation of each component of the sensor's offset, mm.
-        rotation_rad: Deviation of each component of the sensor's rotation vector, rad.
     """
 
     section: ClassVar[str] = "nuisance"
@@ -140,9 +135,8 @@ class NuisancePrior(Options):
 
     def slopes(self) -> Float[np.ndarray, " k"]:
         """Return d(value, or log of a scale) / dz: the prior deviations of the components."""
-        return np.concatenate(
-            [np.zeros(0), *(np.full(_SIZES[name], getattr(self, name)) for name in self.names)]
-        )
+        parts = (np.full(_SIZES[name], getattr(self, name)) for name in self.names)
+        return np.concatenate([np.zeros(0), *parts])
 
     def limits(self, assumed: Nuisance) -> tuple[np.ndarray, np.ndarray]:
         """Return bounds of z."""
@@ -154,89 +148,90 @@ class NuisancePrior(Options):
 
 
 @dataclass(frozen=True, eq=False)
-class PressModel:
-    """A press at given nuisance values: true forces, true rest shape, reported displacement.
+class NuisanceEstimate:
+    """Estimate of one nuisance parameter.
 
     Attributes:
-        forces: True forces on the mesh's nodes, in its frame, N.
-        arm: True rest position relative to the support of the press, mm.
-        drift: Displacement that the sensor reports at zero displacement, mm.
-        values: The nuisance values.
-        rest: Assumed rest positions relative to the centre of rotation, mm.
+        value: Its components.
+        deviation: Their posterior standard deviations, relative for scales; NaN where the problem
+            is too large for a dense matrix, or an equilibrium is unstable.
+        prior_deviation: Their prior standard deviation.
     """
 
-    forces: Float[np.ndarray, "n 3"]
-    arm: Float[np.ndarray, "n 3"]
-    drift: Float[np.ndarray, "n 3"]
+    value: Float[np.ndarray, " c"]
+    deviation: Float[np.ndarray, " c"]
+    prior_deviation: float
+
+    @property
+    def is_informative(self) -> bool:
+        """Whether the data reduce the deviation of some component by a tenth or more."""
+        return bool((self.deviation < _MAX_RATIO * self.prior_deviation).any())
+
+    def plain(self) -> dict[str, Any]:
+        """Return the estimate as plain JSON values."""
+        return {
+            "value": self.value.tolist(),
+            "deviation": self.deviation.tolist(),
+            "prior_deviation": self.prior_deviation,
+        }
+
+    @staticmethod
+    def of(plain: Mapping[str, Any]) -> "NuisanceEstimate":
+        """Return the estimate from plain JSON values."""
+        value, deviation = np.array(plain["value"]), np.array(plain["deviation"])
+        return NuisanceEstimate(value, deviation, plain["prior_deviation"])
+
+
+@dataclass(frozen=True, eq=False)
+class PressModel:
+    """A press at given nuisance values: true forces, true rest shape, reported displacement."""
+
+    forces: Float[np.ndarray, "n 3"]  # true forces on the mesh's nodes, in its frame, N
+    arm: Float[np.ndarray, "n 3"]  # true rest position relative to the support of the press, mm
+    drift: Float[np.ndarray, "n 3"]  # reported displacement at zero displacement, mm
     values: Nuisance
-    rest: Float[np.ndarray, "n 3"]
+    rest: Float[np.ndarray, "n 3"]  # assumed position relative to the centre of rotation, mm
+
+    @staticmethod
+    def of(press: Press, mesh: TetMesh, values: Nuisance) -> "PressModel":
+        """Return the model of a press.
+
+        The support does not move with the size of the object: it is at the mean position of the
+        supported nodes along each axis, and an axis without support has the centre.
+        """
+        points, center, rotation = mesh.points, mesh.bounds.mean(axis=0), values.rotation
+        supported = press.fixed | (press.springs > 0)
+        support = np.array(
+            [points[on, a].mean() if (on := supported[:, a]).any() else center[a] for a in range(3)]
+        )
+        rest, arm = points - center, (points - support) * values.rest_scale
+        # This form is exactly zero at the assumed values.
+        true = rest + (arm - (points - support))
+        drift = true @ rotation.T - rest + values.translation_mm
+        forces = values.force_scale * (press.forces @ rotation)
+        return PressModel(forces, arm, drift, values, rest)
 
     def reported(self, u: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "n 3"]:
         """Return the displacement that the sensor reports where the true one is u, mm."""
         return self.drift + u[: len(self.rest)] @ self.values.rotation.T
 
-    def force_rates(self, name: str) -> list[Float[np.ndarray, "n 3"]]:
-        """Return the change of the true forces by each component of a parameter.
+    def rates(self, name: str, u: Float[np.ndarray, "nodes 3"]) -> tuple[list[Any], list[Any]]:
+        """Return the change of the true forces, and of the report, by each component.
 
-        For a scale the component is its logarithm.
+        The true displacement u is fixed; of scales the component is the logarithm.
         """
+        rotation = self.values.rotation
         if name == "force_scale":
-            return [self.forces]
-        if name == "rotation_rad":
-            rotated = self.forces @ self.values.rotation.T
-            rates = self.values.rotation_rates().T
-            return [-np.cross(rate, rotated) @ self.values.rotation for rate in rates]
-        return []
-
-    def report_rates(
-        self, name: str, u: Float[np.ndarray, "nodes 3"]
-    ) -> list[Float[np.ndarray, "n 3"]]:
-        """Return the change of the report by each component, the true displacement unchanged."""
+            return [self.forces], []
         if name == "rest_scale":
-            return [np.outer(self.arm[:, a], self.values.rotation[:, a]) for a in range(3)]
+            return [], [np.outer(self.arm[:, a], rotation[:, a]) for a in range(3)]
         if name == "translation_mm":
-            return [np.broadcast_to(row, self.rest.shape).copy() for row in np.eye(3)]
+            return [], [np.broadcast_to(row, self.rest.shape) for row in np.eye(3)]
         if name == "rotation_rad":
-            rotated = self.reported(u) + self.rest - self.values.translation_mm
-            return [np.cross(rate, rotated) for rate in self.values.rotation_rates().T]
-        return []
-
-
-class PressModelFactory:
-    """Makes the press models of a recording."""
-
-    def __init__(self, recording: Recording) -> None:
-        """Find the support of each press."""
-        self._presses = recording.presses
-        self.points = recording.mesh.points
-        self._center = recording.mesh.bounds.mean(axis=0)
-        self._supports = [
-            _support_center(press, self.points, self._center) for press in recording.presses
-        ]
-
-    def rest_points(self, values: Nuisance) -> Float[np.ndarray, "n 3"]:
-        """Return the true rest shape, mm, up to a translation."""
-        return self.points * values.rest_scale
-
-    def at(self, values: Nuisance, index: int) -> PressModel:
-        """Return the model of one press."""
-        rotation, support = values.rotation, self._supports[index]
-        rest, arm = self.points - self._center, (self.points - support) * values.rest_scale
-        # This form is exactly zero at the assumed values.
-        true = rest + (arm - (self.points - support))
-        drift = true @ rotation.T - rest + values.translation_mm
-        forces = values.force_scale * (self._presses[index].forces @ rotation)
-        return PressModel(forces, arm, drift, values, rest)
-
-
-def _support_center(
-    press: Press, points: Float[np.ndarray, "n 3"], center: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3"]:
-    """Return the mean position of the supported nodes along each axis, mm.
-
-    The table does not move with the size of the object; an axis without support has the centre.
-    """
-    supported = press.fixed | (press.springs > 0)
-    return np.array(
-        [points[on, a].mean() if (on := supported[:, a]).any() else center[a] for a in range(3)]
-    )
+            forces, rates = self.forces @ rotation.T, self.values.rotation_rates().T
+            reported = self.reported(u) + self.rest - self.values.translation_mm
+            return (
+                [-np.cross(rate, forces) @ rotation for rate in rates],
+                [np.cross(rate, reported) for rate in rates],
+            )
+        return [], []

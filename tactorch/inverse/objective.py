@@ -7,13 +7,15 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
-from tactorch.inverse.evaluation import Evaluation
-from tactorch.inverse.nuisance import NuisancePrior
+from tactorch.errors import ConvergenceError, TactorchError
+from tactorch.inverse.nuisance import NuisanceEstimate, NuisancePrior
 from tactorch.inverse.parameterization import Parameterization
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.regularization import Regularizer
+from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse.regularization.base import Regularizer
+from tactorch.linalg import DenseCholesky
 
 _MAX_NUISANCE_STEP = 3.0  # prior standard deviations per step
+_MAX_DENSE = 12_000  # parameters up to which the normal matrix (1.2 GB) is formed
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +57,19 @@ class Point:
         return np.log(self._moduli)
 
     @cached_property
+    def _slope(self) -> Float[np.ndarray, " m"]:
+        return self.objective.parameterization.slope(self.elements)
+
+    @cached_property
     def penalty(self) -> float:
         """The prior on the map, without its weight."""
         return self.objective.prior.value(self._field)
 
     @cached_property
-    def _slope(self) -> Float[np.ndarray, " m"]:
-        return self.objective.parameterization.slope(self.elements)
+    def penalty_gradient(self) -> Float[np.ndarray, " size"]:
+        """Gradient of the prior on the map with respect to x, without its weight."""
+        inner = self._slope / self._moduli * self.objective.prior.gradient(self._field)
+        return np.concatenate([inner, np.zeros(len(self.z))])
 
     @cached_property
     def penalty_curvature(self) -> sp.csr_matrix:
@@ -70,12 +78,6 @@ class Point:
         inner = chain @ self.objective.prior.curvature(self._field) @ chain
         k = len(self.z)
         return sp.block_diag((inner, sp.csr_matrix((k, k))), format="csr") if k else inner.tocsr()
-
-    @cached_property
-    def penalty_gradient(self) -> Float[np.ndarray, " size"]:
-        """Gradient of the prior on the map with respect to x, without its weight."""
-        inner = self._slope / self._moduli * self.objective.prior.gradient(self._field)
-        return np.concatenate([inner, np.zeros(len(self.z))])
 
     def prior_value(self, weight: float) -> float:
         """Return the objective without the misfit: the weighted penalty and the prior of z."""
@@ -90,10 +92,9 @@ class Point:
 
     def prior_curvature(self, weight: float) -> sp.csr_matrix:
         """Return the curvature of `prior_value`."""
-        normal = np.zeros_like(self.x)
-        normal[self.objective.n_moduli :] = 1.0
         curvature = weight * self.penalty_curvature
-        return (curvature + sp.diags(normal)).tocsr() if len(self.z) else curvature
+        normal = np.arange(len(self.x)) >= self.objective.n_moduli
+        return (curvature + sp.diags(1.0 * normal)).tocsr() if len(self.z) else curvature
 
     @cached_property
     def _nuisance_jacobian(self) -> Float[np.ndarray, "data k"]:
@@ -129,10 +130,55 @@ class Point:
             return elements
         return np.concatenate([elements, self._nuisance_jacobian.T @ weights])
 
+    def second_order_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the part of the misfit's Hessian that Gauss-Newton omits times a change of x.
+
+        It needs a parameter for each element, and no nuisance parameters.
+        """
+        second = self.objective.parameterization.second_derivative(self.x)
+        inner = self._slope * self.evaluation.second_order_times(self._slope * change)
+        return inner + self.data_gradient / self._slope * second * change
+
     def value(self, weight: float) -> float:
         """Return the objective with this weight of the prior."""
         residuals = self.evaluation.residuals
         return 0.5 * float(residuals @ residuals) + self.prior_value(weight)
+
+    def nuisance_estimates(self, weight: float) -> dict[str, NuisanceEstimate]:
+        """Return the nuisance parameters by name, at a solution with this weight of the prior.
+
+        Deviations are those of the Laplace approximation with the map unknown too.
+        """
+        priors, values = self.objective.nuisance, self.evaluation.nuisance
+        if not priors.size:
+            return {}
+        deviations = priors.parts(priors.slopes() * self._deviation_of_z(weight))
+        return {
+            name: NuisanceEstimate(
+                np.atleast_1d(getattr(values, name)), deviation, getattr(priors, name)
+            )
+            for name, deviation in deviations.items()
+        }
+
+    def _deviation_of_z(self, weight: float) -> Float[np.ndarray, " k"]:
+        k = len(self.z)
+        if len(self.x) > _MAX_DENSE:
+            return np.full(k, np.nan)
+        try:
+            precision = self.jacobian.T @ self.jacobian
+        except ConvergenceError:  # an unstable equilibrium, at which the search has ended
+            return np.full(k, np.nan)
+        coo = self.prior_curvature(weight).tocoo()
+        np.add.at(precision, (coo.row, coo.col), coo.data)
+        # Elements that neither data nor prior determine would break the factorisation; the shift
+        # has no visible effect on the variances of z.
+        precision[np.diag_indices_from(precision)] += 1e-12 * precision.diagonal().max()
+        factor = DenseCholesky.of(precision)
+        if factor is None:
+            raise TactorchError("the posterior of the nuisance parameters is not definite")
+        unit = np.eye(len(self.x), k, k - len(self.x))  # the columns of z
+        covariance = np.column_stack([factor.solve(column) for column in unit.T])
+        return np.sqrt(covariance[-k:].diagonal())
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,9 +231,8 @@ class Objective:
 
     def start(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " size"]:
         """Return the parameters of a map (MPa), nuisance parameters as assumed."""
-        return np.concatenate(
-            [self.parameterization.parameters(youngs), np.zeros(self.nuisance.size)]
-        )
+        x = self.parameterization.parameters(youngs)
+        return np.concatenate([x, np.zeros(self.nuisance.size)])
 
     @property
     def limits(self) -> tuple[Float[np.ndarray, " size"], Float[np.ndarray, " size"]]:
@@ -201,10 +246,8 @@ class Objective:
     @property
     def max_step(self) -> Float[np.ndarray, " size"]:
         """Largest change of each parameter in one damped Newton step."""
-        cap = self.parameterization.max_step
-        return np.concatenate(
-            [np.full(self.n_moduli, cap), np.full(self.nuisance.size, _MAX_NUISANCE_STEP)]
-        )
+        sizes = [self.n_moduli, self.nuisance.size]
+        return np.repeat([self.parameterization.max_step, _MAX_NUISANCE_STEP], sizes)
 
     def at(
         self, x: Float[np.ndarray, " size"], near: Point | None = None, *, take_over: bool = False

@@ -1,4 +1,4 @@
-"""Parameterisations: the variables of the optimization that stand for Young's moduli."""
+"""Parameterisations: the relation between the variables of the optimization and Young's moduli."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -10,26 +10,19 @@ from jaxtyping import Float
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 
+_Vector = Float[np.ndarray, " m"]
+
 
 @dataclass(frozen=True)
 class Bounds(Options):
-    """Limits of Young's modulus, MPa; the paper's by default.
-
-    Attributes:
-        lower: Lower limit, MPa; the default is that of a hole.
-        upper: Upper limit, MPa.
-    """
+    """Limits of Young's modulus, MPa; the paper's by default, with that of a hole below."""
 
     section: ClassVar[str] = "bounds"
     lower: float = option(0.001, "Lower limit of Young's modulus", unit="MPa", gt=0)
     upper: float = option(100.0, "Upper limit of Young's modulus", unit="MPa", gt=0)
 
     def __post_init__(self) -> None:
-        """Check the order.
-
-        Raises:
-            ConfigError: a limit is not positive, or they are not in order.
-        """
+        """Check the order."""
         super().__post_init__()
         if not self.lower < self.upper:
             raise ConfigError(
@@ -44,29 +37,32 @@ class Parameterization(Options, ABC):
 
     Attributes:
         bounds: Limits of the modulus; an inversion sets those of its settings.
+        max_step: Largest change of a parameter in one damped Newton step.
     """
 
     section: ClassVar[str] = "parameterization"
+    max_step: ClassVar[float] = np.inf
     bounds: Bounds = Bounds()
 
     @abstractmethod
-    def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def youngs(self, x: _Vector) -> _Vector:
         """Return the moduli of parameters, MPa."""
 
     @abstractmethod
-    def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def parameters(self, youngs: _Vector) -> _Vector:
+        """Return the parameters of moduli."""
+
+    @abstractmethod
+    def slope(self, x: _Vector) -> _Vector:
         """Return d youngs / d x, MPa."""
 
     @abstractmethod
-    def second_derivative(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def second_derivative(self, x: _Vector) -> _Vector:
         """Return d^2 youngs / d x^2, MPa."""
 
     def expected_variance_reduction(
-        self,
-        mean: Float[np.ndarray, " m"],
-        before: Float[np.ndarray, " m"],
-        after: Float[np.ndarray, " m"],
-    ) -> Float[np.ndarray, " m"]:
+        self, mean: _Vector, before: _Vector, after: _Vector
+    ) -> _Vector:
         """Return the expected reduction of the variance of the moduli, MPa^2, to first order.
 
         Args:
@@ -76,15 +72,6 @@ class Parameterization(Options, ABC):
         """
         return self.slope(mean) ** 2 * (before - after)
 
-    @abstractmethod
-    def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the parameters of moduli."""
-
-    @property
-    def max_step(self) -> float:
-        """Largest change of a parameter in one damped Newton step."""
-        return np.inf
-
     @property
     def limits(self) -> tuple[float, float]:
         """The bounds, as parameters."""
@@ -92,76 +79,69 @@ class Parameterization(Options, ABC):
         return float(low), float(high)
 
 
-class Identity(Parameterization):
-    """Young's modulus itself, MPa."""
-
-    def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the moduli of parameters, MPa."""
-        return x
-
-    def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return d youngs / d x, MPa."""
-        return np.ones_like(x)
-
-    def second_derivative(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return zeros."""
-        return np.zeros_like(x)
-
-    def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the parameters of moduli."""
-        return np.asarray(youngs, dtype=np.float64)
-
-
 class Scaled(Parameterization):
     """The paper's linear scaling: E = lower + x (upper - lower)."""
 
     @property
-    def _range(self) -> float:
-        return self.bounds.upper - self.bounds.lower
+    def _line(self) -> tuple[float, float]:
+        """Modulus at zero and slope, MPa."""
+        return self.bounds.lower, self.bounds.upper - self.bounds.lower
 
-    def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the moduli of parameters, MPa."""
-        return np.maximum(self.bounds.lower + self._range * x, self.bounds.lower)
+    def youngs(self, x: _Vector) -> _Vector:
+        """Return lower + x (upper - lower), no less than lower."""
+        origin, slope = self._line
+        return np.maximum(origin + slope * x, origin)
 
-    def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return d youngs / d x, MPa."""
-        return np.full_like(x, self._range)
+    def parameters(self, youngs: _Vector) -> _Vector:
+        """Return (E - lower) / (upper - lower)."""
+        origin, slope = self._line
+        return (youngs - origin) / slope
 
-    def second_derivative(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def slope(self, x: _Vector) -> _Vector:
+        """Return upper - lower."""
+        return np.full_like(x, self._line[1])
+
+    def second_derivative(self, x: _Vector) -> _Vector:
         """Return zeros."""
         return np.zeros_like(x)
 
-    def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the parameters of moduli."""
-        return (youngs - self.bounds.lower) / self._range
+
+class Identity(Scaled):
+    """Young's modulus itself, MPa."""
+
+    @property
+    def _line(self) -> tuple[float, float]:
+        return 0.0, 1.0
+
+    def youngs(self, x: _Vector) -> _Vector:
+        """Return x."""
+        return x
 
 
 class Log(Parameterization):
     """Logarithm: E = exp(x), so that relative changes count and E is positive."""
 
-    @property
-    def max_step(self) -> float:
-        """A factor of e^2 per step: beyond it the linearisation is meaningless."""
-        return 2.0
+    max_step = 2.0  # a factor of e^2, beyond which the linearisation is meaningless
 
-    def youngs(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the moduli of parameters, MPa."""
+    def youngs(self, x: _Vector) -> _Vector:
+        """Return exp(x)."""
         return np.exp(x)
 
-    def slope(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return d youngs / d x, MPa."""
+    def parameters(self, youngs: _Vector) -> _Vector:
+        """Return log E."""
+        return np.log(youngs)
+
+    def slope(self, x: _Vector) -> _Vector:
+        """Return exp(x)."""
         return np.exp(x)
 
-    def second_derivative(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return d^2 youngs / d x^2, MPa."""
+    def second_derivative(self, x: _Vector) -> _Vector:
+        """Return exp(x)."""
         return np.exp(x)
 
     def expected_variance_reduction(
-        self,
-        mean: Float[np.ndarray, " m"],
-        before: Float[np.ndarray, " m"],
-        after: Float[np.ndarray, " m"],
-    ) -> Float[np.ndarray, " m"]:
+        self, mean: _Vector, before: _Vector, after: _Vector
+    ) -> _Vector:
         """See `Parameterization.expected_variance_reduction`; exact for a log-normal.
 
         The new mean is m + N(0, v - v'), so E[e^(2 m' + v') (e^v' - 1)] is
@@ -172,10 +152,6 @@ class Log(Parameterization):
         share = np.minimum(1.0, (high - low) ** 2 / 12.0 / np.maximum(before, 1e-300))
         v, w = share * before, share * after
         return np.exp(2.0 * (mean + v)) * (np.exp(-w) - np.exp(-v))
-
-    def parameters(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the parameters of moduli."""
-        return np.log(youngs)
 
 
 _HERE = "tactorch.inverse.parameterization"

@@ -1,20 +1,203 @@
-"""The inverse problem: predicted against observed displacements of all presses (eq. 7)."""
+"""The forward problem of all presses: equilibria, predictions and their derivatives (eq. 7)."""
 
 from copy import copy
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
-from tactorch.fem import Newton, NewtonOptions, SoftBody, Supports, make_material
+from tactorch.fem import (
+    EquilibriumResult,
+    Newton,
+    NewtonOptions,
+    Sensitivity,
+    SoftBody,
+    Supports,
+    make_material,
+)
 from tactorch.fem.body import check_youngs
-from tactorch.inverse.data import DataModel, NoiseModel
-from tactorch.inverse.evaluation import Evaluation, PressSolution
+from tactorch.inverse.data import DataModel, NoiseModel, Observation
 from tactorch.inverse.misfit import Misfit, Squares
-from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModelFactory
+from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModel
 from tactorch.linalg import SolverOptions, map_cases
 from tactorch.recording import Recording
+
+_MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
+
+
+class _PressSolution(NamedTuple):
+    """The equilibrium of one press: the press at the nuisance values, and the search's result."""
+
+    model: PressModel
+    newton: Newton
+    equilibrium: EquilibriumResult
+
+    @property
+    def reported(self) -> Float[np.ndarray, "n 3"]:
+        return self.model.reported(self.equilibrium.displacement)
+
+
+class Evaluation:
+    """All presses at one map of moduli; derivatives are computed on demand.
+
+    Attributes:
+        youngs: Young's modulus of each element, MPa.
+        nuisance: Nuisance values.
+        residuals: Half their square is minimised: predicted minus observed of all presses, in
+            standard deviations, transformed by the misfit.
+        misfit_mm2: Half the sum of squared differences (eq. 7), mm^2.
+        data: Observations.
+    """
+
+    def __init__(
+        self,
+        youngs: Float[np.ndarray, " m"],
+        nuisance: Nuisance,
+        weight: Float[np.ndarray, "nodes 3"],
+        presses: list[_PressSolution],
+        data: DataModel,
+    ) -> None:
+        self.youngs, self.nuisance = youngs, nuisance
+        self._weight, self._presses = weight, presses
+        self.data, self._misfit, self._begins = data, data.misfit, data.begins
+        difference = [
+            press.reported.ravel()[observation.index] - observation.displacement
+            for press, observation in zip(presses, data.observations, strict=True)
+        ]
+        self.misfit_mm2 = 0.5 * float(sum(d @ d for d in difference))
+        self._white = data.whiten(np.concatenate(difference) * data.scale)
+        self.residuals = self._misfit.residuals(self._white, self._begins)
+
+    @property
+    def chi2(self) -> float:
+        """Mean squared deviation, or a robust estimate; one when the data are fitted to noise."""
+        return self._misfit.chi2(self._white, self._begins)
+
+    @property
+    def deviations(self) -> list[Float[np.ndarray, " _"]]:
+        """Predicted minus observed, each press, in independent standard deviations."""
+        return np.split(self._white, self._begins[1:])
+
+    @property
+    def displacements(self) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Predicted displacement of each press, mm."""
+        return [press.equilibrium.displacement for press in self._presses]
+
+    @property
+    def reported(self) -> list[Float[np.ndarray, "n 3"]]:
+        """Predicted displacement that the sensor reports, each press, mm."""
+        return [press.reported for press in self._presses]
+
+    def search(self, i: int) -> Newton:
+        """Return the equilibrium search of press i."""
+        return self._presses[i].newton
+
+    @cached_property
+    def sensitivities(self) -> list[Sensitivity]:
+        """Linearisation of each press, factored once."""
+        frame = self.nuisance.rotation if self.nuisance.rotation_rad.any() else None
+
+        def work(i: int) -> Sensitivity:
+            press, observation = self._presses[i], self.data.observations[i]
+            return Sensitivity(press.newton.linearize(press.equilibrium), observation.index, frame)
+
+        return map_cases(work, len(self._presses))
+
+    def jacobian(self) -> Float[np.ndarray, "data m"]:
+        """Return d residuals / d youngs, 1/MPa, by one solve per observed degree of freedom."""
+        cases, data = self.sensitivities, self.data.observations
+        parts = map_cases(lambda i: cases[i].matrix() * data[i].scale[:, None], len(cases))
+        return self._join(parts)
+
+    def nuisance_jacobian(self, names: tuple[str, ...]) -> Float[np.ndarray, "data k"]:
+        """Return d residuals / d nuisance parameters, by one solve per component and press.
+
+        For scales the derivative is by the logarithm. Rotation is by the vector's components.
+        """
+        cases = self.sensitivities
+
+        def work(i: int) -> np.ndarray:
+            # The implicit function theorem: K du = df - dR, with K already factored.
+            press, linearization, columns = self._presses[i], cases[i].linearization, []
+            for name in names:
+                forces, reports = press.model.rates(name, press.equilibrium.displacement)
+                loads = press.newton.assembly.discretisation.consistent_loads
+                changes = [loads(change) for change in forces]
+                if name == "poisson":
+                    changes = [-rate for rate in linearization.parameter_forces(poisson=True)]
+                elif name == "rest_scale":
+                    rates = linearization.parameter_forces(stretch=True)
+                    changes = [self._weight - rate for rate in rates]
+                moved = linearization.force_response(np.reshape(changes, (-1, *self._weight.shape)))
+                indirect = [cases[i].observe(field) for field in moved]
+                direct = [report.ravel()[cases[i].observed] for report in reports]
+                if indirect and direct:
+                    columns += [a + b for a, b in zip(indirect, direct, strict=True)]
+                else:
+                    columns += indirect or direct
+            return np.column_stack(columns) * self.data.observations[i].scale[:, None]
+
+        return self._join(map_cases(work, len(cases)))
+
+    def jacobian_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " data"]:
+        """Return the change of the residuals by a change of the moduli (MPa)."""
+        cases, data = self.sensitivities, self.data.observations
+        return self._join(map_cases(lambda i: cases[i].times(change) * data[i].scale, len(cases)))
+
+    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " m"]:
+        """Return the transpose of d residuals / d youngs times `weights`."""
+        parts, cases = self._split(weights), self.sensitivities
+        return np.sum(map_cases(lambda i: cases[i].transpose_times(parts[i]), len(parts)), axis=0)
+
+    def gradient(self) -> Float[np.ndarray, " m"]:
+        """Return the gradient of half the sum of squared residuals, by one adjoint solve per press.
+
+        This is eq. (9) to (13), without the paper's second minus.
+        """
+        return self.transpose_times(self.residuals)
+
+    @cached_property
+    def _adjoints(self) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Adjoint displacement of each press for the residuals, 1/N."""
+        parts, cases = self._split(self.residuals), self.sensitivities
+        return map_cases(lambda i: cases[i].adjoint(parts[i]), len(parts))
+
+    def second_order_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Return the part of the misfit's Hessian that Gauss-Newton omits times a change (MPa).
+
+        It takes one solve per press more than the two of Gauss-Newton; see
+        `tactorch.fem.Linearization.second_order`.
+        """
+        pairs = zip(self.sensitivities, self._adjoints, strict=True)
+        return np.sum([s.linearization.second_order(a, change) for s, a in pairs], axis=0)
+
+    def _join(self, parts: list[np.ndarray]) -> Float[np.ndarray, "data *k"]:
+        """Derivatives of the residuals from those of each press in standard deviations."""
+        white = self.data.whiten(np.concatenate(parts))
+        return self._misfit.derivative(self._white, self._begins, white)
+
+    def _split(self, weights: Float[np.ndarray, " data"]) -> list[Float[np.ndarray, " p"]]:
+        """Weights of the residuals as weights of each press's observed displacements, 1/mm."""
+        white = self.data.whiten(self._misfit.derivative(self._white, self._begins, weights))
+        parts = zip(np.split(white, self._begins[1:]), self.data.observations, strict=True)
+        return [part * observation.scale for part, observation in parts]
+
+    def predict(self, youngs: Float[np.ndarray, " m"]) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Predict the displacements at other moduli, to first order where the change is small."""
+        change = youngs - self.youngs
+        if np.abs(change / self.youngs).max() > _MAX_RELATIVE_CHANGE:
+            return self.displacements
+        sensitivities = self.sensitivities
+
+        def work(i: int) -> np.ndarray:
+            before = self._presses[i].equilibrium.displacement
+            guess = before + sensitivities[i].linearization.displacement_change(change)
+            return guess if self.search(i).assembly.respond(guess) is not None else before
+
+        return map_cases(work, len(self._presses))
 
 
 class InverseProblem:
@@ -48,21 +231,24 @@ class InverseProblem:
         nuisance: NuisancePrior | None = None,
         body: SoftBody | None = None,
     ) -> None:
-        """Set up the body and the observations."""
         self.recording = recording
-        self.body = body or body_of(recording, element, solver, newton)
+        self.body = body or make_body(recording, element, solver, newton)
         self.noise = noise or NoiseModel()
-        self.data = DataModel.of(recording, self.noise, misfit or Squares())
+        pairs = zip(recording.presses, self.noise.deviations(recording), strict=True)
+        observations = tuple(Observation.of(press, deviation) for press, deviation in pairs)
+        self.data = DataModel(observations, misfit or Squares())
         self.nuisance = nuisance or NuisancePrior()
         self.assumed = Nuisance.assumed(recording)
-        self._press_models = PressModelFactory(recording)
-        self._weight = self._body_force()
+        self._weight = np.zeros((self.body.n_nodes, 3))
+        if recording.density:
+            gravity = self.body.gravity(recording.density, torch.tensor(recording.gravity))
+            self._weight = gravity.numpy()
         self.evaluations = 0
 
     @property
     def n_data(self) -> int:
         """Number of observed degrees of freedom over all presses."""
-        return self.data.size
+        return sum(self.data.counts)
 
     @property
     def n_elements(self) -> int:
@@ -74,13 +260,6 @@ class InverseProblem:
         problem = copy(self)
         problem.data = data
         return problem
-
-    def _body_force(self) -> Float[np.ndarray, "nodes 3"]:
-        recording = self.recording
-        if not recording.density:
-            return np.zeros((self.body.n_nodes, 3))
-        gravity = torch.tensor(recording.gravity)
-        return self.body.gravity(recording.density, gravity).numpy()
 
     def evaluate(
         self,
@@ -105,13 +284,14 @@ class InverseProblem:
             ConvergenceError: a press has no equilibrium; names the press.
         """
         check_youngs(youngs, self.n_elements)
-        values = self.assumed if nuisance is None else nuisance
-        assembly = self.body.with_parameters(values.poisson, self._press_models.rest_points(values))
+        values, mesh = nuisance or self.assumed, self.recording.mesh
+        assembly = self.body.with_parameters(values.poisson, mesh.points * values.rest_scale)
         weight = self._weight * values.rest_scale.prod()
         starts = None if near is None else near.predict(youngs)
 
-        def work(i: int, after: Newton | None = None) -> PressSolution:
-            press, model = self.recording.presses[i], self._press_models.at(values, i)
+        def work(i: int, after: Newton | None = None) -> _PressSolution:
+            press = self.recording.presses[i]
+            model = PressModel.of(press, mesh, values)
             supports = Supports(press.fixed, press.prescribed, press.springs)
             forces = self.body.discretisation.consistent_loads(model.forces) + weight
             if near is not None and take_over:
@@ -120,23 +300,21 @@ class InverseProblem:
             equilibrium = newton.run(None if starts is None else starts[i])
             if not equilibrium.converged:
                 raise ConvergenceError(f"{press.label} (index {i}): {equilibrium.reason}")
-            return PressSolution(self.data.observations[i], model, weight, newton, equilibrium)
+            return _PressSolution(model, newton, equilibrium)
 
         self.evaluations += 1
+        count = len(self.data.observations)
         if chained:
             solutions = [work(0)]
-            for i in range(1, len(self.data.observations)):
+            for i in range(1, count):
                 solutions.append(work(i, solutions[-1].newton))
         else:
-            solutions = map_cases(work, len(self.data.observations))
-        return Evaluation(youngs, values, solutions, self.data)
+            solutions = map_cases(work, count)
+        return Evaluation(youngs, values, weight, solutions, self.data)
 
 
-def body_of(
-    recording: Recording,
-    element: str,
-    solver: str | SolverOptions,
-    newton: NewtonOptions | None = None,
+def make_body(
+    recording: Recording, element: str, solver: str | SolverOptions, newton: NewtonOptions | None
 ) -> SoftBody:
     """Return the body of a recording."""
     spec = recording.material

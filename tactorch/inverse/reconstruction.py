@@ -16,7 +16,7 @@ from tactorch.hdf5 import (
     write_hdf5,
     write_json,
 )
-from tactorch.inverse.nuisance_estimate import NuisanceEstimate
+from tactorch.inverse.nuisance import NuisanceEstimate
 from tactorch.mesh import TetMesh, write_mesh
 
 if TYPE_CHECKING:
@@ -78,16 +78,10 @@ class Reconstruction:
         write_json(file, "history", self.history)
         estimates = {name: estimate.plain() for name, estimate in self.nuisance.items()}
         write_json(file, "nuisance", estimates)
-        for name, values in self._datasets().items():
-            write_array(file, name, values)
-
-    def _datasets(self) -> dict[str, np.ndarray]:
-        return {
-            "mesh/points": self.mesh.points,
-            "mesh/tets": self.mesh.tets,
-            "youngs": self.youngs,
-            "displacements": self.displacements,
-        }
+        write_array(file, "mesh/points", self.mesh.points)
+        write_array(file, "mesh/tets", self.mesh.tets)
+        write_array(file, "youngs", self.youngs)
+        write_array(file, "displacements", self.displacements)
 
     @staticmethod
     def load(path: str | Path) -> "Reconstruction":

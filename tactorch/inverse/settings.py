@@ -10,9 +10,11 @@ from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import NoiseModel
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import NuisancePrior
-from tactorch.inverse.optimizers import GaussNewton, Optimizer
+from tactorch.inverse.optimizers.base import Optimizer
+from tactorch.inverse.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.parameterization import Bounds, Log, Parameterization
-from tactorch.inverse.regularization import Prior, TotalVariation
+from tactorch.inverse.regularization.base import Prior
+from tactorch.inverse.regularization.sharp import TotalVariation
 from tactorch.linalg.solver import AutoSolver, SolverOptions
 from tactorch.plain import plain
 
@@ -27,25 +29,8 @@ class Settings(Options):
     """Settings of an inversion: everything but the recording and the start.
 
     Components may be given as objects, by name ("tikhonov"), or as a table
-    ({"name": "tikhonov", "level_mpa": 0.2}).
-
-    Attributes:
-        optimizer: Optimizer.
-        parameterization: Variables of the optimization.
-        regularization: Prior on the map, with its weight.
-        bounds: Limits of Young's modulus.
-        noise: Standard deviations for presses that do not state theirs.
-        misfit: Cost of the residuals.
-        model_error: "discretisation" corrects for the discretisation error of the mesh, "none"
-            does not, and "auto" does unless the presses were computed on the same mesh.
-        residual_model_error_fraction: Fraction of the mesh's error that remains as uncertainty
-            after the correction; smaller than the default where elements are small relative to
-            the features.
-        element: Element type: "tet10" is free of locking as Poisson's ratio nears 0.5.
-        solver: Linear solver.
-        newton: Settings of the equilibrium search.
-        nuisance: Nuisance parameters to be estimated together with the map; none by default.
-        max_seconds: Time limit, s, or None.
+    ({"name": "tikhonov", "level_mpa": 0.2}). By default the discretisation error of the mesh is
+    corrected unless the presses were computed on the same mesh.
     """
 
     optimizer: Optimizer = option(factory=GaussNewton, help="Optimizer", section="optimizer")
@@ -64,9 +49,8 @@ class Settings(Options):
     residual_model_error_fraction: float = option(
         RESIDUAL_MODEL_ERROR,
         "Fraction of the mesh's error that remains as uncertainty after the correction",
-        ge=0,
-        le=1,
-    )
+        ge=0, le=1,
+    )  # fmt: skip
     element: Literal["tet4", "tet10"] = option("tet4", "Element type; tet10 is free of locking")
     solver: SolverOptions = option(factory=AutoSolver, help="Linear solver", section="solver")
     newton: NewtonOptions = option(factory=NewtonOptions, help="Equilibrium search")
@@ -79,9 +63,7 @@ class Settings(Options):
 def stored_settings(value: Any, section: str = "") -> Any:
     """Return settings as plain values with the names of components; arrays by their checksum.
 
-    Args:
-        value: Settings, or a value of one.
-        section: Section of the registry that the value is chosen from.
+    `section` is the one of the registry that the value is chosen from.
     """
     if isinstance(value, Options):
         name = {"name": REGISTRIES[section].name_of(type(value))} if section in REGISTRIES else {}

@@ -6,23 +6,32 @@ A start is a function of the inverse problem and the bounds, as is a learned one
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.inverse.parameterization import Bounds
+from tactorch.inverse.monitor import Monitor, StopCondition, StopOptimization, StopReason
+from tactorch.inverse.nuisance import Nuisance, NuisancePrior
+from tactorch.inverse.objective import Objective
+from tactorch.inverse.optimizers.gauss_newton import GaussNewton
+from tactorch.inverse.parameterization import Bounds, Log
 from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.uniform import uniform_fit
+from tactorch.inverse.regularization.base import Quadratic
 from tactorch.linalg import map_cases
 
 _log = logging.getLogger(__name__)
 START_MPA = 0.2
 _BOUND_RTOL = 1e-9  # relative excess over a bound that counts as rounding
+_STEP_TOLERANCE = 1e-3  # change of the log-modulus, or of z
+_STIFFENING = 4.0  # factor to try where the object collapses, or seems much stiffer than START_MPA
+#: Tolerance of the objective where the size of the step alone ends the optimization.
+NO_TOLERANCE = 1e-15
+_OPTIMIZER = GaussNewton(max_iterations=30, tolerance=NO_TOLERANCE, max_trials=8)
 Start: TypeAlias = float | np.ndarray | Callable[[InverseProblem, Bounds], np.ndarray]
-
 
 #: Settings of the starts by name; each is a function of the problem and the bounds.
 INITIALIZATIONS = Registry(
@@ -38,11 +47,7 @@ INITIALIZATIONS = Registry(
 
 @dataclass(frozen=True)
 class Uniform(Options):
-    """One modulus for all elements.
-
-    Attributes:
-        start_mpa: The modulus, MPa, or "homogeneous" for the one that fits best.
-    """
+    """One modulus for all elements."""
 
     section: ClassVar[str] = "initialization"
     start_mpa: float | Literal["homogeneous"] = option(
@@ -54,6 +59,83 @@ class Uniform(Options):
         if isinstance(self.start_mpa, str):
             return homogeneous(problem, bounds)
         return np.full(problem.n_elements, self.start_mpa)
+
+
+class UniformFit(NamedTuple):
+    """The uniform modulus and the nuisance values that fit best together."""
+
+    youngs_mpa: float
+    nuisance: Nuisance
+
+
+def uniform_fit(
+    problem: InverseProblem,
+    bounds: Bounds | None = None,
+    nuisance: NuisancePrior | None = None,
+    *,
+    first_mpa: float | None = None,
+) -> UniformFit:
+    """Find the uniform modulus, and the nuisance parameters, that fit best.
+
+    Damped Gauss-Newton on the log-modulus and z, from a stiffer start where a press has no
+    equilibrium. The first start is `first_mpa`; by default 0.2 MPa, or the ratio of mean stress and
+    strain under the presses where that is much larger.
+
+    Raises:
+        ConvergenceError: no modulus within the bounds carries the presses.
+    """
+    bounds = bounds or Bounds()
+    prior, groups = Quadratic(sp.csr_matrix((1, 1))), np.zeros(problem.n_elements, dtype=np.int64)
+    objective = Objective(
+        problem, Log(bounds), prior, nuisance or NuisancePrior(), 0.0, groups, stable_only=True
+    )
+    first = _first_mpa(problem) if first_mpa is None else first_mpa
+    x, upper = np.zeros(objective.size), np.log(bounds.upper)
+    x[0] = np.clip(np.log(first), np.log(bounds.lower), upper)
+    while True:
+        monitor = Monitor(stop_condition=small_step(_STEP_TOLERANCE), log=False)
+        try:
+            _OPTIMIZER.minimize(objective, x, monitor)
+        except StopOptimization:
+            pass
+        except ConvergenceError as error:
+            if monitor.point is None and x[0] >= upper:
+                raise ConvergenceError(
+                    f"No uniform modulus up to {bounds.upper:g} MPa carries the presses; check the "
+                    "units of the forces (N)."
+                ) from error
+        if (point := monitor.point) is not None:
+            return UniformFit(float(point.youngs[0]), point.evaluation.nuisance)
+        x[0] = min(x[0] + np.log(_STIFFENING), upper)
+
+
+def small_step(tolerance: float) -> StopCondition:
+    """Return a condition that stops after a step whose largest change is below a tolerance."""
+
+    def stop_condition(history: list[dict[str, float]]) -> StopReason | None:
+        small = len(history) > 1 and history[-1]["step"] < tolerance
+        return StopReason.CONVERGED if small else None
+
+    return stop_condition
+
+
+def _first_mpa(problem: InverseProblem) -> float:
+    """First modulus, MPa: a much too soft body would collapse, which takes long to detect."""
+    mesh, estimates = problem.recording.mesh, []
+    for press in problem.recording.presses:
+        total = press.forces.sum(axis=0)
+        force = float(np.linalg.norm(total))
+        contact = np.any(press.forces != 0, axis=1)
+        area = float(mesh.surface.areas[contact[mesh.surface.triangles].all(axis=1)].sum())
+        observed = press.observed.all(axis=1) & contact
+        if force == 0.0 or area == 0.0 or not observed.any():
+            continue
+        inward = total / force
+        depth = float((press.displacement[observed] @ inward).mean())
+        if depth > 0.0:  # pressure over displacement of the contact relative to the body's length
+            estimates.append(force / area * float(np.ptp(mesh.points @ inward)) / depth)
+    guess = float(np.median(estimates)) if estimates else START_MPA
+    return guess if guess > _STIFFENING * START_MPA else START_MPA
 
 
 def best_uniform(
@@ -74,23 +156,16 @@ def homogeneous(problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " 
 
 
 def monte_carlo(
-    draw: Callable[[np.random.Generator], Float[np.ndarray, " m"]],
-    *,
-    draws: int = 16,
-    seed: int = 0,
+    draw: Callable[[np.random.Generator], np.ndarray], *, draws: int = 16, seed: int = 0
 ) -> Callable[[InverseProblem, Bounds], np.ndarray]:
     """Return a start that draws maps and takes the one that fits best.
 
-    Draws without an equilibrium are skipped. Draws are solved side by side where there are
-    fewer presses than cores, else the presses of each.
+    Draws without an equilibrium are skipped.
 
     Args:
         draw: Draws a map, MPa, such as `sample` of a prior.
         draws: Number of maps.
         seed: Seed of the draws; each has a separate generator.
-
-    Raises:
-        ConfigError: `draws` is not positive.
     """
     if draws < 1:
         raise ConfigError(f"draws={draws} must be at least 1.")
@@ -123,16 +198,8 @@ def fits_better_than_uniform(
 ) -> bool:
     """Return whether a guessed map (MPa) fits the presses better than the best uniform one.
 
-    Both are judged at the nuisance values that the recording states, from which inversions start.
-
-    Args:
-        guess: The map, within the bounds.
-        problem: What it has to fit.
-        bounds: Limits of the moduli.
-        name: What to call the guess in the message that it is refused, or taken.
-
-    Raises:
-        ConvergenceError: No uniform modulus carries the presses.
+    Both are compared at the nuisance values that the recording states, from which inversions start.
+    `name` is that of the map in the log.
     """
     try:
         chi2 = problem.evaluate(guess).chi2
@@ -152,11 +219,7 @@ def fits_better_than_uniform(
 
 
 def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
-    """Return the map of a start, MPa.
-
-    Raises:
-        ConfigError: its shape is wrong, or it leaves the bounds.
-    """
+    """Return the map of a start, MPa; refuse a wrong shape and moduli outside the bounds."""
     m = problem.n_elements
     start = start(problem, bounds) if callable(start) else start
     values = np.asarray(start, dtype=np.float64)
@@ -168,5 +231,4 @@ def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np
             f"start_mpa spans {values.min():g} to {values.max():g} MPa, outside the bounds "
             f"[{bounds.lower:g}, {bounds.upper:g}] MPa; start inside, or widen them."
         )
-    values = np.clip(values, bounds.lower, bounds.upper)
-    return np.full(m, float(values)) if values.ndim == 0 else values
+    return np.full(m, np.clip(values, bounds.lower, bounds.upper))

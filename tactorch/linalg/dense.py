@@ -9,6 +9,7 @@ from typing import no_type_check
 
 import numba
 import numpy as np
+import scipy.sparse as sp
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -53,8 +54,16 @@ class DenseCholesky:
     lower: Float[Tensor, "n n"]
 
     @staticmethod
-    def of(matrix: Float[np.ndarray, "n n"]) -> "DenseCholesky | None":
-        """Return the factorisation, or None if the matrix is not positive definite."""
+    def of(
+        matrix: Float[np.ndarray, "n n"], added: sp.spmatrix | sp.sparray | None = None
+    ) -> "DenseCholesky | None":
+        """Return the factorisation, or None if the matrix is not positive definite.
+
+        A sparse matrix `added` is added to it, in place.
+        """
+        if added is not None:
+            coo = added.tocoo()
+            np.add.at(matrix, (coo.row, coo.col), coo.data)
         lower, info = torch.linalg.cholesky_ex(torch.from_numpy(matrix))
         return None if int(info) else DenseCholesky(lower)
 

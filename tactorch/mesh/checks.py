@@ -9,12 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import MeshError
-from tactorch.mesh.geometry import (
-    bounding_diagonal,
-    enclosed_volume,
-    longest_edges,
-    signed_volumes,
-)
+from tactorch.mesh.geometry import bounding_diagonal, enclosed_volume, longest_edges, signed_volumes
 from tactorch.mesh.topology import FaceMatch
 from tactorch.mesh.values import Points, Rows, Tets, Triangles
 

@@ -14,12 +14,7 @@ import numpy as np
 from tactorch.errors import ConfigError, MeshError, TactorchError
 from tactorch.files import cache_folder, read_arrays, write_arrays
 from tactorch.mesh.checks import closed_surface
-from tactorch.mesh.geometry import (
-    bounding_box,
-    bounding_diagonal,
-    enclosed_volume,
-    surface_area,
-)
+from tactorch.mesh.geometry import bounding_box, bounding_diagonal, enclosed_volume, surface_area
 from tactorch.mesh.shapes import Box, Shape
 from tactorch.mesh.structured import box_mesh
 from tactorch.mesh.tetmesh import TetMesh, compact

@@ -13,23 +13,8 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError
 from tactorch.mesh.shapes import UP, CenteredShape, Distances, distance_to_product
-from tactorch.mesh.surfaces import (
-    Profile,
-    TriangleSurface,
-    coarsened,
-    revolved_surface,
-    torus_surface,
-)
-from tactorch.mesh.values import (
-    Corners,
-    Points,
-    Real,
-    Rows,
-    Vector,
-    checked,
-    positive,
-    unit_vector,
-)
+from tactorch.mesh.surfaces import Profile, TriangleSurface, coarsen, revolve, torus
+from tactorch.mesh.values import Corners, Points, Real, Rows, Vector, checked, positive, unit_vector
 
 _CURVE_SEGMENTS = 96
 
@@ -86,8 +71,8 @@ class _Revolved(_Axial):
         return np.array(self.center_mm) + np.stack((low, high))
 
     def surface(self, segments: int = 48) -> TriangleSurface:
-        profile = coarsened(self._profile(), segments)
-        return revolved_surface(profile, self.center_mm, self.axis, segments)
+        profile = coarsen(self._profile(), segments)
+        return revolve(profile, self.center_mm, self.axis, segments)
 
 
 @dataclass(frozen=True)
@@ -133,7 +118,7 @@ class Torus(_Axial):
 
     def surface(self, segments: int = 48) -> TriangleSurface:
         sides = segments, segments // 2
-        return torus_surface(self.radius_mm, self.tube_mm, self.center_mm, self.axis, sides)
+        return torus(self.radius_mm, self.tube_mm, self.center_mm, self.axis, sides)
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from tactorch.errors import ConfigError
-from tactorch.mesh.surfaces import (
-    TriangleSurface,
-    half_circle,
-    marching_cubes_surface,
-    revolved_surface,
-)
+from tactorch.mesh.surfaces import TriangleSurface, half_circle, marching_cubes, revolve
 from tactorch.mesh.values import (
     Checked,
     Corners,
@@ -71,7 +66,7 @@ class Shape(Checked, ABC):
             ConfigError: There are too few segments, or the shape is thinner than the cells of
                 marching cubes.
         """
-        return marching_cubes_surface(self.signed_distance, self.bounds(), str(self))
+        return marching_cubes(self.signed_distance, self.bounds(), str(self))
 
 
 @dataclass(frozen=True)
@@ -99,7 +94,7 @@ class Sphere(CenteredShape):
 
     def surface(self, segments: int = 48) -> TriangleSurface:
         arc = self.radius_mm * half_circle(segments)
-        return revolved_surface(arc, self.center_mm, UP, segments)
+        return revolve(arc, self.center_mm, UP, segments)
 
 
 @dataclass(frozen=True)

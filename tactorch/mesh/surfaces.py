@@ -15,9 +15,7 @@ Profile = Float[np.ndarray, "c 2"]
 TriangleSurface = tuple[Points, Triangles]
 
 
-def revolved_surface(
-    profile: Profile, center: Vector, axis: Vector, segments: int
-) -> TriangleSurface:
+def revolve(profile: Profile, center: Vector, axis: Vector, segments: int) -> TriangleSurface:
     """Return the surface of a solid of revolution, as rings of `segments` sides."""
     if segments < 3:
         raise ConfigError(f"segments={segments} must be at least 3.")
@@ -29,7 +27,7 @@ def revolved_surface(
     return vertices, _ring_triangles(len(profile) - 2, segments)
 
 
-def torus_surface(
+def torus(
     radius: Real, tube: Real, center: Vector, axis: Vector, segments: tuple[int, int]
 ) -> TriangleSurface:
     """Return the surface of a torus of `segments` sides along the ring and around the tube."""
@@ -54,7 +52,7 @@ def half_circle(segments: int) -> Profile:
     return arc
 
 
-def coarsened(profile: Profile, segments: int) -> Float[np.ndarray, "q 2"]:
+def coarsen(profile: Profile, segments: int) -> Float[np.ndarray, "q 2"]:
     """Drop points of a fine profile, so that its edges are about as long as a ring's.
 
     Ends and corners of more than 15 degrees are kept.
@@ -70,11 +68,11 @@ def coarsened(profile: Profile, segments: int) -> Float[np.ndarray, "q 2"]:
     return profile[selected]
 
 
-def marching_cubes_surface(
+def marching_cubes(
     distance: Callable[[Points], Float[np.ndarray, " n"]], bounds: Corners, name: str
 ) -> TriangleSurface:
     """Return the zero level of a signed distance; `name` is for the message on thin shapes."""
-    from skimage.measure import marching_cubes  # takes a second to import
+    from skimage import measure  # takes a second to import
 
     low, high = bounds
     step = float((high - low).max()) / _CELLS
@@ -87,7 +85,7 @@ def marching_cubes_surface(
         raise ConfigError(
             f"{name} is thinner than {step:.3g} mm, the cell size of marching cubes; enlarge it."
         )
-    vertices, triangles, _, _ = marching_cubes(distances, 0.0, spacing=(step,) * 3)
+    vertices, triangles, _, _ = measure.marching_cubes(distances, 0.0, spacing=(step,) * 3)
     return vertices.astype(np.float64) + start, triangles.astype(np.int64)
 
 

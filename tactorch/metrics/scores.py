@@ -1,4 +1,4 @@
-"""Metrics of a map against the truth.
+"""Metrics of a map against the truth; both are moduli per element, (m,), in MPa.
 
 **Over the list of elements**, each counts once, regardless of its volume, as in the paper (section
 IV-A, Metrics). The scores published with the cases of the paper (RMSE, SSIM, PSNR, "Cosine
@@ -93,8 +93,8 @@ def psnr(youngs: Field, truth: Field, range_mpa: Range = 1.0) -> float:
     """Return the peak signal-to-noise ratio 20 log10(range / RMSE), dB; infinite if RMSE is 0.
 
     Args:
-        youngs: Moduli, (m,), MPa.
-        truth: True moduli, (m,), MPa.
+        youngs: Moduli, MPa.
+        truth: True moduli, MPa.
         range_mpa: Range of the data, MPa (1 in Table II), or "truth" for max - min of the truth.
 
     Raises:

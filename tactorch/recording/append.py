@@ -20,10 +20,9 @@ from tactorch.errors import FileError, RecordingError
 from tactorch.files import atomic_path
 from tactorch.hdf5 import hdf5_image, write_attribute
 from tactorch.recording.press import Press
-from tactorch.recording.reader import RecordingReader
 from tactorch.recording.recording import Recording
 from tactorch.recording.schema import GROWING, PRESS_ARRAYS, PRESS_OPTIONAL, SAVED
-from tactorch.recording.storage import FileReader, open_recording, write_press
+from tactorch.recording.storage import FileReader, RecordingReader, open_recording, write_press
 from tactorch.recording.tail import tail_record
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
 """A recording: a soft object, the presses on it, and further known facts."""
 
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from pathlib import Path
@@ -9,12 +10,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import RecordingError
+from tactorch.errors import FileError, RecordingError
+from tactorch.hdf5 import write_hdf5
 from tactorch.mesh import TetMesh
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.plausibility import check_units, free_motion
 from tactorch.recording.press import Press, make_array, require_finite
-from tactorch.recording.storage import load_fields, save_fields
+from tactorch.recording.storage import open_recording, write_recording
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +74,13 @@ class Recording:
 
     def save(self, path: str | Path) -> None:
         """Write the recording to an HDF5 file (see `tactorch.recording.schema`), whole or not."""
-        save_fields(path, vars(self))
+        try:
+            write_hdf5(path, lambda file: write_recording(file, vars(self)))
+        except ValueError as error:
+            raise FileError(
+                f"cannot write recording '{path}': {error}; leave out text that HDF5 cannot hold, "
+                "such as a name with a NUL in it"
+            ) from error
 
     @classmethod
     def load(cls, path: str | Path, *, check_units: bool = True) -> "Recording":
@@ -80,7 +90,14 @@ class Recording:
             FileError: The file is missing, truncated or not HDF5.
             RecordingError: The file is HDF5 but not a valid recording; names the dataset.
         """
-        reader, fields = load_fields(path)
+        with open_recording(path) as reader:
+            fields = reader.fields()
+            if reader.tail is not None and not reader.tail.complete:
+                _log.warning(
+                    "'%s' ends in an incomplete press, which is ignored: its writer was"
+                    " interrupted, or the file was cut short.",
+                    path,
+                )
         try:
             return cls(**fields, check_units=check_units)
         except RecordingError as error:

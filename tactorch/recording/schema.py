@@ -39,7 +39,7 @@ of the 56 bytes before; little-endian) and an image: an HDF5 file whose root is 
 of such a file.
 
 A reader refuses a version above its own. A change of the layout raises `VERSION`;
-`tactorch.recording.reader` reads all versions. Version 1 had no `unloaded`.
+`tactorch.recording.storage` reads all versions. Version 1 had no `unloaded`.
 """
 
 FORMAT = "tactorch-recording"

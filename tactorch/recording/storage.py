@@ -1,18 +1,19 @@
-"""Recordings on disk: one HDF5 file (`tactorch.recording.schema`)."""
+"""Recordings on disk: one HDF5 file (`tactorch.recording.schema`), of unknown origin when read."""
 
 import json
-import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactorch.errors import FileError
-from tactorch.hdf5 import open_hdf5, write_array, write_attribute, write_hdf5, write_json
+from tactorch.errors import MeshError, RecordingError
+from tactorch.hdf5 import Hdf5Reader, open_hdf5, write_array, write_attribute, write_json
+from tactorch.mesh import TetMesh
+from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
-from tactorch.recording.reader import RecordingReader
 from tactorch.recording.schema import (
     FORMAT,
     GROWING,
@@ -21,13 +22,102 @@ from tactorch.recording.schema import (
     PRESS_OPTIONAL,
     SAVED,
     UNITS,
+    VERSION,
 )
 from tactorch.recording.tail import PressTail
 
 if TYPE_CHECKING:
     import h5py
 
-_log = logging.getLogger(__name__)
+_WRITER = "Recording.save"
+_LAYOUT = f"{_WRITER} (layout: tactorch.recording.schema)"
+
+
+class RecordingReader(Hdf5Reader):
+    """Reads the parts of one recording from a file or group; `mesh` is given if known already."""
+
+    def __init__(self, root: "h5py.Group", source: Path | str, mesh: TetMesh | None = None) -> None:
+        super().__init__(root, source, "recording", _LAYOUT, RecordingError)
+        self._mesh = mesh
+        self._check_format()
+
+    def fields(self, presses: Sequence[Press] | None = None) -> dict[str, Any]:
+        """Read the arguments of `Recording`; `presses` replace those in the file."""
+        n, m = self.mesh().n_points, self.mesh().n_tets
+        if presses is None:
+            presses = [self.press(index) for index in range(self.count())]
+        optional = {"truth": (m,), "reference": (m,), "unloaded": (None, n, 3)}
+        return {
+            "mesh": self.mesh(),
+            "presses": tuple(presses),
+            "material": self.material(),
+            "provenance": self.json("provenance"),
+            "density": self.density(),
+            "gravity": self.gravity(),
+            **{k: self.array(k, "f", shape) for k, shape in optional.items() if self.has(k)},
+        }
+
+    def _check_format(self) -> None:
+        kind = self.attribute("/", "format", str) if "format" in self.root.attrs else None
+        if kind != FORMAT:
+            raise self.error(
+                f"has format {kind!r} where {FORMAT!r} is expected; it is HDF5, but not a "
+                f"recording of tactorch: give the file that {_WRITER} wrote"
+            )
+        version = self.attribute("/", "version", int)
+        if version > VERSION:
+            raise self.error(
+                f"has version {version}, and this tactorch reads up to {VERSION}; upgrade tactorch"
+            )
+        if version < 1:
+            raise self.error(f"has version {version}, which never existed; write it again")
+        units = self.attribute("/", "units", str)
+        if units != UNITS:
+            raise self.error(f"is in units {units!r}; {UNITS!r} is needed: convert the values")
+
+    def mesh(self) -> TetMesh:
+        """Read the mesh, once."""
+        if self._mesh is None:
+            points = self.array("mesh/points", "f", (None, 3))
+            tets = self.array("mesh/tets", "i", (None, 4))
+            try:
+                self._mesh = TetMesh.create(points, tets, repair=False)
+            except MeshError as error:
+                raise self.error(f"dataset 'mesh' is not a valid mesh: {error}") from error
+        return self._mesh
+
+    def material(self) -> MaterialSpec:
+        """Read the constitutive law."""
+        name = self.attribute("material", "name", str)
+        poisson = self.attribute("material", "poisson", float)
+        text = self.attribute("material", "parameters", str)
+        try:
+            return MaterialSpec(name, poisson, self.parse_json("material/parameters", text))
+        except RecordingError as error:
+            raise self.error(f"'material' is not valid: {error}") from error
+
+    def density(self) -> float | None:
+        """Read the mass density, tonne/mm^3; None where weight is not modelled."""
+        return self.attribute("/", "density", float) if "density" in self.root.attrs else None
+
+    def gravity(self) -> np.ndarray:
+        """Read the acceleration of gravity, (3,), mm/s^2."""
+        return self.array("gravity", "f", (3,))
+
+    def count(self) -> int:
+        """Return the number of presses; a file that declares more than it holds is refused."""
+        count: int = self.attribute("presses", "count", int)
+        groups = len(self.group("presses"))
+        if not 0 <= count <= groups:
+            raise self.error(
+                f"declares {count} presses (attribute 'count' of 'presses') and holds {groups}; "
+                "the file is incomplete: write it again"
+            )
+        return count
+
+    def press(self, index: int) -> Press:
+        """Read and check a press by its number from 0."""
+        return _read_press(self, f"presses/{index:04d}", self.mesh().n_points)
 
 
 class FileReader(RecordingReader):
@@ -50,7 +140,33 @@ class FileReader(RecordingReader):
         """Read and check a press by its number from 0."""
         if self.tail is None or index < self._stored:
             return super().press(index)
-        return self.tail.press(index - self._stored, self.mesh().n_points)
+        import h5py
+
+        image = BytesIO(self.tail.image(index - self._stored))
+        with h5py.File(image, "r") as file:
+            source = f"{self.source}, press {index + 1}"
+            reader = Hdf5Reader(file, source, "recording", "append_press", RecordingError)
+            return _read_press(reader, "/", self.mesh().n_points)
+
+
+def _read_press(reader: Hdf5Reader, path: str, n_points: int) -> Press:
+    """Read and check the press in the group `path`."""
+    fields: dict[str, Any] = {}
+    for field in PRESS_ARRAYS:
+        kind = "b" if field in PRESS_MASKS else "f"
+        fields[field] = reader.array(f"{path}/{field}", kind, (n_points, 3))
+    for field, shape in PRESS_OPTIONAL.items():
+        if reader.has(f"{path}/{field}"):
+            wanted = tuple(n_points if size is None else size for size in shape)
+            fields[field] = reader.array(f"{path}/{field}", "f", wanted)
+    fields["name"] = reader.attribute(path, "name", str)
+    fields["step"] = reader.attribute(path, "step", int)
+    if "noise_mm" in reader.group(path).attrs:
+        fields["noise_mm"] = reader.attribute(path, "noise_mm", float)
+    try:
+        return Press(**fields)
+    except RecordingError as error:
+        raise reader.error(f"'{path}' is not valid: {error}") from error
 
 
 @contextmanager
@@ -59,28 +175,6 @@ def open_recording(path: str | Path) -> Iterator[FileReader]:
     remedy = "give the file that Recording.save wrote, or import foreign data first"
     with open_hdf5(path, "recording", remedy) as file:
         yield FileReader(file, Path(path))
-
-
-def load_fields(path: str | Path) -> tuple[FileReader, dict[str, Any]]:
-    """Read the arguments of `Recording` from a file; returned with the reader, for its errors."""
-    with open_recording(path) as reader:
-        if reader.tail is not None and not reader.tail.complete:
-            _log.warning(
-                "'%s' ends in an incomplete press, which is ignored: its writer was interrupted, or"
-                " the file was cut short.", path,
-            )  # fmt: skip
-        return reader, reader.fields()
-
-
-def save_fields(path: str | Path, fields: Mapping[str, Any]) -> None:
-    """Write the fields of a `Recording` to a file, whole or not at all."""
-    try:
-        write_hdf5(path, lambda file: write_recording(file, fields))
-    except ValueError as error:
-        raise FileError(
-            f"cannot write recording '{path}': {error}; leave out text that HDF5 cannot hold, such "
-            "as a name with a NUL in it"
-        ) from error
 
 
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:

@@ -4,14 +4,10 @@ import os
 import struct
 import zlib
 from hashlib import sha256
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tactorch.errors import RecordingError
-from tactorch.hdf5 import Hdf5Reader
-from tactorch.recording.press import Press
-from tactorch.recording.reader import read_press
 
 if TYPE_CHECKING:
     import h5py
@@ -50,15 +46,6 @@ class PressTail:
         if sha256(image).digest() != digest:
             raise self._error(index, "its checksum differs")
         return image
-
-    def press(self, index: int, n_points: int) -> Press:
-        """Read a press of the tail, by its index in the tail."""
-        import h5py
-
-        source = f"{self._source}, press {self._first + index + 1}"
-        with h5py.File(BytesIO(self.image(index)), "r") as file:
-            reader = Hdf5Reader(file, source, "recording", "append_press", RecordingError)
-            return read_press(reader, "/", n_points)
 
     def hdf5_part(self) -> bytes:
         """Return the HDF5 part of the file."""

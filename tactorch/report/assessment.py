@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float
 from tactorch.errors import TactorchError
 from tactorch.findings import Lump, find_lump
 from tactorch.findings.finding import build_lump
-from tactorch.inverse import NoiseModel, Point, Settings, settings_from, solution
-from tactorch.inverse.nuisance import Nuisance, PressModelFactory
+from tactorch.inverse import NoiseModel, Nuisance, Point, Settings, settings_from
+from tactorch.inverse.invert import solution
+from tactorch.inverse.nuisance import PressModel
 from tactorch.recording import Recording
 from tactorch.report.runs import Run
 from tactorch.uncertainty import GaussianPosterior, credibility
@@ -144,14 +145,14 @@ def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:
 
 def _uncorrected_fits(run: Run, recording: Recording) -> list[PressFit]:
     """Return residuals without the corrections that require solving the presses again."""
-    models, values = PressModelFactory(recording), _nuisance(run, recording)
+    values = _nuisance(run, recording)
     deviations = noise_model(run).deviations(recording)
     fits = []
     pairs = zip(recording.presses, run.result.displacements, strict=True)
     for i, (press, displacement) in enumerate(pairs):
         weights = np.ones_like(press.forces) if press.weights is None else press.weights
         used = press.data & (weights > 0)
-        reported = models.at(values, i).reported(displacement)
+        reported = PressModel.of(press, recording.mesh, values).reported(displacement)
         residual = np.where(used, reported - press.displacement, np.nan)
         fits.append(PressFit(residual, residual * weights / deviations[i]))
     return fits

@@ -14,8 +14,7 @@ import numpy as np
 import yaml
 
 from tactorch.fem import SoftBody, make_material
-from tactorch.inverse import Reconstruction, Settings, invert
-from tactorch.inverse.starts import Start
+from tactorch.inverse import Reconstruction, Settings, Start, invert
 from tactorch.mesh import Box, TetMesh, face_nodes
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import MaterialSpec, Recording

@@ -13,14 +13,8 @@ import numpy as np
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
 from tactorch.findings import find_lump
-from tactorch.inverse import (
-    START_MPA,
-    IncrementalInversion,
-    IncrementalResult,
-    Settings,
-    Start,
-    StopReason,
-)
+from tactorch.inverse import IncrementalInversion, IncrementalResult, Settings, Start, StopReason
+from tactorch.inverse.starts import START_MPA
 from tactorch.metrics import Inclusion
 from tactorch.plain import plain
 from tactorch.recording import Recording

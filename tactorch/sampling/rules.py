@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
-from tactorch.inverse.parameterization import Parameterization
+from tactorch.inverse import Parameterization
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.recording import Recording

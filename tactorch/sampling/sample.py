@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody, Supports
-from tactorch.inverse import START_MPA, Settings
+from tactorch.inverse import Settings
+from tactorch.inverse.starts import START_MPA
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.recording.append import digest

@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.inverse import CorrelatedNoise, InverseProblem, Point, Settings, smooth_pattern
+from tactorch.inverse import InverseProblem, Point, Settings
+from tactorch.inverse.data import CorrelatedNoise, smooth_pattern
 from tactorch.recording import Press, Recording
 from tactorch.sampling.candidates import Candidates, InferredCandidates, Patch
 from tactorch.sampling.rules import RULES, Automatic, Jacobian, Rule, SamplingState

@@ -124,9 +124,8 @@ class SensorChain:
     def measure_deformation(self, frame: Frame) -> Measurement:
         """Track the markers into the next frame and measure the deformation, without forces."""
         markers_px = self.tracker.track(frame.image)
-        untouched = Measurement(
-            frame, markers_px, None, None, np.zeros(len(self.model.points), dtype=bool)
-        )
+        nothing = np.zeros(len(self.model.points), dtype=bool)
+        untouched = Measurement(frame, markers_px, None, None, nothing)
         if frame.image is None:
             return untouched
         slopes = self.calibration.slopes(frame.image, self.reference)
@@ -142,11 +141,9 @@ class SensorChain:
         """Return the contact forces behind a measured deformation; None without contact."""
         if measurement.displacement is None:
             return None
+        known, in_contact = measurement.displacement, measurement.in_contact
         # Slopes determine depth up to a constant, and the gel also moves outside the contact.
-        noise_mm, in_contact = self.options.noise_mm, measurement.in_contact
-        return self.model.smooth_forces(
-            measurement.displacement, noise_mm, in_contact, free_plane=True
-        )
+        return self.model.smooth_forces(known, self.options.noise_mm, in_contact, free_plane=True)
 
     def _face_displacement(self, markers_px: np.ndarray, height: HeightMap) -> np.ndarray:
         """Displacements of the gel's nodes: in the plane from markers, along z from depth."""

@@ -163,7 +163,7 @@ class SensorDescription(Options):
         help="Width and height of a rectified image", unit="px", ge=8, le=20000
     )
     mm_per_px: tuple[float, float] = option(
-        help="Size of a rectified pixel on the gel's outer face, along x and y", unit="mm"
+        help="Size of a rectified pixel on the gel's outer face, along x and y", unit="mm", gt=0
     )
     gel: GelLayer = option(help="Soft layer")
     markers: MarkerGrid | None = option(None, "Markers on the gel; null for a gel without markers")
@@ -295,13 +295,15 @@ class SensorDescription(Options):
 def check_pixel_size(mm_per_px: tuple[float, float]) -> None:
     """Check the size of a pixel along x and y, mm."""
     for size in mm_per_px:
-        if not size > 0:
-            raise ConfigError(f"mm_per_px={list(mm_per_px)}: {size:g} must be a positive number.")
-        if not _MIN_PIXEL_MM <= size <= _MAX_PIXEL_MM:
-            unit, number = ("pixels per mm", 1 / size) if size > 1 else ("metres", 1e3 * size)
+        if size > _MAX_PIXEL_MM:
             raise ConfigError(
-                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like {unit}; give mm"
-                f" per pixel ({number:.4g})."
+                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like pixels per mm;"
+                f" give mm per pixel ({1 / size:.4g})."
+            )
+        if not size >= _MIN_PIXEL_MM:
+            raise ConfigError(
+                f"mm_per_px={list(mm_per_px)}: a pixel of {size:g} mm looks like metres; give mm"
+                f" per pixel ({1e3 * size:.4g})."
             )
 
 

@@ -1,8 +1,7 @@
 """Simulation of presses on a phantom. Units: mm, N, MPa, tonne/mm^3."""
 
-from tactorch.simulation.noise import noise_level
 from tactorch.simulation.perturbation import perturb_recording
-from tactorch.simulation.pipeline import simulate
+from tactorch.simulation.pipeline import noise_level, simulate
 from tactorch.simulation.plan import PressPlan
 
 __all__ = ["PressPlan", "noise_level", "perturb_recording", "simulate"]

@@ -1,13 +1,7 @@
 """Uncertainty of a map of Young's modulus: credibility, posteriors and their coverage.
 
-- `sensitivity_matrix`, `credibility`, `layer_profile`: which elements the observed displacements
-  depend on, and how this decreases with depth (eq. 14 and 15).
-- `compute_posterior`: posterior of a reconstruction, one of the following.
-- `LaplacePosterior`: Gaussian approximation at the reconstruction; `LowRankPosterior` for large
-  meshes.
-- `variational_posterior`: Gaussian scale mixture for total variation, with estimated scales.
-- `coverage`, `calibration_curve`: coverage of intervals over objects of known truth.
-- `GaussianState`: Kalman update by a press (eq. 16 and 17).
+`compute_posterior` chooses among `LaplacePosterior`, `LowRankPosterior` (large meshes) and
+`variational_posterior` (total variation, with estimated scales).
 """
 
 from tactorch.uncertainty.coverage import Coverage, calibration_curve, calibration_error, coverage

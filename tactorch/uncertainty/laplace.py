@@ -119,10 +119,7 @@ class LaplacePosterior(GaussianPosterior):
         The precision of the prior is `weight` times `prior`.
         """
         check_weight(weight)
-        precision = jacobian.T @ jacobian
-        coo = prior.tocoo()
-        np.add.at(precision, (coo.row, coo.col), weight * coo.data)
-        factor = DenseCholesky.of(precision)
+        factor = DenseCholesky.of(jacobian.T @ jacobian, weight * prior)
         if factor is None:
             raise ConfigError(
                 f"weight={weight}: data and prior leave some moduli undetermined; give a prior "

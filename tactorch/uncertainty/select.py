@@ -1,7 +1,8 @@
 """Choice of the posterior by prior and size of the problem."""
 
 from tactorch.errors import TactorchError
-from tactorch.inverse import Point, Reconstruction, Settings, solution
+from tactorch.inverse import Point, Reconstruction, Settings
+from tactorch.inverse.invert import solution
 from tactorch.recording import Recording
 from tactorch.uncertainty.laplace import GaussianPosterior, LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior

@@ -19,20 +19,12 @@ from tactorch.linalg.superlu import symmetric_lu
 
 @dataclass(frozen=True, eq=False)
 class SparseFactor:
-    """Factorisation A = L D L^T of a permuted sparse matrix, L with unit diagonal.
+    """Factorisation A = L D L^T of a permuted sparse matrix, L with unit diagonal."""
 
-    Attributes:
-        below: L without its diagonal, compressed columns, rows sorted; includes entries that
-            vanish by cancellation.
-        pivots: Diagonal of D.
-        place: Position of each unknown in the permuted order.
-        lu: SciPy's factorisation, for solves.
-    """
-
-    below: sp.csc_matrix
-    pivots: Float[np.ndarray, " n"]
-    place: Int[np.ndarray, " n"]
-    lu: spla.SuperLU
+    below: sp.csc_matrix  # L without its diagonal; with entries that vanish by cancellation
+    pivots: Float[np.ndarray, " n"]  # diagonal of D
+    place: Int[np.ndarray, " n"]  # position of each unknown in the permuted order
+    lu: spla.SuperLU  # SciPy's factorisation, for solves
 
     @staticmethod
     def of(matrix: sp.spmatrix | sp.sparray) -> "SparseFactor | None":

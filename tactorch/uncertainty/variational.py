@@ -28,7 +28,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Point
-from tactorch.inverse.regularization.jumps import jumps, relative_areas
+from tactorch.inverse.regularization.base import jumps, relative
 from tactorch.linalg import DenseCholesky
 from tactorch.uncertainty.laplace import LaplacePosterior
 
@@ -75,7 +75,7 @@ class _Jumps:
             mesh.adjacency.pairs,
             chain,
             difference @ np.log(point.youngs),
-            relative_areas(mesh),
+            relative(mesh.adjacency.areas),
             mesh.n_tets - int(parts),
         )
 
@@ -89,7 +89,7 @@ class _Jumps:
 
 def has_variational_posterior(point: Point, weight: float) -> bool:
     """Whether `variational_posterior` applies: total variation without a mean, of some weight."""
-    return weight > 0 and point.objective.prior.variation is not None
+    return weight > 0 and point.objective.prior.variation_edge is not None
 
 
 def variational_posterior(
@@ -115,8 +115,8 @@ def variational_posterior(
         ConfigError: the prior is not total variation, the weight is not positive, or data and
             prior leave moduli undetermined.
     """
-    variation = point.objective.prior.variation
-    if variation is None:
+    edge = point.objective.prior.variation_edge
+    if edge is None:
         raise ConfigError(
             "the variational posterior is that of total variation without a mean; use "
             "LaplacePosterior with other priors."
@@ -125,7 +125,7 @@ def variational_posterior(
         raise ConfigError(f"weight={weight} of the prior must be above 0.")
     jump_model = _Jumps.at(point)
     if sizes is None:
-        sizes = np.maximum(np.abs(jump_model.values), variation.edge)
+        sizes = np.maximum(np.abs(jump_model.values), edge)
     sizes = np.maximum(sizes, _MIN_SIZE)  # a uniform map has no jumps
     hessian, iterations = point.jacobian.T @ point.jacobian, 0
     while iterations < max_iterations:
@@ -149,10 +149,8 @@ def _solve(
     """Factored precision, and the step from the map to the mean."""
     weighted = jump_model.matrix.T @ sp.diags(stiffness)
     # Weight 0 leaves the prior of the nuisance parameters.
-    prior = (weighted @ jump_model.matrix + point.prior_curvature(0.0)).tocoo()
-    precision = hessian.copy()
-    np.add.at(precision, (prior.row, prior.col), prior.data)
-    factor = DenseCholesky.of(precision)
+    prior = weighted @ jump_model.matrix + point.prior_curvature(0.0)
+    factor = DenseCholesky.of(hessian.copy(), prior)
     if factor is None:
         raise ConfigError(
             "data and prior leave some moduli undetermined; check the weight of the prior, or add "

@@ -74,8 +74,6 @@ def tactorch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
     """Return the command, run in this process in an empty folder."""
-    # Hydra composes the settings a first time only to look for hydra.mode, which none sets here.
-    monkeypatch.setattr("hydra._internal.hydra.Hydra.get_mode", lambda *_, **__: None)
     folder = tmp_path / "cwd"
     folder.mkdir(exist_ok=True)
     monkeypatch.chdir(folder)

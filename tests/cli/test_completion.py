@@ -20,7 +20,7 @@ from tactorch.cli.schema import load_schema
 
 
 def offered(line: str) -> list[str]:
-    return [candidate.word for candidate in completed(typed(f"tactorch {line}"))]
+    return list(completed(typed(f"tactorch {line}")))
 
 
 @pytest.fixture
@@ -73,8 +73,8 @@ def test_choices_of_groups_in_lists_and_sweeps_too() -> None:
     assert offered("train experiment=") == [
         f"experiment={name}" for name in ("recognizer", "surrogate")
     ]
-    about = completed(["invert", "optimizer=tnc"])[0].about
-    assert about == load_schema("invert").options("optimizer")["tnc"]["help"]
+    description = completed(["invert", "optimizer=tnc"])["optimizer=tnc"]
+    assert description == load_schema("invert").options("optimizer")["tnc"]["help"]
 
 
 def test_values_of_settings_with_choices() -> None:

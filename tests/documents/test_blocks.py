@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from tactorch.cli.commands import COMMANDS, VERBS
+from tactorch.cli import COMMANDS, VERBS
 from tactorch.cli.compose import compose_options
 from tactorch.cli.overrides import named
 

@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from tactorch.cli.commands import COMMANDS
+from tactorch.cli import COMMANDS
 from tactorch.cli.schema import load_schema
 
 from .blocks import DOCS, ROOT, pages

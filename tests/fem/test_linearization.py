@@ -85,6 +85,15 @@ def test_a_search_goes_on_after_its_solver_was_taken(search):
     np.testing.assert_allclose(again.displacement, found.displacement, rtol=0, atol=1e-9)
 
 
+def test_a_later_search_leaves_solutions_as_they_are(search):
+    """A search factors with the solver that the linearisation shares; this one must notice."""
+    linearization = search.linearize(search.run())
+    rhs = np.random.default_rng(0).standard_normal(linearization.fixed.size)
+    expected = linearization.solve(rhs)
+    search.run()
+    np.testing.assert_allclose(linearization.solve(rhs), expected, rtol=1e-12)
+
+
 def test_an_unstable_equilibrium_is_refused(search):
     good = search.linearize(search.run())
     bad, diagonal = good.tangent.copy(), search.pattern.diagonal

@@ -6,7 +6,7 @@ import scipy.sparse as sp
 
 from tactorch.findings import build_finding, find_lump
 from tactorch.findings.finding import compute_confidence
-from tactorch.inverse.parameterization import Log
+from tactorch.inverse import Log
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.uncertainty import LaplacePosterior

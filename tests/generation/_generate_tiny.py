@@ -3,8 +3,7 @@
 import sys
 
 from tactorch.generation import MeshSizes, PressDraw, Recipe, generate
-from tactorch.inverse import Settings
-from tactorch.inverse.optimizers import GaussNewton
+from tactorch.inverse import GaussNewton, Settings
 
 if __name__ == "__main__":
     recipe = Recipe(

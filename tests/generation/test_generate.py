@@ -16,8 +16,7 @@ import pytest
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.generation import PressDraw, Recipe, SampleSet, generate, make_sample
-from tactorch.inverse import Settings
-from tactorch.inverse.optimizers import GaussNewton
+from tactorch.inverse import GaussNewton, Settings
 
 Make = Callable[..., Recipe]
 

@@ -7,9 +7,17 @@ import pytest
 import scipy.sparse as sp
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Bounds, InverseProblem, Log, Objective, Quadratic, Settings, invert
+from tactorch.inverse import (
+    Bounds,
+    InverseProblem,
+    Log,
+    NewtonCG,
+    Objective,
+    Quadratic,
+    Settings,
+    invert,
+)
 from tactorch.inverse.coarse import CoarseStart, clusters
-from tactorch.inverse.optimizers import NewtonCG
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import Recording
 
@@ -53,9 +61,7 @@ def test_the_grouped_jacobian_is_the_sum_of_columns(
     np.testing.assert_allclose(point.transpose_times(weights), expected.T @ weights, rtol=1e-7)
 
 
-def test_a_coarse_start_is_nearer_than_a_uniform_one(
-    make_cube: Callable[..., Recording],
-) -> None:
+def test_a_coarse_start_is_nearer_than_a_uniform_one(make_cube: Callable[..., Recording]) -> None:
     cube = make_cube(snr_db=30.0, seed=1)
     problem, bounds = InverseProblem(cube), Bounds()
     one, many = (CoarseStart(groups)(problem, bounds) for groups in (1, 12))

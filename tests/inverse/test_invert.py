@@ -11,7 +11,6 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
     OPTIMIZERS,
-    START_MPA,
     Bounds,
     Composite,
     GaussNewton,
@@ -27,7 +26,8 @@ from tactorch.inverse import (
 )
 from tactorch.inverse.invert import _task_digest
 from tactorch.inverse.misfit import Huber
-from tactorch.inverse.progress import progress
+from tactorch.inverse.monitor import progress
+from tactorch.inverse.starts import START_MPA
 from tactorch.recording import Recording
 
 SHORT = Settings(optimizer=GaussNewton(max_iterations=3))

@@ -15,12 +15,11 @@ from tactorch.inverse import (
     Monitor,
     Reconstruction,
     Settings,
-    StopOptimization,
     StopReason,
     invert,
     make_objective,
 )
-from tactorch.inverse.monitor import describe
+from tactorch.inverse.monitor import StopOptimization, describe
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -98,10 +97,7 @@ def test_an_interrupted_run_goes_on(
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
     ("error", "reason"),
-    [
-        (KeyboardInterrupt(), "interrupted"),
-        (StopOptimization(), "time limit reached"),
-    ],
+    [(KeyboardInterrupt(), "interrupted"), (StopOptimization(), "time limit reached")],
 )
 def test_whatever_ends_it_keeps_the_best_so_far(
     noisy: Recording, fail_evaluation: Fail, name: str, error: BaseException, reason: str
@@ -141,7 +137,7 @@ def test_an_unstable_equilibrium_ends_the_run_with_its_reason(
     noisy: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the tangent is indefinite no derivatives exist; what was reached is kept."""
-    from tactorch.inverse.problem import Evaluation
+    from tactorch.inverse import Evaluation
 
     jacobian, count = Evaluation.jacobian, iter(range(100))
 

@@ -19,8 +19,8 @@ from tactorch.inverse import (
     Settings,
     invert,
     make_objective,
-    uniform_fit,
 )
+from tactorch.inverse.starts import uniform_fit
 from tactorch.recording import Recording
 from tactorch.simulation import perturb_recording
 

@@ -1,13 +1,7 @@
 import numpy as np
 import pytest
 
-from tactorch.inverse import (
-    PARAMETERIZATIONS,
-    PRIORS,
-    Bounds,
-    InverseProblem,
-    Objective,
-)
+from tactorch.inverse import PARAMETERIZATIONS, PRIORS, Bounds, InverseProblem, Objective
 from tactorch.recording import Recording
 
 WEIGHT = 50.0

@@ -8,10 +8,19 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.sparse.linalg import spsolve
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import PRIORS, InverseProblem, ShiftedPrior, monte_carlo
-from tactorch.inverse.parameterization import Bounds
-from tactorch.inverse.regularization import Composite, Matern, Sparsity, Tikhonov
-from tactorch.inverse.regularization.levels import smoothed_median, two_levels, weighted_median
+from tactorch.inverse import (
+    PRIORS,
+    Bounds,
+    Composite,
+    InverseProblem,
+    Matern,
+    ShiftedPrior,
+    Sparsity,
+    Tikhonov,
+    monte_carlo,
+)
+from tactorch.inverse.regularization.binary_well import two_levels
+from tactorch.inverse.regularization.sharp import smoothed_median, weighted_median
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import Recording
 

@@ -16,8 +16,8 @@ from tactorch.inverse import (
     invert,
     make_objective,
     monte_carlo,
-    start_map,
 )
+from tactorch.inverse.starts import start_map
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
 from tactorch.simulation import PressPlan, perturb_recording, simulate

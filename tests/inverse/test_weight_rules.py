@@ -10,13 +10,13 @@ import scipy.sparse as sp
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
-from tactorch.inverse.optimizers.schedule import (
+from tactorch.inverse.optimizers.spectrum import (
     RULES,
+    Spectrum,
     gcv_score,
     gcv_weight,
     l_curve_weight,
 )
-from tactorch.inverse.optimizers.spectrum import Spectrum
 from tactorch.recording import Recording
 
 SIZE = 60
@@ -38,7 +38,7 @@ def bends() -> sp.csr_matrix:
 
 
 def decomposed(jacobian: np.ndarray, data: np.ndarray) -> Spectrum:
-    spectrum = Spectrum.decomposed(jacobian, -data, bends(), np.zeros(SIZE))
+    spectrum = Spectrum.of(jacobian, -data, bends(), np.zeros(SIZE))
     assert spectrum is not None
     return spectrum
 
@@ -56,7 +56,7 @@ def test_the_spectrum_solves_every_weight(n_data: int) -> None:
     here = np.random.default_rng(1).standard_normal(SIZE)
     prior = bends().toarray()
     prior += 1e-6 * np.trace(prior) / SIZE * np.eye(SIZE)
-    spectrum = Spectrum.decomposed(jacobian, jacobian @ here - data, bends(), prior @ here)
+    spectrum = Spectrum.of(jacobian, jacobian @ here - data, bends(), prior @ here)
     assert spectrum is not None
     weights = spectrum.squares.max() * np.array([1.0, 1e-3, 1e-6])
     misfits, penalties = spectrum.misfits(weights), spectrum.penalties(weights)
@@ -97,7 +97,7 @@ def test_gcv_is_leave_one_out_on_average() -> None:
     distance = np.abs(np.arange(n)[:, None] - np.arange(n))
     jacobian = np.exp(-np.minimum(distance, n - distance) / 3.0)
     data = np.random.default_rng(0).standard_normal(n)
-    spectrum = Spectrum.decomposed(jacobian, -data, sp.identity(n, format="csr"), np.zeros(n))
+    spectrum = Spectrum.of(jacobian, -data, sp.identity(n, format="csr"), np.zeros(n))
     assert spectrum is not None
     weight = 2.0
     errors = []
@@ -113,7 +113,7 @@ def test_gcv_is_leave_one_out_on_average() -> None:
 def test_a_prior_that_cannot_be_factored_is_a_value() -> None:
     jacobian, data, _ = smooth_problem(0, 0.1)
     negative = sp.csr_matrix(-np.eye(SIZE))
-    assert Spectrum.decomposed(jacobian, data, negative, np.zeros(SIZE)) is None
+    assert Spectrum.of(jacobian, data, negative, np.zeros(SIZE)) is None
 
 
 @pytest.fixture(scope="module")

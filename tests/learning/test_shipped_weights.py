@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tactorch.inverse import Bounds, InverseProblem
-from tactorch.inverse.starts import homogeneous
+from tactorch.inverse import Bounds, InverseProblem, homogeneous
 from tactorch.learning.surrogate import Prediction, SurrogateStart
 from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS
 from tactorch.mesh import Box, Sphere, box_mesh

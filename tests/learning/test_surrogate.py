@@ -17,10 +17,10 @@ from tactorch.inverse import (
     Settings,
     ShiftedPrior,
     Tikhonov,
+    homogeneous,
     invert,
 )
-from tactorch.inverse.starts import fits_better_than_uniform, homogeneous
-from tactorch.inverse.uniform import uniform_fit
+from tactorch.inverse.starts import fits_better_than_uniform, uniform_fit
 from tactorch.learning.data import symmetries
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.surrogate import Prediction, SurrogateStart

@@ -17,13 +17,14 @@ from tactorch.inverse import (
     GaussNewton,
     NewtonCG,
     NoiseModel,
+    NuisanceEstimate,
     NuisancePrior,
     Scaled,
     Settings,
+    settings_from,
 )
 from tactorch.inverse.misfit import Huber
-from tactorch.inverse.nuisance_estimate import NuisanceEstimate
-from tactorch.inverse.settings import settings_from, stored_settings
+from tactorch.inverse.settings import stored_settings
 from tactorch.recording import Recording
 from tactorch.report import load_run, run_names, write_report
 from tactorch.report.assessment import assess

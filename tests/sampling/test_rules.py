@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.parameterization import Log
+from tactorch.inverse import Log
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.sampling import (
     ExpectedError,

@@ -86,7 +86,7 @@ def test_markers_lie_about_the_middle() -> None:
         ({"image_size_px": (64,)}, r"image_size_px=\(64,\): give a list of two whole numbers"),
         ({"image_size_px": (64, 4)}, "whole numbers: .*8 to 20000"),
         ({"mm_per_px": (19.58, 19.58)}, "looks like pixels per mm.*0.05107"),
-        ({"mm_per_px": (0.1, -0.1)}, r"mm_per_px=\[0.1, -0.1\]: -0.1 must be a positive"),
+        ({"mm_per_px": (0.1, -0.1)}, r"mm_per_px=\(0.1, -0.1\): .*above 0"),
         ({"frame_rate_hz": 0.0}, "frame_rate_hz"),
         ({"distortion": (0.1, 0, 0, 0)}, "without intrinsics_px"),
         ({"intrinsics_px": (0, 50, 32, 24)}, "give positive focal lengths"),

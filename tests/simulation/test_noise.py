@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.simulation.noise import add_noise, noise_level
+from tactorch.simulation.pipeline import add_noise, noise_level
 
 RNG = np.random.default_rng(3)
 

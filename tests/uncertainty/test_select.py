@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import (
-    NuisancePrior,
-    Point,
-    Settings,
-    ShiftedPrior,
-    invert,
-    make_objective,
-    solution,
-)
+from tactorch.inverse import NuisancePrior, Point, Settings, ShiftedPrior, invert, make_objective
+from tactorch.inverse.invert import solution
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording

@@ -16,7 +16,7 @@ from tactorch.inverse import (
     Point,
     Scaled,
 )
-from tactorch.inverse.regularization.jumps import jumps, relative_areas
+from tactorch.inverse.regularization.base import jumps, relative
 from tactorch.uncertainty import variational_posterior
 
 LOG = Log()
@@ -41,7 +41,7 @@ def gibbs(point: Point, sweeps: int = 3000) -> np.ndarray:
     """
     rng = np.random.default_rng(0)
     mesh = point.objective.problem.recording.mesh
-    difference, areas = jumps(mesh).toarray(), relative_areas(mesh)
+    difference, areas = jumps(mesh).toarray(), relative(mesh.adjacency.areas)
     hessian = point.jacobian.T @ point.jacobian
     right = hessian @ point.x - point.data_gradient
     x, drawn = point.x, []
@@ -68,7 +68,7 @@ def test_agrees_with_sampling_the_posterior(point: Point) -> None:
 def test_the_equations_hold(point: Point) -> None:
     found = variational_posterior(point, 1.0)
     mesh = point.objective.problem.recording.mesh
-    difference, areas = jumps(mesh).toarray(), relative_areas(mesh)
+    difference, areas = jumps(mesh).toarray(), relative(mesh.adjacency.areas)
     covariance = found.covariance(np.arange(mesh.n_tets))
     spread = np.einsum("fi,ij,fj->f", difference, covariance, difference)
     sizes = np.sqrt((difference @ found.mean) ** 2 + spread)

@@ -72,8 +72,8 @@ def run(cfg: CalibrateSettings) -> Path:
         else:
             evaluated = [EvaluatedPress(p, circles[p.name], slope_map) for p in training]
             title += f"on the {len(training)} presses it was fitted to: others do worse"
-        contacts = [one.circle for one in evaluated]
-        quality = evaluate_map(slope_map, [one.press for one in evaluated], contacts, ball)
+        contacts = [item.circle for item in evaluated]
+        quality = evaluate_map(slope_map, [item.press for item in evaluated], contacts, ball)
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,

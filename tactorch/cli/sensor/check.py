@@ -31,7 +31,7 @@ def run(cfg: CheckSettings) -> MapQuality:
         reference = read_reference(cfg.reference, sensor, cfg.reference_frames)
     presses, images = read_presses(cfg, sensor, ball, reference, calibration.markers)
     evaluated = evaluate_presses(presses, calibration.map, ball)
-    quality = evaluate_map(calibration.map, presses, [one.circle for one in evaluated], ball)
+    quality = evaluate_map(calibration.map, presses, [item.circle for item in evaluated], ball)
     known = set(calibration.facts.get("fitted_to", {}).values())
     fitted = [name for name, image in images.items() if checksum(image) in known]
     title = f"{cfg.calibration.name} ({calibration.map_name}), on {len(evaluated)} presses"

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.cli.console import log
 from tactorch.cli.sensor.frames import RunFiles, caption, frame_times, without_image, write_table
-from tactorch.cli.sensor.inputs import FrameSequence, build_chain
+from tactorch.cli.sensor.inputs import build_chain
 from tactorch.cli.sensor.options import ForceSettings
 from tactorch.errors import ConvergenceError
 from tactorch.sensor.chain import SensorChain
@@ -40,7 +40,22 @@ def run(cfg: ForceSettings) -> Path:
     measured, *arrays, depths = map(list, zip(*results, strict=True))
     forces, displacement, in_contact = map(np.stack, arrays)
     _write(files, chain, measured, forces, displacement, in_contact, depths)
-    _draw(files, cfg, chain, frames, measured, forces)
+    points, triangles = chain.model.points, chain.model.gel_mesh.face_triangles
+    traction = forces / chain.model.gel_mesh.face_areas[:, None]
+    components = (-traction[..., 2], np.linalg.norm(traction[..., :2], axis=-1))
+    pressure, shear = (colour_limit(component, _MIN_LIMIT_MPA) for component in components)
+    view = ForceView(chain.sensor, points, triangles, (pressure, shear))
+    totals = forces.sum(axis=1)
+
+    def show(frame: Frame) -> None:
+        x, y, z = totals[frame.index]
+        is_known = np.isfinite(z)
+        text = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} N" if is_known else "not known"
+        text = caption(measured[frame.index], len(measured), text)
+        view.show(frame.image, forces[frame.index] if is_known else None, text)
+
+    series = {"force on the gel, N": {name: totals[:, k] for k, name in enumerate("xyz")}}
+    files.draw(view.figure, frames, show, cfg, measured, series)
     log.info("forces: %s", files.folder / _TABLE)
     return files.folder / _TABLE
 
@@ -106,29 +121,3 @@ def _write(
         f"{pressed} of {len(frames)} frames are in contact. The largest force on the gel is in"
         f" frame {largest}: x {x:+.3f}, y {y:+.3f}, z {z:+.3f} N.",
     )
-
-
-def _draw(
-    files: RunFiles,
-    cfg: ForceSettings,
-    chain: SensorChain,
-    frames: FrameSequence,
-    measured: list[Frame],
-    forces: Float[np.ndarray, "f k 3"],
-) -> None:
-    points, triangles = chain.model.points, chain.model.gel_mesh.face_triangles
-    traction = forces / chain.model.gel_mesh.face_areas[:, None]
-    components = (-traction[..., 2], np.linalg.norm(traction[..., :2], axis=-1))
-    pressure, shear = (colour_limit(component, _MIN_LIMIT_MPA) for component in components)
-    view = ForceView(chain.sensor, points, triangles, (pressure, shear))
-    totals = forces.sum(axis=1)
-
-    def show(frame: Frame) -> None:
-        x, y, z = totals[frame.index]
-        is_known = np.isfinite(z)
-        text = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} N" if is_known else "not known"
-        text = caption(measured[frame.index], len(measured), text)
-        view.show(frame.image, forces[frame.index] if is_known else None, text)
-
-    series = {"force on the gel, N": {name: totals[:, k] for k, name in enumerate("xyz")}}
-    files.draw(view.figure, frames, show, cfg, measured, series)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.outputs import write_json
+from tactorch.cli.outputs import write_json, write_text
 from tactorch.cli.sensor.inputs import FrameSequence
 from tactorch.cli.sensor.options import PictureSettings
 from tactorch.cli.settings import run_folder
@@ -65,12 +65,6 @@ def _cell(value: Any) -> Any:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     return f"{value:.6g}" if isinstance(value, float) else value
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 class RunFiles:

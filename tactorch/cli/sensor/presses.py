@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tactorch.cli.console import Table, log, log_text
-from tactorch.cli.outputs import write_json
-from tactorch.cli.sensor.frames import write_table, write_text
+from tactorch.cli.outputs import write_json, write_text
+from tactorch.cli.sensor.frames import write_table
 from tactorch.cli.sensor.options import BallSettings
 from tactorch.cli.settings import run_folder
 from tactorch.errors import FileError
@@ -156,7 +156,7 @@ def write_report(
         for name, circle in circles.items()
     ]
     write_table(folder / _CIRCLES, header, rows)
-    plotted = [_plotted(one, images[one.press.name], ball) for one in evaluated]
+    plotted = [_plotted(item, images[item.press.name], ball) for item in evaluated]
     save_figure(ball_press_figure(plotted, title), folder / _PICTURE)
     log_text(title, table, note)
     log.info("pictures of them: %s", folder / _PICTURE)

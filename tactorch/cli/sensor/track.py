@@ -46,14 +46,14 @@ def run(cfg: TrackSettings) -> Path:
     frames = FrameSequence(cfg, sensor)
     tracker = MarkerTracker(frames.reference, appearance)
 
-    def track(frame: Frame) -> tuple[Frame, Float[np.ndarray, "n 2"]]:
-        return without_image(frame), tracker.track(frame.image)
+    def track(frame: Frame) -> tuple[Frame, np.ndarray, np.ndarray]:
+        positions_px = tracker.track(frame.image)
+        _, displacement = marker_displacements(sensor, tracker.reference_px, positions_px)
+        return without_image(frame), positions_px, displacement[:, :2]
 
     results = frames.process("following markers", track)
-    measured, positions = [frame for frame, _ in results], np.stack([p for _, p in results])
-    displacements = np.stack(
-        [marker_displacements(sensor, tracker.reference_px, p)[1][:, :2] for p in positions]
-    )
+    measured, *arrays = map(list, zip(*results, strict=True))
+    positions, displacements = map(np.stack, arrays)
     valid = np.isfinite(positions[..., 0])
     _write(files, tracker.reference_px, measured, positions, displacements, valid)
     values, lines = _summarize(displacements, valid)

@@ -5,8 +5,7 @@ tangent are given per unit modulus too, and the derivative of the internal force
 the modulus of an element is its unit force (eq. 11 of the paper).
 
 A new material is a subclass of `IsotropicMaterial` with a strain energy of the invariants, or of
-`Material` with an energy of F. Derivatives are computed by autograd, for all elements at once.
-Closed forms of the derivatives are an optional acceleration.
+`Material` with an energy of F. Derivatives are computed by autograd, unless given in closed form.
 """
 
 from abc import ABC, abstractmethod

@@ -7,18 +7,21 @@ the objective falls less than predicted, and shrinks where it falls as predicted
 """
 
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Bool, Float
 
 from tactorch.config import option
 from tactorch.errors import ConvergenceError
 from tactorch.inverse.monitor import Monitor, StopReason
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers.base import Optimizer, projected_gradient
+from tactorch.inverse.optimizers.base import Optimizer
 from tactorch.inverse.optimizers.schedule import MIN_GAIN, RegularizationSchedule
+from tactorch.linalg import Solver, SymmetricPattern, analyse
 
 # While the weight of the prior falls, the path follows a valley that is narrow where the noise is
 # small: the misfit may rise by this factor, else the steps along it become tiny.
@@ -26,58 +29,38 @@ _MAX_RISE = 2.0
 # Directions that the data do not determine are the prior's; damping is for the nonlinearity alone,
 # so it starts small, falls after every step of sufficient gain, and jumps where a step failed.
 _MIN_DAMPING, _MIN_RAISED_DAMPING = 1e-12, 1e-4
-
-
-@runtime_checkable
-class LinearSystem(Protocol):
-    """The linearised problem at one point."""
-
-    def solve(self, damping: float) -> Float[np.ndarray, " size"] | None:
-        """Return the damped step, zero at held parameters; None where the system is singular."""
-        ...
-
-    def predicted_fall(self, change: Float[np.ndarray, " size"]) -> float:
-        """Return the fall of the quadratic model along a change."""
-        ...
+Vector = Float[np.ndarray, " size"]
+Mask = Bool[np.ndarray, " size"]
 
 
 class StepSolver(ABC):
-    """Makes the linear systems of one run.
+    """Solves the linear systems of one run."""
 
-    Attributes:
-        leaps: Whether the weight of the prior may fall by leaps.
-        takes_over: Whether a trial takes the factorisations of the present point over.
-    """
+    leaps = True  # the weight of the prior may fall by leaps
+    takes_over = False  # a trial takes the factorisations of the present point over
+    weight_rule = "discrepancy"  # chooses the weight of the prior
+    trace: float | None = None  # of J^T J, where the sensitivity matrix J is not formed
 
-    leaps = True
-    takes_over = False
-
-    @abstractmethod
-    def schedule(self, point: Point, state: dict[str, float]) -> RegularizationSchedule:
-        """Return the schedule of the prior's weight, from the start or a stored state."""
-
-    @abstractmethod
-    def data_gradient(self, point: Point) -> Float[np.ndarray, " size"]:
+    def data_gradient(self, point: Point) -> Vector:
         """Return the gradient of the misfit."""
+        return point.jacobian.T @ point.evaluation.residuals
 
     @abstractmethod
     def linearize(
-        self,
-        point: Point,
-        weight: float,
-        gradient: Float[np.ndarray, " size"],
-        free: Bool[np.ndarray, " size"],
-        lowering: bool,
-    ) -> LinearSystem:
-        """Return the linear system at a point.
+        self, point: Point, weight: float, gradient: Vector, free: Mask, lowering: bool
+    ) -> None:
+        """Set up the system at a point, with the objective's gradient, for the free parameters.
 
-        Args:
-            point: Where.
-            weight: Weight of the prior.
-            gradient: Gradient of the objective.
-            free: Parameters that are not held at a bound.
-            lowering: Whether the weight still falls, so that the step need not be accurate.
+        While the weight is `lowering`, a step need not be accurate.
         """
+
+    @abstractmethod
+    def solve(self, damping: float) -> Vector | None:
+        """Return the damped step, zero at held parameters; None where the system is singular."""
+
+    @abstractmethod
+    def predicted_fall(self, change: Vector) -> float:
+        """Return the fall of the quadratic model along a change."""
 
     def state(self) -> dict[str, float]:
         """Return the numbers to resume from."""
@@ -88,25 +71,49 @@ class StepSolver(ABC):
         return {}
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """An accepted step: its end, the next damping, and its gain."""
+class PriorSolver:
+    """Solves with the prior's curvature plus a diagonal; its pattern is analysed once."""
 
+    def __init__(self) -> None:
+        self._indices: tuple[np.ndarray, np.ndarray] | None = None
+        self._fixed: np.ndarray | None = None
+
+    def factor(self, prior: sp.csr_matrix, shift: Vector, fixed: Mask | None = None) -> bool:
+        """Factor prior + diagonal with parameters held; return whether it is definite."""
+        prior = prior.tocsr()
+        indices = prior.indptr, prior.indices
+        if self._indices is None or not all(map(np.array_equal, self._indices, indices)):
+            self._indices = prior.indptr.copy(), prior.indices.copy()
+            coo = prior.tocoo()
+            rows, cols = coo.row.astype(np.int64), coo.col.astype(np.int64)
+            self._upper = rows <= cols
+            self._pattern = SymmetricPattern.from_pairs(prior.shape[0], rows, cols)
+            self._slots = self._pattern.slots(rows[self._upper], cols[self._upper])
+            self._solver: Solver = analyse(self._pattern, "auto")
+        values = np.zeros(self._pattern.nnz)
+        np.add.at(values, self._slots, prior.data[self._upper])
+        values[self._pattern.diagonal] += shift
+        if fixed is not None:
+            values = self._pattern.apply_dirichlet(values, fixed)
+        self._fixed = fixed
+        return self._solver.factor(values)
+
+    def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
+        """Solve; held parameters remain zero."""
+        if self._fixed is None:
+            return self._solver.solve(rhs)
+        return np.where(self._fixed, 0.0, self._solver.solve(np.where(self._fixed, 0.0, rhs)))
+
+
+class _Step(NamedTuple):
     point: Point
-    damping: float
+    damping: float  # the next one
     gain: float
 
 
 @dataclass(frozen=True)
 class DampedNewton(Optimizer):
-    """Settings that the damped Newton methods have in common.
-
-    Attributes:
-        max_iterations: Limit of accepted steps.
-        tolerance: Relative fall of the objective, at a final weight, at which to stop.
-        damping: First damping, relative to the diagonal of the Hessian.
-        max_trials: Limit of trial steps at one iterate.
-    """
+    """Settings that the damped Newton methods have in common."""
 
     max_iterations: int = option(60, "Limit of accepted steps", gt=0)
     tolerance: float = option(1e-3, "Relative fall of the objective at which to stop", gt=0)
@@ -117,13 +124,13 @@ class DampedNewton(Optimizer):
     def step_solver(self, point: Point, state: dict[str, float]) -> StepSolver:
         """Return the solver of a run that starts at a point or from a stored state."""
 
-    def minimize(
-        self, objective: Objective, start: Float[np.ndarray, " size"], monitor: Monitor
-    ) -> StopReason:
+    def minimize(self, objective: Objective, start: Vector, monitor: Monitor) -> StopReason:
         """See `Optimizer.minimize`."""
         point = objective.at(start)
         solver = self.step_solver(point, monitor.state)
-        schedule = solver.schedule(point, monitor.state)
+        schedule = RegularizationSchedule.start(
+            point, monitor.state, solver.weight_rule, solver.trace
+        )
         damping = monitor.state.get("damping", self.damping)
 
         def report(weight: float, step: float) -> None:
@@ -136,40 +143,29 @@ class DampedNewton(Optimizer):
         if not monitor.history:
             report(schedule.weight, 0.0)
         while monitor.iteration < self.max_iterations:
-            final = schedule.final
-            step = self._advance(point, solver, schedule, damping, monitor)
+            step, final = None, schedule.final
+            if schedule.leapt:
+                step = self._step(point, solver, schedule.weight, damping, False, monitor, trials=1)
+                if step is None or step.gain < MIN_GAIN:
+                    schedule.retract()
+                    step = None
+            if step is None:
+                lowering = not (final or schedule.held)
+                step = self._step(point, solver, schedule.weight, damping, lowering, monitor)
+            if step is None and schedule.held:
+                step = self._step(point, solver, schedule.weight, damping, True, monitor)
             if step is None:
                 return StopReason.NO_DESCENT
             weight, before = schedule.weight, point
-            point, damping = step.point, step.damping
+            point, damping, gain = step
             fall = before.value(weight) - point.value(weight)
-            schedule.update(point, step.gain if solver.leaps else np.nan)
+            schedule.update(point, gain if solver.leaps else np.nan)
             converged = final and fall <= self.tolerance * point.value(weight)
             done = not schedule.retry(point, converged=converged) and converged
             report(weight, float(np.abs(point.x - before.x).max()))
             if done:
                 return schedule.ended or StopReason.CONVERGED
         return StopReason.ITERATION_LIMIT
-
-    def _advance(
-        self,
-        point: Point,
-        solver: StepSolver,
-        schedule: RegularizationSchedule,
-        damping: float,
-        monitor: Monitor,
-    ) -> _Step | None:
-        """Make a step. A leap of the weight that leads to no sufficient step is retracted."""
-        if schedule.leapt:
-            step = self._step(point, solver, schedule.weight, damping, False, monitor, trials=1)
-            if step is not None and step.gain >= MIN_GAIN:
-                return step
-            schedule.retract()
-        lowering = not (schedule.final or schedule.held)
-        step = self._step(point, solver, schedule.weight, damping, lowering, monitor)
-        if step is None and schedule.held:
-            step = self._step(point, solver, schedule.weight, damping, True, monitor)
-        return step
 
     def _step(
         self,
@@ -182,43 +178,42 @@ class DampedNewton(Optimizer):
         trials: int | None = None,
     ) -> _Step | None:
         """Try steps of growing damping; while the weight falls, the misfit may rise a little."""
+        objective, cap = point.objective, point.objective.max_step
+        low, high = objective.limits
         gradient = solver.data_gradient(point) + point.prior_gradient(weight)
-        free = projected_gradient(point.x, gradient, point.objective.limits) != 0.0
+        free = projected_gradient(point.x, gradient, (low, high)) != 0.0
         if not free.any():
             return None
-        system = solver.linearize(point, weight, gradient, free, lowering)
+        solver.linearize(point, weight, gradient, free, lowering)
         value, chi2 = point.value(weight), point.evaluation.chi2
         for _ in range(trials or self.max_trials):
-            change = system.solve(damping)
+            change, trial = solver.solve(damping), None
             if change is not None:
-                change = _within_limits(point, change)
-                trial = _evaluate(point, change, solver.takes_over)
-                if trial is not None:
-                    gain = _gain(value - trial.value(weight), system.predicted_fall(change))
-                    if gain > 0 or (lowering and trial.evaluation.chi2 < _MAX_RISE * chi2):
-                        lower = max(0.2 * damping, _MIN_DAMPING) if gain > MIN_GAIN else damping
-                        return _Step(trial, lower, gain)
+                # Cut to the bounds and to where the linearisation is meaningful.
+                change = np.clip(change, -cap, cap)
+                end = point.x + change
+                inside = (end >= low) & (end <= high)
+                change = np.where(inside, change, np.clip(end, low, high) - point.x)
+                x = np.clip(point.x + change, low, high)
+                with suppress(ConvergenceError):  # some press has no equilibrium there
+                    trial = objective.at(x, point, take_over=solver.takes_over)
+            if change is not None and trial is not None:
+                gain = _gain(value - trial.value(weight), solver.predicted_fall(change))
+                if gain > 0 or (lowering and trial.evaluation.chi2 < _MAX_RISE * chi2):
+                    lower = max(0.2 * damping, _MIN_DAMPING) if gain > MIN_GAIN else damping
+                    return _Step(trial, lower, gain)
             damping = 10.0 * max(damping, _MIN_RAISED_DAMPING)
             monitor.check_time()
         return None
 
 
-def _within_limits(point: Point, step: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
-    """Cut a step to the bounds and to the largest for which the linearisation is meaningful."""
-    cap, (low, high) = point.objective.max_step, point.objective.limits
-    capped = np.clip(step, -cap, cap)
-    end = point.x + capped
-    return np.where((end < low) | (end > high), np.clip(end, low, high) - point.x, capped)
-
-
-def _evaluate(point: Point, change: np.ndarray, takes_over: bool) -> Point | None:
-    """Evaluate the end of a step; None where some press has no equilibrium."""
-    objective = point.objective
-    x = np.clip(point.x + change, *objective.limits)
-    try:
-        return objective.at(x, point, take_over=takes_over)
-    except ConvergenceError:
-        return None
+def projected_gradient(
+    x: Vector, gradient: Vector, limits: tuple[float | np.ndarray, float | np.ndarray]
+) -> Vector:
+    """Return the gradient without the components that push against a bound."""
+    low, high = limits
+    blocked = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
+    return np.where(blocked, 0.0, gradient)
 
 
 def _gain(fall: float, predicted: float) -> float:

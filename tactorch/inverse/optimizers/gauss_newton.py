@@ -5,13 +5,12 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from tactorch.config import option
 from tactorch.inverse.objective import Point
-from tactorch.inverse.optimizers.damped import DampedNewton, LinearSystem, StepSolver
-from tactorch.inverse.optimizers.schedule import RegularizationSchedule
-from tactorch.linalg import DenseCholesky, Solver, SymmetricPattern, analyse
+from tactorch.inverse.optimizers.damped import DampedNewton, Mask, PriorSolver, StepSolver, Vector
+from tactorch.linalg import DenseCholesky
 
 # Data space divides by the damping where the prior is zero (a uniform shift).
 _MIN_SHIFT = 1e-9
@@ -22,16 +21,7 @@ _DATA_SPACE = 0.8  # data per parameter below which data space is cheaper
 
 @dataclass(frozen=True)
 class GaussNewton(DampedNewton):
-    """Gauss-Newton with Levenberg-Marquardt damping on the full sensitivity matrix.
-
-    Attributes:
-        max_iterations: Limit of accepted steps.
-        tolerance: Relative fall of the objective, at a final weight, at which to stop.
-        damping: First damping, relative to the diagonal of the Hessian.
-        max_trials: Limit of trial steps at one iterate.
-        space: Space of the linear system: "data" (p x p), "parameter" (m x m), or "auto" by size.
-        weight_rule: Rule that chooses the weight of a prior whose weight is not given.
-    """
+    """Gauss-Newton with Levenberg-Marquardt damping on the full sensitivity matrix."""
 
     space: Literal["auto", "data", "parameter"] = option("auto", "Space of the linear system")
     weight_rule: Literal["discrepancy", "l_curve", "gcv"] = option(
@@ -43,64 +33,41 @@ class GaussNewton(DampedNewton):
         return _DenseSteps(self)
 
 
-@dataclass(frozen=True, eq=False)
 class _DenseSteps(StepSolver):
-    settings: GaussNewton
-
-    def schedule(self, point: Point, state: dict[str, float]) -> RegularizationSchedule:
-        return RegularizationSchedule.start(point, state, self.settings.weight_rule)
-
-    def data_gradient(self, point: Point) -> Float[np.ndarray, " size"]:
-        return point.jacobian.T @ point.evaluation.residuals
+    def __init__(self, settings: GaussNewton) -> None:
+        self._space, self.weight_rule = settings.space, settings.weight_rule
 
     def linearize(
-        self,
-        point: Point,
-        weight: float,
-        gradient: Float[np.ndarray, " size"],
-        free: Bool[np.ndarray, " size"],
-        lowering: bool,
-    ) -> LinearSystem:
-        jacobian, prior = point.jacobian, point.prior_curvature(weight)
-        diagonal = np.einsum("ij,ij->j", jacobian, jacobian) + prior.diagonal()
-        return _DenseSystem(self.settings.space, jacobian, prior, gradient, free, diagonal)
+        self, point: Point, weight: float, gradient: Vector, free: Mask, lowering: bool
+    ) -> None:
+        self._jacobian, self._prior = point.jacobian, point.prior_curvature(weight)
+        self._gradient, self._free = gradient, free
+        squares = np.einsum("ij,ij->j", self._jacobian, self._jacobian)
+        self._diagonal = squares + self._prior.diagonal()
 
-
-@dataclass(frozen=True, eq=False)
-class _DenseSystem:
-    space: str
-    jacobian: Float[np.ndarray, "p size"]
-    prior: sp.csr_matrix
-    gradient: Float[np.ndarray, " size"]
-    free: Bool[np.ndarray, " size"]
-    diagonal: Float[np.ndarray, " size"]
-
-    def solve(self, damping: float) -> Float[np.ndarray, " size"] | None:
-        free, jacobian, prior = self.free, self.jacobian, self.prior
+    def solve(self, damping: float) -> Vector | None:
+        free, jacobian, prior = self._free, self._jacobian, self._prior
         if not free.all():
             jacobian, prior = jacobian[:, free], prior[free][:, free]
         data, parameters = jacobian.shape
-        in_data = self.space == "auto" and data < _DATA_SPACE * parameters
-        solve = data_space_step if in_data or self.space == "data" else parameter_space_step
-        step = solve(jacobian, self.gradient[free], prior, damping * self.diagonal[free])
+        in_data = self._space == "auto" and data < _DATA_SPACE * parameters
+        solve = data_space_step if in_data or self._space == "data" else parameter_space_step
+        step = solve(jacobian, self._gradient[free], prior, damping * self._diagonal[free])
         if step is None or not np.all(np.isfinite(step)):
             return None
-        change = np.zeros_like(self.gradient)
+        change = np.zeros_like(self._gradient)
         change[free] = step
         return change
 
-    def predicted_fall(self, change: Float[np.ndarray, " size"]) -> float:
-        image = self.jacobian @ change
-        curvature = image @ image + change @ (self.prior @ change)
-        return -float(self.gradient @ change + 0.5 * curvature)
+    def predicted_fall(self, change: Vector) -> float:
+        image = self._jacobian @ change
+        curvature = image @ image + change @ (self._prior @ change)
+        return -float(self._gradient @ change + 0.5 * curvature)
 
 
 def parameter_space_step(
-    jacobian: Float[np.ndarray, "p m"],
-    gradient: Float[np.ndarray, " m"],
-    prior: sp.csr_matrix,
-    shift: Float[np.ndarray, " m"],
-) -> Float[np.ndarray, " m"] | None:
+    jacobian: Float[np.ndarray, "p size"], gradient: Vector, prior: sp.csr_matrix, shift: Vector
+) -> Vector | None:
     """Solve (J^T J + prior + shift) step = -gradient by Cholesky; None if it breaks down."""
     matrix = jacobian.T @ jacobian
     coo = prior.tocoo()
@@ -111,19 +78,16 @@ def parameter_space_step(
 
 
 def data_space_step(
-    jacobian: Float[np.ndarray, "p m"],
-    gradient: Float[np.ndarray, " m"],
-    prior: sp.csr_matrix,
-    shift: Float[np.ndarray, " m"],
-) -> Float[np.ndarray, " m"] | None:
+    jacobian: Float[np.ndarray, "p size"], gradient: Vector, prior: sp.csr_matrix, shift: Vector
+) -> Vector | None:
     """Solve the same system through p x p matrices (Woodbury), for fewer data than parameters.
 
     With A = prior + shift, sparse: step = -A^-1 g + A^-1 J^T (1 + J A^-1 J^T)^-1 J A^-1 g, then
     refined against the system itself.
     """
     shift = np.maximum(shift, _MIN_SHIFT * shift.max())
-    solver, values = _sparse_part(prior, shift)
-    if not solver.factor(values):
+    solver = PriorSolver()
+    if not solver.factor(prior, shift):
         return None
     image = solver.solve(np.asfortranarray(jacobian.T))
     capacitance = jacobian @ image
@@ -141,16 +105,3 @@ def data_space_step(
             break
     # Refinement may stall at round-off, but must not have failed.
     return step if np.abs(residual).max() <= _MAX_RESIDUAL * np.abs(gradient).max() else None
-
-
-def _sparse_part(prior: sp.csr_matrix, shift: np.ndarray) -> tuple[Solver, np.ndarray]:
-    """Return an analysed solver and the stored values of prior + diagonal."""
-    coo = prior.tocoo()
-    pattern = SymmetricPattern.from_pairs(
-        len(shift), coo.row.astype(np.int64), coo.col.astype(np.int64)
-    )
-    values = np.zeros(pattern.nnz)
-    upper = coo.row <= coo.col
-    np.add.at(values, pattern.slots(coo.row[upper], coo.col[upper]), coo.data[upper])
-    values[pattern.diagonal] += shift
-    return analyse(pattern, "auto"), values

@@ -8,15 +8,14 @@ left-out data best, the L-curve (Hansen, 1998) the corner of misfit against prio
 size of the noise.
 """
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from tactorch.inverse.monitor import StopReason
 from tactorch.inverse.objective import Point
-from tactorch.inverse.optimizers.spectrum import Spectrum
+from tactorch.inverse.optimizers.spectrum import RULES, Spectrum
 
 # Factors of the weight per step: a leap, far from the data, and near the noise.
 _LEAP, _FAST, _SLOW = 0.1, 1.0 / 3.0, 0.6
@@ -26,12 +25,7 @@ _NEAR, _FAR, _LEAP_GAIN = 10.0, 100.0, 0.75
 #: Gain below which the weight has fallen too far for the last step.
 MIN_GAIN = 0.1
 _EXHAUSTED = 1e-12  # weight relative to the first below which the prior is exhausted
-_ENDS = (
-    None,
-    StopReason.FITTED,
-    StopReason.NOT_FITTED,
-    StopReason.WEIGHT_CHOSEN,
-)
+_ENDS = (None, StopReason.FITTED, StopReason.NOT_FITTED, StopReason.WEIGHT_CHOSEN)
 # Mean squared residual, once converged, that counts as the noise.
 _MIN_CHI2, _MAX_CHI2 = 0.9, 1.02
 _MAX_ROUNDS, _RAISE = 8, 3.0
@@ -43,93 +37,64 @@ _MAX_RAISE = 100.0
 _MAX_RATIO, _MARGIN = 0.9, 1.05
 # Largest change of a chosen weight per step; largest number of choices; change that ends them.
 _MAX_CHANGE, _MAX_CHOICES, _CHANGE_TOLERANCE = 3.0, 30, 1.2
-_DOMINANCE = 30.0
+_DOMINANCE = 30.0  # of the prior's trace over that of J^T J at the first weight
+# Attribute of the schedule for each number of its state.
+_STATE = {"weight": "weight", "first_weight": "first"} | {
+    f"weight_{name}": name
+    for name in ("rounds", "below", "above", "last", "before", "held", "leapt")
+}
 
 
 @dataclass
 class RegularizationSchedule:
-    """A weight that is lowered from step to step, or fixed.
-
-    Attributes:
-        weight: Present weight.
-        first: Weight at the start.
-        fixed: Whether the weight was given.
-        ended: Why the weight falls no further; None while it falls, or where it was given.
-        rule: Rule that chooses it: "discrepancy", "l_curve" or "gcv".
-        rounds: Weights tried since the first end, or choices by another rule.
-        below: Largest weight that overfitted once converged; zero if none did.
-        above: Smallest weight that misfitted once converged; infinite if none did.
-        last: Mean squared residual of the last iterate, if the weight was the same; else zero.
-        before: The same of the iterate before.
-        held: Whether the weight was kept because the last step had too small a gain.
-        leapt: Whether the weight has just fallen by a leap.
-    """
+    """A weight that is lowered from step to step, or fixed."""
 
     weight: float
-    first: float
-    fixed: bool
-    ended: StopReason | None = None
-    rule: str = "discrepancy"
-    rounds: int = 0
-    below: float = 0.0
-    above: float = np.inf
-    last: float = 0.0
-    before: float = 0.0
-    held: bool = False
-    leapt: bool = False
+    first: float  # weight at the start
+    fixed: bool  # the weight was given
+    ended: StopReason | None = None  # why the weight falls no further; None where it was given
+    rule: str = "discrepancy"  # or "l_curve", "gcv"
+    rounds: int = 0  # weights tried since the first end, or choices by another rule
+    below: float = 0.0  # largest weight that overfitted once converged
+    above: float = np.inf  # smallest weight that misfitted once converged
+    last: float = 0.0  # mean squared residual of the last iterate, if at this weight; else zero
+    before: float = 0.0  # that of the iterate before
+    held: bool = False  # the weight was kept because the last step had too small a gain
+    leapt: bool = False  # the weight has just fallen by a leap
 
     @staticmethod
     def start(
         point: Point,
-        state: dict[str, float],
+        state: Mapping[str, float],
         rule: str = "discrepancy",
         trace: float | None = None,
     ) -> "RegularizationSchedule":
         """Start from the given weight, a stored one, or one at which the prior dominates.
 
-        Args:
-            point: Start of the optimization; its objective holds the given weight.
-            state: What `state` has returned, or nothing.
-            rule: Rule that chooses the weight.
-            trace: Trace of J^T J, where the sensitivity matrix J is not formed.
+        `trace` is that of J^T J, where the sensitivity matrix J is not formed.
         """
         weight = point.objective.weight
         if weight is not None:
             return RegularizationSchedule(weight, weight, True)
-        if "weight" in state:
-            return RegularizationSchedule(
-                state["weight"],
-                state["first_weight"],
-                False,
-                _ENDS[int(state["ended"])],
-                rule,
-                int(state.get("weight_rounds", 0)),
-                state.get("weight_below", 0.0),
-                state.get("weight_above", np.inf),
-                state.get("weight_last", 0.0),
-                state.get("weight_before", 0.0),
-                bool(state.get("weight_held", 0.0)),
-                bool(state.get("weight_leapt", 0.0)),
-            )
-        first = dominating_weight(point, trace)
-        return RegularizationSchedule(first, first, fixed=first == 0.0, rule=rule)
+        if "weight" not in state:
+            prior, first = float(point.penalty_curvature.diagonal().sum()), 0.0
+            if prior > 0:  # there is a prior, and more than a single element, which has no jumps
+                if trace is None:
+                    trace = float(np.einsum("ij,ij->", point.jacobian, point.jacobian))
+                first = _DOMINANCE * (trace / prior)
+            return RegularizationSchedule(first, first, fixed=first == 0.0, rule=rule)
+        schedule = RegularizationSchedule(0.0, 0.0, False, _ENDS[int(state["ended"])], rule)
+        for key, name in _STATE.items():
+            default = getattr(schedule, name)
+            setattr(schedule, name, type(default)(state.get(key, default)))
+        return schedule
 
     def state(self) -> dict[str, float]:
         """Return the numbers to resume from; none where the weight was given."""
         if self.fixed:
             return {}
-        return {
-            "weight": self.weight,
-            "first_weight": self.first,
-            "ended": float(_ENDS.index(self.ended)),
-            "weight_rounds": float(self.rounds),
-            "weight_below": self.below,
-            "weight_above": self.above,
-            "weight_last": self.last,
-            "weight_before": self.before,
-            "weight_held": float(self.held),
-            "weight_leapt": float(self.leapt),
-        }
+        numbers = {key: float(getattr(self, name)) for key, name in _STATE.items()}
+        return {**numbers, "ended": float(_ENDS.index(self.ended))}
 
     @property
     def final(self) -> bool:
@@ -137,11 +102,9 @@ class RegularizationSchedule:
         return self.fixed or self.ended is not None
 
     def update(self, point: Point, gain: float = np.nan) -> None:
-        """Take the next weight by the rule, after a step.
+        """Take the next weight by the rule, after a step to this point.
 
-        Args:
-            point: End of the step.
-            gain: Fall of the objective over the predicted fall; NaN where the weight must not leap.
+        The gain is the fall of the objective over the predicted one; NaN forbids leaps.
         """
         chi2 = point.evaluation.chi2
         if self.rule == "discrepancy":
@@ -152,7 +115,7 @@ class RegularizationSchedule:
         if chi2 > _NEAR and self.weight >= _EXHAUSTED * self.first:
             self.weight *= _FAST  # far from the data, the linearised problem is uninformative
             return
-        spectrum = Spectrum.of(point)
+        spectrum = Spectrum.at(point)
         wanted = self.weight if spectrum is None else RULES[self.rule](spectrum)
         change = float(np.clip(wanted / self.weight, 1.0 / _MAX_CHANGE, _MAX_CHANGE))
         self.weight *= change
@@ -235,16 +198,13 @@ class RegularizationSchedule:
         return overfitted or min(chi2, limit) > _MAX_CHI2 * _MARGIN
 
 
-def warm_start_state(state: dict[str, float], growth: float) -> dict[str, float]:
+def warm_start_state(state: Mapping[str, float], growth: float) -> dict[str, float]:
     """Return the state of a schedule to continue from with more data; empty where it is of no use.
 
     A weight that fitted the data is kept, and lowered or raised from there; one chosen by another
     rule is chosen again. Uninformative data raise the weight without end: it starts no higher than
-    a hundred times one that dominates at a uniform map.
-
-    Args:
-        state: What `RegularizationSchedule.state` has returned, possibly among other numbers.
-        growth: Amount of data relative to when the weight was first taken.
+    a hundred times one that dominates at a uniform map. The amount of data is `growth` times that
+    at which the weight was first taken.
     """
     if not state or state.get("ended") == float(_ENDS.index(StopReason.NOT_FITTED)):
         return {}
@@ -255,47 +215,3 @@ def warm_start_state(state: dict[str, float], growth: float) -> dict[str, float]
         "first_weight": dominating,
         "ended": 0.0 if chosen else state["ended"],
     }
-
-
-def dominating_weight(point: Point, trace: float | None = None) -> float:
-    """Return a weight at which the prior dominates: thirty times the ratio of the traces.
-
-    Args:
-        point: Where.
-        trace: Trace of J^T J; by default from the sensitivity matrix.
-    """
-    prior = float(point.penalty_curvature.diagonal().sum())
-    if prior <= 0:  # no prior; or a single element, which has no jumps
-        return 0.0
-    if trace is None:
-        trace = float(np.einsum("ij,ij->", point.jacobian, point.jacobian))
-    return _DOMINANCE * (trace / prior)
-
-
-def gcv_score(spectrum: Spectrum, weights: Float[np.ndarray, " w"]) -> Float[np.ndarray, " w"]:
-    """Return the mean squared residual over (1 - freedom / data)^2 for each weight."""
-    left = 1.0 - spectrum.freedom(weights) / spectrum.n_data
-    return spectrum.misfits(weights) / spectrum.n_data / np.maximum(left, 1e-9) ** 2
-
-
-def gcv_weight(spectrum: Spectrum) -> float:
-    """Return the weight with the lowest score of generalised cross-validation."""
-    weights = spectrum.weights()
-    return float(weights[np.argmin(gcv_score(spectrum, weights))])
-
-
-def l_curve_weight(spectrum: Spectrum) -> float:
-    """Return the weight of largest curvature of log misfit against log prior."""
-    weights = spectrum.weights()
-    across, up = np.log(spectrum.misfits(weights)), np.log(spectrum.penalties(weights))
-    dx, dy = np.gradient(across), np.gradient(up)
-    ddx, ddy = np.gradient(dx), np.gradient(dy)
-    speed = np.maximum((dx * dx + dy * dy) ** 1.5, 1e-30)
-    curvature = (dy * ddx - dx * ddy) / speed
-    # Where the curve hardly moves, its curvature is round-off; the ends have none.
-    curvature[dx * dx + dy * dy < 1e-6] = -np.inf
-    inner = slice(2, -2)
-    return float(weights[inner][np.argmax(curvature[inner])])
-
-
-RULES: dict[str, Callable[[Spectrum], float]] = {"l_curve": l_curve_weight, "gcv": gcv_weight}

@@ -27,13 +27,8 @@ _TNC_REASONS = {
 class TNC(Optimizer):
     """The paper's truncated Newton with the adjoint gradient (Algorithm 1): SciPy's TNC.
 
-    It does not choose the weight of a prior: one that is not given counts as zero.
-
-    Attributes:
-        max_evaluations: Limit of solves of all presses; the paper's "iterations". A resumed
-            inversion includes its earlier ones.
-        ftol: Change of the objective at which to stop.
-        gtol: Projected gradient at which to stop.
+    It does not choose the weight of a prior: one that is not given counts as zero. The paper calls
+    evaluations "iterations"; those of a resumed inversion include its earlier ones.
     """
 
     max_evaluations: int = option(500, "Limit of solves of all presses", gt=0)
@@ -54,14 +49,7 @@ class TNC(Optimizer):
 
 @dataclass(frozen=True)
 class LBFGS(Optimizer):
-    """SciPy's L-BFGS-B (Byrd, Lu, Nocedal and Zhu, 1995), the prior's weight lowered in stages.
-
-    Attributes:
-        max_iterations: Limit over all stages.
-        stage_iterations: Iterations at one weight of the prior, where the weight is not given.
-        memory: Number of gradient pairs.
-        ftol: Relative change of the objective at which a stage ends.
-    """
+    """SciPy's L-BFGS-B (Byrd, Lu, Nocedal and Zhu, 1995), the prior's weight lowered in stages."""
 
     max_iterations: int = option(500, "Limit of iterations over all stages", gt=0)
     stage_iterations: int = option(40, "Iterations at one weight of the prior", gt=0)
@@ -93,32 +81,21 @@ class LBFGS(Optimizer):
         return schedule.ended
 
 
-@dataclass(eq=False)
 class _BoundedRun:
     """One run of `scipy.optimize.minimize` with the adjoint gradient.
 
     A map at which some press has no equilibrium gets a large value, so that line searches turn
     back. The lowest point is the monitor's best, however the run ends.
-
-    Attributes:
-        point: The start; then the lowest point so far.
-        monitor: Receives the records.
-        weight: Weight of the prior.
     """
 
-    point: Point
-    monitor: Monitor
-    weight: float
+    def __init__(self, point: Point, monitor: Monitor, weight: float) -> None:
+        self.point = point  # the lowest so far
+        self._latest, self._monitor, self._weight = point, monitor, weight
 
     def run(self, method: str, options: dict[str, Any]) -> Any:
-        """Minimise from `point`; return SciPy's result.
-
-        Raises:
-            StopOptimization: raised by the monitor.
-        """
-        objective, start = self.point.objective, self.point.x
-        self._latest = self.point
-        if not self.monitor.history:
+        """Minimise from the point; return SciPy's result."""
+        limits, start = self.point.objective.limits, self.point.x
+        if not self._monitor.history:
             self._report()
         try:
             return minimize(
@@ -126,42 +103,41 @@ class _BoundedRun:
                 start,
                 jac=True,
                 method=method,
-                bounds=np.column_stack(objective.limits),
-                callback=lambda _: self._report(),
+                bounds=np.column_stack(limits),
+                callback=self._report,
                 options=options,
             )
         finally:
-            if self.point is not self.monitor.point and self.point.x is not start:
+            if self.point is not self._monitor.point and self.point.x is not start:
                 self._keep()
 
     def _value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         near = self._latest
         if np.array_equal(near.x, x):
-            return near.value(self.weight), self._gradient(near)
-        self.monitor.check_time()
+            return near.value(self._weight), self._gradient(near)
+        self._monitor.check_time()
+        lowest = self.point.value(self._weight)
         try:
             point = near.objective.at(x.copy(), near)
             gradient = self._gradient(point)
         except ConvergenceError:
-            return _NO_EQUILIBRIUM * max(self._lowest, 1.0), self._gradient(near)
+            return _NO_EQUILIBRIUM * max(lowest, 1.0), self._gradient(near)
         self._latest = point
-        if point.value(self.weight) < self._lowest:
+        value = point.value(self._weight)
+        if value < lowest:
             self.point = point
-        return point.value(self.weight), gradient
-
-    @property
-    def _lowest(self) -> float:
-        return self.point.value(self.weight)
+        return value, gradient
 
     def _gradient(self, point: Point) -> np.ndarray:
-        return point.data_gradient + point.prior_gradient(self.weight)
+        return point.data_gradient + point.prior_gradient(self._weight)
 
-    def _report(self) -> None:
+    def _report(self, _: Any = None) -> None:
         """Report the lowest point, once per iteration."""
         self._keep()
-        self.monitor.check_time()
+        self._monitor.check_time()
 
     def _keep(self) -> None:
-        before = self.monitor.best
-        step = 0.0 if before is None else float(np.abs(self.point.x - before).max())
-        self.monitor.keep(self.point, objective=self._lowest, weight=self.weight, step=step)
+        before, point = self._monitor.best, self.point
+        step = 0.0 if before is None else float(np.abs(point.x - before).max())
+        value = point.value(self._weight)
+        self._monitor.keep(point, objective=value, weight=self._weight, step=step)

@@ -5,6 +5,7 @@ J L^-T = U S V^T everything is diagonal, and one decomposition serves all weight
 Wahba, 1979; Hansen, 1998).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,35 +22,23 @@ _DECADES, _PER_DECADE = 8, 8
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The linearised problem in the coordinates where it is diagonal.
+    """The linearised problem in the coordinates where it is diagonal."""
 
-    Attributes:
-        squares: Squared singular values S^2, k of them.
-        pull: S U^T r.
-        push: V^T L^-1 g.
-        misfit: |r|^2 at the point.
-        n_data: Number of data.
-    """
-
-    squares: Float[np.ndarray, " k"]
-    pull: Float[np.ndarray, " k"]
-    push: Float[np.ndarray, " k"]
-    misfit: float
+    squares: Float[np.ndarray, " k"]  # squared singular values S^2
+    pull: Float[np.ndarray, " k"]  # S U^T r
+    push: Float[np.ndarray, " k"]  # V^T L^-1 g
+    misfit: float  # |r|^2 at the point
     n_data: int
 
     @staticmethod
-    def of(point: Point) -> "Spectrum | None":
-        """Decompose at `point`, for the map alone; None where the prior cannot be factored."""
+    def at(point: Point) -> "Spectrum | None":
+        """Decompose at a point, for the map alone; None where the prior cannot be factored."""
         m = len(point.youngs)
-        return Spectrum.decomposed(
-            point.jacobian[:, :m],
-            point.evaluation.residuals,
-            point.penalty_curvature[:m, :m],
-            point.penalty_gradient[:m],
-        )
+        gradient, curvature = point.penalty_gradient[:m], point.penalty_curvature[:m, :m]
+        return Spectrum.of(point.jacobian[:, :m], point.evaluation.residuals, curvature, gradient)
 
     @staticmethod
-    def decomposed(
+    def of(
         jacobian: Float[np.ndarray, "p m"],
         residuals: Float[np.ndarray, " p"],
         curvature: sp.csr_matrix,
@@ -104,3 +93,32 @@ def _right_vectors(jacobian: np.ndarray, factor: np.ndarray) -> tuple[np.ndarray
     determined = values > 1e-12 * values[-1]
     vectors = scaled @ left[:, determined] / np.sqrt(values[determined])
     return values[determined], vectors
+
+
+def gcv_score(spectrum: Spectrum, weights: Float[np.ndarray, " w"]) -> Float[np.ndarray, " w"]:
+    """Return the mean squared residual over (1 - freedom / data)^2 for each weight."""
+    left = 1.0 - spectrum.freedom(weights) / spectrum.n_data
+    return spectrum.misfits(weights) / spectrum.n_data / np.maximum(left, 1e-9) ** 2
+
+
+def gcv_weight(spectrum: Spectrum) -> float:
+    """Return the weight with the lowest score of generalised cross-validation."""
+    weights = spectrum.weights()
+    return float(weights[np.argmin(gcv_score(spectrum, weights))])
+
+
+def l_curve_weight(spectrum: Spectrum) -> float:
+    """Return the weight of largest curvature of log misfit against log prior."""
+    weights = spectrum.weights()
+    across, up = np.log(spectrum.misfits(weights)), np.log(spectrum.penalties(weights))
+    dx, dy = np.gradient(across), np.gradient(up)
+    ddx, ddy = np.gradient(dx), np.gradient(dy)
+    speed = np.maximum((dx * dx + dy * dy) ** 1.5, 1e-30)
+    curvature = (dy * ddx - dx * ddy) / speed
+    # Where the curve hardly moves, its curvature is round-off; the ends have none.
+    curvature[dx * dx + dy * dy < 1e-6] = -np.inf
+    inner = slice(2, -2)
+    return float(weights[inner][np.argmax(curvature[inner])])
+
+
+RULES: dict[str, Callable[[Spectrum], float]] = {"l_curve": l_curve_weight, "gcv": gcv_weight}

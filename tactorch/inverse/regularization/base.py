@@ -6,17 +6,14 @@ tissues differ by factors.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
 
-from tactorch.config import Options, option
+from tactorch.config import Options, Registry, option
 from tactorch.mesh import TetMesh
-
-if TYPE_CHECKING:
-    from tactorch.inverse.regularization.jumps import JumpPenalty
 
 
 class Regularizer(ABC):
@@ -29,12 +26,13 @@ class Regularizer(ABC):
         gaussian: Whether the penalty is the negative logarithm of a Gaussian density, so that
             `curvature` is a constant precision matrix.
         mean: Log-moduli at the mean of that density, where it does not depend on the field.
-        variation: The penalty as total variation of the log-moduli, or None where it is not.
+        variation_edge: Jump below which total variation of the log-moduli is quadratic, where the
+            penalty is that, else None.
     """
 
     gaussian: bool = False
     mean: "Float[np.ndarray, ' m'] | None" = None
-    variation: "JumpPenalty | None" = None
+    variation_edge: float | None = None
 
     @abstractmethod
     def value(self, field: Float[np.ndarray, " m"]) -> float:
@@ -55,11 +53,7 @@ class Regularizer(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Prior(Options, ABC):
-    """Settings of a prior. A subclass adds its own settings and `on`.
-
-    Attributes:
-        weight: Weight of the penalty in the objective; None chooses it by the optimizer's rule.
-    """
+    """Settings of a prior. A subclass adds its own settings and `on`."""
 
     section: ClassVar[str] = "regularization"
     weight: float | None = option(
@@ -90,7 +84,6 @@ class Quadratic(Regularizer):
         level: float | None = 0.0,
         volumes: Float[np.ndarray, " m"] | None = None,
     ) -> None:
-        """Store the matrix and the level."""
         self._matrix, self._level, self._volumes = matrix.tocsr(), level, volumes
         if level is not None:
             self.mean = np.full(matrix.shape[0], level)
@@ -124,11 +117,34 @@ class NoPrior(Prior):
         return Quadratic(sp.csr_matrix((mesh.n_tets, mesh.n_tets)))
 
 
-def relative_volumes(mesh: TetMesh) -> Float[np.ndarray, " m"]:
-    """Return volumes of the elements over their mean."""
-    return mesh.volumes / mesh.volumes.mean()
+def jumps(mesh: TetMesh) -> sp.csr_matrix:
+    """Return the matrix that maps a field to its jumps across interior faces, (faces, m)."""
+    first, second = mesh.adjacency.pairs.T
+    faces, ones = np.arange(len(first)), np.ones(len(first))
+    entries = np.concatenate([ones, -ones])
+    places = np.concatenate([faces, faces]), np.concatenate([first, second])
+    return sp.csr_matrix((entries, places), shape=(len(first), mesh.n_tets))
 
 
-def log_level(level_mpa: float | None) -> float | None:
-    """Return the logarithm of a modulus (MPa); None stays None."""
-    return None if level_mpa is None else float(np.log(level_mpa))
+def relative(sizes: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return sizes over their mean, such as volumes of elements and areas of interior faces."""
+    return sizes / sizes.mean() if len(sizes) else sizes
+
+
+_HERE = "tactorch.inverse.regularization"
+#: Settings of the priors by name.
+PRIORS = Registry(
+    "regularization",
+    {
+        "none": f"{_HERE}.base:NoPrior",
+        "smoothness": f"{_HERE}.gaussian:Smoothness",
+        "total_variation": f"{_HERE}.sharp:TotalVariation",
+        "log_jumps": f"{_HERE}.sharp:LogJumps",
+        "tikhonov": f"{_HERE}.gaussian:Tikhonov",
+        "sparsity": f"{_HERE}.sharp:Sparsity",
+        "binary_well": f"{_HERE}.binary_well:BinaryWell",
+        "matern": f"{_HERE}.gaussian:Matern",
+        "composite": f"{_HERE}.combined:Composite",
+    },
+    "priors on the map",
+)

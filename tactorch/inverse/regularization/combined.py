@@ -11,7 +11,7 @@ from jaxtyping import Float
 from tactorch.config import REGISTRIES, option
 from tactorch.errors import ConfigError
 from tactorch.inverse.regularization.base import Prior, Regularizer
-from tactorch.inverse.regularization.jumps import TotalVariation
+from tactorch.inverse.regularization.sharp import TotalVariation
 from tactorch.mesh import TetMesh
 from tactorch.plain import plain
 
@@ -20,9 +20,8 @@ from tactorch.plain import plain
 class Composite(Prior):
     """Weighted sum of priors; the weight of the composite multiplies the sum.
 
-    Attributes:
-        parts: Priors by name. Each is a share, a table of settings, or a prior; the `weight` of a
-            part is its share of the sum, 1 by default.
+    Each part is a share, a table of settings, or a prior; the `weight` of a part is its share of
+    the sum, 1 by default.
     """
 
     parts: dict[str, Any] = option(
@@ -31,12 +30,7 @@ class Composite(Prior):
     )
 
     def __post_init__(self) -> None:
-        """Make the parts.
-
-        Raises:
-            ConfigError: there is no part, a name or a setting is unknown, or a share is not
-                positive.
-        """
+        """Make the parts."""
         super().__post_init__()
         if not self.parts:
             raise ConfigError("regularization.parts is empty; give {NAME: SHARE, ...}.")
@@ -59,14 +53,9 @@ def _make_part(name: str, value: Any) -> Prior:
 
 
 class CompositePenalty(Regularizer):
-    """Sum of share * penalty.
-
-    Args:
-        parts: Pairs of a share and a penalty.
-    """
+    """Sum of share * penalty, given by pairs of a share and a penalty."""
 
     def __init__(self, parts: Sequence[tuple[float, Regularizer]]) -> None:
-        """Store the parts."""
         self._parts = tuple(parts)
         self.gaussian = all(part.gaussian for _, part in self._parts)
 
@@ -88,16 +77,10 @@ class CompositePenalty(Regularizer):
 class ShiftedPrior(Prior):
     """A prior about a map: the inner prior of (log E - log mean) / deviation.
 
-    Levels of the inner prior are then levels of that difference.
-
-    Attributes:
-        prior: The inner prior.
-        mean_mpa: Map that is likely beforehand, such as a surrogate's prediction, (m,), MPa.
-        deviation: Standard deviation of each log-modulus about it, (m,); None for 1.
-        share: Share of the penalty that is about the map, above 0 to 1; the rest is the inner
-            prior without a mean. With total variation and one half, any fraction of the map's
-            jumps costs the same, and the data decide.
-        weight: Weight of the penalty; that of the inner prior by default.
+    Levels of the inner prior are then levels of that difference. The map is one that is likely
+    beforehand, such as a surrogate's prediction. With total variation and a share of one half, any
+    fraction of the map's jumps costs the same, and the data decide. The weight is by default that
+    of the inner prior.
     """
 
     prior: Prior = option(factory=TotalVariation, help="Inner prior", section="regularization")
@@ -106,11 +89,7 @@ class ShiftedPrior(Prior):
     share: float = option(1.0, "Share of the prior that is about the map", gt=0, le=1)
 
     def __post_init__(self) -> None:
-        """Copy and check the map.
-
-        Raises:
-            ConfigError: a mean or a deviation is not a vector of positive numbers.
-        """
+        """Copy and check the map."""
         for name in ("mean_mpa", "deviation"):
             if getattr(self, name) is not None:
                 values = np.array(getattr(self, name), dtype=np.float64)
@@ -130,11 +109,7 @@ class ShiftedPrior(Prior):
     __hash__ = None  # type: ignore[assignment]
 
     def on(self, mesh: TetMesh) -> Regularizer:
-        """Return the penalty on a mesh.
-
-        Raises:
-            ConfigError: the map belongs to another mesh.
-        """
+        """Return the penalty on a mesh."""
         for name in ("mean_mpa", "deviation"):
             values = getattr(self, name)
             if values is not None and values.shape != (mesh.n_tets,):
@@ -143,28 +118,22 @@ class ShiftedPrior(Prior):
                 )
         inner = self.prior.on(mesh)
         scale = np.ones(mesh.n_tets) if self.deviation is None else 1.0 / self.deviation
-        shifted = ShiftedPenalty(inner, np.log(self.mean_mpa), scale)
+        shifted = _ShiftedPenalty(inner, np.log(self.mean_mpa), scale)
         if self.share == 1:
             return shifted
         return CompositePenalty([(1.0 - self.share, inner), (self.share, shifted)])
 
 
-class ShiftedPenalty(Regularizer):
+class _ShiftedPenalty(Regularizer):
     """The inner penalty of scale * (f - mean).
 
     It has the capabilities of a Gaussian density, with its own mean, and never those of total
     variation of the log-moduli themselves.
-
-    Args:
-        inner: The inner penalty.
-        mean: Log-moduli of the map, (m,).
-        scale: One over the standard deviation of each log-modulus, (m,).
     """
 
     def __init__(
         self, inner: Regularizer, mean: Float[np.ndarray, " m"], scale: Float[np.ndarray, " m"]
     ) -> None:
-        """Store the inner penalty and the map."""
         self._inner, self._mean, self._scale = inner, mean, scale
         self.gaussian = inner.gaussian
         if inner.mean is not None:
@@ -174,14 +143,11 @@ class ShiftedPenalty(Regularizer):
         return self._scale * (field - self._mean)
 
     def value(self, field: Float[np.ndarray, " m"]) -> float:
-        """Return the penalty."""
         return self._inner.value(self._difference(field))
 
     def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the gradient of the penalty."""
         return self._scale * self._inner.gradient(self._difference(field))
 
     def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
-        """Return the curvature of the inner penalty by the log-moduli."""
         scale = sp.diags(self._scale)
         return (scale @ self._inner.curvature(self._difference(field)) @ scale).tocsr()

@@ -21,7 +21,7 @@ from tactorch.files import read_arrays, write_arrays
 from tactorch.generation import SampleSet
 from tactorch.inverse import Bounds, InverseProblem, NoiseModel
 from tactorch.inverse.linear_image import linear_image
-from tactorch.inverse.uniform import uniform_fit
+from tactorch.inverse.starts import uniform_fit
 from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.processes import single_thread
 from tactorch.recording import Press, Recording

@@ -21,8 +21,8 @@ from tactorch.inverse import (
     Settings,
     ShiftedPrior,
     homogeneous,
+    make_objective,
 )
-from tactorch.inverse.invert import make_objective
 from tactorch.inverse.starts import fits_better_than_uniform
 from tactorch.learning.surrogate.features import compute_features
 from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS, Surrogate, load_surrogate

@@ -71,7 +71,7 @@ class Ball(Options):
     """Ball, and the size of a pixel in its images."""
 
     radius_mm: float = option(help="Radius of the ball", unit="mm", ge=0.2, le=100)
-    mm_per_px: tuple[float, float] = option(help="Size of a pixel along x and y", unit="mm")
+    mm_per_px: tuple[float, float] = option(help="Size of a pixel along x and y", unit="mm", gt=0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

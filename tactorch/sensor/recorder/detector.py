@@ -75,7 +75,7 @@ class ContactDetector:
         """Yield each contact when it ends."""
         contact = ContactInterval(None)
         for frame in frames:
-            depth_mm = max_slope = float("nan")
+            depth = slope = float("nan")
             measurement = None
             if frame.image is not None and frame.usable:
                 if frame.time_s is None:
@@ -85,17 +85,14 @@ class ContactDetector:
                     )
                 time_s, measurement = frame.time_s, self.chain.measure_deformation(frame)
                 if measurement.height is not None:
-                    depth_mm, max_slope = measurement.height.depth_mm, measurement.height.max_slope
-            self.report(
-                FrameSummary(
-                    frame.index, frame.name, frame.time_s, depth_mm, max_slope, frame.fault
-                )
-            )
+                    depth, slope = measurement.height.depth_mm, measurement.height.max_slope
+            summary = FrameSummary(frame.index, frame.name, frame.time_s, depth, slope, frame.fault)
+            self.report(summary)
             if measurement is None:
                 continue
             if measurement.displacement is not None:
                 contact.times_s.append(time_s)
-                contact.depths_mm.append(depth_mm)
+                contact.depths_mm.append(depth)
                 stored = replace(frame, image=None)  # images and height maps fill the memory
                 contact.measurements.append(replace(measurement, frame=stored, height=None))
                 continue
@@ -112,10 +109,8 @@ class ContactDetector:
         return float(np.sqrt(self._squared_sum / self._count)) if self._count else None
 
     def _add_noise(self, measurement: Measurement) -> None:
-        reference_px = self.chain.tracker.reference_px
-        _, displacement = marker_displacements(
-            self.chain.sensor, reference_px, measurement.markers_px
-        )
+        sensor, reference_px = self.chain.sensor, self.chain.tracker.reference_px
+        _, displacement = marker_displacements(sensor, reference_px, measurement.markers_px)
         squares = displacement[:, :2] ** 2
         self._squared_sum += float(np.nansum(squares))
         self._count += int(np.isfinite(squares).sum())
