@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tactorch.errors import FileError, RecordingError
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.hdf5 import hdf5_image, write_attribute
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
@@ -73,8 +73,7 @@ def append_press(path: str | Path, press: Press) -> int:
             tail.begin, _MAX_SMALL_TAIL_BYTES
         ):
             image = _whole_image(reader, GROWING, press)
-            with atomic_path(path) as temporary:
-                temporary.write_bytes(image)
+            write_file(path, image)
             return count
     _write_at(Path(path), tail.end, record)
     return count
@@ -89,8 +88,7 @@ def compact(path: str | Path) -> None:
         if reader.tail is None:
             return
         image = _whole_image(reader, SAVED)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(image)
+    write_file(path, image)
 
 
 def read_presses(

@@ -6,7 +6,7 @@ from tactorch.inverse.invert import solution
 from tactorch.recording import Recording
 from tactorch.uncertainty.laplace import GaussianPosterior, LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
-from tactorch.uncertainty.variational import variational_posterior
+from tactorch.uncertainty.variational import has_variational_posterior, variational_posterior
 
 #: Errors of a posterior that cannot be computed; on large problems also of NumPy, torch, ARPACK.
 UNCOMPUTABLE = (TactorchError, MemoryError, RuntimeError)
@@ -37,7 +37,6 @@ def compute_posterior(
 def posterior_at(point: Point, weight: float) -> GaussianPosterior:
     """Return the posterior at a point of the objective, with this weight of the prior."""
     size = point.objective.size
-    total_variation = weight > 0 and point.objective.prior.variation_edge is not None
-    if total_variation and size <= MAX_VARIATIONAL:
+    if size <= MAX_VARIATIONAL and has_variational_posterior(point, weight):
         return variational_posterior(point, weight)
     return (LaplacePosterior if size <= MAX_DENSE else LowRankPosterior).at(point, weight)

@@ -87,6 +87,11 @@ class _Jumps:
         return np.sqrt((self.values + self.matrix @ step) ** 2 + np.maximum(of_jumps, 0.0))
 
 
+def has_variational_posterior(point: Point, weight: float) -> bool:
+    """Whether `variational_posterior` applies: total variation without a mean, of some weight."""
+    return weight > 0 and point.objective.prior.variation_edge is not None
+
+
 def variational_posterior(
     point: Point,
     weight: float,
