@@ -33,19 +33,12 @@ _MAX_SMALL_TAIL_BYTES = 1 << 20  # a smaller tail is never merged into the HDF5 
 
 @dataclass(frozen=True, eq=False)
 class RecordingContents:
-    """Content of a recording that may still grow.
+    """Content of a recording that may still grow."""
 
-    Attributes:
-        recording: The object with its valid presses; None where no press is valid.
-        presses: The valid presses that were read, by number from 0.
-        faults: Message for each invalid press, by number.
-        count: Number of presses in the file, valid or not.
-    """
-
-    recording: Recording | None
-    presses: Mapping[int, Press]
-    faults: Mapping[int, str]
-    count: int
+    recording: Recording | None  # the object with its valid presses; None where no press is valid
+    presses: Mapping[int, Press]  # the valid presses that were read, by number from 0
+    faults: Mapping[int, str]  # message for each invalid press, by number
+    count: int  # presses in the file, valid or not
 
 
 class OtherObjectError(RecordingError):
