@@ -12,7 +12,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from tactorch.cli.console import is_no_iteration, log, terminal_log
-from tactorch.files import write_text
+from tactorch.files import write_file
 from tactorch.findings.text import summarize_inclusion, summarize_plain
 from tactorch.sampling import LoopResult, Observer, Update
 
@@ -167,7 +167,7 @@ class Screen(Observer):
             picture=base64.b64encode(picture).decode("ascii"),
             refresh=reload,
         )
-        write_text(self._folder / PAGE, text)
+        write_file(self._folder / PAGE, text)
 
     def _refresh(self) -> None:
         if self._live is not None:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.resume import CHECKPOINT
 from tactorch.errors import FileError
-from tactorch.files import write_text
+from tactorch.files import write_file
 from tactorch.findings import find_lump
 from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import NuisanceEstimate, Reconstruction
@@ -47,7 +47,7 @@ def score_table(
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write strict JSON, NaN as null, whole or not at all."""
-    write_text(path, json.dumps(_strict(values), indent=2, allow_nan=False) + "\n")
+    write_file(path, json.dumps(_strict(values), indent=2, allow_nan=False) + "\n")
 
 
 def _strict(value: Any) -> Any:
@@ -85,7 +85,7 @@ def write_outputs(
     if recording.truth is not None:
         parts += ["", score_table(recording, {"reconstruction": reconstruction.youngs})[1]]
     texts = [part.text() if isinstance(part, Table) else part for part in parts]
-    write_text(out / "summary.txt", "\n".join(texts) + "\n")
+    write_file(out / "summary.txt", "\n".join(texts) + "\n")
     log_text("", *parts)
     if plots:
         for path in _draw(out, recording, reconstruction, others or {}):
