@@ -54,6 +54,12 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write text in UTF-8, whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def require_file(path: str | Path, what: str) -> Path:
     """Return `path` as a `Path`, or raise `FileError` naming it and `what` it should be."""
     source = Path(path)

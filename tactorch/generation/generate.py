@@ -12,7 +12,7 @@ from threading import Lock
 from typing import Any
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import atomic_path, checksum, read_json
+from tactorch.files import atomic_path, checksum, read_json, write_text
 from tactorch.generation.layout import (
     MANIFEST,
     MANIFEST_FORMAT,
@@ -253,8 +253,7 @@ def _reason(path: Path) -> str:
 
 
 def _write_json(path: Path, content: Any) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def _make(recipe: Recipe, index: int) -> tuple[int, bytes | None, str]:

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import atomic_path
+from tactorch.files import atomic_path, write_text
 
 LAST, BEST, CURVE = "last.ckpt", "best.ckpt", "curve.json"
 _Network = TypeVar("_Network", bound="Network")
@@ -89,8 +89,7 @@ class LossHistory(lightning.Callback):
         values = {k: float(v) for k, v in trainer.callback_metrics.items()}
         self.epochs = self.epochs[: trainer.current_epoch]
         self.epochs.append({"epoch": float(trainer.current_epoch), **values})
-        with atomic_path(self.path) as temporary:
-            temporary.write_text(json.dumps(self.epochs, indent=1) + "\n", encoding="utf-8")
+        write_text(self.path, json.dumps(self.epochs, indent=1) + "\n")
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state for the checkpoint."""
