@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.files import write_text
+from tactorch.files import write_file
 from tactorch.generation.recipe import LINEAR
 from tactorch.generation.sample import Sample
 from tactorch.generation.sampleset import SampleSet
@@ -19,7 +19,7 @@ _MAX_CARD_SAMPLES = 500
 def write_card(samples: SampleSet) -> Path:
     """Write card.md into the dataset's folder and return its path."""
     path = samples.folder / CARD
-    write_text(path, _text(samples, card_samples(samples)))
+    write_file(path, _text(samples, card_samples(samples)))
     return path
 
 

@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any
 
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.files import write_text
+from tactorch.files import write_file
 from tactorch.reproduce import credibility, depths, design, models, recognition, sampling, sizes
 from tactorch.reproduce.cases import ProgressCallback, run_cases
 
@@ -89,10 +89,10 @@ def reproduce(
             method = (module.__doc__ or "").strip()
             content = f"# {TITLES[exhibit]}\n\n{text}{missing}\n\n## Method\n\n{method}\n"
             written.append(out / f"{exhibit}.md")
-            write_text(written[-1], content)
+            write_file(written[-1], content)
     available = [name for name in EXHIBITS if (out / f"{name}.md").is_file()]
     links = "\n".join(f"- [{TITLES[name]}]({name}.md)" for name in available)
-    write_text(out / "README.md", f"# Tables and figures of the paper, reproduced\n\n{links}\n")
+    write_file(out / "README.md", f"# Tables and figures of the paper, reproduced\n\n{links}\n")
     if failures:
         raise TactorchError(
             f"{len(failures)} cases failed: {'; '.join(failures[:3])}. All others are stored;"
