@@ -19,8 +19,7 @@ from tactorch.inverse import (
     Tikhonov,
     monte_carlo,
 )
-from tactorch.inverse.regularization.binary_well import two_levels
-from tactorch.inverse.regularization.sharp import smoothed_median, weighted_median
+from tactorch.inverse.regularization.sharp import smoothed_median, two_levels, weighted_median
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import Recording
 
