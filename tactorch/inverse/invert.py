@@ -228,7 +228,6 @@ def _task_digest(recording: Recording, settings: Settings) -> str:
 
 
 def _describe_start(start: Start) -> float | str:
-    """Start as a plain value."""
     if callable(start):
         return getattr(start, "__name__", type(start).__name__)
     return "a map, one modulus per element" if np.ndim(start) else float(start)
