@@ -16,6 +16,7 @@ from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.inverse.regularization.base import Field, Prior, Regularizer, jumps, relative
 from tactorch.mesh import TetMesh
+from tactorch.metrics.segment import weighted_median
 
 _MAX_BISECTIONS, _LEVEL_TOLERANCE = 200, 1e-12
 _Function = Callable[[np.ndarray], np.ndarray]
@@ -178,13 +179,6 @@ class _BinaryWellPenalty(Regularizer):
         product, slope = self._product(field)
         convex = 2.0 * slope * slope + 4.0 * np.maximum(product, 0.0)
         return sp.diags(self.volumes * convex).tocsr()
-
-
-def weighted_median(field: Field, weights: Field) -> float:
-    """Return the value below which half of the weight is."""
-    order = np.argsort(field)
-    below = np.cumsum(weights[order])
-    return float(field[order][np.searchsorted(below, 0.5 * below[-1])])
 
 
 def smoothed_median(field: Field, weights: Field, edge: float) -> float:
