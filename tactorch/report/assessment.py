@@ -163,7 +163,7 @@ def _nuisance(run: Run, recording: Recording) -> Nuisance:
     values: dict[str, Any] = {k: estimate.value for k, estimate in run.result.nuisance.items()}
     for name in {"poisson", "force_scale"} & values.keys():
         values[name] = float(values[name][0])
-    return replace(Nuisance.assumed(recording), **values)
+    return replace(Nuisance(recording.material.poisson), **values)
 
 
 def noise_model(run: Run) -> NoiseModel:
