@@ -102,7 +102,8 @@ def describe(annotation: Any) -> str:
     if annotation in _NAMES:
         return _NAMES[annotation]
     if origin in (Union, types.UnionType):
-        return _join([describe(a) for a in arguments if a is not types.NoneType])
+        words = [describe(a) for a in arguments if a not in (bool, types.NoneType)]
+        return _join(["true", "false", *words] if bool in arguments else words)
     if origin is Literal:
         return _join([str(a) for a in arguments])
     if origin is tuple and arguments[-1] is not Ellipsis:

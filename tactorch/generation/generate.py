@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -115,7 +115,7 @@ class _Dataset:
         """Folder of the samples of unfinished shards."""
         return self.folder / PARTIAL
 
-    @property
+    @cached_property
     def shards(self) -> list[Path]:
         """Paths of all shards."""
         return [self.folder / shard_name(shard) for shard in range(self.recipe.shards)]

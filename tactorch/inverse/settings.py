@@ -93,7 +93,7 @@ def settings_from(config: Mapping[str, Any]) -> Settings:
         ConfigError: the settings are incomplete, unknown, or depend on a map that is not stored.
     """
     if not has_all_settings(config):
-        raise ConfigError("the prior was about a map that the result does not hold")
+        raise ConfigError("the mean of the prior is a map that the result does not store")
     try:
         values = dict(config["settings"])
         if "prior" in values:

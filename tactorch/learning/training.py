@@ -57,17 +57,22 @@ class TrainerOptions(Options):
             raise ConfigError("trainer=gpu needs a CUDA device, and torch sees none here.")
 
 
+def save_atomically(content: dict[str, Any], path: str | Path) -> None:
+    """Write content for `torch.load`; `torch.save` to a full disk would abort the process."""
+    memory = io.BytesIO()
+    torch.save(content, memory)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(memory.getvalue())
+
+
 class AtomicCheckpointIO(TorchCheckpointIO):
     """Writes checkpoints atomically."""
 
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None
     ) -> None:
-        """Write a checkpoint; `torch.save` to a full disk would abort the process."""
-        memory = io.BytesIO()
-        torch.save(checkpoint, memory)
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(memory.getvalue())
+        """Write a checkpoint; see `save_atomically`."""
+        save_atomically(checkpoint, path)
 
 
 class LossHistory(lightning.Callback):

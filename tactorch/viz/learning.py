@@ -19,11 +19,7 @@ _MAX_NAME = 24
 
 
 def samples_figure(samples: Sequence[Sample]) -> Figure:
-    """Return a figure of middle slices of some samples, and histograms of all.
-
-    Raises:
-        ConfigError: There is no sample.
-    """
+    """Return a figure of middle slices of some samples, and histograms of all."""
     if not samples:
         raise ConfigError("there is no sample to draw; generate some first.")
     shown = samples[:: max(1, len(samples) // _MAX_SAMPLES)][:_MAX_SAMPLES]

@@ -58,11 +58,7 @@ class Panel:
 
 
 def panels_figure(rows: Sequence[Sequence[Panel]], names: Sequence[str]) -> Figure:
-    """Return a figure of named rows of slices, with a colour bar if all have the same limits.
-
-    Raises:
-        ConfigError: There is no row, or one is empty.
-    """
+    """Return a figure of named rows of slices, with a colour bar if all have the same limits."""
     if not rows or not all(rows):
         raise ConfigError("panels_figure: a row is empty; give each at least one panel.")
     columns = max(len(row) for row in rows)
@@ -85,9 +81,6 @@ def boxes_figure(estimates: Mapping[float, Sequence[float]], *, title: str = "")
     """Return a figure with box plots of estimated by true depths, mm (Fig. 10 of the paper).
 
     Whiskers extend to the minimum and maximum; dots are samples.
-
-    Raises:
-        ConfigError: A depth has no estimate.
     """
     if not estimates or not all(estimates.values()):
         raise ConfigError("boxes_figure: a depth has no estimate.")
@@ -115,9 +108,6 @@ def matrices_figure(
     """Return a figure of matrices side by side (Fig. 11 of the paper).
 
     Matrices are given by title: values from 0 to 1, and names of rows and columns.
-
-    Raises:
-        ConfigError: There is no matrix.
     """
     if not matrices:
         raise ConfigError("matrices_figure: no matrix given.")

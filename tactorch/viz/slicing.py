@@ -127,9 +127,6 @@ def colour_scale(
     """Return a colour scale, "linear" or "log", of a "reconstruction" and, if known, its "truth".
 
     Limits, MPa, are computed from the values if None.
-
-    Raises:
-        ConfigError: The scale is unknown, or it cannot show the limits.
     """
     if scale not in ("linear", "log"):
         raise ConfigError(f"scale '{scale}' is not known; choose linear or log.")

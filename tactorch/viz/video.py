@@ -20,11 +20,7 @@ _CODECS = ((".mp4", "vp09"), (".mp4", "mp4v"), (".avi", "MJPG"))
 def writing_video(
     path: str | Path, rate_hz: float
 ) -> Iterator[Callable[[UInt8[np.ndarray, "h w 3"]], None]]:
-    """Provide a function that appends an RGB image to a video; the file appears at the end.
-
-    Raises:
-        FileError: There is no codec for the suffix, or the file cannot be written.
-    """
+    """Provide a function that appends an RGB image to a video; the file appears at the end."""
     import cv2
 
     writer: Any = None

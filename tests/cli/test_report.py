@@ -55,11 +55,11 @@ def test_a_prior_about_a_surrogates_map_is_made_again(tactorch: Any, recording_f
     assert "The surrogate's map is the mean of the prior" in done.out
     assert tactorch("report", "run").status == 0
     page = Path("run/report.html").read_text(encoding="utf-8")
-    assert "are left out" not in page
+    assert "Omitted: " not in page
     shutil.rmtree("run/.hydra")
     assert tactorch("report", "run").status == 0
     page = Path("run/report.html").read_text(encoding="utf-8")
-    assert "credibility and uncertainty are left out (the prior was about a map" in page
+    assert "Omitted: credibility and uncertainty (the mean of the prior is a map" in page
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"center": [1, 2]}, r"center=\[1, 2\]: give a list of three numbers: \[X,Y,Z\]."),
         ({"names": "z+"}, r"names='z\+': give a list of names: \[A,B\]."),
         ({"shares": {"a": "b"}}, "give a table of numbers"),
-        ({"flag": "yes"}, "flag='yes': give true or false or auto."),
+        ({"flag": "yes"}, "flag='yes': give true, false or auto."),
         ({"counts": 1}, "unknown setting 'counts'. Did you mean 'count'?"),
         ({"qqq": 1}, "unknown setting 'qqq'. Settings of this group: recording, count,"),
         ({"prior": {"name": "plain", "edge": 0}}, "prior.edge=0: give a number above 0."),

@@ -343,7 +343,7 @@ def test_a_report_goes_without_what_cannot_be_told(run_folder: Path, tmp_path: P
     page = page_of(
         dataclasses.replace(run, result=dataclasses.replace(run.result, config=config)), tmp_path
     )
-    assert "Omitted: credibility and uncertainty (the prior was about a map" in page
+    assert "Omitted: credibility and uncertainty (the mean of the prior is a map" in page
 
 
 def test_the_best_score_is_marked(run_folder: Path) -> None:

@@ -1,6 +1,5 @@
 """Surrogate: predicts mean and deviation of log-modulus from presses (Section VII)."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,10 +9,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import atomic_path
 from tactorch.learning.surrogate.features import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
 from tactorch.learning.surrogate.unet import PressUNet
-from tactorch.learning.training import Network, load_network, read_checkpoint
+from tactorch.learning.training import Network, load_network, read_checkpoint, save_atomically
 
 #: Weights of tactorch; surrogate.json states the data and settings of their training.
 INCLUDED_WEIGHTS = Path(__file__).with_name("surrogate.pt")
@@ -155,7 +153,4 @@ def export_weights(checkpoint: Path, path: Path) -> None:
         "state_dict": {name: values.half() for name, values in stored["state_dict"].items()},
         "hyper_parameters": stored["hyper_parameters"],
     }
-    memory = io.BytesIO()
-    torch.save(content, memory)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(memory.getvalue())
+    save_atomically(content, path)
