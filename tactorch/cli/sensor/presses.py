@@ -151,10 +151,7 @@ def write_report(
     # This table can be used as `labels`.
     circles = {p.name: c for p, c, _ in evaluated} | dict(circles)
     header = ("image", "center_x_px", "center_y_px", "radius_px")
-    rows = [
-        (name, *(f"{v:.2f}" for v in (*circle.center_px, circle.radius_px)))
-        for name, circle in circles.items()
-    ]
+    rows = [(n, *(f"{v:.2f}" for v in (*c.center_px, c.radius_px))) for n, c in circles.items()]
     write_table(folder / _CIRCLES, header, rows)
     plotted = [_plotted(item, images[item.press.name], ball) for item in evaluated]
     save_figure(ball_press_figure(plotted, title), folder / _PICTURE)
