@@ -12,7 +12,7 @@ from jaxtyping import Float
 from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.resume import CHECKPOINT
 from tactorch.errors import FileError
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.findings import find_lump
 from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import NuisanceEstimate, Reconstruction
@@ -47,8 +47,7 @@ def score_table(
 
 def write_text(path: Path, text: str) -> None:
     """Write text and a line break, whole or not at all."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_file(path, text + "\n")
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

@@ -111,7 +111,7 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     step(0)
     point = solution(recording, run.result, run.settings or settings_from(run.result.config))
     step(1)
-    metric = credibility(point.evaluation).values
+    metric = credibility(point.evaluation)
     step(2)
     posterior = posterior_at(point, run.result.history[-1].get("weight", 0.0))
     step(3)

@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from tactorch.errors import ConfigError
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.report.assessment import ProgressCallback, assess
 from tactorch.report.content import (
     RunReport,
@@ -55,8 +55,7 @@ def write_report(
         raise ConfigError(f"colours={colours} is unknown; choose one of {', '.join(COLOURS)}.")
     assessments = (assess(run, uncertainty=uncertainty, progress=progress) for run in runs)
     page = _render([RunReport(*pair) for pair in zip(runs, assessments, strict=True)], colours)
-    with atomic_path(out) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_file(out, page)
     if len(page) > _LARGE_BYTES:
         _log.warning("the report has %.0f MB because its meshes are large", len(page) / 1e6)
     return Path(out)

@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any
 
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.reproduce import credibility, depths, design, models, recognition, sampling, sizes
 from tactorch.reproduce.cases import ProgressCallback, run_cases
 
@@ -101,6 +101,5 @@ def reproduce(
 
 
 def _write(path: Path, text: str) -> Path:
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_file(path, text)
     return path

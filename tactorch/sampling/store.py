@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tactorch.errors import FileError
-from tactorch.files import atomic_path, read_arrays, write_arrays
+from tactorch.files import read_arrays, write_arrays, write_file
 from tactorch.sampling.sources import Arrival
 
 STATE, HISTORY, RESULT = "state.npz", "history.jsonl", "reconstruction.h5"
@@ -37,8 +37,7 @@ class Store:
         texts |= {"history": lines, "task": [self._task]}
         arrays = {name: np.array(values, dtype=str) for name, values in texts.items()}
         write_arrays(self.folder / STATE, {**arrays, **state})
-        with atomic_path(self.folder / HISTORY) as path:
-            path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        write_file(self.folder / HISTORY, "".join(f"{line}\n" for line in lines))
 
     def load(self) -> tuple[dict[str, np.ndarray], dict[str, str], list[dict[str, Any]]] | None:
         """Return state, digests of the presses by key, and history; None if the folder has none."""

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from tactorch.config import option
 from tactorch.inverse.regularization.base import Prior, Regularizer, jumps, relative
 from tactorch.mesh import TetMesh
+from tactorch.metrics.segment import weighted_median
 
 _MAX_BISECTIONS, _LEVEL_TOLERANCE = 200, 1e-12
 _Function = Callable[[np.ndarray], np.ndarray]
@@ -126,13 +127,6 @@ class Sparsity(Prior):
 
         matrix = sp.identity(mesh.n_tets, format="csr")
         return _ReweightedPenalty(matrix, volumes, *_smoothed_size(self.edge), level)
-
-
-def weighted_median(field: Float[np.ndarray, " m"], weights: Float[np.ndarray, " m"]) -> float:
-    """Return the value below which half of the weight is."""
-    order = np.argsort(field)
-    below = np.cumsum(weights[order])
-    return float(field[order][np.searchsorted(below, 0.5 * below[-1])])
 
 
 def smoothed_median(
