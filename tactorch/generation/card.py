@@ -17,11 +17,7 @@ _MAX_CARD_SAMPLES = 500
 
 
 def write_card(samples: SampleSet) -> Path:
-    """Write card.md into the dataset's folder and return its path.
-
-    Raises:
-        FileError: A shard is missing or damaged, or the folder cannot be written.
-    """
+    """Write card.md into the dataset's folder and return its path."""
     path = samples.folder / CARD
     write_file(path, _text(samples, card_samples(samples)))
     return path

@@ -88,18 +88,14 @@ def reproduce(
                 continue
             method = (module.__doc__ or "").strip()
             content = f"# {TITLES[exhibit]}\n\n{text}{missing}\n\n## Method\n\n{method}\n"
-            written.append(_write(out / f"{exhibit}.md", content))
+            written.append(out / f"{exhibit}.md")
+            write_file(written[-1], content)
     available = [name for name in EXHIBITS if (out / f"{name}.md").is_file()]
     links = "\n".join(f"- [{TITLES[name]}]({name}.md)" for name in available)
-    _write(out / "README.md", f"# Tables and figures of the paper, reproduced\n\n{links}\n")
+    write_file(out / "README.md", f"# Tables and figures of the paper, reproduced\n\n{links}\n")
     if failures:
         raise TactorchError(
             f"{len(failures)} cases failed: {'; '.join(failures[:3])}. All others are stored;"
             " repeat the command to try these again."
         )
     return written
-
-
-def _write(path: Path, text: str) -> Path:
-    write_file(path, text)
-    return path
