@@ -70,7 +70,6 @@ TET10 = _quadratic()
 ELEMENTS = Registry(
     "element",
     {"tet4": "tactorch.fem.elements:TET4", "tet10": "tactorch.fem.elements:TET10"},
-    "finite elements",
 )
 
 

@@ -159,5 +159,4 @@ _HERE = "tactorch.inverse.parameterization"
 PARAMETERIZATIONS = Registry(
     "parameterization",
     {"log": f"{_HERE}:Log", "scaled": f"{_HERE}:Scaled", "identity": f"{_HERE}:Identity"},
-    "parameters of the map",
 )

@@ -23,7 +23,6 @@ SOLVERS = Registry(
         "multigrid": "tactorch.linalg.multigrid:Multigrid",
         "torch_cg": "tactorch.linalg.torch_cg:TorchCG",
     },
-    "linear solvers",
 )
 
 # The factors of 3-D meshes grow as n^(4/3): beyond these sizes iteration is cheaper.

@@ -148,7 +148,6 @@ FAMILIES = Registry(
         "recognition": "tactorch.phantoms.families:RecognitionFamily",
         "inclusions": "tactorch.phantoms.families:InclusionsFamily",
     },
-    "Families of random phantoms",
 )
 
 

@@ -33,7 +33,6 @@ RULES = Registry(
         "random": f"{_HERE}:Random",
         "none": f"{_HERE}:NoSuggestion",
     },
-    "rules that choose the next press",
 )
 #: Derivatives of a press's data by the parameters, in standard deviations of the noise.
 Jacobian: TypeAlias = Float[np.ndarray, "data m"]

@@ -13,11 +13,11 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.outputs import write_json, write_text
+from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.inputs import FrameSequence
 from tactorch.cli.sensor.options import PictureSettings
 from tactorch.cli.settings import run_folder
-from tactorch.files import atomic_path, write_arrays
+from tactorch.files import atomic_path, write_arrays, write_file
 from tactorch.sensor.frames import Frame
 from tactorch.text import one_line
 from tactorch.viz.figure import save_figure
@@ -99,7 +99,7 @@ class RunFiles:
     def write_summary(self, values: Mapping[str, Any], lines: Sequence[str]) -> None:
         """Write a summary as JSON and as text, and log the text."""
         write_json(self.folder / _SUMMARY, values)
-        write_text(self.folder / _TEXT, "\n".join(lines))
+        write_file(self.folder / _TEXT, "\n".join(lines) + "\n")
         log.info("%s", "\n".join(lines))
 
     def draw(

@@ -17,7 +17,6 @@ MATERIALS = Registry(
         "isochoric_neo_hookean": f"{_ISOTROPIC}:IsochoricNeoHookean",
         "mooney_rivlin": f"{_ISOTROPIC}:MooneyRivlin",
     },
-    "hyperelastic materials",
 )
 
 

@@ -146,5 +146,4 @@ PRIORS = Registry(
         "matern": f"{_HERE}.gaussian:Matern",
         "composite": f"{_HERE}.combined:Composite",
     },
-    "priors on the map",
 )

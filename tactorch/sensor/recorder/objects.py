@@ -23,7 +23,6 @@ OBJECTS = Registry(
         "mesh": "tactorch.sensor.recorder.objects:MeshObject",
         "virtual_cube": "tactorch.sensor.recorder.objects:VirtualCube",
     },
-    "objects that are pressed by a sensor",
 )
 
 
