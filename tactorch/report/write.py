@@ -39,7 +39,7 @@ def write_report(
     colours: str = "viridis",
     progress: ProgressCallback | None = None,
 ) -> Path:
-    """Write a self-contained HTML file that needs neither a server nor a network.
+    """Write a self-contained HTML file that needs no server or network; return its path.
 
     Args:
         runs: One inversion, or several to compare; see `load_run`.
@@ -48,13 +48,6 @@ def write_report(
         colours: Initial colour map: "viridis", "cividis" or "ultrasound" (grey); the page has a
             control for it.
         progress: Called before each step of a long computation.
-
-    Returns:
-        The path.
-
-    Raises:
-        ConfigError: There is no run, or the colour map is unknown.
-        FileError: The file cannot be written.
     """
     if not runs:
         raise ConfigError("write_report: no run given; pass at least one.")

@@ -33,22 +33,14 @@ class Store:
     ) -> None:
         """Write the state and the history, one JSON object a line."""
         lines = [json.dumps(entry, allow_nan=False) for entry in history]
-        texts = {
-            "keys": [arrival.key for arrival in arrivals],
-            "marks": [arrival.digest for arrival in arrivals],
-            "history": lines,
-            "task": [self._task],
-        }
+        texts = {"keys": [a.key for a in arrivals], "marks": [a.digest for a in arrivals]}
+        texts |= {"history": lines, "task": [self._task]}
         arrays = {name: np.array(values, dtype=str) for name, values in texts.items()}
         write_arrays(self.folder / STATE, {**arrays, **state})
         write_file(self.folder / HISTORY, "".join(f"{line}\n" for line in lines))
 
     def load(self) -> tuple[dict[str, np.ndarray], dict[str, str], list[dict[str, Any]]] | None:
-        """Return state, digests of the presses by key, and history; None if the folder has none.
-
-        Raises:
-            FileError: the state cannot be read, or is of a run with other settings.
-        """
+        """Return state, digests of the presses by key, and history; None if the folder has none."""
         path = self.folder / STATE
         if not path.exists():
             return None
