@@ -36,9 +36,8 @@ from machine import peak_gib
 
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.inverse import InverseProblem, NewtonCG, Settings, best_uniform, homogeneous, invert
-from tactorch.mesh import TetMesh
+from tactorch.mesh import TetMesh, locate
 from tactorch.mesh.geometry import signed_volumes
-from tactorch.mesh.locate import locate
 from tactorch.metrics import find_inclusion, position_error_mm, scores
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.simulation.transfer import Transfer

@@ -54,6 +54,12 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+def write_file(path: str | Path, content: str | bytes) -> None:
+    """Write a file, whole or not at all; text is written in UTF-8."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
 def require_file(path: str | Path, what: str) -> Path:
     """Return `path` as a `Path`, or raise `FileError` naming it and `what` it should be."""
     source = Path(path)
@@ -85,8 +91,7 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compressed: boo
 
     memory = io.BytesIO()  # an archive on a full disk fails again from its destructor
     (np.savez_compressed if compressed else np.savez)(memory, allow_pickle=False, **arrays)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(memory.getvalue())
+    write_file(path, memory.getvalue())
 
 
 def read_arrays(

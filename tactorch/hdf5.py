@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactorch.errors import FileError, TactorchError
-from tactorch.files import atomic_path, require_file
+from tactorch.files import require_file, write_file
 
 if TYPE_CHECKING:
     import h5py
@@ -52,9 +52,7 @@ def hdf5_image(write: Callable[["h5py.File"], None], image: bytes = b"") -> byte
 
 def write_hdf5(path: str | Path, write: Callable[["h5py.File"], None]) -> None:
     """Write an HDF5 file, whole or not at all."""
-    image = hdf5_image(write)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(image)
+    write_file(path, hdf5_image(write))
 
 
 def write_attribute(group: "h5py.Group", name: str, value: str | int | float) -> None:

@@ -13,7 +13,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, type | FunctionType):
         return f"{value.__module__}.{value.__qualname__}"
     if is_dataclass(value):
-        return plain_fields(value)
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -22,10 +22,3 @@ def plain(value: Any) -> Any:
         digest = sha256(np.ascontiguousarray(value).tobytes()).hexdigest()[:16]
         return f"{value.dtype} array {list(value.shape)}, sha256 {digest}..."
     return value if isinstance(value, str | int | float | bool | None) else str(value)
-
-
-def plain_fields(value: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass as plain values; of another object, nothing is known."""
-    if not is_dataclass(value) or isinstance(value, type):
-        return {}
-    return {field.name: plain(getattr(value, field.name)) for field in fields(value)}

@@ -37,7 +37,7 @@ GROUPS = {
         "reconstruct": "depth of the gel's surface in each frame",
         "force": "force on the gel in each frame: resultant and distribution",
         "record": "frames and poses of a session into a recording, to invert",
-    },
+    }
 }
 #: Verbs without settings: their modules have the text `HELP`.
 PLAIN = ("doctor", "completion")

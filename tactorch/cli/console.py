@@ -10,7 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -70,12 +70,10 @@ def is_rich(stream: Any = None) -> bool:
 
 def show(table: Table) -> None:
     """Print a table."""
-    try:
+    with suppress(ImportError):  # `tactorch doctor` is run just where packages are missing
         if is_rich():
             table.draw()
             return
-    except ImportError:  # `tactorch doctor` is run just where packages are missing
-        pass
     print(table.text())
 
 

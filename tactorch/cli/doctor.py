@@ -68,9 +68,8 @@ def _print_findings(findings: Sequence[Finding], core_works: bool) -> None:
     failures = [(f.name, f.feature, f.remedy) for f in findings if f.works is False]
     print()
     if failures:
-        print(
-            "Not working, what that takes away, and what to do; the first may be why others fail:"
-        )
+        title = "Not working, what that takes away, and what to do"
+        print(f"{title}; the first may be why others fail:")
         show(Table(("",) * 3, failures, 3))
         print()
     if not core_works:

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactorch.cli.console import log
-from tactorch.cli.outputs import write_json, write_text
+from tactorch.cli.outputs import write_json
 from tactorch.cli.report import with_settings
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
 from tactorch.errors import FileError
+from tactorch.files import write_file
 from tactorch.findings import Finding, build_finding
 from tactorch.inverse import settings_from
 from tactorch.recording import Recording
@@ -63,7 +64,7 @@ def run(options: FindOptions) -> Finding:
         text += f"\nOf the shapes that the recognizer knows it looks like: {shapes}."
     out = options.out or folder
     write_json(out / "finding.json", values)
-    write_text(out / "finding.txt", text)
+    write_file(out / "finding.txt", f"{text}\n")
     log.info("%s", text)
     return finding
 

@@ -58,7 +58,7 @@ def check(
         return Finding(part, name, False, _reason(error), feature, remedy, core)
 
 
-def _reason(error: BaseException) -> str:
+def _reason(error: Exception) -> str:
     """Return an error as one line."""
     text, kind = " ".join(str(error).split()), type(error).__name__
     return text if isinstance(error, TactorchError) else f"{kind}: {text}" if text else kind

@@ -12,7 +12,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from tactorch.cli.console import is_no_iteration, log, terminal_log
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.findings.text import summarize_inclusion, summarize_plain
 from tactorch.sampling import LoopResult, Observer, Update
 
@@ -167,8 +167,7 @@ class Screen(Observer):
             picture=base64.b64encode(picture).decode("ascii"),
             refresh=reload,
         )
-        with atomic_path(self._folder / PAGE) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_file(self._folder / PAGE, text)
 
     def _refresh(self) -> None:
         if self._live is not None:

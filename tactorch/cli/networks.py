@@ -24,10 +24,8 @@ REMEDY = "restore it, or train again."
 _HERE = "tactorch.cli.networks"
 _NETWORKS = {"recognizer": "RecognizerOptions", "surrogate": "SurrogateOptions"}
 _DATA = {"recognition": "RecognitionDataOptions", "warmstart": "SurrogateDataOptions"}
-#: Networks by name.
-MODELS = Registry("model", {n: f"{_HERE}:{c}" for n, c in _NETWORKS.items()}, "networks")
-#: Data modules by name.
-DATA = Registry("data", {n: f"{_HERE}:{c}" for n, c in _DATA.items()}, "data to learn from")
+MODELS = Registry("model", {n: f"{_HERE}:{c}" for n, c in _NETWORKS.items()})
+DATA = Registry("data", {n: f"{_HERE}:{c}" for n, c in _DATA.items()})
 
 
 class DataUse(NamedTuple):

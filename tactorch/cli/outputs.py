@@ -12,7 +12,7 @@ from jaxtyping import Float
 from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.resume import CHECKPOINT
 from tactorch.errors import FileError
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.findings import find_lump
 from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import NuisanceEstimate, Reconstruction
@@ -45,15 +45,9 @@ def score_table(
     return values, Table(["", *values], rows)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write text and a line break, whole or not at all."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
-
-
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write strict JSON, NaN as null, whole or not at all."""
-    write_text(path, json.dumps(_strict(values), indent=2, allow_nan=False))
+    write_file(path, json.dumps(_strict(values), indent=2, allow_nan=False) + "\n")
 
 
 def _strict(value: Any) -> Any:
@@ -91,7 +85,7 @@ def write_outputs(
     if recording.truth is not None:
         parts += ["", score_table(recording, {"reconstruction": reconstruction.youngs})[1]]
     texts = [part.text() if isinstance(part, Table) else part for part in parts]
-    write_text(out / "summary.txt", "\n".join(texts))
+    write_file(out / "summary.txt", "\n".join(texts) + "\n")
     log_text("", *parts)
     if plots:
         for path in _draw(out, recording, reconstruction, others or {}):

@@ -7,6 +7,7 @@ settings: nothing in them reaches Hydra's own settings, by which a file could ru
 import importlib.util
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -105,14 +106,9 @@ def read_experiments(
 
 def _leading_comment(path: Path) -> str:
     """Return the comment lines of a file that stand before its first setting."""
-    lines = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if line.startswith("# @package"):
-            continue
-        if not line.startswith("#"):
-            break
-        lines.append(line.lstrip("# "))
-    return " ".join(lines)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comment = takewhile(lambda line: line.startswith("#"), lines)
+    return " ".join(line.lstrip("# ") for line in comment if not line.startswith("# @package"))
 
 
 def check_plain(folder: Path) -> None:

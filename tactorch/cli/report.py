@@ -48,11 +48,9 @@ def run(options: ReportOptions) -> Path:
         moved = options.recording if folder is folders[0] else None
         run = load_run(folder, name=name, recording=moved, check_units=options.check_units)
         if run.missing:
+            lacks = "the report lacks truth, presses and uncertainty"
             log.warning(
-                "%s: the report lacks truth, presses and uncertainty: %s Give recording=FILE.h5 if "
-                "it was moved.",
-                run.name,
-                run.missing,
+                "%s: %s: %s Give recording=FILE.h5 if it was moved.", run.name, lacks, run.missing
             )
         runs.append(with_settings(run))
     complete = [run for run in runs if run.recording is not None]

@@ -9,13 +9,12 @@ A run that was stopped or killed continues where it was when the same command is
 exhibit gets a CSV file, a Markdown file and a picture.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from tactorch.cli.console import ProgressCallback, log, progress
+from tactorch.cli.console import log, progress
 from tactorch.cli.settings import CommandOptions
 from tactorch.config import option, to_mapping
 from tactorch.reproduce import reproduce
@@ -40,13 +39,8 @@ def run(options: ReproduceOptions) -> list[Path]:
     """Make the exhibits."""
     sizes = to_mapping(options.size)
     out = options.out or Path("outputs") / "reproduce" / sizes.pop("name")
-    written = reproduce(options.exhibit, sizes, out, workers=options.workers, progress=_progress)
+    bar = partial(progress, items="cases")
+    written = reproduce(options.exhibit, sizes, out, workers=options.workers, progress=bar)
     for path in written:
         log.info("%s", path)
     return written
-
-
-@contextmanager
-def _progress(study: str) -> Iterator[ProgressCallback]:
-    with progress(study, "cases") as update:
-        yield update

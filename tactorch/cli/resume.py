@@ -90,8 +90,7 @@ def saved_options(command: str, run: Path) -> Any:
     content = _load(path)
     if not isinstance(content, dict):
         raise FileError(f"'{path}' does not hold a run's settings; start the run again.")
-    reference = PROGRAM.search(path.read_text(encoding="utf-8"))
-    if reference is not None:
+    if reference := PROGRAM.search(path.read_text(encoding="utf-8")):
         raise FileError(
             f"'{path}' holds '{reference[0]}', which is no plain value; remove it, or start the "
             "run again."

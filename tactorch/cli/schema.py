@@ -25,7 +25,7 @@ from tactorch.config.options import plain_value
 from tactorch.config.registry import NO_VALUE
 from tactorch.config.values import leaf_types
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import atomic_path, cache_folder, require_folder
+from tactorch.files import cache_folder, require_folder, write_file
 
 
 def app_name(command: str) -> str:
@@ -116,9 +116,7 @@ def load_schema(command: str) -> Schema:
         for outdated in path.parent.glob(f"{app_name(command)}-*.json"):
             if len(outdated.name) == len(path.name):
                 outdated.unlink(missing_ok=True)
-        with atomic_path(path) as temporary:
-            stored = json.dumps({**content, "extensions": _extension_keys()})
-            temporary.write_text(stored, encoding="utf-8")
+        write_file(path, json.dumps({**content, "extensions": _extension_keys()}))
     return Schema(**content)
 
 

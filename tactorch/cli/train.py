@@ -68,14 +68,12 @@ def split_folder(run: Path, number: int, splits: int) -> Path:
 
 def _train_split(options: TrainOptions, number: int, folder: Path) -> dict[str, float]:
     """Train on one split, unless its training is complete; return its scores."""
-    scores: dict[str, float]
     done, mapping = folder / "split.json", to_mapping(options)
     settings = {name: mapping[name] for name in ("model", "data", "trainer", "seed")}
     if options.resume is not None and done.is_file():
         stored = read_json(done, "scores of a split", REMEDY, "settings", "scores")
         if stored["settings"] == settings:
-            scores = stored["scores"]
-            return scores
+            return dict(stored["scores"])
     data = options.make_data(number)
     if options.resume is not None:
         check_data(folder, data)

@@ -35,8 +35,7 @@ def options_from_arguments(
     """
     hints = get_type_hints(function.__init__ if inspect.isclass(function) else function)
     documentation = inspect.getdoc(function) or ""
-    help_texts = _argument_help(documentation)
-    fields = []
+    help_texts, fields = _argument_help(documentation), []
     for name, parameter in inspect.signature(function).parameters.items():
         if name not in without:
             empty = parameter.default is inspect.Parameter.empty

@@ -149,14 +149,8 @@ class Setting:
     def check(self, value: Any, prefix: str = "") -> Any:
         """Return the value converted to the setting's type.
 
-        Names and tables of settings with a section or of nested settings become objects.
-
-        Args:
-            value: Value to check.
-            prefix: Section that the setting belongs to, for the message.
-
-        Raises:
-            ConfigError: the value is of another type or out of range.
+        Names and tables of settings with a section or of nested settings become objects. Messages
+        name the setting `prefix.name`.
         """
         name = f"{prefix}.{self.name}" if prefix else self.name
         if self.constraint.section in REGISTRIES:
@@ -184,11 +178,7 @@ class Options:
     section: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
-        """Check and convert every field.
-
-        Raises:
-            ConfigError: a value is of another type than its field, or out of range.
-        """
+        """Check and convert every field; raises `ConfigError` for a bad value."""
         for setting in settings_of(type(self)):
             value = getattr(self, setting.name)
             object.__setattr__(self, setting.name, setting.check(value, self.section))
@@ -228,17 +218,12 @@ def settings_of(options: type) -> tuple[Setting, ...]:
 
 @cache
 def _settings(options: Any) -> tuple[Setting, ...]:
-    hints = get_type_hints(options)
-    return tuple(
-        Setting(
-            f.name,
-            hints[f.name],
-            f.default if f.default_factory is MISSING else f.default_factory(),
-            f.metadata[_KEY],
-        )
-        for f in fields(options)
-        if _KEY in f.metadata
-    )
+    hints, settings = get_type_hints(options), []
+    for f in fields(options):
+        if _KEY in f.metadata:
+            default = f.default if f.default_factory is MISSING else f.default_factory()
+            settings.append(Setting(f.name, hints[f.name], default, f.metadata[_KEY]))
+    return tuple(settings)
 
 
 def to_mapping(options: Any) -> dict[str, Any]:

@@ -26,11 +26,10 @@ class Registry:
     Args:
         section: Name of the kind, and of the settings' group, such as "regularization".
         builtin: Import path "module:attribute" of each built-in component.
-        about: Description of the components.
     """
 
-    def __init__(self, section: str, builtin: Mapping[str, str], about: str = "") -> None:
-        self.section, self.about = section, about
+    def __init__(self, section: str, builtin: Mapping[str, str]) -> None:
+        self.section = section
         self._paths = dict(builtin)
         self._added: dict[str, Any] = {}
         REGISTRIES[section] = self
@@ -53,22 +52,14 @@ class Registry:
         return name in self.names()
 
     def register(self, name: str, component: Any) -> Any:
-        """Add a component for this process, and return it.
-
-        Raises:
-            ConfigError: there is a component of this name.
-        """
+        """Add a component for this process under a name that is free, and return it."""
         if name in self:
             raise ConfigError(f"{self.section} '{name}' exists; give the component another name.")
         self._added[name] = component
         return component
 
     def __getitem__(self, name: str) -> Any:
-        """Import and return a component.
-
-        Raises:
-            ConfigError: the name is unknown, or the package that provides it cannot be imported.
-        """
+        """Import and return a component."""
         if name in self._paths:
             module, _, attribute = self._paths[name].partition(":")
             return getattr(import_module(module), attribute)

@@ -32,9 +32,6 @@ class SoftBody:
         solver: Linear solver, by name or by its settings; see `tactorch.linalg.SOLVERS`.
         newton: Settings of the equilibrium search.
 
-    Raises:
-        ConfigError: The element type is unknown.
-
     Example:
         >>> body = SoftBody(mesh, NeoHookean(0.45))
         >>> push = body.pressure("z+", 0.01)
@@ -117,9 +114,6 @@ class SoftBody:
             after: Search with a similar tangent whose factorisation is reused, so that the first
                 steps need no factorisation and large meshes memory for one only. The search
                 `after` then has to factor again.
-
-        Raises:
-            ConfigError: A shape or value cannot be used.
         """
         self._check(youngs, forces)
         return Newton(
@@ -135,11 +129,7 @@ class SoftBody:
     def with_parameters(
         self, poisson: float | Float[np.ndarray, " m"], points: Float[np.ndarray, "n 3"]
     ) -> Assembly:
-        """Return the body's assembly with another Poisson's ratio and rest shape (mm).
-
-        Raises:
-            ConfigError: A value cannot be used.
-        """
+        """Return the body's assembly with another Poisson's ratio and rest shape (mm)."""
         body, ratio = self.assembly, np.asarray(poisson)
         if np.array_equal(ratio, body.poisson) and np.array_equal(points, body.points):
             return body

@@ -70,7 +70,6 @@ TET10 = _quadratic()
 ELEMENTS = Registry(
     "element",
     {"tet4": "tactorch.fem.elements:TET4", "tet10": "tactorch.fem.elements:TET10"},
-    "finite elements",
 )
 
 
@@ -126,9 +125,6 @@ class Discretisation:
         exact for a uniform pressure and preserves totals. A triangle is loaded if all its vertices
         have non-zero loads. Vertices without a loaded triangle (point loads, interior nodes) keep
         their loads. Values at all nodes are returned as they are.
-
-        Raises:
-            ConfigError: There is neither one row per mesh point nor one per node.
         """
         if values.shape == (self.n_nodes, 3):  # always so on linear elements
             return values

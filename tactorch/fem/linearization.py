@@ -32,11 +32,7 @@ class Linearization:
     lease: Lease  # solver that factors K
 
     def factor(self) -> None:
-        """Factor K, unless this is done.
-
-        Raises:
-            ConvergenceError: K is not positive definite: the equilibrium is unstable.
-        """
+        """Factor K, unless this is done; ConvergenceError where it is not positive definite."""
         if self.lease.factored is not self.tangent and not self.lease.factor(self.tangent):
             raise ConvergenceError(
                 "The equilibrium is unstable (its tangent is not positive definite), so no "
@@ -74,11 +70,9 @@ class Linearization:
     def parameter_forces(
         self, *, poisson: bool = False, stretch: bool = False
     ) -> list[Float[np.ndarray, "nodes 3"]]:
-        """Return the change of the elastic forces with the material and the rest shape.
+        """Return the derivatives of the elastic forces, N.
 
-        Args:
-            poisson: Whether to return the derivative by Poisson's ratio, N.
-            stretch: Whether to return those by the logarithm of the size along x, y and z, N.
+        They are by Poisson's ratio, and by the logarithm of the size along x, y and z.
         """
         body = self.assembly
         ratio = torch.tensor(body.poisson, dtype=torch.float64, requires_grad=True)

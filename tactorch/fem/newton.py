@@ -104,7 +104,9 @@ class Newton:
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> EquilibriumResult:
         """Find the equilibrium, from `start` (mm) if given. A failure is returned, not raised."""
         rest = np.zeros_like(self.forces)
-        if not self._is_supported():
+        supported = self.supports.fixed | (self.supports.springs > 0)
+        rigid_modes = self.assembly.discretisation.rigid_modes[supported.ravel()]
+        if column_rank(rigid_modes, 1e-8) < 6:
             reason = (
                 "Nothing holds the object: it can still move or turn as a whole. Fix a face (three "
                 "nodes that are not in line), or give springs."
@@ -116,11 +118,6 @@ class Newton:
             return result if result.converged else self._load_stepping(result.iterations)
         except ConvergenceError as error:  # of the linear solver: smaller steps do not help
             return EquilibriumResult(start, False, str(error))
-
-    def _is_supported(self) -> bool:
-        """Whether the supports resist all six rigid motions."""
-        modes = self.assembly.discretisation.rigid_modes[self.supports.supported.ravel()]
-        return len(modes) >= 6 and column_rank(modes, 1e-8) == 6
 
     def linearize(self, result: EquilibriumResult) -> Linearization:
         """Return the linearisation at an equilibrium, which shares the search's solver."""

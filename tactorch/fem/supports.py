@@ -1,6 +1,7 @@
 """Supports of a body: prescribed displacements and zero-length springs."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -36,11 +37,7 @@ class Supports:
                 )
 
     def case(self, index: int, discretisation: Discretisation) -> "CaseSupports":
-        """Return the supports of one load case at all nodes, midside nodes included.
-
-        Raises:
-            ConfigError: A shape does not fit the mesh.
-        """
+        """Return the supports of one load case at all nodes, midside nodes included."""
         fixed = self._field("fixed", index, discretisation).astype(bool)
         prescribed = self._field("prescribed", index, discretisation)
         springs = self._field("springs", index, discretisation)
@@ -70,15 +67,9 @@ class Supports:
         return values if values.ndim == 2 else values[index]
 
 
-@dataclass(frozen=True, eq=False)
-class CaseSupports:
+class CaseSupports(NamedTuple):
     """Supports of one load case at all nodes of a discretisation; see `Supports`."""
 
     fixed: Bool[np.ndarray, "nodes 3"]
     prescribed: Float[np.ndarray, "nodes 3"]
     springs: Float[np.ndarray, "nodes 3"]
-
-    @property
-    def supported(self) -> Bool[np.ndarray, "nodes 3"]:
-        """Degrees of freedom that are fixed or have a spring."""
-        return self.fixed | (self.springs > 0)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.special import ndtr
 
 from tactorch.errors import ConfigError
-from tactorch.findings.lumps import adjacent_elements, find_lumps
+from tactorch.findings.lumps import Mask, adjacent_elements, find_lumps
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
 from tactorch.metrics.segment import Side, volume_mean
@@ -175,19 +175,13 @@ def build_finding(
     *,
     max_lumps: int = 5,
 ) -> Finding:
-    """Find the lumps of a map, and measure their depth and confidence.
+    """Return the lumps of a map with their depth and confidence, and the background.
 
     Args:
         recording: Presses; the truth is not read.
         youngs: Map, (m,), MPa.
         posterior: Posterior of the same map; without it the lumps have no confidence.
         max_lumps: Largest number of lumps.
-
-    Returns:
-        The lumps and the background.
-
-    Raises:
-        MeshError: The map does not fit the recording's mesh, or a modulus is not above 0.
     """
     mesh = recording.mesh
     lumps = (
@@ -198,35 +192,26 @@ def build_finding(
 
 
 def build_lump(
-    mesh: TetMesh,
-    presses: Sequence[Press],
-    inclusion: Inclusion,
-    posterior: GaussianPosterior | None = None,
+    mesh: TetMesh, presses: Sequence[Press], lump: Inclusion, posterior: GaussianPosterior | None
 ) -> Lump:
     """Measure size, depth and confidence of an inclusion."""
     # The size is that of the ellipsoid with the second moments of the elements. Their bounding box
     # would be too large: it holds corners far from the lump.
-    offsets = mesh.centroids - inclusion.center_mm
+    offsets = mesh.centroids - lump.center_mm
     within = np.ptp(mesh.points[mesh.tets], axis=1) ** 2 / 20.0  # approximate moment of an element
-    size = 2.0 * np.sqrt(5.0 * volume_mean(mesh, offsets**2 + within, inclusion.elements))
-    depth = measure_depth(mesh, presses, inclusion.center_mm, inclusion.elements)
-    confidence = None if posterior is None else compute_confidence(mesh, inclusion, posterior)
-    return Lump(inclusion, size, depth, confidence)
+    size = 2.0 * np.sqrt(5.0 * volume_mean(mesh, offsets**2 + within, lump.elements))
+    depth = measure_depth(mesh, presses, lump.center_mm, lump.elements)
+    confidence = None if posterior is None else compute_confidence(mesh, lump, posterior)
+    return Lump(lump, size, depth, confidence)
 
 
 def measure_depth(
-    mesh: TetMesh,
-    presses: Sequence[Press],
-    center_mm: Float[np.ndarray, "3"],
-    elements: Bool[np.ndarray, " m"],
+    mesh: TetMesh, presses: Sequence[Press], center_mm: Float[np.ndarray, "3"], elements: Mask
 ) -> Depth | None:
     """Return the depth of a region below the press that is nearest to it; None if no press pushes.
 
     The surface of a press is that of the nodes it loads; above the region it is taken at the node
     nearest to the line through the centre along the push.
-
-    Raises:
-        ConfigError: The region is empty.
     """
     if not elements.any():
         raise ConfigError("the region has no element; give one with at least one.")

@@ -21,6 +21,8 @@ from tactorch.metrics.segment import (
     weighted_median,
 )
 
+Field = Float[np.ndarray, " m"]
+Mask = Bool[np.ndarray, " m"]
 _MAX_VOLUME_FRACTION = 0.5  # a larger region is background
 _MAX_ITERATIONS, _CANDIDATE_LEVELS = 50, 100
 _MIN_RELATIVE_CONTRAST = 0.2  # log-contrast over that of the most conspicuous lump
@@ -28,7 +30,7 @@ _MIN_RELATIVE_CONTRAST = 0.2  # log-contrast over that of the most conspicuous l
 
 def find_lumps(
     mesh: TetMesh,
-    youngs: Float[np.ndarray, " m"],
+    youngs: Field,
     *,
     max_lumps: int = 5,
     min_volume_fraction: float = 1e-3,
@@ -36,8 +38,9 @@ def find_lumps(
 ) -> list[Inclusion]:
     """Find connected regions that are stiffer or softer than the background.
 
-    Regions are ranked by log-contrast times radius. Regions much fainter than the first are
-    dropped: maps fluctuate where the presses are insensitive.
+    Regions are in descending order of log-contrast times radius. Regions much fainter than the
+    first are dropped, as maps fluctuate where the presses are insensitive. A map that varies by
+    less than 2 % has none.
 
     Args:
         mesh: The body, m elements.
@@ -45,13 +48,6 @@ def find_lumps(
         max_lumps: Largest number of regions.
         min_volume_fraction: Smallest volume of a region over that of the body.
         side: "stiff" or "soft" to find one kind only.
-
-    Returns:
-        The regions, the most conspicuous first; none if the map varies by less than 2 %.
-
-    Raises:
-        MeshError: The map does not fit the mesh, or a modulus is not above 0.
-        ConfigError: A setting is out of range.
     """
     check_field("youngs", youngs, mesh)
     if max_lumps < 1 or not 0 <= min_volume_fraction < 1:
@@ -63,11 +59,9 @@ def find_lumps(
     masks = {kind: _segment(mesh, youngs, kind) for kind in sides}
     rest = ~np.any(list(masks.values()), axis=0)
     # In noise without a background, every element may be stiff or soft.
-    background = (
-        float(volume_mean(mesh, youngs, rest))
-        if rest.any()
-        else weighted_median(youngs, mesh.volumes)
-    )
+    background = weighted_median(youngs, mesh.volumes)
+    if rest.any():
+        background = float(volume_mean(mesh, youngs, rest))
     lumps = [
         _measure(mesh, youngs, elements, kind, background)
         for kind, mask in masks.items()
@@ -79,12 +73,12 @@ def find_lumps(
     return [lump for lump in lumps[:max_lumps] if _log_contrast(lump) > min_contrast]
 
 
-def find_lump(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> Inclusion | None:
+def find_lump(mesh: TetMesh, youngs: Field) -> Inclusion | None:
     """Find the most conspicuous of `find_lumps`; None where nothing stands out."""
     return next(iter(find_lumps(mesh, youngs, max_lumps=1)), None)
 
 
-def _segment(mesh: TetMesh, youngs: Float[np.ndarray, " m"], side: Side) -> Bool[np.ndarray, " m"]:
+def _segment(mesh: TetMesh, youngs: Field, side: Side) -> Mask:
     """Return the elements beyond the threshold on one side."""
     sign = 1.0 if side == "stiff" else -1.0
     values, volumes = sign * np.log(youngs), mesh.volumes
@@ -105,9 +99,7 @@ def _segment(mesh: TetMesh, youngs: Float[np.ndarray, " m"], side: Side) -> Bool
     return mask
 
 
-def _level(
-    values: Float[np.ndarray, " m"], volumes: Float[np.ndarray, " m"], background: float
-) -> float:
+def _level(values: Field, volumes: Field, background: float) -> float:
     """Return the second level that minimises the absolute deviation, given the background."""
     fractions = (np.arange(_CANDIDATE_LEVELS) + 0.5) / _CANDIDATE_LEVELS
     best_gain, best_level = -np.inf, float(values.max())
@@ -123,25 +115,19 @@ def _level(
     return best_level
 
 
-def _measure(
-    mesh: TetMesh,
-    youngs: Float[np.ndarray, " m"],
-    elements: Bool[np.ndarray, " m"],
-    side: Side,
-    background: float,
-) -> Inclusion:
+def _measure(mesh: TetMesh, youngs: Field, mask: Mask, side: Side, background: float) -> Inclusion:
     """Return a part as an inclusion.
 
     Its centre is the centroid of the part and the adjacent elements, weighted by the excess over
     the background, so that it is continuous where an element passes the threshold.
     """
     excess = (1.0 if side == "stiff" else -1.0) * np.log(youngs / background)
-    weights = np.maximum(excess, 0.0) * mesh.volumes * adjacent_elements(mesh, elements)
+    weights = np.maximum(excess, 0.0) * mesh.volumes * adjacent_elements(mesh, mask)
     center = weights @ mesh.centroids / weights.sum()
-    return Inclusion.measure(mesh, youngs, elements, side, background, center)
+    return Inclusion.measure(mesh, youngs, mask, side, background, center)
 
 
-def adjacent_elements(mesh: TetMesh, elements: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+def adjacent_elements(mesh: TetMesh, elements: Mask) -> Mask:
     """Return the elements and their vertex neighbours, unless that is the whole body."""
     nodes = np.zeros(mesh.n_points, dtype=bool)
     nodes[mesh.tets[elements]] = True

@@ -13,11 +13,7 @@ from tactorch.metrics.segment import check_field
 
 
 def load_recognizer(path: str | Path) -> Recognizer:
-    """Read a trained recognizer: the folder of its run, of one of its splits, or a checkpoint.
-
-    Raises:
-        FileError: The checkpoint is missing, damaged or of another network.
-    """
+    """Read a trained recognizer: the folder of its run, of one of its splits, or a checkpoint."""
     checkpoint = Path(path)
     if checkpoint.is_dir():
         files = [checkpoint / BEST, *sorted(checkpoint.glob(f"split-*/{BEST}"))]
@@ -33,9 +29,6 @@ def recognise(
 
     Only shapes that the recognizer was trained on are considered. The map has `voxels` in each
     direction, 24 by default as in training; the network accepts any number.
-
-    Raises:
-        MeshError: The map does not fit the mesh.
     """
     check_field("youngs", youngs, mesh)
     grid = VoxelGrid(mesh, voxels)

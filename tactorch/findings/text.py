@@ -58,12 +58,7 @@ def format_modulus(value: float) -> str:
 
 
 def summarize_inclusion(inclusion: Inclusion | None, median_mpa: float) -> str:
-    """Return location, size and modulus of an inclusion as one sentence.
-
-    Args:
-        inclusion: Most conspicuous inclusion of the map, or None.
-        median_mpa: Median modulus of the map, MPa.
-    """
+    """Return the inclusion of a map (None: no inclusion) and its modulus as one sentence."""
     if inclusion is None:
         return f"No inclusion stands out; Young's modulus is {median_mpa:.3g} MPa."
     return (

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.generation.recipe import LINEAR
 from tactorch.generation.sample import Sample
 from tactorch.generation.sampleset import SampleSet
@@ -17,14 +17,9 @@ _MAX_CARD_SAMPLES = 500
 
 
 def write_card(samples: SampleSet) -> Path:
-    """Write card.md into the dataset's folder and return its path.
-
-    Raises:
-        FileError: A shard is missing or damaged, or the folder cannot be written.
-    """
+    """Write card.md into the dataset's folder and return its path."""
     path = samples.folder / CARD
-    with atomic_path(path) as temporary:
-        temporary.write_text(_text(samples, card_samples(samples)), encoding="utf-8")
+    write_file(path, _text(samples, card_samples(samples)))
     return path
 
 

@@ -12,7 +12,7 @@ from threading import Lock
 from typing import Any
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import atomic_path, checksum, read_json
+from tactorch.files import checksum, read_json, write_file
 from tactorch.generation.layout import (
     MANIFEST,
     MANIFEST_FORMAT,
@@ -164,8 +164,7 @@ class _Dataset:
             _log.warning("sample %d failed: %s", index, reason)
             _write_json(failure, {"index": index, "reason": reason})
             return
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(content)
+        write_file(path, content)
 
     def close_shard(self, shard: int) -> None:
         """Write a shard whose samples are complete, and remove their separate files."""
@@ -253,8 +252,7 @@ def _reason(path: Path) -> str:
 
 
 def _write_json(path: Path, content: Any) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_file(path, json.dumps(content, indent=2) + "\n")
 
 
 def _make(recipe: Recipe, index: int) -> tuple[int, bytes | None, str]:

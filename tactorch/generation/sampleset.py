@@ -202,7 +202,6 @@ def _reconstruction(reader: RecordingReader) -> Float[np.ndarray, " m"] | None:
 def _open_shard(path: Path) -> "h5py.File":
     import h5py
 
-    require_file(path, "shard of the dataset")
     try:
         file = h5py.File(path, "r")
         reader = Hdf5Reader(file, path, "shard", "tactorch generate")

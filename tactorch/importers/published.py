@@ -87,23 +87,24 @@ def import_published(
     mesh = _read_rest(root / "mesh.msh", round_rest_m, check_units)
     numbers = _press_files(require_folder(root / "presses", "presses of the published case"))
     presses = [_read_press(number, files, mesh, noise_mm) for number, files in numbers.items()]
-    truth = _read_moduli(root / "youngs_true.txt", "true moduli", mesh, check_units)
+    truth_file, reference_file = root / "youngs_true.txt", root / "youngs_reference_result.txt"
+    truth = _read_moduli(truth_file, "true moduli", mesh, check_units)
+    relabel = relabel_truth or {}
+    provenance = {
+        "importer": "published",
+        "inverse_crime": True,  # the authors solved the presses on this very mesh
+        "case": root.resolve().name,
+        "presses": list(numbers),
+        "round_rest_m": round_rest_m,
+        "relabel_truth": [[old, new] for old, new in relabel.items()],
+    }
     return Recording(
         mesh,
         tuple(_with_steps(presses)),
         MaterialSpec("neo_hookean", poisson, {"lame_factor": lame_factor}),
-        truth=_relabelled(truth, relabel_truth or {}, root / "youngs_true.txt"),
-        reference=_read_moduli(
-            root / "youngs_reference_result.txt", "reference moduli", mesh, check_units
-        ),
-        provenance={
-            "importer": "published",
-            "inverse_crime": True,  # the authors solved the presses on this very mesh
-            "case": root.resolve().name,
-            "presses": list(numbers),
-            "round_rest_m": round_rest_m,
-            "relabel_truth": [[old, new] for old, new in (relabel_truth or {}).items()],
-        },
+        truth=_relabelled(truth, relabel, truth_file),
+        reference=_read_moduli(reference_file, "reference moduli", mesh, check_units),
+        provenance=provenance,
         check_units=check_units,
     )
 

@@ -22,10 +22,9 @@ from tactorch.inverse.parameterization import (
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.regularization.base import PRIORS, NoPrior, Prior, Quadratic, Regularizer
-from tactorch.inverse.regularization.binary_well import BinaryWell
 from tactorch.inverse.regularization.combined import Composite, CompositePenalty, ShiftedPrior
 from tactorch.inverse.regularization.gaussian import Matern, Smoothness, Tikhonov
-from tactorch.inverse.regularization.sharp import LogJumps, Sparsity, TotalVariation
+from tactorch.inverse.regularization.sharp import BinaryWell, LogJumps, Sparsity, TotalVariation
 from tactorch.inverse.settings import Settings, settings_from
 from tactorch.inverse.starts import INITIALIZATIONS, Start, best_uniform, homogeneous, monte_carlo
 

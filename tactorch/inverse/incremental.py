@@ -81,7 +81,19 @@ class IncrementalInversion:
     ) -> None:
         self._settings = settings or Settings()
         self._object, self._start, self._restart = recording, start_mpa, restart
-        _check_settings(self._settings, max_iterations, restart)
+        if self._settings.nuisance.size:
+            raise ConfigError(
+                "nuisance: an incremental inversion does not estimate nuisance parameters; "
+                "estimate them from a recording first (tactorch invert), and give nuisance=none "
+                "here."
+            )
+        if max_iterations < 1:
+            raise ConfigError(f"max_iterations={max_iterations}: give at least 1.")
+        if not (restart or isinstance(optimizer := self._settings.optimizer, DampedNewton)):
+            raise ConfigError(
+                f"optimizer={OPTIMIZERS.name_of(type(optimizer))} cannot continue from the map "
+                "before; choose gauss_newton, or newton_cg beyond ten thousand elements."
+            )
         self._max_iterations, self._max_seconds = max_iterations, max_seconds_per_update
         self._builder = ObjectiveBuilder(recording, self._settings)
         self._state = _State()
@@ -243,19 +255,3 @@ class IncrementalInversion:
         result = result_of(objective, self._settings, optimizer, monitor)
         last = float(monitor.history[-1].get("weight", 0.0))
         return IncrementalResult(result, point, last, self._restart or not reason.is_limit)
-
-
-def _check_settings(settings: Settings, max_iterations: int, restart: bool) -> None:
-    if settings.nuisance.size:
-        raise ConfigError(
-            "nuisance: an incremental inversion does not estimate nuisance parameters; estimate "
-            "them from a recording first (tactorch invert), and give nuisance=none here."
-        )
-    if max_iterations < 1:
-        raise ConfigError(f"max_iterations={max_iterations}: give at least 1.")
-    optimizer = settings.optimizer
-    if not (restart or isinstance(optimizer, DampedNewton)):
-        raise ConfigError(
-            f"optimizer={OPTIMIZERS.name_of(type(optimizer))} cannot continue from the map before; "
-            "choose gauss_newton, or newton_cg beyond ten thousand elements."
-        )

@@ -11,13 +11,13 @@ import numpy as np
 
 from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody
-from tactorch.inverse.adaptive import adapt
 from tactorch.inverse.data import ModelError, NoiseModel
-from tactorch.inverse.misfit import MISFITS, Adaptive
+from tactorch.inverse.misfit import MISFITS, Adaptive, Squares
 from tactorch.inverse.model_error import discretisation_error, resolve_model_error
 from tactorch.inverse.monitor import Monitor, progress
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
+from tactorch.inverse.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.problem import InverseProblem, make_body
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings, stored_settings
@@ -27,6 +27,8 @@ from tactorch.recording import Recording
 from tactorch.versions import versions
 
 _log = logging.getLogger(__name__)
+_ADAPT_ITERATIONS = 30
+_MIN_REPORTED = 2.0  # factor of the noise of a press that is logged
 
 
 def invert(
@@ -147,7 +149,34 @@ class ObjectiveBuilder:
             settings.nuisance,
             settings.regularization.weight,
         )
-        return adapt(objective) if isinstance(settings.misfit, Adaptive) else objective
+        return _adapt(objective) if isinstance(settings.misfit, Adaptive) else objective
+
+
+def _adapt(objective: Objective) -> Objective:
+    """Return the objective with widened deviations of outlying presses, and least squares.
+
+    A first inversion with the convex cost of `Adaptive` bounds the effect of a bad press on the
+    map; it is damped Gauss-Newton with any optimizer. A press whose residuals there are larger than
+    those of the median press (and than stated) gets their size as its deviation. Most presses must
+    be as good as they state. A `Press` is one frame, so a bad frame of a good series is separate.
+    """
+    problem = objective.problem
+    fit = uniform_fit(problem, objective.parameterization.bounds, objective.nuisance)
+    monitor = Monitor()
+    start = objective.start(np.full(problem.n_elements, fit.youngs_mpa))
+    GaussNewton(max_iterations=_ADAPT_ITERATIONS).minimize(
+        replace(objective, weight=None), start, monitor
+    )
+    assert monitor.point is not None
+    chi2 = np.array([np.mean(r**2) for r in monitor.point.evaluation.deviations])
+    factors = np.sqrt(np.maximum(1.0, chi2 / max(1.0, float(np.median(chi2)))))
+    for press, factor in zip(problem.recording.presses, factors, strict=True):
+        if factor > _MIN_REPORTED:
+            _log.warning(
+                "%s is %.2g times as noisy as stated; its weight is reduced.", press.label, factor
+            )
+    data = replace(problem.data.widened(factors), misfit=Squares())
+    return replace(objective, problem=problem.with_data(data))
 
 
 def make_objective(recording: Recording, settings: Settings) -> Objective:
@@ -199,7 +228,6 @@ def _task_digest(recording: Recording, settings: Settings) -> str:
 
 
 def _describe_start(start: Start) -> float | str:
-    """Start as a plain value."""
     if callable(start):
         return getattr(start, "__name__", type(start).__name__)
     return "a map, one modulus per element" if np.ndim(start) else float(start)

@@ -74,13 +74,12 @@ def _cells(mesh: TetMesh, count: int) -> sp.csr_matrix:
     places = (mesh.centroids - low) / (high - low) * count - 0.5
     corner = np.clip(np.floor(places).astype(int), 0, max(0, count - 2))
     share = np.clip(places - corner, 0.0, 1.0)
-    rows, columns, values = [], [], []
+    rows, columns, values = np.tile(np.arange(mesh.n_tets), 8), [], []
     for step in product((0, 1), repeat=3):
         at = np.minimum(corner + step, count - 1)
-        rows.append(np.arange(mesh.n_tets))
         columns.append((at[:, 0] * count + at[:, 1]) * count + at[:, 2])
         values.append(np.prod(np.where(np.array(step) == 1, share, 1.0 - share), axis=1))
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    entries = (np.concatenate(values), (rows, np.concatenate(columns)))
     return sp.csr_matrix(entries, shape=(mesh.n_tets, count**3))
 
 

@@ -134,5 +134,4 @@ _HERE = "tactorch.inverse.misfit"
 MISFITS = Registry(
     "misfit",
     {"squares": f"{_HERE}:Squares", "huber": f"{_HERE}:Huber", "adaptive": f"{_HERE}:Adaptive"},
-    "costs of the residuals",
 )

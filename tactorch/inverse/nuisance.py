@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tactorch.config import Options, option
 from tactorch.mesh import TetMesh
-from tactorch.recording import Press, Recording
+from tactorch.recording import Press
 
 _SIZES = {"poisson": 1, "force_scale": 1, "rest_scale": 3, "translation_mm": 3, "rotation_rad": 3}
 _RATIOS = ("force_scale", "rest_scale")
@@ -42,16 +42,9 @@ class Nuisance:
     translation_mm: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     rotation_rad: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
-    @staticmethod
-    def assumed(recording: Recording) -> "Nuisance":
-        """Return the values that the recording states or implies."""
-        return Nuisance(recording.material.poisson)
-
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:
         """The rotation as a matrix; exactly the unit matrix for a zero vector."""
-        if not self.rotation_rad.any():
-            return np.eye(3)
         return Rotation.from_rotvec(self.rotation_rad).as_matrix()
 
     def rotation_rates(self) -> Float[np.ndarray, "3 3"]:
@@ -121,9 +114,7 @@ class NuisancePrior(Options):
             changes[name] = float(value[0]) if _SIZES[name] == 1 else value
         return replace(assumed, **changes)
 
-    def z(
-        self, values: Mapping[str, Float[np.ndarray, " _"]], assumed: Nuisance
-    ) -> Float[np.ndarray, " k"]:
+    def z(self, values: Mapping[str, np.ndarray], assumed: Nuisance) -> Float[np.ndarray, " k"]:
         """Return z of values, by name; the inverse of `nuisance`."""
         parts = [np.zeros(0)]
         for name in self.names:
@@ -169,11 +160,7 @@ class NuisanceEstimate:
 
     def plain(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values."""
-        return {
-            "value": self.value.tolist(),
-            "deviation": self.deviation.tolist(),
-            "prior_deviation": self.prior_deviation,
-        }
+        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
 
     @staticmethod
     def of(plain: Mapping[str, Any]) -> "NuisanceEstimate":

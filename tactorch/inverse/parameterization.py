@@ -10,7 +10,7 @@ from jaxtyping import Float
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 
-_Vector = Float[np.ndarray, " m"]
+_Field = Float[np.ndarray, " m"]
 
 
 @dataclass(frozen=True)
@@ -45,24 +45,22 @@ class Parameterization(Options, ABC):
     bounds: Bounds = Bounds()
 
     @abstractmethod
-    def youngs(self, x: _Vector) -> _Vector:
+    def youngs(self, x: _Field) -> _Field:
         """Return the moduli of parameters, MPa."""
 
     @abstractmethod
-    def parameters(self, youngs: _Vector) -> _Vector:
+    def parameters(self, youngs: _Field) -> _Field:
         """Return the parameters of moduli."""
 
     @abstractmethod
-    def slope(self, x: _Vector) -> _Vector:
+    def slope(self, x: _Field) -> _Field:
         """Return d youngs / d x, MPa."""
 
     @abstractmethod
-    def second_derivative(self, x: _Vector) -> _Vector:
+    def second_derivative(self, x: _Field) -> _Field:
         """Return d^2 youngs / d x^2, MPa."""
 
-    def expected_variance_reduction(
-        self, mean: _Vector, before: _Vector, after: _Vector
-    ) -> _Vector:
+    def expected_variance_reduction(self, mean: _Field, before: _Field, after: _Field) -> _Field:
         """Return the expected reduction of the variance of the moduli, MPa^2, to first order.
 
         Args:
@@ -87,21 +85,21 @@ class Scaled(Parameterization):
         """Modulus at zero and slope, MPa."""
         return self.bounds.lower, self.bounds.upper - self.bounds.lower
 
-    def youngs(self, x: _Vector) -> _Vector:
+    def youngs(self, x: _Field) -> _Field:
         """Return lower + x (upper - lower), no less than lower."""
         origin, slope = self._line
         return np.maximum(origin + slope * x, origin)
 
-    def parameters(self, youngs: _Vector) -> _Vector:
+    def parameters(self, youngs: _Field) -> _Field:
         """Return (E - lower) / (upper - lower)."""
         origin, slope = self._line
         return (youngs - origin) / slope
 
-    def slope(self, x: _Vector) -> _Vector:
+    def slope(self, x: _Field) -> _Field:
         """Return upper - lower."""
         return np.full_like(x, self._line[1])
 
-    def second_derivative(self, x: _Vector) -> _Vector:
+    def second_derivative(self, x: _Field) -> _Field:
         """Return zeros."""
         return np.zeros_like(x)
 
@@ -113,7 +111,7 @@ class Identity(Scaled):
     def _line(self) -> tuple[float, float]:
         return 0.0, 1.0
 
-    def youngs(self, x: _Vector) -> _Vector:
+    def youngs(self, x: _Field) -> _Field:
         """Return x."""
         return x
 
@@ -123,25 +121,17 @@ class Log(Parameterization):
 
     max_step = 2.0  # a factor of e^2, beyond which the linearisation is meaningless
 
-    def youngs(self, x: _Vector) -> _Vector:
+    def youngs(self, x: _Field) -> _Field:
         """Return exp(x)."""
         return np.exp(x)
 
-    def parameters(self, youngs: _Vector) -> _Vector:
+    slope = second_derivative = youngs
+
+    def parameters(self, youngs: _Field) -> _Field:
         """Return log E."""
         return np.log(youngs)
 
-    def slope(self, x: _Vector) -> _Vector:
-        """Return exp(x)."""
-        return np.exp(x)
-
-    def second_derivative(self, x: _Vector) -> _Vector:
-        """Return exp(x)."""
-        return np.exp(x)
-
-    def expected_variance_reduction(
-        self, mean: _Vector, before: _Vector, after: _Vector
-    ) -> _Vector:
+    def expected_variance_reduction(self, mean: _Field, before: _Field, after: _Field) -> _Field:
         """See `Parameterization.expected_variance_reduction`; exact for a log-normal.
 
         The new mean is m + N(0, v - v'), so E[e^(2 m' + v') (e^v' - 1)] is
@@ -159,5 +149,4 @@ _HERE = "tactorch.inverse.parameterization"
 PARAMETERIZATIONS = Registry(
     "parameterization",
     {"log": f"{_HERE}:Log", "scaled": f"{_HERE}:Scaled", "identity": f"{_HERE}:Identity"},
-    "parameters of the map",
 )

@@ -238,7 +238,7 @@ class InverseProblem:
         observations = tuple(Observation.of(press, deviation) for press, deviation in pairs)
         self.data = DataModel(observations, misfit or Squares())
         self.nuisance = nuisance or NuisancePrior()
-        self.assumed = Nuisance.assumed(recording)
+        self.assumed = Nuisance(recording.material.poisson)
         self._weight = np.zeros((self.body.n_nodes, 3))
         if recording.density:
             gravity = self.body.gravity(recording.density, torch.tensor(recording.gravity))

@@ -41,7 +41,6 @@ INITIALIZATIONS = Registry(
         "coarse": "tactorch.inverse.coarse:CoarseStart",
         "surrogate": "tactorch.learning.surrogate:SurrogateStart",
     },
-    "starts of an inversion",
 )
 
 

@@ -30,6 +30,8 @@ class SplitData(lightning.LightningDataModule):
 
     #: Function that makes a batch of samples; torch's if None.
     collate: Callable[[Any], Any] | None = None
+    #: Symmetries of the augmentation.
+    allowed: Sequence[Symmetry] = (IDENTITY,)
 
     def __init__(
         self,
@@ -48,21 +50,21 @@ class SplitData(lightning.LightningDataModule):
         self.fingerprint = sha256(content.encode()).hexdigest()
 
     @abstractmethod
-    def dataset(self, rows: Sequence[int], augment: bool) -> Dataset:
-        """Return samples, by epoch and position in `rows`."""
+    def sample(self, row: int, symmetry: Symmetry = IDENTITY, deviate: float = 0.0) -> Any:
+        """Return a sample, transformed by a symmetry and a standard normal random number."""
 
     def loader(self, part: str) -> DataLoader:
         """Return the batches of a part, in order and without augmentation."""
         rows = self.parts[part]
         order = [(0, position) for position in range(len(rows))]
-        data = self.dataset(rows, augment=False)
+        data = AugmentedSamples(self, rows, augment=False)
         return DataLoader(data, self.batch, sampler=order, collate_fn=self.collate)
 
     def train_dataloader(self) -> DataLoader:
         """Return shuffled batches, augmented if this is set."""
         rows = self.parts["train"]
         order, drop = EpochSampler(len(rows), self.seed), len(rows) > self.batch
-        data = self.dataset(rows, self.augment)
+        data = AugmentedSamples(self, rows, self.augment)
         return DataLoader(data, self.batch, sampler=order, drop_last=drop, collate_fn=self.collate)
 
     def val_dataloader(self) -> DataLoader:
@@ -76,6 +78,25 @@ class SplitData(lightning.LightningDataModule):
     def predict_dataloader(self) -> DataLoader:
         """Return the test batches."""
         return self.loader("test")
+
+
+class AugmentedSamples(Dataset[Any]):
+    """Samples in `rows` of a data module; augmented ones differ in each epoch."""
+
+    def __init__(self, data: SplitData, rows: Sequence[int], augment: bool) -> None:
+        self.data, self.rows, self.augment = data, rows, augment
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, item: tuple[int, int]) -> Any:
+        """Return a sample by epoch and position in `rows`."""
+        epoch, index = item
+        if not self.augment:
+            return self.data.sample(self.rows[index])
+        rng, allowed = np.random.default_rng([self.data.seed, epoch, index]), self.data.allowed
+        symmetry = allowed[int(rng.integers(len(allowed)))]
+        return self.data.sample(self.rows[index], symmetry, float(rng.standard_normal()))
 
 
 class EpochSampler(Sampler[tuple[int, int]]):
@@ -107,9 +128,6 @@ def split_objects(
 
     `sizes` are the fractions of the objects in each part. Returns indices of the samples of each
     part, ascending.
-
-    Raises:
-        ConfigError: The fractions do not add up to 1, or a part is empty.
     """
     if abs(sum(sizes.values()) - 1.0) > 1e-9 or min(sizes.values()) < 0:
         raise ConfigError(f"shares {dict(sizes)} must be positive and add up to 1.")
@@ -179,9 +197,3 @@ def apply_symmetry(symmetry: Symmetry, field: Tensor, vectors: Sequence[int] = (
         for axis, (source, sign) in enumerate(zip(order, signs, strict=True)):
             rotated[..., first + axis, :, :, :] = sign * image[..., first + source, :, :, :]
     return rotated
-
-
-def draw_symmetry(allowed: Sequence[Symmetry], *seed: int) -> tuple[Symmetry, np.random.Generator]:
-    """Return a random symmetry, and the random number generator that it was drawn with."""
-    rng = np.random.default_rng(list(seed))
-    return allowed[int(rng.integers(len(allowed)))], rng

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 
 LAST, BEST, CURVE = "last.ckpt", "best.ckpt", "curve.json"
 _Network = TypeVar("_Network", bound="Network")
@@ -61,8 +61,7 @@ def save_atomically(content: dict[str, Any], path: str | Path) -> None:
     """Write content for `torch.load`; `torch.save` to a full disk would abort the process."""
     memory = io.BytesIO()
     torch.save(content, memory)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(memory.getvalue())
+    write_file(path, memory.getvalue())
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
@@ -89,8 +88,7 @@ class LossHistory(lightning.Callback):
         values = {k: float(v) for k, v in trainer.callback_metrics.items()}
         self.epochs = self.epochs[: trainer.current_epoch]
         self.epochs.append({"epoch": float(trainer.current_epoch), **values})
-        with atomic_path(self.path) as temporary:
-            temporary.write_text(json.dumps(self.epochs, indent=1) + "\n", encoding="utf-8")
+        write_file(self.path, json.dumps(self.epochs, indent=1) + "\n")
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state for the checkpoint."""

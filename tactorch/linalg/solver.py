@@ -23,7 +23,6 @@ SOLVERS = Registry(
         "multigrid": "tactorch.linalg.multigrid:Multigrid",
         "torch_cg": "tactorch.linalg.torch_cg:TorchCG",
     },
-    "linear solvers",
 )
 
 # The factors of 3-D meshes grow as n^(4/3): beyond these sizes iteration is cheaper.
@@ -132,11 +131,7 @@ class SolverOptions(Options):
         return True
 
     def resolve(self, size: int) -> "SolverOptions":
-        """Return the settings of the solver for `size` unknowns.
-
-        Raises:
-            ConfigError: The solver is not installed.
-        """
+        """Return the settings of the solver for `size` unknowns, or raise ConfigError."""
         if not self.available():
             name = SOLVERS.name_of(type(self))
             raise ConfigError(
@@ -151,11 +146,7 @@ class SolverOptions(Options):
         near_nullspace: Float[np.ndarray, "size modes"] | None = None,
         single_precision: bool = False,
     ) -> Solver:
-        """Return a solver for a sparsity pattern; see `Solver` for the arguments.
-
-        Raises:
-            ConfigError: The solver is not installed.
-        """
+        """Return a solver for a sparsity pattern; see `Solver` for the arguments."""
         options = self.resolve(pattern.size)
         single_precision = single_precision and options.has_single_precision
         return options.solver(options, pattern, near_nullspace, single_precision)
@@ -180,10 +171,6 @@ def available_solvers() -> tuple[str, ...]:
 
 
 def analyse(pattern: SymmetricPattern, solver: str | SolverOptions = "auto") -> Solver:
-    """Return a solver, given by name or by its settings, for a sparsity pattern.
-
-    Raises:
-        ConfigError: The solver is unknown or not installed.
-    """
+    """Return a solver, given by name or by its settings, for a sparsity pattern."""
     options: SolverOptions = SOLVERS.build(solver)
     return options.analyse(pattern)

@@ -16,10 +16,7 @@ _BLOCK = 3  # unknowns of a node
 
 
 class TorchCGSolver(IterativeSolver):
-    """Conjugate gradients, preconditioned by the inverse diagonal blocks of the nodes.
-
-    On the CPU direct solvers are faster.
-    """
+    """Conjugate gradients, preconditioned by the inverse diagonal blocks of the nodes."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -59,7 +56,7 @@ class TorchCGSolver(IterativeSolver):
 
 @dataclass(frozen=True)
 class TorchCG(SolverOptions):
-    """Conjugate gradients in PyTorch, for GPUs."""
+    """Conjugate gradients in PyTorch, for GPUs; on the CPU direct solvers are faster."""
 
     solver = TorchCGSolver
 

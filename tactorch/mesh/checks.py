@@ -1,5 +1,6 @@
 """Validation of meshes and surfaces; every message names the faulty nodes or cells."""
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import MeshError
-from tactorch.mesh.geometry import bounding_diagonal, enclosed_volume, longest_edges, signed_volumes
+from tactorch.mesh.geometry import bounding_diagonal, enclosed_volume, signed_volumes
 from tactorch.mesh.topology import FaceMatch
 from tactorch.mesh.values import Points, Rows, Tets, Triangles
 
@@ -62,7 +63,8 @@ def check_elements(points: Points, tets: Tets) -> None:
     repeated[order[1:]] = (ordered[order[1:]] == ordered[order[:-1]]).all(axis=1)
     _refuse(repeated, "The mesh repeats elements: {} appear earlier too.")
     volumes = signed_volumes(points, tets)
-    longest = longest_edges(points, tets)
+    pairs = combinations(points[tets].swapaxes(0, 1), 2)
+    longest = np.sqrt(np.max([np.square(a - b).sum(axis=1) for a, b in pairs], axis=0))
     # Coordinates are known to rounding only, which far from the origin hides a small height.
     rounding = 64 * np.finfo(np.float64).eps * np.abs(points).max() * longest**2
     _refuse(

@@ -1,7 +1,5 @@
 """Volumes, areas, bounding boxes and distances of arrays of points and cells."""
 
-from itertools import combinations
-
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
@@ -13,13 +11,6 @@ def signed_volumes(points: Points, tets: Tets) -> Float[np.ndarray, " m"]:
     """Return signed volumes, positive where vertex 3 sees 0, 1, 2 turn counter-clockwise."""
     a, b, c = (points[tets[:, i]] - points[tets[:, 0]] for i in (1, 2, 3))
     return np.einsum("mi,mi->m", np.cross(a, b), c) / 6.0
-
-
-def longest_edges(points: Points, tets: Tets) -> Float[np.ndarray, " m"]:
-    """Return the length of each element's longest edge."""
-    corners = points[tets].swapaxes(0, 1)
-    squares = [np.square(a - b).sum(axis=1) for a, b in combinations(corners, 2)]
-    return np.sqrt(np.max(squares, axis=0))
 
 
 def area_vectors(points: Points, triangles: Triangles) -> Float[np.ndarray, "k 3"]:

@@ -34,7 +34,7 @@ PLAUSIBLE_MM = (0.5, 5000.0)
 
 
 def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = False) -> TetMesh:
-    """Read a tetrahedral mesh from .msh (gmsh), .vtu or .inp (Abaqus, CalculiX).
+    """Return the tetrahedral mesh (mm) of a .msh (gmsh), .vtu or .inp (Abaqus, CalculiX) file.
 
     Nodes and tetrahedra keep the order of the file, because other files refer to them by index.
     Points, lines and surface cells are ignored; inverted tetrahedra are reoriented. A warning names
@@ -45,14 +45,6 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
         unit: Length unit of the file: "mm", "cm" or "m".
         drop_unreferenced: Whether to drop nodes that no tetrahedron uses, which renumbers the
             others.
-
-    Returns:
-        The mesh, in mm.
-
-    Raises:
-        FileError: The file is missing, damaged or of an unknown format.
-        MeshError: The file contains no linear tetrahedra, other solid elements, unreferenced
-            nodes, or an invalid mesh.
     """
     scale, source = _mm_per(unit), require_file(path, "Mesh")
     content = _read(source, _MESH_FORMATS)
@@ -98,14 +90,11 @@ def write_mesh(
 
 
 def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]:
-    """Read a triangle surface from .stl, .obj or .ply.
+    """Return vertices (mm) and triangles of the surface in a .stl, .obj or .ply file.
 
     Vertices with equal coordinates are merged, as STL stores the vertices of each triangle
     separately; quadrangles are halved. Vertices keep the order of the file. See `read_mesh` for the
     unit.
-
-    Returns:
-        Vertices in mm and triangles, ready for `tetrahedralize`.
     """
     scale, source = _mm_per(unit), require_file(path, "Surface")
     content = _read(source, _SURFACE_FORMATS)

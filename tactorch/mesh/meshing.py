@@ -91,14 +91,6 @@ def tetrahedralize(
         inner: Closed inner surfaces (vertices and triangles) that element faces conform to;
             their inside is meshed too.
         cache: Whether to look up and store the result.
-
-    Returns:
-        The mesh.
-
-    Raises:
-        MeshError: The surface is open, not a manifold, not finite or encloses no volume; or
-            meshing fails, loses part of the volume or returns degenerate elements.
-        ConfigError: A setting has an invalid value, or pytetwild is not installed.
     """
     points, faces, _ = compact(*closed_surface(vertices, triangles))
     diagonal, volume = bounding_diagonal(points), enclosed_volume(points, faces)

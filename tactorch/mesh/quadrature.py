@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError
 from tactorch.mesh.tetmesh import TetMesh
+from tactorch.mesh.values import Points
 
 # Points evaluated at once; limits the memory.
 _MAX_POINTS = 500_000
@@ -31,9 +32,7 @@ def lattice(samples: int) -> Float[np.ndarray, "p 4"]:
 
 
 def element_means(
-    mesh: TetMesh,
-    values_at: Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]],
-    samples: int,
+    mesh: TetMesh, values_at: Callable[[Points], Float[np.ndarray, " n"]], samples: int
 ) -> Float[np.ndarray, " m"]:
     """Return the mean of a field over each element, from `samples` points along an edge."""
     weights = lattice(samples)

@@ -61,10 +61,6 @@ class Shape(Checked, ABC):
 
         Args:
             segments: Number of sides of round shapes; a multiple of 4.
-
-        Raises:
-            ConfigError: There are too few segments, or the shape is thinner than the cells of
-                marching cubes.
         """
         return marching_cubes(self.signed_distance, self.bounds(), str(self))
 

@@ -12,12 +12,13 @@ from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh.checks import as_cells, as_points, check_elements, check_faces
 from tactorch.mesh.geometry import area_vectors, bounding_box, frozen, signed_volumes
 from tactorch.mesh.topology import (
+    LOCAL_EDGES,
     LOCAL_FACES,
     Adjacency,
     FaceMatch,
     Surface,
-    match_edges,
     match_faces,
+    row_keys,
 )
 from tactorch.mesh.values import Corners, Points, Real, Rows, Tets
 
@@ -159,7 +160,10 @@ class TetMesh:
 
     @cached_property
     def _edges(self) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "m 6"]]:
-        return match_edges(self.tets, self.n_points)
+        ends = np.sort(self.tets[:, LOCAL_EDGES].reshape(-1, 2), axis=1)
+        keys = row_keys(ends, self.n_points)
+        _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+        return frozen(ends[first]), frozen(inverse.reshape(-1, 6))
 
 
 def compact(
@@ -178,19 +182,15 @@ def compact(
 
 
 def select_face(mesh: TetMesh, name: str, tolerance: Real = 2e-3) -> Int[np.ndarray, " k"]:
-    """Find the boundary triangles on one side of the bounding box.
+    """Return the boundary triangles on one flat side of the bounding box; at least one.
+
+    They are ascending indices into `mesh.surface.triangles`.
 
     Args:
         mesh: Mesh.
         name: One of `FACE_NAMES`.
         tolerance: Maximum distance of a vertex from the side's plane, as a fraction of the
             bounding box's diagonal. The default covers the envelope of `tetrahedralize`.
-
-    Returns:
-        Ascending indices into `mesh.surface.triangles`; at least one.
-
-    Raises:
-        MeshError: No triangle is on that side: the object is round there.
     """
     if name not in FACE_NAMES:
         raise ConfigError(f"Unknown face '{name}'; choose one of {', '.join(FACE_NAMES)}.")

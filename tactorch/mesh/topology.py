@@ -52,19 +52,12 @@ class Adjacency:
 
 
 class FaceMatch(NamedTuple):
-    """Matched element faces; flat face `4 * tet + i` is opposite local vertex `i`.
+    """Matched element faces; flat face `4 * tet + i` is opposite local vertex `i`."""
 
-    Attributes:
-        boundary: Faces of one element only, ascending.
-        pairs: Faces that coincide, one row per shared face, sorted by elements (i, j), i < j.
-        crowded: Faces shared by three or more elements; empty in a valid mesh.
-        folded: Faces of `pairs` whose two elements are on the same side of the face.
-    """
-
-    boundary: Int[np.ndarray, " k"]
-    pairs: Int[np.ndarray, "f 2"]
-    crowded: Int[np.ndarray, " c"]
-    folded: Int[np.ndarray, " g"]
+    boundary: Int[np.ndarray, " k"]  # faces of one element only, ascending
+    pairs: Int[np.ndarray, "f 2"]  # faces that coincide, sorted by elements (i, j), i < j
+    crowded: Int[np.ndarray, " c"]  # faces shared by three or more elements
+    folded: Int[np.ndarray, " g"]  # faces of `pairs` with both elements on the same side
 
 
 def match_faces(tets: Tets, n_points: int) -> FaceMatch:
@@ -87,13 +80,6 @@ def match_faces(tets: Tets, n_points: int) -> FaceMatch:
         crowded=np.sort(order[like_previous & like_next]),
         folded=pairs[odd[pairs[:, 0]] == odd[pairs[:, 1]]].ravel(),
     )
-
-
-def match_edges(tets: Tets, n_points: int) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "m 6"]]:
-    """Return the unique edges (smaller node first, sorted) and the six edges of each element."""
-    ends = np.sort(tets[:, LOCAL_EDGES].reshape(-1, 2), axis=1)
-    _, first, inverse = np.unique(row_keys(ends, n_points), return_index=True, return_inverse=True)
-    return frozen(ends[first]), frozen(inverse.reshape(-1, 6))
 
 
 def row_keys(rows: Int[np.ndarray, "r w"], n_points: int) -> Int[np.ndarray, " r"]:

@@ -22,14 +22,7 @@ import numpy as np
 
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh import TetMesh, VoxelGrid
-from tactorch.metrics.segment import (
-    Field,
-    Mask,
-    check_field,
-    inclusion_side,
-    segment,
-    volume_mean,
-)
+from tactorch.metrics.segment import Field, Mask, check_field, inclusion_side, segment, volume_mean
 
 Range = float | Literal["truth"]
 _NAN = float("nan")
@@ -96,9 +89,6 @@ def psnr(youngs: Field, truth: Field, range_mpa: Range = 1.0) -> float:
         youngs: Moduli, MPa.
         truth: True moduli, MPa.
         range_mpa: Range of the data, MPa (1 in Table II), or "truth" for max - min of the truth.
-
-    Raises:
-        ConfigError: The range is not above 0.
     """
     _check_pair(youngs, truth)
     peak, error = _range(range_mpa, truth), rmse_mpa(youngs, truth)
@@ -116,9 +106,6 @@ def ssim_1d(youngs: Field, truth: Field, window: int = 401, range_mpa: Range = "
         truth: True moduli, (m,), MPa.
         window: Length of the window, odd and at most m.
         range_mpa: Range of the data, MPa, or "truth" for max - min of the truth.
-
-    Raises:
-        ConfigError: The window does not fit, or the range is not above 0.
     """
     from skimage.metrics import structural_similarity
 
@@ -155,10 +142,6 @@ def ssim(
         voxels: Voxels in each direction.
         window: Edge of the cubic window, voxels, odd.
         range_mpa: Range of the data, MPa.
-
-    Raises:
-        ConfigError: The window does not fit the grid, or the range is not above 0.
-        MeshError: A field does not fit the mesh.
     """
     from skimage.metrics import structural_similarity
 

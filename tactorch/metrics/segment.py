@@ -85,9 +85,6 @@ def find_inclusion(mesh: TetMesh, youngs: Field) -> Inclusion | None:
 
     Returns:
         The inclusion; None if the map stays within 2 % of its background.
-
-    Raises:
-        MeshError: The field does not fit the mesh.
     """
     check_field("youngs", youngs, mesh)
     side = inclusion_side(mesh, youngs)

@@ -19,7 +19,6 @@ class Background(Protocol):
 
     def at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return Young's modulus at points (mm), MPa."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,6 @@ class Gradient(Checked):
         unit_vector("end_mm - start_mm", np.subtract(self.end_mm, self.start_mm))
 
     def at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-        """Return Young's modulus at points (mm), MPa."""
         span = np.subtract(self.end_mm, self.start_mm)
         position = np.clip((points - np.array(self.start_mm)) @ span / (span @ span), 0.0, 1.0)
         return self.low_mpa + position * (self.high_mpa - self.low_mpa)
@@ -76,7 +74,6 @@ class Layers(Checked):
             )
 
     def at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-        """Return Young's modulus at points (mm), MPa."""
         heights = points @ np.array(self.axis)
         return np.array(self.youngs_mpa)[np.searchsorted(np.array(self.levels_mm), heights)]
 
@@ -106,7 +103,6 @@ class RandomField(Checked):
             raise ConfigError(f"seed={self.seed} must not be negative.")
 
     def at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-        """Return Young's modulus at points (mm), MPa."""
         rng = np.random.default_rng(self.seed)
         waves = rng.standard_normal((_N_WAVES, 3)) / self.correlation_mm
         phases = rng.uniform(0.0, 2.0 * np.pi, _N_WAVES)

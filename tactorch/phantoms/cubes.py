@@ -48,7 +48,6 @@ class UniformCube(Options):
     youngs_mpa: float = option(_SOFT, "Young's modulus of the cube", unit="MPa", gt=0)
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         return Phantom(cube_body(self.side_mm), self._inclusions(), self.youngs_mpa)
 
     def _inclusions(self) -> list[tuple[Shape, float]]:
@@ -190,7 +189,6 @@ class CubeGradient(Options):
     high_mpa: float = option(_HARD, "Young's modulus at the opposite edge", unit="MPa", gt=0)
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         side = self.side_mm
         ends = (0.0, 0.0, side / 2), (side, side, side / 2)
         return Phantom(cube_body(side), (), Gradient(*ends, self.low_mpa, self.high_mpa))
@@ -207,7 +205,6 @@ class CubeLayers(Options):
     )
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         count = len(self.youngs_mpa)
         levels = [self.side_mm * i / count for i in range(1, count)]
         return Phantom(cube_body(self.side_mm), (), Layers(levels, self.youngs_mpa))

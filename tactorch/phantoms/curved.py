@@ -44,7 +44,6 @@ class CylinderSphere(_UprightCylinder):
     radius: float = option(0.2, "Radius of the ball, in diameters", gt=0)
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         wide, high = self.diameter_mm, self.height_mm
         ball = Sphere((wide / 2, wide / 2, high * (1.0 - self.depth)), self.radius * wide)
         return self._phantom(self._body, ball)
@@ -59,7 +58,6 @@ class CylinderHoleSphere(_UprightCylinder):
     hole_mpa: float = option(HOLE_MPA, "Young's modulus of the hole", unit="MPa", gt=0)
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         wide, high = self.diameter_mm, self.height_mm
         hole = Sphere((0.28 * wide, wide / 2, 0.6 * high), self.radius * wide)
         ball = Sphere((0.72 * wide, wide / 2, 0.6 * high), self.radius * wide)
@@ -78,7 +76,6 @@ class HyperboloidSphere(_SoftBody):
     height: float = option(0.6, "Height of the ball's centre, in heights of the body")
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         rim, high = self.rim_mm, self.height_mm
         body = Hyperboloid((rim, rim, high / 2), self.waist_mm, rim, high)
         ball = Sphere((rim, rim, self.height * high), self.radius_mm)
@@ -96,7 +93,6 @@ class HemisphereSpheres(_SoftBody):
     height: float = option(0.4, "Height of their centres above the flat side, in radii")
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         r = self.radius_mm
         angles = 2.0 * np.pi * np.arange(self.count) / max(self.count, 1)
         ring = np.column_stack((np.cos(angles), np.sin(angles))) * self.distance
@@ -115,7 +111,6 @@ class HemisphereRandom(Options):
     seed: int = option(5, "Seed of the random field", ge=0)
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         r = self.radius_mm
         field = RandomField(self.median_mpa, self.spread, 0.4 * r, self.seed)
         return Phantom(Hemisphere(_ORIGIN, r), (), field)
@@ -130,7 +125,6 @@ class HemisphereTwoSpheres(_SoftBody):
     inclusion_mpa: float = option(0.5, "Young's modulus of the balls", unit="MPa", gt=0)
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         r = self.radius_mm
         shallow = Sphere((0.45 * r, 0.0, 0.45 * r), 0.28 * r)
         deep = Sphere((-0.4 * r, 0.15 * r, 0.38 * r), 0.28 * r)
@@ -144,7 +138,6 @@ class ToyTwoSpheres(_SoftBody):
     height_mm: float = option(20.0, "Height of the figure", unit="mm", gt=0)
 
     def build(self) -> Phantom:
-        """Return the phantom."""
         h = self.height_mm
         belly = Sphere((0.1 * h, 0.0, 0.3 * h), 0.12 * h)
         head = Sphere((0.0, 0.05 * h, 0.76 * h), 0.09 * h)

@@ -20,6 +20,7 @@ from tactorch.phantoms.phantom import Phantom
 
 Range = tuple[float, float]
 Rng = np.random.Generator
+Proposal = tuple[Shape, dict[str, Any]]  # a shape and its parameters
 _MAX_DRAWS = 200
 
 
@@ -52,15 +53,14 @@ class RecognitionFamily(Options):
         """Check the names and ranges."""
         super().__post_init__()
         _check_names("shape", self.shapes, _RECOGNITION_SHAPES)
-        for name in ("size", "depth", "youngs_mpa", "contrast"):
-            _check_range(name, getattr(self, name))
+        _check_ranges(self, "size", "depth", "youngs_mpa", "contrast")
 
     def draw(self, rng: Rng) -> RandomPhantom:
         """Draw a phantom."""
         name = str(rng.choice(self.shapes))
         side, body = self.side_mm, cube_body(self.side_mm)
 
-        def propose() -> tuple[Shape, dict[str, Any]]:
+        def propose() -> Proposal:
             scale = float(rng.uniform(*self.size)) * side
             x, y = 0.5 + rng.uniform(-self.shift, self.shift, 2)
             center = side * np.array([x, y, 1.0 - float(rng.uniform(*self.depth))])
@@ -107,8 +107,7 @@ class InclusionsFamily(Options):
         super().__post_init__()
         _check_names("shape", self.shapes, _SHAPES)
         _check_names("background", self.backgrounds, _BACKGROUNDS)
-        for name in ("count", "size", "youngs_mpa", "contrast"):
-            _check_range(name, getattr(self, name))
+        _check_ranges(self, "count", "size", "youngs_mpa", "contrast")
 
     def draw(self, rng: Rng) -> RandomPhantom:
         """Draw a phantom; inclusions without room are left out."""
@@ -120,7 +119,7 @@ class InclusionsFamily(Options):
         parts: list[dict[str, Any]] = []
         for name in names:
 
-            def propose(name: str = name) -> tuple[Shape, dict[str, Any]]:
+            def propose(name: str = name) -> Proposal:
                 half = float(rng.uniform(*self.size)) * side
                 low = min(half, 0.5 * side)
                 center = rng.uniform(low, side - low, 3)
@@ -149,7 +148,6 @@ FAMILIES = Registry(
         "recognition": "tactorch.phantoms.families:RecognitionFamily",
         "inclusions": "tactorch.phantoms.families:InclusionsFamily",
     },
-    "Families of random phantoms",
 )
 
 
@@ -186,11 +184,8 @@ _SHAPES: dict[str, Callable[[Rng, np.ndarray, float], Shape]] = {
 
 
 def _draw_inside(
-    body: Shape,
-    propose: Callable[[], tuple[Shape, dict[str, Any]]],
-    others: Sequence[Shape] = (),
-    gap: float = 0.0,
-) -> tuple[Shape, dict[str, Any]]:
+    body: Shape, propose: Callable[[], Proposal], others: Sequence[Shape] = (), gap: float = 0.0
+) -> Proposal:
     """Draw until a shape is inside the body and clear of the others."""
     for _ in range(_MAX_DRAWS):
         shape, pose = propose()
@@ -229,13 +224,14 @@ def _check_names(what: str, names: Sequence[str], known: Iterable[str]) -> None:
         raise ConfigError(f"no {what} is given; choose from {', '.join(known)}.")
 
 
-def _check_range(name: str, limits: Sequence[float]) -> None:
-    if limits[1] < limits[0]:
-        raise ConfigError(f"{name}={list(limits)} must be the lower and the upper end of a range.")
+def _check_ranges(family: Options, *names: str) -> None:
+    for name in names:
+        limits = list(getattr(family, name))
+        if limits[1] < limits[0]:
+            raise ConfigError(f"{name}={limits} must be the lower and the upper end of a range.")
 
 
 def _direction(rng: Rng) -> np.ndarray:
-    """Uniformly distributed direction."""
     direction = rng.standard_normal(3)
     return direction / np.linalg.norm(direction)
 

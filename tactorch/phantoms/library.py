@@ -32,7 +32,6 @@ PHANTOMS = Registry(
         "hemisphere_two_spheres": "tactorch.phantoms.curved:HemisphereTwoSpheres",
         "toy_two_spheres": "tactorch.phantoms.curved:ToyTwoSpheres",
     },
-    "Phantoms",
 )
 
 

@@ -83,9 +83,6 @@ class Phantom:
                 the modulus at their centroid; with more, the mean over a lattice (see
                 `tactorch.mesh.quadrature.lattice`), so that elements cut by the surface of an
                 inclusion have the volume average.
-
-        Raises:
-            MeshError: The mesh is not one of this body: their bounding boxes differ.
         """
         bounds = self.body.bounds()
         if np.abs(mesh.bounds - bounds).max() > MAX_BOUNDS_DIFFERENCE * bounding_diagonal(bounds):
@@ -192,11 +189,7 @@ class MeshSize(Options):
     )
 
     def build(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
-        """Mesh a phantom.
-
-        Returns:
-            The recording's mesh, and the mesh to solve on; None where it is the same.
-        """
+        """Return the recording's mesh, and the mesh to solve on; None where it is the same."""
 
         def mesh(edge_mm: float | None, relative: float) -> TetMesh:
             return phantom.mesh(edge_mm, relative_edge_length=relative, generator=self.generator)

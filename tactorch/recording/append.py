@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tactorch.errors import FileError, RecordingError
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.hdf5 import hdf5_image, write_attribute
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
@@ -33,19 +33,12 @@ _MAX_SMALL_TAIL_BYTES = 1 << 20  # a smaller tail is never merged into the HDF5 
 
 @dataclass(frozen=True, eq=False)
 class RecordingContents:
-    """Content of a recording that may still grow.
+    """Content of a recording that may still grow."""
 
-    Attributes:
-        recording: The object with its valid presses; None where no press is valid.
-        presses: The valid presses that were read, by number from 0.
-        faults: Message for each invalid press, by number.
-        count: Number of presses in the file, valid or not.
-    """
-
-    recording: Recording | None
-    presses: Mapping[int, Press]
-    faults: Mapping[int, str]
-    count: int
+    recording: Recording | None  # the object with its valid presses; None where no press is valid
+    presses: Mapping[int, Press]  # the valid presses that were read, by number from 0
+    faults: Mapping[int, str]  # message for each invalid press, by number
+    count: int  # presses in the file, valid or not
 
 
 class OtherObjectError(RecordingError):
@@ -73,8 +66,7 @@ def append_press(path: str | Path, press: Press) -> int:
             tail.begin, _MAX_SMALL_TAIL_BYTES
         ):
             image = _whole_image(reader, GROWING, press)
-            with atomic_path(path) as temporary:
-                temporary.write_bytes(image)
+            write_file(path, image)
             return count
     _write_at(Path(path), tail.end, record)
     return count
@@ -89,8 +81,7 @@ def compact(path: str | Path) -> None:
         if reader.tail is None:
             return
         image = _whole_image(reader, SAVED)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(image)
+    write_file(path, image)
 
 
 def read_presses(

@@ -117,11 +117,6 @@ class Press:
         self._set("prescribed", np.where(self.fixed, self.prescribed, 0.0))
 
     @property
-    def n_points(self) -> int:
-        """Number of mesh nodes that the arrays are over."""
-        return len(self.forces)
-
-    @property
     def held(self) -> Bool[np.ndarray, "n 3"]:
         """Supported degrees of freedom, by a spring or fixed, (n, 3)."""
         return self.fixed | (self.springs > 0)
@@ -149,9 +144,9 @@ class Press:
 
     def validate(self, n_points: int) -> None:
         """Raise `RecordingError` if the arrays are not over `n_points` mesh nodes."""
-        if self.n_points != n_points:
+        if len(self.forces) != n_points:
             raise self._error(
-                f"forces is over {self.n_points} nodes but the mesh has {n_points}; use the mesh"
+                f"forces is over {len(self.forces)} nodes but the mesh has {n_points}; use the mesh"
                 " that the press was made with"
             )
 

@@ -12,18 +12,9 @@ import numpy as np
 from tactorch.errors import MeshError, RecordingError
 from tactorch.hdf5 import Hdf5Reader, open_hdf5, write_array, write_attribute, write_json
 from tactorch.mesh import TetMesh
+from tactorch.recording import schema
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
-from tactorch.recording.schema import (
-    FORMAT,
-    GROWING,
-    PRESS_ARRAYS,
-    PRESS_MASKS,
-    PRESS_OPTIONAL,
-    SAVED,
-    UNITS,
-    VERSION,
-)
 from tactorch.recording.tail import PressTail
 
 if TYPE_CHECKING:
@@ -59,21 +50,23 @@ class RecordingReader(Hdf5Reader):
 
     def _check_format(self) -> None:
         kind = self.attribute("/", "format", str) if "format" in self.root.attrs else None
-        if kind != FORMAT:
+        if kind != schema.FORMAT:
             raise self.error(
-                f"has format {kind!r} where {FORMAT!r} is expected; it is HDF5, but not a "
+                f"has format {kind!r} where {schema.FORMAT!r} is expected; it is HDF5, but not a "
                 f"recording of tactorch: give the file that {_WRITER} wrote"
             )
         version = self.attribute("/", "version", int)
-        if version > VERSION:
+        if version > schema.VERSION:
             raise self.error(
-                f"has version {version}, and this tactorch reads up to {VERSION}; upgrade tactorch"
+                f"has version {version}, and this tactorch reads up to {schema.VERSION}; "
+                "upgrade tactorch"
             )
         if version < 1:
             raise self.error(f"has version {version}, which never existed; write it again")
         units = self.attribute("/", "units", str)
-        if units != UNITS:
-            raise self.error(f"is in units {units!r}; {UNITS!r} is needed: convert the values")
+        if units != schema.UNITS:
+            needed = schema.UNITS
+            raise self.error(f"is in units {units!r}; {needed!r} is needed: convert the values")
 
     def mesh(self) -> TetMesh:
         """Read the mesh, once."""
@@ -129,7 +122,7 @@ class FileReader(RecordingReader):
     def __init__(self, file: "h5py.File", source: Path) -> None:
         super().__init__(file, source)
         self._stored = super().count()
-        growing = self.attribute("/", "version", int) >= GROWING
+        growing = self.attribute("/", "version", int) >= schema.GROWING
         self.tail = PressTail(file, source, self._stored) if growing else None
 
     def count(self) -> int:
@@ -152,10 +145,10 @@ class FileReader(RecordingReader):
 def _read_press(reader: Hdf5Reader, path: str, n_points: int) -> Press:
     """Read and check the press in the group `path`."""
     fields: dict[str, Any] = {}
-    for field in PRESS_ARRAYS:
-        kind = "b" if field in PRESS_MASKS else "f"
+    for field in schema.PRESS_ARRAYS:
+        kind = "b" if field in schema.PRESS_MASKS else "f"
         fields[field] = reader.array(f"{path}/{field}", kind, (n_points, 3))
-    for field, shape in PRESS_OPTIONAL.items():
+    for field, shape in schema.PRESS_OPTIONAL.items():
         if reader.has(f"{path}/{field}"):
             wanted = tuple(n_points if size is None else size for size in shape)
             fields[field] = reader.array(f"{path}/{field}", "f", wanted)
@@ -179,9 +172,9 @@ def open_recording(path: str | Path) -> Iterator[FileReader]:
 
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:
     """Write the fields of a `Recording` into a file or group."""
-    write_attribute(group, "format", FORMAT)
-    write_attribute(group, "version", SAVED)
-    write_attribute(group, "units", UNITS)
+    write_attribute(group, "format", schema.FORMAT)
+    write_attribute(group, "version", schema.SAVED)
+    write_attribute(group, "units", schema.UNITS)
     if fields["density"] is not None:
         write_attribute(group, "density", fields["density"])
     write_array(group, "mesh/points", fields["mesh"].points.astype("<f8"))
@@ -207,9 +200,9 @@ def write_press(group: "h5py.Group", press: Press) -> None:
     write_attribute(group, "step", press.step)
     if press.noise_mm is not None:
         write_attribute(group, "noise_mm", press.noise_mm)
-    for field in PRESS_ARRAYS:
+    for field in schema.PRESS_ARRAYS:
         array = getattr(press, field)
-        write_array(group, field, array.astype(np.uint8) if field in PRESS_MASKS else array)
-    for field in PRESS_OPTIONAL:
+        write_array(group, field, array.astype(np.uint8) if field in schema.PRESS_MASKS else array)
+    for field in schema.PRESS_OPTIONAL:
         if getattr(press, field) is not None:
             write_array(group, field, getattr(press, field))

@@ -111,7 +111,7 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     step(0)
     point = solution(recording, run.result, run.settings or settings_from(run.result.config))
     step(1)
-    metric = credibility(point.evaluation).values
+    metric = credibility(point.evaluation)
     step(2)
     posterior = posterior_at(point, run.result.history[-1].get("weight", 0.0))
     step(3)
@@ -163,7 +163,7 @@ def _nuisance(run: Run, recording: Recording) -> Nuisance:
     values: dict[str, Any] = {k: estimate.value for k, estimate in run.result.nuisance.items()}
     for name in {"poisson", "force_scale"} & values.keys():
         values[name] = float(values[name][0])
-    return replace(Nuisance.assumed(recording), **values)
+    return replace(Nuisance(recording.material.poisson), **values)
 
 
 def noise_model(run: Run) -> NoiseModel:

@@ -268,9 +268,7 @@ def _compared_settings(run: Run) -> dict[str, Any]:
     config = dict(run.result.config)
     settings = dict(config.pop("settings", {}))
     settings.pop("optimizer", None)  # also under its own name
-    others = {
-        name: config[name] for name in ("start_mpa", "optimizer", "material") if name in config
-    }
+    others = {k: config[k] for k in ("start_mpa", "optimizer", "material") if k in config}
     return {"recording": {"file": run.summary.get("recording")}} | settings | others
 
 

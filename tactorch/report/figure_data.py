@@ -76,19 +76,15 @@ def figure_data(reports: Sequence[RunReport], colours: str) -> dict[str, Any]:
 def _run_data(report: RunReport) -> dict[str, Any]:
     run, assessment, inclusion = report.run, report.assessment, report.inclusion
     mesh, recording, uncertainty = run.result.mesh, run.recording, assessment.uncertainty
-    data = {
+    empty = dict.fromkeys(("center", "level", "interval", "inclusion", "trueInclusion"))
+    data = empty | {
         "name": run.name,
         "points": packed(mesh.points, "float32"),
         "tets": indices(mesh.tets, mesh.n_points),
         "surface": indices(mesh.surface.triangles, mesh.n_points),
         "bounds": mesh.bounds.tolist(),
-        "center": None,
-        "level": None,
         "fields": {name: quantised(values) for name, values in _fields(run, uncertainty).items()},
-        "interval": None,
         "posterior": "",
-        "inclusion": None,
-        "trueInclusion": None,
         "contact": [],
         "presses": [],
         "corrected": assessment.corrected,
@@ -171,10 +167,10 @@ def _limits(reports: Sequence[RunReport]) -> dict[str, list[float]]:
     """Return the ends of the colour scale of each field, the same for all runs."""
     runs = [report.run for report in reports]
     maps = {"reconstruction": np.concatenate([run.result.youngs for run in runs])}
-    truths = [run.recording.truth for run in runs if run.recording is not None]
-    known_truths = [truth for truth in truths if truth is not None]
-    if known_truths:
-        maps["truth"] = np.concatenate(known_truths)
+    recordings = [run.recording for run in runs if run.recording is not None]
+    truths = [recording.truth for recording in recordings if recording.truth is not None]
+    if truths:
+        maps["truth"] = np.concatenate(truths)
     norm = colour_scale(maps, "linear", None)
     limits = {name: [float(norm.vmin or 0.0), float(norm.vmax or 1.0)] for name in _MODULI}
     uncertainties = [report.assessment.uncertainty for report in reports]

@@ -57,13 +57,6 @@ def load_run(
         name: Name of the run; the name of the folder if empty.
         recording: Inverted recording, if it is not the file that the run refers to.
         check_units: Whether recordings whose numbers suggest another unit are refused.
-
-    Returns:
-        The run.
-
-    Raises:
-        FileError: The folder has no finished inversion, or a file cannot be read.
-        RecordingError: The given recording is on another mesh.
     """
     path = require_folder(folder, "run")
     try:
@@ -75,7 +68,16 @@ def load_run(
     result = Reconstruction.load(files[0])
     summary = read_json(files[1], "summary", "run the inversion again.")
     text = path / "summary.txt"
-    loaded, missing = _load_recording(path, result, summary, recording, check_units)
+    loaded, missing = None, ""
+    try:
+        source = summary.get("recording") if recording is None else recording
+        if source is None:
+            raise FileError(f"'{files[1]}' refers to no recording")
+        loaded = _load_recording(source, result, check_units)
+    except (FileError, RecordingError) as error:
+        if recording is not None:
+            raise
+        missing = str(error)
     return Run(
         folder=path,
         name=one_line(name or path.resolve().name, _MAX_NAME_LENGTH),
@@ -98,31 +100,16 @@ def run_names(folders: Sequence[Path]) -> list[str]:
     return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
 
 
-def _load_recording(
-    folder: Path,
-    result: Reconstruction,
-    summary: dict[str, Any],
-    given: str | Path | None,
-    check_units: bool,
-) -> tuple[Recording | None, str]:
-    """Return the recording, or the reason why it is missing; a given one has to match."""
-    source = summary.get("recording") if given is None else given
-    if source is None:
-        return None, f"'{folder / 'summary.json'}' refers to no recording"
-    try:
-        recording = Recording.load(Path(str(source)), check_units=check_units)
-        if recording.mesh.content_hash() != result.mesh.content_hash():
-            raise RecordingError(f"recording '{source}' is on another mesh than the result.")
-        if len(recording.presses) != len(result.displacements):
-            raise RecordingError(
-                f"recording '{source}' has {len(recording.presses)} presses, the result"
-                f" {len(result.displacements)}."
-            )
-    except (FileError, RecordingError) as error:
-        if given is not None:
-            raise
-        return None, str(error)
-    return recording, ""
+def _load_recording(path: str | Path, result: Reconstruction, check_units: bool) -> Recording:
+    recording = Recording.load(Path(str(path)), check_units=check_units)
+    if recording.mesh.content_hash() != result.mesh.content_hash():
+        raise RecordingError(f"recording '{path}' is on another mesh than the result.")
+    if len(recording.presses) != len(result.displacements):
+        raise RecordingError(
+            f"recording '{path}' has {len(recording.presses)} presses, the result"
+            f" {len(result.displacements)}."
+        )
+    return recording
 
 
 def _load_log(folder: Path) -> str:

@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from tactorch.errors import ConfigError
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.report.assessment import ProgressCallback, assess
 from tactorch.report.content import (
     RunReport,
@@ -39,7 +39,7 @@ def write_report(
     colours: str = "viridis",
     progress: ProgressCallback | None = None,
 ) -> Path:
-    """Write a self-contained HTML file that needs neither a server nor a network.
+    """Write a self-contained HTML file that needs no server or network; return its path.
 
     Args:
         runs: One inversion, or several to compare; see `load_run`.
@@ -48,13 +48,6 @@ def write_report(
         colours: Initial colour map: "viridis", "cividis" or "ultrasound" (grey); the page has a
             control for it.
         progress: Called before each step of a long computation.
-
-    Returns:
-        The path.
-
-    Raises:
-        ConfigError: There is no run, or the colour map is unknown.
-        FileError: The file cannot be written.
     """
     if not runs:
         raise ConfigError("write_report: no run given; pass at least one.")
@@ -62,8 +55,7 @@ def write_report(
         raise ConfigError(f"colours={colours} is unknown; choose one of {', '.join(COLOURS)}.")
     assessments = (assess(run, uncertainty=uncertainty, progress=progress) for run in runs)
     page = _render([RunReport(*pair) for pair in zip(runs, assessments, strict=True)], colours)
-    with atomic_path(out) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_file(out, page)
     if len(page) > _LARGE_BYTES:
         _log.warning("the report has %.0f MB because its meshes are large", len(page) / 1e6)
     return Path(out)

@@ -61,11 +61,7 @@ class CaseResult:
 
     @staticmethod
     def load(path: Path) -> "CaseResult":
-        """Read a result written by `save`.
-
-        Raises:
-            FileError: The file is damaged.
-        """
+        """Read a result written by `save`."""
         arrays = read_arrays(path, "stored case", _REMEDY)
         try:
             figures = json.loads(str(arrays.pop(_FIGURES)))["figures"]
@@ -89,18 +85,13 @@ def run_cases(
     A study is a module of `tactorch.reproduce`, whose `run_case` computes a case. Results and the
     error messages of failed cases are by name of the case. Its folder also has the state of
     unfinished cases.
-
-    Raises:
-        FileError: A stored result is damaged.
-        TactorchError: A worker process was killed.
     """
-    stems = {name: folder / study / _stem(name, settings) for name, settings in cases.items()}
-    paths = {name: stem.with_name(f"{stem.name}.npz") for name, stem in stems.items()}
+    paths = {name: folder / study / _file_name(name, cases[name]) for name in cases}
     missing = [name for name in cases if not paths[name].is_file()]
     stored = len(cases) - len(missing)
     failed: dict[str, str] = {}
     progress(stored, len(cases), "")
-    tasks = [(name, cases[name], stems[name]) for name in missing]
+    tasks = [(name, cases[name], paths[name]) for name in missing]
     run = partial(_run_case, study)
     parallel = len(missing) > 1 and workers != 1
     finished = run_in_processes(run, tasks, workers) if parallel else map(run, tasks)
@@ -112,19 +103,19 @@ def run_cases(
     return results, failed
 
 
-def _stem(name: str, settings: CaseSettings) -> str:
+def _file_name(name: str, settings: CaseSettings) -> str:
     content = json.dumps(dict(settings), sort_keys=True)
-    return f"{name}-{sha256(content.encode()).hexdigest()[:10]}"
+    return f"{name}-{sha256(content.encode()).hexdigest()[:10]}.npz"
 
 
 def _run_case(study: str, task: tuple[str, CaseSettings, Path]) -> tuple[str, str]:
     """Compute and store one case; return its name and the error message of a failure."""
-    name, settings, stem = task
-    scratch = stem.with_name(f"{stem.name}.unfinished")
+    name, settings, path = task
+    scratch = path.with_suffix(".unfinished")
     try:
         with single_thread():
             result = import_module(f"tactorch.reproduce.{study}").run_case(settings, scratch)
-        result.save(stem.with_name(f"{stem.name}.npz"))
+        result.save(path)
     except Exception as error:  # a failed case must not end the others
         kind = "" if isinstance(error, TactorchError) else f"{type(error).__name__}: "
         return name, kind + " ".join(str(error).split())

@@ -37,7 +37,7 @@ def compute_metric(mesh: TetMesh, youngs_mpa: float, pressure_mpa: float) -> np.
         material=MATERIAL,
     )
     evaluation = InverseProblem(recording).evaluate(np.full(mesh.n_tets, youngs_mpa))
-    return credibility(evaluation).values
+    return credibility(evaluation)
 
 
 def layer_sums(mesh: TetMesh, values: np.ndarray, layers: int) -> np.ndarray:

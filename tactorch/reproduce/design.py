@@ -108,11 +108,9 @@ def _case_name(model: str, mesh: str, cell: Cell) -> str:
 def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     """Simulate and invert one cell."""
     cell = dict(settings)
-    model, mesh = cell.pop("model"), cell.pop("mesh")
-    edge = cell.pop("relative_edge_length")
-    recording = simulate_cell(
-        model, Cell(**cell), same_mesh=mesh == "same", relative_edge_length=edge
-    )
+    model, mesh, edge = (cell.pop(key) for key in ("model", "mesh", "relative_edge_length"))
+    same = mesh == "same"
+    recording = simulate_cell(model, Cell(**cell), same_mesh=same, relative_edge_length=edge)
     truth = recording.truth
     assert truth is not None
     reconstruction = invert_blindly(recording)

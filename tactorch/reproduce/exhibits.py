@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any
 
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.files import atomic_path
+from tactorch.files import write_file
 from tactorch.reproduce import credibility, depths, design, models, recognition, sampling, sizes
 from tactorch.reproduce.cases import ProgressCallback, run_cases
 
@@ -88,19 +88,14 @@ def reproduce(
                 continue
             method = (module.__doc__ or "").strip()
             content = f"# {TITLES[exhibit]}\n\n{text}{missing}\n\n## Method\n\n{method}\n"
-            written.append(_write(out / f"{exhibit}.md", content))
+            written.append(out / f"{exhibit}.md")
+            write_file(written[-1], content)
     available = [name for name in EXHIBITS if (out / f"{name}.md").is_file()]
     links = "\n".join(f"- [{TITLES[name]}]({name}.md)" for name in available)
-    _write(out / "README.md", f"# Tables and figures of the paper, reproduced\n\n{links}\n")
+    write_file(out / "README.md", f"# Tables and figures of the paper, reproduced\n\n{links}\n")
     if failures:
         raise TactorchError(
             f"{len(failures)} cases failed: {'; '.join(failures[:3])}. All others are stored;"
             " repeat the command to try these again."
         )
     return written
-
-
-def _write(path: Path, text: str) -> Path:
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return path

@@ -60,10 +60,7 @@ def press_object(settings: Mapping[str, Any]) -> Recording:
     Boxes on springs are pressed on complete sides with increasing pressure. Curved bodies are
     fixed at their flat side and pressed by a round sensor at evenly distributed positions.
 
-    Args:
-        settings: `phantom` (name), `relative_edge_length` of the mesh, `p_max_mpa` (maximum
-            pressure) and `steps`; for curved bodies also `patches` (number of positions),
-            `patch_steps` (steps of the pressure at each) and `sensor_mm` (radius).
+    `settings` are those of `ModelsSize`, and the name of the phantom.
     """
     phantom = make_phantom(settings["phantom"])
     mesh = phantom.mesh(relative_edge_length=settings["relative_edge_length"])

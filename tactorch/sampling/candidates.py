@@ -13,6 +13,7 @@ from tactorch.mesh.geometry import farthest_point_order
 from tactorch.mesh.values import Real, positive
 from tactorch.recording import Press, Recording
 
+NodeMask = Bool[np.ndarray, " n"]
 _MIN_FACING = 0.85  # mean cosine between surface and sensor; an edge of a cube has 0.71
 _MAX_RADIUS_SHARE = 0.25  # inferred radius of the sensor over the object's smallest extent
 
@@ -49,9 +50,6 @@ class Patch:
         It acts on the surface that faces the sensor, within the cylinder along `inward` and within
         one and a half radii of the centre. The total is 1 MPa times the sensor's area on every
         mesh, distributed evenly over the sensor's face.
-
-        Raises:
-            ConfigError: the mesh has no such surface there.
         """
         surface = mesh.surface
         areas = surface.areas * self._cosines(mesh)
@@ -93,12 +91,7 @@ class Patch:
 
 
 def candidate_patches(
-    mesh: TetMesh,
-    held: Bool[np.ndarray, " n"],
-    radius_mm: Real,
-    count: int,
-    *,
-    min_facing: float = 0.0,
+    mesh: TetMesh, held: NodeMask, radius_mm: Real, count: int, *, min_facing: float = 0.0
 ) -> list[Patch]:
     """Return patches that the sensor can press, in farthest-point order from the first.
 
@@ -109,14 +102,8 @@ def candidate_patches(
         mesh: The body, mm.
         held: Mask of the fixed nodes.
         radius_mm: Radius of the sensor, mm.
-        count: Largest number of patches.
+        count: Largest number of patches; a small surface has fewer.
         min_facing: Smallest `Patch.facing`; 0.85 excludes edges and corners of a cube.
-
-    Returns:
-        The patches, fewer than `count` if the surface has no more.
-
-    Raises:
-        ConfigError: radius or count is out of range, no node is fixed, or no patch fits.
     """
     radius = positive("radius_mm", radius_mm)
     if count < 1:
@@ -170,11 +157,7 @@ class InferredCandidates:
         self._patches: dict[tuple[bytes, float], list[Patch]] = {}
 
     def __call__(self, recording: Recording) -> Candidates:
-        """Return the candidates.
-
-        Raises:
-            ConfigError: there is no patch to press, or the size of the sensor is unknown.
-        """
+        """Return the candidates."""
         mesh, presses = recording.mesh, recording.presses
         radius = float(self._radius_mm or sensor_radius_mm(mesh, presses))
         held = np.any([press.held.any(axis=1) for press in presses], axis=0)
@@ -186,7 +169,7 @@ class InferredCandidates:
         pressed = _pressed(recording, patches, radius)
         loaded = [(press, area) for press in presses if (area := _loaded_mm2(mesh, press)) > 0]
         pressures = [float(np.linalg.norm(press.total_force)) / area for press, area in loaded]
-        pressure = float(np.median(pressures)) if pressures else 0.0
+        pressure = float(np.median(pressures or [0.0]))
         return Candidates(
             patches,
             pressed if len(pressed) < len(patches) else (),  # all pressed: start over
@@ -194,17 +177,13 @@ class InferredCandidates:
         )
 
 
-def all_directions(nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, "n 3"]:
+def all_directions(nodes: NodeMask) -> Bool[np.ndarray, "n 3"]:
     """Return the mask of all three degrees of freedom of some nodes."""
     return np.repeat(nodes[:, None], 3, axis=1)
 
 
 def sensor_radius_mm(mesh: TetMesh, presses: Sequence[Press]) -> float:
-    """Return the radius of a disc of the loaded area, at most a quarter of the object's extent.
-
-    Raises:
-        ConfigError: no press loads the surface.
-    """
+    """Return the radius of a disc of the loaded area, at most a quarter of the object's extent."""
     areas = [area for press in presses if (area := _loaded_mm2(mesh, press)) > 0]
     if not areas:
         raise ConfigError(

@@ -176,13 +176,7 @@ class SamplingLoop:
         self._update: Update | None = None
 
     def run(self) -> LoopResult:
-        """Run to the end; Ctrl-C ends it with the last complete update.
-
-        Raises:
-            KeyboardInterrupt: before the first update.
-            FileError: the state to continue cannot be read, or its presses are missing.
-            RecordingError: the object or presses that were read changed.
-        """
+        """Run to the end; Ctrl-C ends it with the last complete update, or raises without any."""
         try:
             self._resume()
             self._refine_and_suggest()  # a run that was killed may not have come to it
@@ -228,7 +222,6 @@ class SamplingLoop:
         return f"the deviation is {deviation:.3g}, as low as the target" if reached else ""
 
     def _press_waits(self) -> bool:
-        """Whether a press waits to be inverted."""
         if len(self._done) >= self._max_presses:
             return False
         self._waiting += self._source.poll()

@@ -33,7 +33,6 @@ RULES = Registry(
         "random": f"{_HERE}:Random",
         "none": f"{_HERE}:NoSuggestion",
     },
-    "rules that choose the next press",
 )
 #: Derivatives of a press's data by the parameters, in standard deviations of the noise.
 Jacobian: TypeAlias = Float[np.ndarray, "data m"]
@@ -104,15 +103,12 @@ class Automatic(Rule):
     """Expected error up to 4,000 elements if forces are known; otherwise largest uncertainty."""
 
     def resolve(self, recording: Recording) -> Rule:
-        """See `Rule.resolve`."""
         loaded = any(press.forces.any() for press in recording.presses)
         dense = recording.mesh.n_tets <= MAX_DENSE_ELEMENTS
         return ExpectedError() if dense and loaded else LargestUncertainty()
 
     def choose(self, state: SamplingState) -> int:
-        """See `Rule.choose`."""
-        rule = LargestUncertainty() if state.posterior is None else ExpectedError()
-        return rule.choose(state)
+        return (LargestUncertainty() if state.posterior is None else ExpectedError()).choose(state)
 
 
 @dataclass(frozen=True)
@@ -120,11 +116,9 @@ class NoSuggestion(Rule):
     """No suggestion of the next press."""
 
     def resolve(self, recording: Recording) -> Rule:
-        """Refuse."""
         raise ConfigError("suggestions are off (suggest.rule=none)")
 
     def choose(self, state: SamplingState) -> int:
-        """Refuse; `resolve` does so before."""
         raise ConfigError("suggestions are off (suggest.rule=none)")
 
 
@@ -142,7 +136,6 @@ class LargestUncertainty(Rule):
     prior_deviation: float = option(1.0, "Standard deviation of each parameter before data", gt=0)
 
     def choose(self, state: SamplingState) -> int:
-        """See `Rule.choose`."""
         variance = 1.0 / (self.prior_deviation**-2 + state.credibility.sum(axis=0))
         means = area_means(state.mesh, state.candidates, variance)
         return max(state.remaining, key=lambda i: means[i])
@@ -154,7 +147,6 @@ class ScoredRule(Rule):
     uses_posterior = True
 
     def choose(self, state: SamplingState) -> int:
-        """See `Rule.choose`."""
         posterior, remaining = state.posterior, state.remaining
         assert posterior is not None
         predicted = zip(remaining, state.jacobians(remaining), strict=True)
@@ -168,10 +160,9 @@ class ScoredRule(Rule):
 
 @dataclass(frozen=True)
 class ExpectedInformation(ScoredRule):
-    """Largest expected information of the data: log det(I + J Sigma J^T) / 2."""
+    """Largest expected information of the data, log det(I + J Sigma J^T) / 2, in nats."""
 
     def score(self, state: SamplingState, posterior: GaussianState, jacobian: Jacobian) -> float:
-        """Return the expected information, nats."""
         return posterior.information_gain(jacobian)
 
 
@@ -186,7 +177,6 @@ class ExpectedError(ScoredRule):
     of: Literal["youngs", "parameters"] = option("youngs", "Quantity whose error is reduced")
 
     def score(self, state: SamplingState, posterior: GaussianState, jacobian: Jacobian) -> float:
-        """Return the expected reduction of the mean variance."""
         reduction = posterior.expected_variance_reduction(jacobian)
         if self.of == "youngs":
             variance = posterior.covariance.diagonal()
@@ -229,11 +219,9 @@ class UniformGrid(Rule):
         return [places[i] for i in farthest_point_order(centers[places], self.budget, first)]
 
     def first(self, candidates: Sequence[Patch]) -> int:
-        """See `Rule.first`."""
         return self.places(candidates)[0]
 
     def choose(self, state: SamplingState) -> int:
-        """See `Rule.choose`."""
         if len(state.pressed) >= self.budget:
             raise ConfigError(
                 f"budget={self.budget}: all places of the uniform grid were pressed; set its "
@@ -249,11 +237,9 @@ class Random(Rule):
     seed: int = option(0, "Seed of the order", ge=0)
 
     def first(self, candidates: Sequence[Patch]) -> int:
-        """See `Rule.first`."""
         return self._draw(range(len(candidates)), 0)
 
     def choose(self, state: SamplingState) -> int:
-        """See `Rule.choose`."""
         return self._draw(state.remaining, len(state.pressed))
 
     def _draw(self, remaining: Sequence[int], pressed: int) -> int:

@@ -77,12 +77,7 @@ class SimulatedPresser:
         )
 
     def press(self, patch: Patch) -> Press:
-        """Press, and observe the nodes in contact.
-
-        Raises:
-            ConvergenceError: the body collapses.
-            ConfigError: the patch misses the surface.
-        """
+        """Press, and observe the nodes in contact."""
         supports = Supports(fixed=all_directions(self.held))
         load = self.pressure_mpa * patch.forces(self.body.mesh)
         result = self.body.equilibrate(self.youngs, load, supports).require()
@@ -129,7 +124,8 @@ def sample(
 ) -> list[Step]:
     """Press where the rule suggests, inverting all presses after each from the previous map.
 
-    Ctrl-C ends the session. During an inversion it keeps that inversion's best map.
+    Returns one step per press. Ctrl-C ends the session. During an inversion it keeps that
+    inversion's best map. Nuisance parameters are not estimated.
 
     Args:
         presser: Carries out the presses.
@@ -142,15 +138,6 @@ def sample(
         start_mpa: Uniform start of the first inversion.
         target_deviation: Root mean square deviation of the parameters at which to stop.
         on_press: Called after each press and its inversion.
-
-    Returns:
-        One step per press.
-
-    Raises:
-        ConfigError: there are fewer candidates than the budget, nuisance parameters are to be
-            estimated, or a setting cannot be used.
-        ConvergenceError: the presses have no equilibrium, neither at the previous map nor at a
-            uniform one.
     """
     settings = settings or Settings()
     if not 1 <= budget <= len(candidates):
@@ -201,13 +188,11 @@ class _Session(PressSource, Observer):
     name = "the presser"
 
     def available(self, recording: Recording) -> Candidates:
-        """Return the candidates, unless the budget is spent."""
         if len(self.places) == self.budget:
             raise ConfigError(f"all presses of budget={self.budget} were made")
         return Candidates(self.candidates, tuple(self.places), self.presser.plan)
 
     def poll(self) -> list[Arrival]:
-        """Carry out the suggested press, if any."""
         if self.pressed == len(self.places):
             return []
         press = self.presser.press(self.candidates[self.places[-1]])
@@ -217,11 +202,9 @@ class _Session(PressSource, Observer):
         return [Arrival(press, f"press {self.pressed}", digest(press))]
 
     def updated(self, update: Update) -> None:
-        """See `Observer.updated`."""
         self.updated_at = time.perf_counter()
 
     def suggested(self, update: Update) -> None:
-        """See `Observer.suggested`."""
         suggestion, rms = update.suggestion, update.rms_deviation
         assert suggestion is not None
         ended = len(self.places) == self.budget

@@ -48,9 +48,6 @@ class RecordingSource(PressSource):
         patience_seconds: Time after which an unreadable file is reported, s.
         check_units: See `Recording`.
         report: Called with the message for each invalid press and file.
-
-    Raises:
-        ConfigError: the path is neither.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tactorch.errors import FileError
-from tactorch.files import atomic_path, read_arrays, write_arrays
+from tactorch.files import read_arrays, write_arrays, write_file
 from tactorch.sampling.sources import Arrival
 
 STATE, HISTORY, RESULT = "state.npz", "history.jsonl", "reconstruction.h5"
@@ -33,23 +33,14 @@ class Store:
     ) -> None:
         """Write the state and the history, one JSON object a line."""
         lines = [json.dumps(entry, allow_nan=False) for entry in history]
-        texts = {
-            "keys": [arrival.key for arrival in arrivals],
-            "marks": [arrival.digest for arrival in arrivals],
-            "history": lines,
-            "task": [self._task],
-        }
+        texts = {"keys": [a.key for a in arrivals], "marks": [a.digest for a in arrivals]}
+        texts |= {"history": lines, "task": [self._task]}
         arrays = {name: np.array(values, dtype=str) for name, values in texts.items()}
         write_arrays(self.folder / STATE, {**arrays, **state})
-        with atomic_path(self.folder / HISTORY) as path:
-            path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        write_file(self.folder / HISTORY, "".join(f"{line}\n" for line in lines))
 
     def load(self) -> tuple[dict[str, np.ndarray], dict[str, str], list[dict[str, Any]]] | None:
-        """Return state, digests of the presses by key, and history; None if the folder has none.
-
-        Raises:
-            FileError: the state cannot be read, or is of a run with other settings.
-        """
+        """Return state, digests of the presses by key, and history; None if the folder has none."""
         path = self.folder / STATE
         if not path.exists():
             return None

@@ -99,10 +99,7 @@ class Suggester:
         Args:
             point: Solution of all presses so far.
             weight: Weight of the prior there.
-            stop: Called after the posterior; True cancels the suggestion.
-
-        Returns:
-            None if the suggestion was cancelled.
+            stop: Called after the posterior; True cancels the suggestion: the result is None.
         """
         started, recording = time.perf_counter(), point.objective.problem.recording
         rule, posterior, index, patch, reason = self._rule, None, None, None, ""
@@ -132,16 +129,12 @@ class Suggester:
 
         def jacobians(indices: Sequence[int]) -> list[Jacobian | None]:
             presses = [candidates.plan(candidates.patches[i]) for i in indices]
-            return _predict_jacobians(presses, point, self._settings)
+            return _predict(presses, point, self._settings)
 
+        patches, pressed, _ = candidates
+        parameterization, credibility = point.objective.parameterization, _credibility(point)
         return SamplingState(
-            mesh=mesh,
-            candidates=candidates.patches,
-            pressed=candidates.pressed,
-            parameterization=point.objective.parameterization,
-            credibility=_credibility(point),
-            jacobians=jacobians,
-            posterior=gaussian,
+            mesh, patches, pressed, parameterization, credibility, jacobians, gaussian
         )
 
 
@@ -172,9 +165,7 @@ def _credibility(point: Point) -> Float[np.ndarray, "presses m"]:
     return (sensitivity * mesh.volumes.mean() / mesh.volumes) ** 2
 
 
-def _predict_jacobians(
-    presses: Sequence[Press], point: Point, settings: Settings
-) -> list[Jacobian | None]:
+def _predict(presses: Sequence[Press], point: Point, settings: Settings) -> list[Jacobian | None]:
     """Predict the Jacobians of candidate presses at the current map.
 
     Their noise is that of the current data: the sensor's noise, and the model error of the mesh,
@@ -194,7 +185,7 @@ def _predict_jacobians(
     except ConvergenceError:
         if len(presses) == 1:
             return [None]
-        return [_predict_jacobians([press], point, settings)[0] for press in presses]
+        return [_predict([press], point, settings)[0] for press in presses]
     if current.data.model_deviation is None:
         return [*blocks]
     deviation, points = float(np.median(current.data.model_deviation)), recording.mesh.points
@@ -203,6 +194,5 @@ def _predict_jacobians(
 
 
 def _split(rows: np.ndarray, problem: InverseProblem) -> list[np.ndarray]:
-    """Rows of each press."""
     counts = [len(data.index) for data in problem.data.observations]
     return np.split(rows, np.cumsum(counts)[:-1])

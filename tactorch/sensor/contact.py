@@ -30,6 +30,7 @@ Pose = Float[np.ndarray, "4 4"]
 Points = Float[np.ndarray, "k 3"]
 Nodes = Float[np.ndarray, "n 3"]
 Triangles = Int[np.ndarray, "t 3"]
+Vector = Float[np.ndarray, "3"]
 
 
 @dataclass(frozen=True)
@@ -70,9 +71,6 @@ def build_press(
         options: Pairing of the gel with the object.
         fields: Further fields of the press: its supports (`springs`, `fixed`, `prescribed`),
             `noise_mm`, `step`, `name`.
-
-    Returns:
-        The press.
 
     Raises:
         ConfigError: A pose is not valid, or the gel does not touch the object.
@@ -121,8 +119,7 @@ def facing_triangles(
     under = ((centers[:, :2] >= low) & (centers[:, :2] <= high)).all(axis=1)
     close = np.abs(centers[:, 2] - float(np.median(contact.points[:, 2]))) <= reach_mm
     if not (facing & under & close).any():
-        distances = np.abs(centers[facing & under, 2])
-        translation = first_pose[:3, 3]
+        distances, translation = np.abs(centers[facing & under, 2]), first_pose[:3, 3]
         hint = ""
         if 0 < np.abs(translation).max() < 0.05 * np.abs(mesh.points).max():
             shown = [float(f"{v:.4g}") for v in translation]
@@ -189,7 +186,7 @@ def _projections(corners: Float[np.ndarray, "t 3 3"], point: np.ndarray) -> np.n
     return shares
 
 
-def _couple(nodes: Nodes, moment: Float[np.ndarray, "3"]) -> np.ndarray:
+def _couple(nodes: Nodes, moment: Vector) -> np.ndarray:
     """Smallest self-balanced forces with a given moment, about axes that the nodes can carry."""
     arms = nodes - nodes.mean(axis=0)
     inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
@@ -200,17 +197,11 @@ def _couple(nodes: Nodes, moment: Float[np.ndarray, "3"]) -> np.ndarray:
 
 
 def interpolate_displacements(
-    points: Points,
-    displacements: Points,
-    nodes: Nodes,
-    normal: Float[np.ndarray, "3"],
-    smoothing: float = 0.0,
+    points: Points, displacements: Points, nodes: Nodes, normal: Vector, smoothing: float = 0.0
 ) -> tuple[Nodes, Bool[np.ndarray, " n"]]:
     """Interpolate displacements by a thin-plate spline in the plane across a normal.
 
-    Returns:
-        Displacements at the nodes, NaN outside the convex hull of the points in the plane; and
-        which nodes are inside.
+    They are NaN at nodes outside the convex hull of the points; also returns which are inside.
     """
     known = np.isfinite(displacements).all(axis=1)
     if known.sum() < 4:

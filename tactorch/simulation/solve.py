@@ -16,6 +16,7 @@ from tactorch.simulation.patch import nodes_within, patch_forces
 from tactorch.simulation.plan import PressPlan, PressSite
 from tactorch.simulation.transfer import Transfer
 
+Nodal = Float[np.ndarray, "nodes 3"]
 # Maximum relative difference of the total force on two meshes of a curved body; it is corrected.
 _MAX_FORCE_DIFFERENCE = 0.05
 
@@ -38,7 +39,7 @@ class PressSimulator:
     youngs: Float[np.ndarray, " e"]  # MPa
     mesh: TetMesh  # of the recording
     plan: PressPlan
-    weight: Float[np.ndarray, "nodes 3"]  # N
+    weight: Nodal  # N
 
     @property
     def same_mesh(self) -> bool:
@@ -105,9 +106,7 @@ class PressSimulator:
             on_solved()
         return results
 
-    def _loads(
-        self, conditions: BoundaryConditions
-    ) -> tuple[Float[np.ndarray, "nodes 3"], Supports]:
+    def _loads(self, conditions: BoundaryConditions) -> tuple[Nodal, Supports]:
         """Nodal forces of 1 MPa (N) on the body, of the recording's total, and its supports."""
         site, _, _, springs, fixed = conditions
         if self.uses_recorded_loads:
@@ -127,9 +126,7 @@ class PressSimulator:
         return forces * (recorded / total), Supports(fixed=fixed, springs=springs)
 
 
-def _unit_forces(
-    discretisation: Discretisation, site: PressSite, plan: PressPlan
-) -> Float[np.ndarray, "nodes 3"]:
+def _unit_forces(discretisation: Discretisation, site: PressSite, plan: PressPlan) -> Nodal:
     """Consistent nodal forces of 1 MPa on the face or its patch, N."""
     if plan.patch_radius_mm is not None:
         return patch_forces(discretisation, site, plan.patch_radius_mm)
@@ -138,7 +135,7 @@ def _unit_forces(
 
 def _distribute(
     stiffness: Float[np.ndarray, "3"], discretisation: Discretisation, site: PressSite
-) -> Float[np.ndarray, "nodes 3"]:
+) -> Nodal:
     """Distribute a total stiffness (N/mm along each axis) evenly over the supported face.
 
     Consistent with the element: under a uniform reaction only the midside nodes of quadratic

@@ -9,17 +9,11 @@ from tactorch.uncertainty.gaussian_state import GaussianState
 from tactorch.uncertainty.laplace import GaussianPosterior, LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
 from tactorch.uncertainty.select import compute_posterior
-from tactorch.uncertainty.sensitivity import (
-    Credibility,
-    credibility,
-    layer_profile,
-    sensitivity_matrix,
-)
+from tactorch.uncertainty.sensitivity import credibility, layer_profile, sensitivity_matrix
 from tactorch.uncertainty.variational import VariationalPosterior, variational_posterior
 
 __all__ = [
     "Coverage",
-    "Credibility",
     "GaussianPosterior",
     "GaussianState",
     "LaplacePosterior",

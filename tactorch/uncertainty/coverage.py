@@ -37,10 +37,6 @@ def coverage(
         objects: Truth, mean and standard deviation of each element, per object.
         level: Nominal probability of the intervals.
         weights: Weight of each element, per object, such as its volume; equal by default.
-
-    Raises:
-        ConfigError: there is no object, shapes differ, a deviation is not positive, weights are
-            negative or do not fit, or the level is not between 0 and 1.
     """
     quantile = normal_quantile(level)
     if len(objects) == 0:

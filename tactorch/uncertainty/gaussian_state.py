@@ -36,9 +36,6 @@ class GaussianState:
         Args:
             observed: Map of the press, in the unit of the mean.
             credibility: Credibility of each element, in the inverse square of that unit.
-
-        Raises:
-            ConfigError: lengths differ, or a credibility is negative or not finite.
         """
         if not len(observed) == len(credibility) == len(self.mean):
             raise ConfigError(
@@ -58,9 +55,6 @@ class GaussianState:
         Args:
             jacobian: Derivative of the data, in standard deviations of the noise.
             innovation: Observed minus predicted data at the mean, in the same unit.
-
-        Raises:
-            ConfigError: shapes do not fit.
         """
         if len(innovation) != len(jacobian):
             raise ConfigError(

@@ -63,9 +63,6 @@ class GaussianPosterior(ABC):
 
         It is the normal interval of x with probability `level`, mapped to moduli and clipped to
         the bounds.
-
-        Raises:
-            ConfigError: `level` is not between 0 and 1.
         """
         half_width = normal_quantile(level) * self.deviation()
         limits = self.parameterization.limits

@@ -1,30 +1,14 @@
 """The sensitivity matrix and the credibility metric of the paper (eq. 14 and 15, Fig. 3)."""
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Evaluation
 from tactorch.mesh import TetMesh
+from tactorch.uncertainty.laplace import Field
 
 _SUBDIVISIONS = 11  # sample points along an edge of an element
-
-
-class Credibility(NamedTuple):
-    """The credibility metric of each element.
-
-    Attributes:
-        values: L of eq. (15): the largest change of any observed degree of freedom by a change of
-            the element's modulus, mm/MPa.
-    """
-
-    values: Float[np.ndarray, " m"]
-
-    def per_volume(self, mesh: TetMesh) -> Float[np.ndarray, " m"]:
-        """Return L over the element's volume, mm/MPa/mm^3, independent of the element size."""
-        return self.values / mesh.volumes
 
 
 def sensitivity_matrix(evaluation: Evaluation) -> Float[np.ndarray, "data m"]:
@@ -32,25 +16,26 @@ def sensitivity_matrix(evaluation: Evaluation) -> Float[np.ndarray, "data m"]:
     return np.concatenate([press.matrix() for press in evaluation.sensitivities])
 
 
-def credibility(matrix: Evaluation | Float[np.ndarray, "data m"]) -> Credibility:
-    """Return L(j) = max_i |M_ij| (eq. 15).
+def credibility(matrix: Evaluation | Float[np.ndarray, "data m"]) -> Field:
+    """Return the credibility L(j) = max_i |M_ij| of each element (eq. 15), mm/MPa.
 
     The row i runs over observed degrees of freedom: x, y and z displacements are separate rows.
+    L over `mesh.volumes` (mm/MPa/mm^3) is independent of the element size.
 
     Args:
         matrix: Sensitivity matrix, or an evaluation, of which one press's rows are in memory at a
             time.
     """
     if isinstance(matrix, np.ndarray):
-        return Credibility(np.abs(matrix).max(axis=0, initial=0.0))
+        return np.abs(matrix).max(axis=0, initial=0.0)
     maximum = np.zeros(len(matrix.youngs))
     for press in matrix.sensitivities:
         np.maximum(maximum, np.abs(press.matrix()).max(axis=0, initial=0.0), out=maximum)
-    return Credibility(maximum)
+    return maximum
 
 
 def layer_profile(
-    mesh: TetMesh, values: Float[np.ndarray, " m"], axis: int = 2, layers: int = 10
+    mesh: TetMesh, values: Field, axis: int = 2, layers: int = 10
 ) -> tuple[Float[np.ndarray, " layers"], Float[np.ndarray, " layers"]]:
     """Integrate a metric over equal layers of the bounding box (Fig. 3).
 
@@ -64,10 +49,6 @@ def layer_profile(
 
     Returns:
         Centres of the layers (mm), integral over each (unit of the metric times mm^3).
-
-    Raises:
-        ConfigError: `axis` or `layers` cannot be used.
-        TactorchError: `values` do not fit the mesh.
     """
     if axis not in (0, 1, 2):
         raise ConfigError(f"axis is {axis}; give 0, 1 or 2 for x, y or z.")

@@ -29,15 +29,8 @@ def contact_patches(
 ) -> list[ContactPatch]:
     """Return the parts of the surface in contact, one for each axis direction that they face.
 
-    Args:
-        mesh: Mesh of the body.
-        pressed: External force on each node, N (n, 3), summed over presses; or names of faces
-            that are pushed inward, such as `["x-", "z+"]`.
-
-    Raises:
-        TactorchError: Forces have the wrong shape or are not finite.
-        ConfigError: A face name is unknown.
-        MeshError: A named side of the body is not flat.
+    `pressed` is the external force on each node, N, summed over presses; or names of faces that
+    are pushed inward, such as `["x-", "z+"]`.
     """
     surface = mesh.surface
     if isinstance(pressed, np.ndarray):

@@ -107,9 +107,9 @@ class MarkerView(FrameView):
             zorder=3,
         )  # fmt: skip
         (self._lost,) = axes.plot([], [], "x", color=VERMILION, ms=6, mew=1.6, label="lost")
-        bar = self.figure.colorbar(self._arrows, ax=axes, fraction=0.04, pad=0.02)
         times = "" if magnify == 1.0 else f" (arrows magnified {magnify:g} times)"
-        bar.set_label(f"tangential displacement, mm{times}")
+        label = f"tangential displacement, mm{times}"
+        self.figure.colorbar(self._arrows, ax=axes, fraction=0.04, pad=0.02, label=label)
         self._fix_layout()
 
     def show(
@@ -197,8 +197,7 @@ class ForceView(FrameView):
         )  # fmt: skip
         axes.set(xlabel="x, mm", aspect="equal", facecolor="0.85")
         axes.set(xlim=self.extent[:2], ylim=self.extent[2:])
-        bar = self.figure.colorbar(self._mesh, ax=axes, extend="both", pad=0.02)
-        bar.set_label("pressure, kPa")
+        self.figure.colorbar(self._mesh, ax=axes, extend="both", pad=0.02, label="pressure, kPa")
         self._fix_layout()
 
     def show(

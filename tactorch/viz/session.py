@@ -95,9 +95,6 @@ def presses_figure(recording: Recording, max_presses: int = _MAX_PRESSES) -> Fig
 
     Colours show the components along the press, arrows those across it. A press without direction
     is seen along its total force. The last step of each contact is drawn first.
-
-    Raises:
-        ConfigError: `max_presses` is below 1.
     """
     if max_presses < 1:
         raise ConfigError(f"max_presses={max_presses} must be at least 1.")

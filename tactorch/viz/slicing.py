@@ -12,8 +12,7 @@ from matplotlib.image import AxesImage
 from scipy.ndimage import gaussian_filter
 
 from tactorch.errors import ConfigError
-from tactorch.mesh import TetMesh
-from tactorch.mesh.locate import locate
+from tactorch.mesh import TetMesh, locate
 from tactorch.metrics.segment import weighted_median
 
 AXES = "xyz"

@@ -31,7 +31,7 @@ class Whole(Options):
     prior: Any = option(factory=Prior, help="Prior", section="priors")
 
 
-priors = Registry("priors", {"plain": f"{__name__}:Prior"}, "priors of the tests")
+priors = Registry("priors", {"plain": f"{__name__}:Prior"})
 
 
 @pytest.fixture(autouse=True)

@@ -19,9 +19,9 @@ from tactorch.inverse import (
     Tikhonov,
     monte_carlo,
 )
-from tactorch.inverse.regularization.binary_well import two_levels
-from tactorch.inverse.regularization.sharp import smoothed_median, weighted_median
+from tactorch.inverse.regularization.sharp import smoothed_median, two_levels
 from tactorch.mesh import TetMesh, box_mesh
+from tactorch.metrics.segment import weighted_median
 from tactorch.recording import Recording
 
 MESH = box_mesh(10.0, 2, tets_per_cell=5)

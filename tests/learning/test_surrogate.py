@@ -21,14 +21,18 @@ from tactorch.inverse import (
     invert,
 )
 from tactorch.inverse.starts import fits_better_than_uniform, uniform_fit
-from tactorch.learning.data import symmetries
+from tactorch.learning.data import AugmentedSamples
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.surrogate import Prediction, SurrogateStart
 from tactorch.learning.surrogate import features as feature_cache
-from tactorch.learning.surrogate.data import AugmentedSamples, SurrogateData
+from tactorch.learning.surrogate.data import SurrogateData
 from tactorch.learning.surrogate.features import SHARED_CHANNELS, load_features
-from tactorch.learning.surrogate.network import Surrogate, export_weights, load_surrogate
-from tactorch.learning.surrogate.unet import PressUNet
+from tactorch.learning.surrogate.network import (
+    PressUNet,
+    Surrogate,
+    export_weights,
+    load_surrogate,
+)
 from tactorch.learning.training import BEST, TrainerOptions, fit
 from tactorch.recording import Recording
 from tactorch.simulation import perturb_recording
@@ -138,7 +142,7 @@ def test_damaged_files_are_computed_again(dataset: Path, data: SurrogateData) ->
 
 def test_a_turned_object_keeps_its_truth(data: SurrogateData) -> None:
     """Presses, truth and outline turn together: the image stays as like the truth as it was."""
-    rows = AugmentedSamples(data.features, range(6), symmetries(np.zeros((0, 3))), seed=0)
+    rows = AugmentedSamples(data, range(6), augment=True)
     for place in range(6):
         features = data.features
         for epoch in range(3):

@@ -13,8 +13,8 @@ import torch
 from torch.utils.data import DataLoader, TensorDataset
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.learning.data import EpochSampler, symmetries
-from tactorch.learning.recognizer.data import AugmentedMaps
+from tactorch.learning.data import AugmentedSamples, EpochSampler, SplitData, symmetries
+from tactorch.learning.recognizer.data import RecognitionData
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.training import (
     BEST,
@@ -29,11 +29,12 @@ from tactorch.learning.training import (
 )
 
 
-class Blobs(lightning.LightningDataModule):
+class Blobs(RecognitionData):
     """Two classes of random maps that differ in their mean."""
 
     def __init__(self) -> None:
-        super().__init__()
+        SplitData.__init__(self, {"shards": []}, {}, batch=5, augment=True, seed=3)
+        self.brightness = 0.1
         rng = torch.Generator().manual_seed(0)
         self.labels = torch.arange(24) % 2
         self.maps = (
@@ -42,7 +43,7 @@ class Blobs(lightning.LightningDataModule):
         self.allowed = symmetries(np.array([[0.0, 0.0, -1.0]]))
 
     def train_dataloader(self) -> DataLoader:
-        data = AugmentedMaps(self.maps, self.labels, self.allowed, 0.1, 3)
+        data = AugmentedSamples(self, range(24), augment=True)
         return DataLoader(data, 5, sampler=EpochSampler(len(data), 3))
 
     def val_dataloader(self) -> DataLoader:
@@ -164,8 +165,7 @@ def test_order_and_augmentation_depend_on_seed_and_epoch_alone() -> None:
     assert sorted(place for _, place in first) == list(range(10))
     assert [place for _, place in first] != [place for _, place in second]
     assert {epoch for epoch, _ in second} == {1}
-    data = Blobs()
-    maps = AugmentedMaps(data.maps, data.labels, data.allowed, 0.1, 3)
+    maps = AugmentedSamples(Blobs(), range(24), augment=True)
     torch.testing.assert_close(maps[(2, 5)][0], maps[(2, 5)][0])
     assert not torch.equal(maps[(2, 5)][0], maps[(3, 5)][0])
     assert len({derive_seed(1, 2), derive_seed(2, 1), derive_seed(1, 3)}) == 3

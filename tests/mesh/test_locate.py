@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactorch.mesh import TetMesh, box_mesh
-from tactorch.mesh.locate import locate
+from tactorch.mesh import TetMesh, box_mesh, locate
 
 
 def uneven_mesh(seed: int = 0) -> TetMesh:

@@ -50,7 +50,7 @@ def test_sliders_move_their_slices_by_hand_and_by_keys(report: Path, visit: Open
 @pytest.mark.slow
 def test_what_is_read_off_a_slice_is_the_map(run_folder: Path, report: Path, visit: Open) -> None:
     from tactorch.inverse import Reconstruction
-    from tactorch.mesh.locate import locate
+    from tactorch.mesh import locate
 
     found = Reconstruction.load(run_folder / "reconstruction.h5")
     seen = visit(report)

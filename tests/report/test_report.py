@@ -330,7 +330,7 @@ def test_settings_that_are_not_all_told_are_refused() -> None:
     config = {"settings": stored_settings(Settings())}
     settings_from(config)
     config["settings"]["regularization"]["mean_mpa"] = "float64 array [5], sha256 abc..."
-    with pytest.raises(ConfigError, match="a map that the result does not hold"):
+    with pytest.raises(ConfigError, match="a map that the result does not store"):
         settings_from(config)
     with pytest.raises(ConfigError, match="settings of the result cannot be read"):
         settings_from({"settings": {"optimizer": "tnc", "warp": 9}, "optimizer": {"name": "tnc"}})

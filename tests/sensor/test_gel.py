@@ -6,7 +6,7 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import GelLayer, load_sensor
 from tactorch.sensor.gel import GelModel, GelOptions
-from tactorch.sensor.gel.mesh import GelMesh
+from tactorch.sensor.gel.model import GelMesh
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.cli.console import log
-from tactorch.cli.sensor.frames import RunFiles, caption, frame_times, without_image, write_table
+from tactorch.cli.sensor.frames import RunFiles, caption, without_image, write_table
 from tactorch.cli.sensor.inputs import build_chain
 from tactorch.cli.sensor.options import ForceSettings
 from tactorch.errors import ConvergenceError
@@ -95,22 +95,17 @@ def _write(
     totals = forces.sum(axis=1)
     known = np.isfinite(totals).all(axis=1)
     areas = np.where(known, in_contact @ chain.model.gel_mesh.face_areas, np.nan)
-    rows = [
-        (frame.index, frame.time_s, *total, area, depth, frame.fault)
-        for frame, total, area, depth in zip(
-            frames, totals.tolist(), areas.tolist(), depths, strict=True
-        )
-    ]
+    columns = zip(frames, totals.tolist(), areas.tolist(), depths, strict=True)
+    rows = [(f.index, f.time_s, *total, area, depth, f.fault) for f, total, area, depth in columns]
     write_table(files.folder / _TABLE, _HEADER, rows)
-    files.write_arrays(
+    files.write_frame_arrays(
         _ARRAYS,
+        frames,
         points_mm=points,
         triangles=triangles,
         forces_n=forces,
         displacement_mm=displacement,
         touched=in_contact,
-        time_s=frame_times(frames),
-        fault=np.array([frame.fault for frame in frames]),
     )
     pressed = int(in_contact.any(axis=1).sum())
     largest = int(np.nanargmax(np.linalg.norm(totals, axis=1))) if known.any() else 0

@@ -13,11 +13,11 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.outputs import write_json, write_text
+from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.inputs import FrameSequence
 from tactorch.cli.sensor.options import PictureSettings
 from tactorch.cli.settings import run_folder
-from tactorch.files import atomic_path, write_arrays
+from tactorch.files import atomic_path, write_arrays, write_file
 from tactorch.sensor.frames import Frame
 from tactorch.text import one_line
 from tactorch.viz.figure import save_figure
@@ -37,8 +37,8 @@ def without_image(frame: Frame, fault: str = "") -> Frame:
     return replace(frame, image=None, fault=faults)
 
 
-def frame_times(frames: Sequence[Frame]) -> Float[np.ndarray, " f"] | None:
-    """Return the times of frames, s; None if some are unknown."""
+def _frame_times(frames: Sequence[Frame]) -> Float[np.ndarray, " f"] | None:
+    """Times of frames, s; None if some are unknown."""
     times = [frame.time_s for frame in frames if frame.time_s is not None]
     return np.array(times) if len(times) == len(frames) else None
 
@@ -52,10 +52,7 @@ def caption(frame: Frame, total: int, text: str) -> str:
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a CSV file; None and NaN are left empty."""
-    with (
-        atomic_path(path) as temporary,
-        open(temporary, "w", newline="", encoding="utf-8") as file,
-    ):
+    with atomic_path(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(header)
         table.writerows([_cell(value) for value in row] for row in rows)
@@ -80,10 +77,11 @@ class RunFiles:
             for path in self.folder.glob(pattern):
                 path.unlink()
 
-    def write_arrays(self, name: str, **arrays: Any) -> None:
-        """Write an npz file; arrays that are None are left out."""
-        present = {key: values for key, values in arrays.items() if values is not None}
-        write_arrays(self.folder / name, present, compressed=True)
+    def write_frame_arrays(self, name: str, frames: Sequence[Frame], **arrays: Any) -> None:
+        """Write an npz file of all frames, with their times if known, and their faults."""
+        times, faults = _frame_times(frames), np.array([frame.fault for frame in frames])
+        arrays |= {"fault": faults} if times is None else {"time_s": times, "fault": faults}
+        write_arrays(self.folder / name, arrays, compressed=True)
 
     def write_frame_summary(
         self, frames: Sequence[Frame], values: Mapping[str, Any], *lines: str
@@ -101,7 +99,7 @@ class RunFiles:
     def write_summary(self, values: Mapping[str, Any], lines: Sequence[str]) -> None:
         """Write a summary as JSON and as text, and log the text."""
         write_json(self.folder / _SUMMARY, values)
-        write_text(self.folder / _TEXT, "\n".join(lines))
+        write_file(self.folder / _TEXT, "\n".join(lines) + "\n")
         log.info("%s", "\n".join(lines))
 
     def draw(
@@ -118,7 +116,7 @@ class RunFiles:
         `show` updates the figure for a frame, `measured` are the frames without images, `series`
         the curves over time by label of the axes and by name.
         """
-        total, times = len(measured), frame_times(measured)
+        total, times = len(measured), _frame_times(measured)
         indices = np.linspace(0, total - 1, min(cfg.pictures, total)).round().astype(int)
         selected = set(indices.tolist())
         suffix = video_suffix() if cfg.video and total > 1 else None

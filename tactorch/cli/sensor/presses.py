@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tactorch.cli.console import Table, log, log_text
-from tactorch.cli.outputs import write_json, write_text
+from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.frames import write_table
 from tactorch.cli.sensor.options import BallSettings
 from tactorch.cli.settings import run_folder
 from tactorch.errors import FileError
+from tactorch.files import write_file
 from tactorch.sensor.calibration import (
     Ball,
     BallPress,
@@ -147,14 +148,11 @@ def write_report(
     presses = {n: {**asdict(q), "contact_radius_mm": radii[n]} for n, q in single.items()}
     figures = {"quality": asdict(quality), "presses": presses}
     write_json(folder / _REPORT, {"judged": title, **figures, **facts})
-    write_text(folder / _TEXT, f"{title}\n{table.text()}\n{note}")
+    write_file(folder / _TEXT, f"{title}\n{table.text()}\n{note}\n")
     # This table can be used as `labels`.
     circles = {p.name: c for p, c, _ in evaluated} | dict(circles)
     header = ("image", "center_x_px", "center_y_px", "radius_px")
-    rows = [
-        (name, *(f"{v:.2f}" for v in (*circle.center_px, circle.radius_px)))
-        for name, circle in circles.items()
-    ]
+    rows = [(n, *(f"{v:.2f}" for v in (*c.center_px, c.radius_px))) for n, c in circles.items()]
     write_table(folder / _CIRCLES, header, rows)
     plotted = [_plotted(item, images[item.press.name], ball) for item in evaluated]
     save_figure(ball_press_figure(plotted, title), folder / _PICTURE)

@@ -16,6 +16,7 @@ from tactorch.cli.console import log
 from tactorch.cli.sensor.frames import RunFiles, caption, without_image, write_table
 from tactorch.cli.sensor.inputs import FrameSequence, load_calibrated
 from tactorch.cli.sensor.options import ReconstructSettings
+from tactorch.files import write_arrays
 from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame
@@ -39,13 +40,11 @@ def run(cfg: ReconstructSettings) -> Path:
         slopes = calibration.slopes(frame.image, frames.reference)
         height = reconstruct_height(slopes, calibration.mm_per_px, cfg.min_slope)
         contact = height.contact & (height.depth_mm >= cfg.min_depth_mm)
-        files.write_arrays(
-            _map_name(frame),
-            height_mm=height.height_mm.astype(np.float32),
-            contact=contact,
-            mm_per_px=np.array(calibration.mm_per_px),
-            time_s=frame.time_s,
-        )
+        arrays = {"height_mm": height.height_mm.astype(np.float32), "contact": contact}
+        arrays["mm_per_px"] = np.array(calibration.mm_per_px)
+        if frame.time_s is not None:
+            arrays["time_s"] = np.array(frame.time_s)
+        write_arrays(files.folder / _map_name(frame), arrays, compressed=True)
         return without_image(frame), height.depth_mm, float(contact.sum() * pixel_mm2)
 
     results = frames.process("reconstructing depth", reconstruct)

@@ -18,7 +18,6 @@ over_time.png (depth, contacts, frames kept) and presses.png (the contacts, on t
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -141,14 +140,9 @@ def _write(files: RunFiles, session: SessionRecording) -> None:
     ]  # fmt: skip
     write_table(files.folder / _TABLE, _HEADER, rows)
     strongest = max(float(np.linalg.norm(row["force_n"])) for row in session.presses)
-    values: dict[str, Any] = {
-        "frames": len(summaries),
-        "contacts": len(session.contacts),
-        "presses": session.presses,
-        "faulty": session.faults,
-        "skipped": session.skipped,
-        "noise_mm": session.recording.presses[0].noise_mm,
-    }
+    counts = {"frames": len(summaries), "contacts": len(session.contacts)}
+    tables = {"presses": session.presses, "faulty": session.faults, "skipped": session.skipped}
+    noise_mm = session.recording.presses[0].noise_mm
     lines = [
         f"{len(session.presses)} presses of {len(session.contacts)} contacts in"
         f" {len(summaries)} frames; forces up to {strongest:.3g} N.",
@@ -157,4 +151,4 @@ def _write(files: RunFiles, session: SessionRecording) -> None:
         "",
         session.recording.summary(),
     ]
-    files.write_summary(values, lines)
+    files.write_summary({**counts, **tables, "noise_mm": noise_mm}, lines)

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.sensor.frames import RunFiles, caption, frame_times, without_image, write_table
+from tactorch.cli.sensor.frames import RunFiles, caption, without_image, write_table
 from tactorch.cli.sensor.inputs import FrameSequence, load_sensor_settings, marker_appearance
 from tactorch.cli.sensor.options import TrackSettings
 from tactorch.errors import ConfigError
@@ -56,12 +56,12 @@ def run(cfg: TrackSettings) -> Path:
     positions, displacements = map(np.stack, arrays)
     valid = np.isfinite(positions[..., 0])
     _write(files, tracker.reference_px, measured, positions, displacements, valid)
-    values, lines = _summarize(displacements, valid)
+    size = np.where(valid, np.linalg.norm(displacements, axis=2), np.nan)
+    values, *lines = _summarize(size, valid)
     if cfg.backward:
         values["backward"], line = _track_back(frames, positions, appearance)
         lines.append(line)
     files.write_frame_summary(measured, values, *lines)
-    size = np.where(valid, np.linalg.norm(displacements, axis=2), np.nan)
     limit_mm = colour_limit(size, _MIN_LIMIT_MM)
     view = MarkerView(sensor, tracker.reference_px, limit_mm, cfg.magnify)
 
@@ -101,35 +101,26 @@ def _write(
         for marker, is_valid in enumerate(valid[k])
     )
     write_table(files.folder / _TABLE, _HEADER, rows)
-    files.write_arrays(
+    files.write_frame_arrays(
         _ARRAYS,
+        frames,
         begin_px=reference_px,
         places_px=positions,
         displacement_mm=displacements,
         valid=valid,
-        time_s=frame_times(frames),
-        fault=np.array([frame.fault for frame in frames]),
     )
 
 
-def _summarize(
-    displacements: Positions, valid: Bool[np.ndarray, "f n"]
-) -> tuple[dict[str, Any], list[str]]:
-    readable, (n_frames, n_markers) = valid.any(axis=1), valid.shape
-    always = int(valid[readable].all(axis=0).sum()) if readable.any() else 0
-    size = np.linalg.norm(displacements, axis=2)
+def _summarize(size: np.ndarray, valid: Bool[np.ndarray, "f n"]) -> tuple[dict[str, Any], str]:
+    (n_frames, n_markers), readable = valid.shape, valid[valid.any(axis=1)]
+    always = int(readable.all(axis=0).sum()) if len(readable) else 0
     largest = float(np.nanmax(size)) if valid.any() else float("nan")
     share = float(valid.mean())
-    values: dict[str, Any] = {
-        "markers": n_markers,
-        "seen_share": share,
-        "seen_in_all_readable_frames": always,
-        "largest_displacement_mm": largest,
-    }
-    return values, [
+    values = {"markers": n_markers, "seen_share": share, "seen_in_all_readable_frames": always}
+    return values | {"largest_displacement_mm": largest}, (
         f"{n_markers} markers in {n_frames} frames: seen in {share:.1%} of cases,"
         f" {always} of them in every frame that can be read; largest displacement {largest:.3g} mm."
-    ]
+    )
 
 
 def _track_back(

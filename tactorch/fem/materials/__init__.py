@@ -17,7 +17,6 @@ MATERIALS = Registry(
         "isochoric_neo_hookean": f"{_ISOTROPIC}:IsochoricNeoHookean",
         "mooney_rivlin": f"{_ISOTROPIC}:MooneyRivlin",
     },
-    "hyperelastic materials",
 )
 
 
@@ -28,9 +27,6 @@ def make_material(name: str, poisson: float, **parameters: Any) -> Material:
         name: One of `MATERIALS.names()`.
         poisson: Poisson's ratio.
         **parameters: Further parameters of the material, such as `lame_factor`.
-
-    Raises:
-        ConfigError: The name or a parameter is unknown, or a value is out of range.
     """
     return MATERIALS.build({"name": name, "poisson": poisson, **parameters})
 

@@ -43,5 +43,4 @@ OPTIMIZERS = Registry(
         "tnc": f"{_HERE}.scipy_methods:TNC",
         "lbfgs": f"{_HERE}.scipy_methods:LBFGS",
     },
-    "optimizers",
 )

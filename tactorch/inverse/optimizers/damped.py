@@ -9,7 +9,7 @@ the objective falls less than predicted, and shrinks where it falls as predicted
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -207,9 +207,7 @@ class DampedNewton(Optimizer):
         return None
 
 
-def projected_gradient(
-    x: Vector, gradient: Vector, limits: tuple[float | np.ndarray, float | np.ndarray]
-) -> Vector:
+def projected_gradient(x: Vector, gradient: Vector, limits: tuple[Any, Any]) -> Vector:
     """Return the gradient without the components that push against a bound."""
     low, high = limits
     blocked = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))

@@ -50,11 +50,11 @@ class NewtonCG(DampedNewton):
 class _CGSteps(StepSolver):
     leaps = False
     takes_over = True
+    trace: float
 
     def __init__(self, settings: NewtonCG, point: Point, state: dict[str, float]) -> None:
         self._settings, self._prior_solver = settings, PriorSolver()
-        self._trace = state["data_trace"] if "data_trace" in state else data_trace(point)
-        self.trace = self._trace
+        self.trace = state["data_trace"] if "data_trace" in state else data_trace(point)
         self._gradient_size = state.get("gradient_size", np.inf)
         self._products = 0
 
@@ -82,7 +82,7 @@ class _CGSteps(StepSolver):
         return image
 
     def solve(self, damping: float) -> Vector | None:
-        mean, free = self._trace / len(self._gradient), self._free
+        mean, free = self.trace / len(self._gradient), self._free
         shift = self._shift = damping * (mean + self._prior.diagonal())
         base = shift + _BASE_SHIFT * mean + np.finfo(float).tiny
         if not self._prior_solver.factor(self._prior, base, ~free):
@@ -106,7 +106,7 @@ class _CGSteps(StepSolver):
         return -float(self._gradient @ change + 0.5 * change @ image)
 
     def state(self) -> dict[str, float]:
-        return {"data_trace": self._trace, "gradient_size": self._gradient_size}
+        return {"data_trace": self.trace, "gradient_size": self._gradient_size}
 
     def record(self) -> dict[str, float]:
         products, self._products = self._products, 0

@@ -64,10 +64,7 @@ class RegularizationSchedule:
 
     @staticmethod
     def start(
-        point: Point,
-        state: Mapping[str, float],
-        rule: str = "discrepancy",
-        trace: float | None = None,
+        point: Point, state: dict[str, float], rule: str = "discrepancy", trace: float | None = None
     ) -> "RegularizationSchedule":
         """Start from the given weight, a stored one, or one at which the prior dominates.
 

@@ -15,6 +15,8 @@ from jaxtyping import Float
 from tactorch.config import Options, Registry, option
 from tactorch.mesh import TetMesh
 
+Field = Float[np.ndarray, " m"]
+
 
 class Regularizer(ABC):
     """Penalty on a field of log-moduli, one value per element.
@@ -31,19 +33,19 @@ class Regularizer(ABC):
     """
 
     gaussian: bool = False
-    mean: "Float[np.ndarray, ' m'] | None" = None
+    mean: Field | None = None
     variation_edge: float | None = None
 
     @abstractmethod
-    def value(self, field: Float[np.ndarray, " m"]) -> float:
+    def value(self, field: Field) -> float:
         """Return the penalty (dimensionless)."""
 
     @abstractmethod
-    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def gradient(self, field: Field) -> Field:
         """Return the gradient of the penalty."""
 
     @abstractmethod
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+    def curvature(self, field: Field) -> sp.csr_matrix:
         """Return a positive semi-definite approximation of the penalty's Hessian, (m, m).
 
         Where possible it belongs to a majorant: the quadratic with this Hessian and the penalty's
@@ -79,10 +81,7 @@ class Quadratic(Regularizer):
     gaussian = True
 
     def __init__(
-        self,
-        matrix: sp.spmatrix,
-        level: float | None = 0.0,
-        volumes: Float[np.ndarray, " m"] | None = None,
+        self, matrix: sp.spmatrix, level: float | None = 0.0, volumes: Field | None = None
     ) -> None:
         self._matrix, self._level, self._volumes = matrix.tocsr(), level, volumes
         if level is not None:
@@ -92,16 +91,16 @@ class Quadratic(Regularizer):
         level = np.average(field, weights=self._volumes) if self._level is None else self._level
         return field - level
 
-    def value(self, field: Float[np.ndarray, " m"]) -> float:
+    def value(self, field: Field) -> float:
         """Return the penalty, zero at the level."""
         difference = self._difference(field)
         return 0.5 * float(difference @ (self._matrix @ difference))
 
-    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def gradient(self, field: Field) -> Field:
         """Return the gradient of the penalty."""
         return self._matrix @ self._difference(field)
 
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+    def curvature(self, field: Field) -> sp.csr_matrix:
         """Return the matrix: the Hessian at a fixed level, a majorant at an estimated one."""
         return self._matrix
 
@@ -142,9 +141,8 @@ PRIORS = Registry(
         "log_jumps": f"{_HERE}.sharp:LogJumps",
         "tikhonov": f"{_HERE}.gaussian:Tikhonov",
         "sparsity": f"{_HERE}.sharp:Sparsity",
-        "binary_well": f"{_HERE}.binary_well:BinaryWell",
+        "binary_well": f"{_HERE}.sharp:BinaryWell",
         "matern": f"{_HERE}.gaussian:Matern",
         "composite": f"{_HERE}.combined:Composite",
     },
-    "priors on the map",
 )

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
 
 from tactorch.config import REGISTRIES, option
 from tactorch.errors import ConfigError
-from tactorch.inverse.regularization.base import Prior, Regularizer
+from tactorch.inverse.regularization.base import Field, Prior, Regularizer
 from tactorch.inverse.regularization.sharp import TotalVariation
 from tactorch.mesh import TetMesh
 from tactorch.plain import plain
@@ -59,15 +58,15 @@ class CompositePenalty(Regularizer):
         self._parts = tuple(parts)
         self.gaussian = all(part.gaussian for _, part in self._parts)
 
-    def value(self, field: Float[np.ndarray, " m"]) -> float:
+    def value(self, field: Field) -> float:
         """Return the penalty."""
         return sum(share * part.value(field) for share, part in self._parts)
 
-    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def gradient(self, field: Field) -> Field:
         """Return the gradient of the penalty."""
         return sum((s * p.gradient(field) for s, p in self._parts), np.zeros_like(field))
 
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+    def curvature(self, field: Field) -> sp.csr_matrix:
         """Return the sum of the curvatures, a majorant's if each of them is."""
         empty = sp.csr_matrix((len(field), len(field)))
         return sum((s * p.curvature(field) for s, p in self._parts), empty).tocsr()
@@ -131,9 +130,7 @@ class _ShiftedPenalty(Regularizer):
     variation of the log-moduli themselves.
     """
 
-    def __init__(
-        self, inner: Regularizer, mean: Float[np.ndarray, " m"], scale: Float[np.ndarray, " m"]
-    ) -> None:
+    def __init__(self, inner: Regularizer, mean: Field, scale: Field) -> None:
         self._inner, self._mean, self._scale = inner, mean, scale
         self.gaussian = inner.gaussian
         if inner.mean is not None:
@@ -142,12 +139,12 @@ class _ShiftedPenalty(Regularizer):
     def _difference(self, field: np.ndarray) -> np.ndarray:
         return self._scale * (field - self._mean)
 
-    def value(self, field: Float[np.ndarray, " m"]) -> float:
+    def value(self, field: Field) -> float:
         return self._inner.value(self._difference(field))
 
-    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def gradient(self, field: Field) -> Field:
         return self._scale * self._inner.gradient(self._difference(field))
 
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
+    def curvature(self, field: Field) -> sp.csr_matrix:
         scale = sp.diags(self._scale)
         return (scale @ self._inner.curvature(self._difference(field)) @ scale).tocsr()

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
 from scipy.sparse.linalg import splu
 
 from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.inverse.regularization.base import Prior, Quadratic, jumps, relative
+from tactorch.inverse.regularization.base import Field, Prior, Quadratic, jumps, relative
 from tactorch.mesh import TetMesh
 
 
@@ -87,7 +86,7 @@ class MaternPenalty(Quadratic):
         level = settings.level_mpa and float(np.log(settings.level_mpa))
         super().__init__(0.5 * (precision + precision.T), level, relative(mesh.volumes))
 
-    def sample(self, rng: np.random.Generator) -> Float[np.ndarray, " m"]:
+    def sample(self, rng: np.random.Generator) -> Field:
         """Draw a map, MPa, for example for `tactorch.inverse.monte_carlo`; needs a given mean."""
         if self._level is None:
             raise ConfigError("regularization.level_mpa is null: give a mean to draw maps around.")

@@ -1,7 +1,8 @@
-"""Penalties that keep sharp contrasts, minimised by reweighted least squares.
+"""Penalties that keep sharp contrasts.
 
-Their cost grows more slowly than the square of a difference: of the log-moduli across an interior
-face (total variation, logarithm of jumps), or of a log-modulus from a background (sparsity).
+The cost of most grows more slowly than the square of a difference: of the log-moduli across an
+interior face (total variation, logarithm of jumps), or of a log-modulus from a background
+(sparsity). They are minimised by reweighted least squares. The binary well has two levels.
 """
 
 from collections.abc import Callable
@@ -12,13 +13,16 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.config import option
-from tactorch.inverse.regularization.base import Prior, Regularizer, jumps, relative
+from tactorch.errors import ConfigError
+from tactorch.inverse.regularization.base import Field, Prior, Regularizer, jumps, relative
 from tactorch.mesh import TetMesh
+from tactorch.metrics.segment import weighted_median
 
 _MAX_BISECTIONS, _LEVEL_TOLERANCE = 200, 1e-12
 _Function = Callable[[np.ndarray], np.ndarray]
 
 
+@dataclass(frozen=True, eq=False)
 class _ReweightedPenalty(Regularizer):
     """Sum of weight * cost(difference), with difference = matrix (field - level).
 
@@ -27,30 +31,26 @@ class _ReweightedPenalty(Regularizer):
     minimises the penalty, so that it adds nothing to the gradient (envelope theorem).
     """
 
-    def __init__(
-        self,
-        matrix: sp.csr_matrix,
-        weights: Float[np.ndarray, " n"],
-        cost: _Function,
-        stiffness: _Function,  # derivative of the cost by the difference, over the difference
-        level: Callable[[np.ndarray], float] = lambda _: 0.0,
-    ) -> None:
-        self._matrix, self._weights, self._level = matrix, weights, level
-        self._cost, self._stiffness = cost, stiffness
+    matrix: sp.csr_matrix
+    weights: Float[np.ndarray, " n"]
+    cost: _Function
+    stiffness: _Function  # derivative of the cost by the difference, over the difference
+    level: Callable[[np.ndarray], float] = lambda _: 0.0
+    variation_edge: float | None = None
 
     def _difference(self, field: np.ndarray) -> np.ndarray:
-        return self._matrix @ (field - self._level(field))
+        return self.matrix @ (field - self.level(field))
 
-    def value(self, field: Float[np.ndarray, " m"]) -> float:
-        return float(self._weights @ self._cost(self._difference(field)))
+    def value(self, field: Field) -> float:
+        return float(self.weights @ self.cost(self._difference(field)))
 
-    def gradient(self, field: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def gradient(self, field: Field) -> Field:
         difference = self._difference(field)
-        return self._matrix.T @ (self._weights * self._stiffness(difference) * difference)
+        return self.matrix.T @ (self.weights * self.stiffness(difference) * difference)
 
-    def curvature(self, field: Float[np.ndarray, " m"]) -> sp.csr_matrix:
-        weights = sp.diags(self._weights * self._stiffness(self._difference(field)))
-        return (self._matrix.T @ weights @ self._matrix).tocsr()
+    def curvature(self, field: Field) -> sp.csr_matrix:
+        weights = sp.diags(self.weights * self.stiffness(self._difference(field)))
+        return (self.matrix.T @ weights @ self.matrix).tocsr()
 
 
 def _smoothed_size(edge: float) -> tuple[_Function, _Function]:
@@ -75,9 +75,8 @@ class TotalVariation(Prior):
     def on(self, mesh: TetMesh) -> Regularizer:
         """Return the penalty on a mesh."""
         areas = relative(mesh.adjacency.areas)
-        penalty = _ReweightedPenalty(jumps(mesh), areas, *_smoothed_size(self.edge))
-        penalty.variation_edge = self.edge
-        return penalty
+        cost = _smoothed_size(self.edge)
+        return _ReweightedPenalty(jumps(mesh), areas, *cost, variation_edge=self.edge)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,16 +127,61 @@ class Sparsity(Prior):
         return _ReweightedPenalty(matrix, volumes, *_smoothed_size(self.edge), level)
 
 
-def weighted_median(field: Float[np.ndarray, " m"], weights: Float[np.ndarray, " m"]) -> float:
-    """Return the value below which half of the weight is."""
-    order = np.argsort(field)
-    below = np.cumsum(weights[order])
-    return float(field[order][np.searchsorted(below, 0.5 * below[-1])])
+@dataclass(frozen=True, kw_only=True)
+class BinaryWell(Prior):
+    """The paper's binary well: two levels, tissue and inclusion.
+
+    Sum over elements of volume * (f - f_c)^2 (f - f_t)^2, in mean volumes, with f = log E. The
+    paper (Section VII) states it for moduli; for log-moduli both wells are equally wide at any
+    contrast. It is not convex. Levels that are estimated minimise the sum for the present field.
+    """
+
+    levels_mpa: tuple[float, float] | None = option(
+        None, "Moduli of tissue and inclusion; null: estimated from the present map", unit="MPa",
+        gt=0,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        """Check the levels."""
+        super().__post_init__()
+        if self.levels_mpa is not None and self.levels_mpa[0] == self.levels_mpa[1]:
+            raise ConfigError(
+                f"regularization.levels_mpa={list(self.levels_mpa)}: give two different moduli "
+                "above 0 MPa, or null."
+            )
+
+    def on(self, mesh: TetMesh) -> Regularizer:
+        """Return the penalty on a mesh."""
+        levels = self.levels_mpa and tuple(np.log(self.levels_mpa).tolist())
+        return _BinaryWellPenalty(relative(mesh.volumes), levels)
 
 
-def smoothed_median(
-    field: Float[np.ndarray, " m"], weights: Float[np.ndarray, " m"], edge: float
-) -> float:
+@dataclass(frozen=True, eq=False)
+class _BinaryWellPenalty(Regularizer):
+    volumes: Field
+    levels: tuple[float, ...] | None
+
+    def _product(self, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the product (f - f_c)(f - f_t), and its derivative."""
+        low, high = self.levels or two_levels(field, self.volumes)
+        return (field - low) * (field - high), 2.0 * field - low - high
+
+    def value(self, field: Field) -> float:
+        product, _ = self._product(field)
+        return float(self.volumes @ (product * product))
+
+    def gradient(self, field: Field) -> Field:
+        product, slope = self._product(field)
+        return self.volumes * 2.0 * product * slope
+
+    def curvature(self, field: Field) -> sp.csr_matrix:
+        # The Hessian without its negative part between the wells; no majorant.
+        product, slope = self._product(field)
+        convex = 2.0 * slope * slope + 4.0 * np.maximum(product, 0.0)
+        return sp.diags(self.volumes * convex).tocsr()
+
+
+def smoothed_median(field: Field, weights: Field, edge: float) -> float:
     """Return the level c that minimises the sum of weights * sqrt((field - c)^2 + edge^2).
 
     It is the weighted median where `edge` is small relative to the spread. The sum is strictly
@@ -153,3 +197,20 @@ def smoothed_median(
             break
         level = 0.5 * (low + high)
     return level
+
+
+def two_levels(field: Field, weights: Field) -> tuple[float, float]:
+    """Return the levels (low, high) that minimise the sum of weights * (f - low)^2 (f - high)^2.
+
+    With p(f) = f^2 - s f + q = (f - low)(f - high) this is linear least squares in s and q, and p
+    is the second orthogonal polynomial of the field's distribution: its roots are real and within
+    the field's range. They are the nodes of the two-point Gauss rule: exact for a binary map.
+    """
+    mean = float(np.average(field, weights=weights))
+    centred = field - mean
+    variance = float(np.average(centred**2, weights=weights))
+    if variance <= 1e-24 * max(1.0, mean * mean):
+        return mean, mean
+    skew = float(np.average(centred**3, weights=weights)) / variance
+    half = float(np.sqrt(0.25 * skew * skew + variance))
+    return mean + 0.5 * skew - half, mean + 0.5 * skew + half

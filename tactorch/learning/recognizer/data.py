@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import Dataset
 
 from tactorch.errors import ConfigError
 from tactorch.generation import SampleMaps, SampleSet
@@ -17,39 +16,10 @@ from tactorch.learning.data import (
     SplitData,
     Symmetry,
     apply_symmetry,
-    draw_symmetry,
     split_objects,
     symmetries,
 )
 from tactorch.mesh import VoxelGrid
-
-
-class AugmentedMaps(Dataset[tuple[Tensor, Tensor]]):
-    """Maps (n, 1, v, v, v), each transformed by a random symmetry and factor in each epoch.
-
-    `brightness` is the standard deviation of the random offset of the logarithm.
-    """
-
-    def __init__(
-        self,
-        maps: Tensor,
-        labels: Tensor,
-        allowed: Sequence[Symmetry],
-        brightness: float,
-        seed: int,
-    ) -> None:
-        self.maps, self.labels, self.allowed = maps, labels, allowed
-        self.brightness, self.seed = brightness, seed
-
-    def __len__(self) -> int:
-        return len(self.maps)
-
-    def __getitem__(self, item: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        """Return a map and its label, by epoch and index."""
-        epoch, index = item
-        symmetry, rng = draw_symmetry(self.allowed, self.seed, epoch, index)
-        offset = self.brightness * float(rng.standard_normal())
-        return apply_symmetry(symmetry, self.maps[index]) + offset, self.labels[index]
 
 
 class RecognitionData(SplitData):
@@ -117,10 +87,12 @@ class RecognitionData(SplitData):
         maps = self.maps[self.parts["train"]]
         return float(maps.std()) if len(maps) else 1.0
 
-    def dataset(self, rows: Sequence[int], augment: bool) -> AugmentedMaps:
-        """Return maps and labels, by epoch and position in `rows`."""
-        allowed, brightness = (self.allowed, self.brightness) if augment else ([IDENTITY], 0.0)
-        return AugmentedMaps(self.maps[rows], self.labels[rows], allowed, brightness, self.seed)
+    def sample(
+        self, row: int, symmetry: Symmetry = IDENTITY, deviate: float = 0.0
+    ) -> tuple[Tensor, Tensor]:
+        """Return a map and its label; the logarithm is shifted by `deviate` times brightness."""
+        image = apply_symmetry(symmetry, self.maps[row]) + self.brightness * deviate
+        return image, self.labels[row]
 
 
 def _log_map(sample: SampleMaps, source: str, grid: VoxelGrid) -> Tensor:

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import Dataset
 
 from tactorch.errors import ConfigError
 from tactorch.generation import SampleSet
@@ -16,46 +15,12 @@ from tactorch.learning.data import (
     SplitData,
     Symmetry,
     apply_symmetry,
-    draw_symmetry,
     split_objects,
     symmetries,
 )
-from tactorch.learning.surrogate.features import (
-    PRESS_VECTORS,
-    VERSION,
-    FeatureSet,
-    load_features,
-)
+from tactorch.learning.surrogate.features import PRESS_VECTORS, VERSION, load_features
 
 Row = tuple[Tensor, Tensor, Tensor, Tensor]
-
-
-class AugmentedSamples(Dataset[Row]):
-    """Samples in `rows`, each transformed by a random symmetry of the cube in each epoch.
-
-    The transformed object with its transformed presses is equally likely.
-    """
-
-    def __init__(
-        self, features: FeatureSet, rows: Sequence[int], allowed: Sequence[Symmetry], seed: int
-    ) -> None:
-        self.features, self.rows = features, list(rows)
-        self.allowed, self.seed = allowed, seed
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def __getitem__(self, item: tuple[int, int]) -> Row:
-        """Return presses, fields of the object, target and mask, by epoch and index."""
-        epoch, index = item
-        symmetry, _ = draw_symmetry(self.allowed, self.seed, epoch, index)
-        features, i = self.features, self.rows[index]
-        begin, end = features.begins[i : i + 2]
-        presses = torch.from_numpy(features.presses[begin:end]).float()
-        others = (features.shared[i], features.target[i], features.inside[i])
-        shared, target, inside = (apply_symmetry(symmetry, torch.from_numpy(f)) for f in others)
-        presses = apply_symmetry(symmetry, presses, PRESS_VECTORS)
-        return presses, shared.float(), target.float(), inside
 
 
 def collate(rows: Sequence[Row]) -> list[Tensor]:
@@ -91,6 +56,7 @@ class SurrogateData(SplitData):
     """
 
     collate = staticmethod(collate)
+    allowed = symmetries(np.zeros((0, 3)))
 
     def __init__(
         self,
@@ -129,10 +95,18 @@ class SurrogateData(SplitData):
         """Root mean square of the nonzero values of each channel of the object, likewise."""
         return _rms_per_channel(self.features.shared[self.parts["train"]])
 
-    def dataset(self, rows: Sequence[int], augment: bool) -> AugmentedSamples:
-        """Return samples, by epoch and position in `rows`."""
-        allowed = symmetries(np.zeros((0, 3))) if augment else [IDENTITY]
-        return AugmentedSamples(self.features, rows, allowed, self.seed)
+    def sample(self, row: int, symmetry: Symmetry = IDENTITY, deviate: float = 0.0) -> Row:
+        """Return presses, fields of the object, target and mask; `deviate` has no effect.
+
+        The transformed object with its transformed presses is equally likely.
+        """
+        features = self.features
+        begin, end = features.begins[row : row + 2]
+        presses = torch.from_numpy(features.presses[begin:end]).float()
+        others = (features.shared[row], features.target[row], features.inside[row])
+        shared, target, inside = (apply_symmetry(symmetry, torch.from_numpy(f)) for f in others)
+        presses = apply_symmetry(symmetry, presses, PRESS_VECTORS)
+        return presses, shared.float(), target.float(), inside
 
 
 def _rms_per_channel(fields: np.ndarray) -> list[float]:

@@ -69,11 +69,8 @@ def compute_features(
     """Return the features of a recording.
 
     Its truth is not used. The grid has `count` cells in each direction; of each press location,
-    the `frames` load steps of largest load are used.
-
-    Raises:
-        ConfigError: `count` is odd or below 2, or `frames` below 1.
-        ConvergenceError: No uniform modulus carries the presses.
+    the `frames` load steps of largest load are used. `ConvergenceError` is raised if no uniform
+    modulus carries the presses.
     """
     if count < 2 or count % 2 or frames < 1:
         raise ConfigError(f"count={count} must be even and at least 2, frames={frames} at least 1.")
@@ -231,16 +228,15 @@ def load_features(
 
     Features have `count` cells in each direction, targets twice as many; `frames` are the load
     steps to use per press location.
-
-    Raises:
-        FileError: The dataset is missing or damaged, or all samples were omitted.
     """
     samples = SampleSet.open(folder)
     samples.verify()
     parts = []
     shards = samples.manifest["shards"]
     for number, shard in enumerate(shards):
-        path = samples.folder / FOLDER / f"{number:05d}-{_key(shard['sha256'], count, frames)}.npz"
+        settings = json.dumps([VERSION, shard["sha256"], count, frames])
+        key = sha256(settings.encode()).hexdigest()[:16]
+        path = samples.folder / FOLDER / f"{number:05d}-{key}.npz"
         part = _read(path)
         if part is None:
             _log.info("shard %d of %d: computing features", number + 1, len(shards))
@@ -257,10 +253,6 @@ def load_features(
         text = "%d of %d samples omitted: no equilibrium with a uniform modulus"
         _log.warning(text, omitted, len(samples))
     return features
-
-
-def _key(checksum: str, count: int, frames: int) -> str:
-    return sha256(json.dumps([VERSION, checksum, count, frames]).encode()).hexdigest()[:16]
 
 
 def _compute_part(

@@ -108,12 +108,7 @@ class SurrogateStart(Options):
         return []
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
-        """Return the predicted map, or the best uniform one if that fits better, MPa.
-
-        Raises:
-            ConvergenceError: No uniform modulus carries the presses.
-            FileError: The weights are missing, damaged or of another model.
-        """
+        """Return the predicted map, or the best uniform one if that fits better, MPa."""
         predicted = self.predict(problem.recording, noise=problem.noise, bounds=bounds).youngs
         if fits_better_than_uniform(predicted, problem, bounds, "surrogate's"):
             return predicted

@@ -36,7 +36,6 @@ SENSOR_MAPS = Registry(
         "mlp_colour": "tactorch.sensor.calibration.maps:MlpColour",
         "lookup": "tactorch.sensor.calibration.maps:Lookup",
     },
-    "maps from change of color to slope",
 )
 
 

@@ -11,16 +11,17 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.fem import Linearization, Newton, NewtonOptions, SoftBody, Supports, make_material
-from tactorch.mesh.values import Real
+from tactorch.mesh import TetMesh, box_mesh
+from tactorch.mesh.values import Real, positive
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel.mesh import GelMesh
 from tactorch.sensor.gel.smoothing import fit_smooth_forces, traction_basis
 
+_MAX_CELLS = 200_000
 _NEWTON_RTOL = 1e-8
 _MAX_LINEARIZATIONS = 8
 _FORCE_RTOL = 1e-3  # change of the forces at convergence
@@ -45,6 +46,57 @@ class GelOptions(Options):
         "Element: tet10, free of locking (seconds per frame), or tet4, fast but too stiff near"
         " incompressibility",
     )
+
+
+class GelMesh:
+    """Regular tetrahedra that become thinner toward the outer face near z = 0.
+
+    `edge_mm` is the edge length of a cell on this face, `layers` the number of cells through the
+    thickness. The nodes `window` at z = -thickness are bonded to the rigid window.
+    """
+
+    def __init__(self, gel: GelLayer, edge_mm: Real, layers: int) -> None:
+        edge, half = positive("edge_mm", edge_mm), np.array(gel.half_size_mm)
+        counts = np.maximum(np.round(2 * half / edge).astype(int), 1)
+        if counts.min() < 4 or layers < 1:
+            raise ConfigError(
+                f"edge_mm={edge:g}, layers={layers}: a gel of {2 * half[0]:g} x {2 * half[1]:g} mm"
+                " needs at least 4 cells across and 1 layer."
+            )
+        if counts.prod() * layers > _MAX_CELLS:
+            raise ConfigError(
+                f"edge_mm={edge:g} makes {counts.prod() * layers} cells; give a larger."
+            )
+        cube = box_mesh((2.0, 2.0, 1.0), (*counts.tolist(), layers), origin_mm=(-1.0, -1.0, -1.0))
+        square = cube.points[:, :2]
+        flat = square * half if gel.size_mm is not None else _square_to_disc(square) * half
+        depth = -cube.points[:, 2]  # 0 at the outer face, 1 at the window
+        graded = depth * (0.5 + 0.5 * depth)  # the outermost cells are about half as thick
+        face_height = gel.height_mm(flat)
+        height = face_height - graded * (gel.thickness_mm + face_height)
+        self.mesh = TetMesh.create(np.column_stack([flat, height]), cube.tets)
+        self.on_face = depth < 1e-9
+        self.face, self.window = np.flatnonzero(self.on_face), np.flatnonzero(depth > 1 - 1e-9)
+        self.face_points = self.mesh.points[self.face]  # at rest
+        surface = self.mesh.surface
+        outer = self.on_face[surface.triangles].all(axis=1)
+        self.face_triangles = (np.cumsum(self.on_face) - 1)[surface.triangles[outer]]
+        shares = np.repeat(surface.areas[outer] / 3.0, 3)  # of the adjacent triangles, mm^2
+        self.face_areas = np.bincount(self.face_triangles.ravel(), shares, len(self.face))
+
+    def edges(self, selected: Bool[np.ndarray, " k"]) -> Int[np.ndarray, "e 2"]:
+        """Return pairs of neighbors among selected nodes of the face, as indices among these."""
+        index = np.where(selected, np.cumsum(selected) - 1, -1)
+        pairs = index[self.face_triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)]
+        return np.unique(np.sort(pairs[(pairs >= 0).all(axis=1)], axis=1), axis=0)
+
+
+def _square_to_disc(square: Float[np.ndarray, "n 2"]) -> np.ndarray:
+    """Map the square from -1 to 1 to a disc; cells near the center stay nearly square."""
+    largest = np.abs(square).max(axis=1, keepdims=True)
+    length = np.linalg.norm(square, axis=1, keepdims=True)
+    ratio = np.divide(largest, length, out=np.ones_like(largest), where=length > 0)
+    return square * (1 + largest * (ratio - 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +148,6 @@ class GelModel:
         gel_mesh: Mesh and its outer face.
         body: Finite element model.
         youngs: Young's modulus of each element, MPa.
-
-    Raises:
-        ConfigError: The cells are too large or too many, or the material is unknown.
     """
 
     def __init__(self, gel: GelLayer, options: GelOptions | None = None) -> None:
@@ -119,24 +168,19 @@ class GelModel:
             displacement: Displacements of the nodes of the face, mm; NaN where the face is free.
             noise_mm: Standard deviation of the displacements, mm, for the covariance of the total.
 
-        Returns:
-            The forces.
-
         Raises:
-            ConfigError: The shape is wrong, or no displacement is known.
             ConvergenceError: Newton's method does not converge.
         """
         known = self._known(displacement)
         no_load = np.zeros(self.gel_mesh.mesh.points.shape)
         state = _State(self.body.search(self.youngs, no_load, self._supports(displacement)))
-        internal = self.body.assembly.internal_force(state.response, self.youngs)
-        forces = np.where(known, self._gather(internal), 0.0)
+        reactions = self._gather(self.body.assembly.internal_force(state.response, self.youngs))
         covariance = None
         if noise_mm is not None:
             sensitivity = self._total_force_sensitivity(state, known)
             covariance = float(noise_mm) ** 2 * sensitivity @ sensitivity.T
         moved = state.displacement[self.gel_mesh.face]
-        return GelContact(self.points, moved, forces, covariance)
+        return GelContact(self.points, moved, np.where(known, reactions, 0.0), covariance)
 
     def smooth_forces(
         self,
@@ -157,11 +201,7 @@ class GelModel:
             free_plane: Whether displacements along z are known up to a constant and a tilt, as
                 depth from slopes is. Both are then determined by the gel around the contact.
 
-        Returns:
-            The forces.
-
         Raises:
-            ConfigError: The shape is wrong, or no displacement or no contact is known.
             ConvergenceError: Newton's method does not converge.
         """
         known, face = self._known(displacement), self.gel_mesh.face
@@ -248,10 +288,8 @@ class GelModel:
         solution = state.tangent.solve(loads).reshape(self.body.n_nodes, 3, -1)
         return solution[self.gel_mesh.face].reshape(3 * len(self.points), -1)
 
-    def _total_force_sensitivity(
-        self, state: _State, known: Bool[np.ndarray, "k 3"]
-    ) -> Float[np.ndarray, "3 known"]:
-        """Derivative of the total force with respect to the prescribed displacements."""
+    def _total_force_sensitivity(self, state: _State, known: Bool[np.ndarray, "k 3"]) -> np.ndarray:
+        """Derivative of the total force (rows) with respect to the prescribed displacements."""
         # The tangent is symmetric: these are the forces on the face when all its known components
         # move along an axis.
         values = self.body.assembly.tangent(state.response, self.youngs)

@@ -35,9 +35,6 @@ class KnownLoad:
         deviation_n: Standard deviation of each component, N.
         contact: Nodes that may carry a force; None for all.
         name: Name of the press, for messages.
-
-    Raises:
-        ConfigError: A force is zero, tensile or not finite.
     """
 
     displacement: Float[np.ndarray, "k 3"]
@@ -118,9 +115,6 @@ def calibrate_modulus(
         mesh_error: Relative standard deviation of the forces due to the mesh, common to all
             presses.
 
-    Returns:
-        The modulus with its standard deviation.
-
     Raises:
         ConfigError: A press shows no contact, or its load is implausible.
         ConvergenceError: Newton's method does not converge.
@@ -144,14 +138,16 @@ def calibrate_modulus(
         observations.append(_observe(load, contact, model.gel.youngs_mpa))
 
     def misfit(log_youngs: float) -> float:
-        return sum(observation.chi2(float(np.exp(log_youngs))) for observation in observations)
+        youngs = float(np.exp(log_youngs))
+        return sum(o.weighted_square(o.load - youngs * o.unit_force, youngs) for o in observations)
 
     log_moduli = np.log([observation.modulus for observation in observations])
     # The minimum is outside the single moduli where components of a load disagree.
     bounds = (log_moduli.min() - 1.0, log_moduli.max() + 1.0)
     minimum = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-10})
     youngs = float(np.exp(minimum.x))
-    random = 1.0 / np.sqrt(sum(observation.information(youngs) for observation in observations))
+    information = sum(o.weighted_square(o.unit_force, youngs) for o in observations)  # Fisher's
+    random = 1.0 / np.sqrt(information)
     deviation = float(np.hypot(random, float(mesh_error) * youngs))
     forces = youngs * np.stack([observation.unit_vector for observation in observations])
     freedom = sum(len(observation.load) for observation in observations) - 1
@@ -172,15 +168,8 @@ class _Observation(NamedTuple):
         """Modulus from the z component alone, which is always measured, MPa."""
         return float(self.load[-1] / self.unit_force[-1])
 
-    def chi2(self, youngs: float) -> float:
-        """Weighted squares of the residual force."""
-        return self._weighted_square(self.load - youngs * self.unit_force, youngs)
-
-    def information(self, youngs: float) -> float:
-        """Fisher information on the modulus, 1/MPa^2."""
-        return self._weighted_square(self.unit_force, youngs)
-
-    def _weighted_square(self, force: Float[np.ndarray, " c"], youngs: float) -> float:
+    def weighted_square(self, force: Float[np.ndarray, " c"], youngs: float) -> float:
+        """Square of a force, weighted by the covariance at a modulus."""
         covariance = self.load_variance * np.eye(len(self.load)) + youngs**2 * self.unit_covariance
         return float(force @ np.linalg.solve(covariance, force))
 

@@ -23,7 +23,6 @@ OBJECTS = Registry(
         "mesh": "tactorch.sensor.recorder.objects:MeshObject",
         "virtual_cube": "tactorch.sensor.recorder.objects:VirtualCube",
     },
-    "objects that are pressed by a sensor",
 )
 
 
@@ -83,21 +82,22 @@ class VirtualCube(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        side, edge, depth = self.side_mm, self.edge_mm, self._depth_mm
-        if 2 * edge > min(side, depth):
+        edge, sizes = self.edge_mm, np.array(self._sizes_mm)
+        if 2 * edge > sizes.min():
             raise ConfigError(
-                f"object.edge_mm={edge:g} is more than half the region of {side:g} mm; give a"
-                " smaller one."
+                f"object.edge_mm={edge:g} is more than half the region of {self.side_mm:g} mm; give"
+                " a smaller one."
             )
-        count = 6 * (side / edge) ** 2 * (depth / edge)
+        count = 6 * float(np.prod(sizes / edge))
         if count > _MAX_ELEMENTS:
             raise ConfigError(
                 f"object.edge_mm={edge:g} makes {count:.0f} elements; give a larger one."
             )
 
     @property
-    def _depth_mm(self) -> float:
-        return self.side_mm if self.depth_mm is None else self.depth_mm
+    def _sizes_mm(self) -> tuple[float, float, float]:
+        depth = self.side_mm if self.depth_mm is None else self.depth_mm
+        return self.side_mm, self.side_mm, depth
 
     def mesh_under(self, first_pose: Pose, center_mm: Float[np.ndarray, "2"]) -> TetMesh:
         """Return the mesh in the object frame, its pressed face at the gel's highest point.
@@ -107,9 +107,8 @@ class VirtualCube(Options):
             center_mm: Center of the contact, x and y in the sensor frame.
         """
         check_pose(first_pose, "pose of first contact")
-        sizes = (self.side_mm, self.side_mm, self._depth_mm)
-        counts = [max(2, round(size / self.edge_mm)) for size in sizes]
+        counts = [max(2, round(size / self.edge_mm)) for size in self._sizes_mm]
         x, y = (center_mm - self.side_mm / 2).tolist()
         # Five tetrahedra per cell, mirrored from cell to cell, favor no direction.
-        mesh = box_mesh(sizes, counts, origin_mm=(x, y, 0.0), tets_per_cell=5)
+        mesh = box_mesh(self._sizes_mm, counts, origin_mm=(x, y, 0.0), tets_per_cell=5)
         return TetMesh.create(transform_points(first_pose, mesh.points), mesh.tets)

@@ -41,12 +41,7 @@ class Fixture(Options):
     spring_n_per_mm: float = option(1.0, "Stiffness of each spring", unit="N/mm", gt=0)
 
     def supports(self, mesh: TetMesh, direction: Float[np.ndarray, "3"]) -> dict[str, Any]:
-        """Return the fields of a `Press` along `direction` that support the object.
-
-        Raises:
-            ConfigError: The object has no flat side opposite to the press.
-            MeshError: The named side is not flat.
-        """
+        """Return the fields of a `Press` along `direction` that support the object."""
         opposite = self.held_side == "opposite"
         nodes = opposite_nodes(mesh, direction) if opposite else face_nodes(mesh, self.held_side)
         if self.held_by == "fixed":
@@ -115,10 +110,16 @@ class PressBuilder:
         `number` counts contacts from 1, for the names of the presses. `measured_noise_mm` is that
         of frames without contact.
         """
-        first_pose = self._first_pose(contact, poses)
+        free_s, times_s, depths_mm = contact.free_s, contact.times_s, contact.depths_mm
+        if self._cube is None and self.options.first_contact == "shape":
+            assert self.mesh is not None
+            gel = self.chain.sensor.gel
+            first_pose = first_pose_by_shape(poses, free_s, times_s[0], self.mesh, gel)
+        else:
+            first_pose = first_pose_by_depth(poses, free_s, times_s, depths_mm)
         if self.mesh is None:
             assert self._cube is not None
-            deepest = contact.measurements[int(np.argmax(contact.depths_mm))]
+            deepest = contact.measurements[int(np.argmax(depths_mm))]
             center_mm = self.chain.model.points[deepest.in_contact, :2].mean(axis=0)
             self.mesh = self._cube.mesh_under(first_pose, center_mm)
         noise_mm = self.options.press_noise_mm
@@ -126,9 +127,8 @@ class PressBuilder:
             noise_mm = max(self.chain.options.noise_mm, measured_noise_mm or 0.0)
         step = 0
         for index in contact.select_frames(self.options.steps):
-            measurement = contact.measurements[index]
+            measurement, pose = contact.measurements[index], poses.at([times_s[index]])[0]
             name = measurement.frame.name
-            pose = poses.at([contact.times_s[index]])[0]
             try:
                 forces = self.chain.solve_contact(measurement)
                 assert forces is not None
@@ -144,13 +144,6 @@ class PressBuilder:
             else:
                 step += 1
                 yield index, press
-
-    def _first_pose(self, contact: ContactInterval, poses: Poses) -> Pose:
-        times_s, gel = contact.times_s, self.chain.sensor.gel
-        if self._cube is None and self.options.first_contact == "shape":
-            assert self.mesh is not None
-            return first_pose_by_shape(poses, contact.free_s, times_s[0], self.mesh, gel)
-        return first_pose_by_depth(poses, contact.free_s, times_s, contact.depths_mm)
 
 
 def first_pose_by_shape(

@@ -34,6 +34,7 @@ class SessionRecording:
             in the object frame) and nodes (number of observed nodes).
         frames: Summary of each frame.
         contacts: Contacts.
+        faults: Faults of frames by name.
         skipped: Reason by name for each frame with contact that became no press.
     """
 
@@ -41,12 +42,8 @@ class SessionRecording:
     presses: list[dict[str, Any]]
     frames: list[FrameSummary]
     contacts: list[ContactInterval]
+    faults: dict[str, str]
     skipped: dict[str, str]
-
-    @property
-    def faults(self) -> dict[str, str]:
-        """Faults of frames by name."""
-        return _faults(self.frames)
 
     def contact_numbers(self) -> list[int | None]:
         """Return the number of the contact, from 0, of each frame; None without contact."""
@@ -83,9 +80,6 @@ def record(
         progress: Callback with the stage ("frames", "presses"), the amount done, and the total
             (None if unknown).
 
-    Returns:
-        The recording with summaries of frames and presses.
-
     Raises:
         ConfigError: No frame shows contact, a frame has no time or no pose, no contact yields a
             press, or the object has no such side to support.
@@ -100,8 +94,9 @@ def record(
 
     detector = ContactDetector(chain, options.min_frames, report)
     contacts = list(detector.detect(frames))
+    faults = {summary.name: summary.fault for summary in summaries if summary.fault}
     if not contacts:
-        raise ConfigError(_no_contact(summaries, chain))
+        raise ConfigError(_no_contact(summaries, len(faults), chain))
     known_poses = poses if isinstance(poses, Poses) else poses()
     known_poses.at([time_s for contact in contacts for time_s in contact.times_s])
     builder = PressBuilder(chain, target, options)
@@ -112,10 +107,12 @@ def record(
             name = contact.measurements[index].frame.name
             if isinstance(result, Press):
                 presses.append(result)
-                depth_mm, nodes = contact.depths_mm[index], result.observed.any(axis=1).sum()
                 row = {"contact": number, "frame": name, "time_s": contact.times_s[index]}
-                row |= {"depth_mm": depth_mm, "force_n": result.total_force.tolist()}
-                rows.append(row | {"nodes": int(nodes)})
+                row |= {
+                    "depth_mm": contact.depths_mm[index],
+                    "force_n": result.total_force.tolist(),
+                }
+                rows.append(row | {"nodes": int(result.observed.any(axis=1).sum())})
             else:
                 skipped[name] = str(result)
             progress("presses", len(presses) + len(skipped), total)
@@ -123,11 +120,11 @@ def record(
         name, reason = next(iter(skipped.items()))
         raise ConfigError(f"no frame with contact became a press; '{name}': {reason}")
     facts = {"sensor": chain.sensor.name, "frames": len(summaries), "presses": rows}
-    facts |= {"faulty frames": _faults(summaries), "skipped": skipped, "versions": versions()}
+    facts |= {"faulty frames": faults, "skipped": skipped, "versions": versions()}
     assert builder.mesh is not None
     facts |= provenance or {}
     recording = Recording(builder.mesh, tuple(presses), material, provenance=facts)
-    return SessionRecording(recording, rows, summaries, contacts, skipped)
+    return SessionRecording(recording, rows, summaries, contacts, faults, skipped)
 
 
 def record_streaming(
@@ -201,9 +198,8 @@ def _wait_for_poses(
         time.sleep(_POSES_POLL_S)
 
 
-def _no_contact(frames: list[FrameSummary], chain: SensorChain) -> str:
-    count = len(_faults(frames))
-    faulty = f", {count} of them faulty," if count else ""
+def _no_contact(frames: list[FrameSummary], n_faulty: int, chain: SensorChain) -> str:
+    faulty = f", {n_faulty} of them faulty," if n_faulty else ""
     depth = np.nanmax([0.0, *(frame.depth_mm for frame in frames)])
     slope = np.nanmax([0.0, *(frame.max_slope for frame in frames)])
     return (
@@ -213,7 +209,3 @@ def _no_contact(frames: list[FrameSummary], chain: SensorChain) -> str:
         f" {chain.options.min_slope:g} (min_slope)."
         " Is the reference without contact, and is the calibration of this sensor?"
     )
-
-
-def _faults(frames: list[FrameSummary]) -> dict[str, str]:
-    return {frame.name: frame.fault for frame in frames if frame.fault}

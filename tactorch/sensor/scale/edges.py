@@ -30,15 +30,12 @@ _SHIFT_STEP_PX = 0.05
 _FINE_PX, _REACH_PX = 0.05, 30.0
 _OFFSETS_PX = np.arange(-8.0, 8.01, 0.25)  # of the final profiles, outward
 
+# Outward offsets at both ends of an edge, px, their variances, and the scatter of the points.
 _Line = tuple[np.ndarray, np.ndarray, float]
 
 
 def refine_outline(
-    change: Float[np.ndarray, "h w 3"],
-    known: Bool[np.ndarray, "h w"],
-    rough: Corners,
-    shape: KnownShape,
-    name: str,
+    change: np.ndarray, known: np.ndarray, rough: Corners, shape: KnownShape, name: str
 ) -> Outline:
     """Fit the edges of a rough outline to where the change of color starts outward."""
     missing = f"{name}: no {shape.name} found;"
@@ -72,12 +69,7 @@ def refine_outline(
 def _find_line(
     change: np.ndarray, known: np.ndarray, start: np.ndarray, end: np.ndarray, reach: float
 ) -> _Line | None:
-    """Fit a line to the steepest points near an approximate edge; None if there are too few.
-
-    Returns:
-        Outward offsets of the line at both ends of the edge, px, their variances, and the root mean
-        square deviation of its points.
-    """
+    """Fit a line to the steepest points near an approximate edge; None if there are too few."""
     offsets = np.arange(-reach - 3.0, reach + 3.0 + _STEP_PX, _STEP_PX)
     values, valid, positions = _profiles(change, known, start, end, offsets)
     blocks = max(_MIN_BLOCKS, round(len(positions) / _BLOCK_PX))
@@ -106,10 +98,8 @@ def _profiles(
     indices = [points[..., 1], points[..., 0]]
     # Pixels outside the image are not valid.
     valid = map_coordinates(known.astype(float), indices, order=1, cval=0.0) > 0.99
-    channels = (change[..., k] for k in range(3))
-    values = np.stack(
-        [map_coordinates(c, indices, order=1, mode="nearest") for c in channels], axis=-1
-    )
+    channels = np.moveaxis(change, -1, 0)
+    values = np.stack([map_coordinates(c, indices, order=1, mode="nearest") for c in channels], -1)
     outside = valid & (offsets > 0)
     color = values[outside].mean(axis=0) if outside.any() else np.ones(3)
     return values @ (color / max(float(np.linalg.norm(color)), 1e-12)), valid, steps / length

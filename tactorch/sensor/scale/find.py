@@ -46,9 +46,6 @@ def find_outline(
         known: Pixels not covered by markers; None for all.
         name: Name of the image, for messages.
 
-    Returns:
-        The outline.
-
     Raises:
         ConfigError: There is no such outline; the message names the image.
     """

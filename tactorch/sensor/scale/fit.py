@@ -75,22 +75,13 @@ def measure_pixel_scale(
         sensor: Sensor that took the images; its pixel aspect ratio is only used to distinguish the
             sides of a cuboid.
 
-    Returns:
-        The size of a pixel.
-
     Raises:
         ConfigError: There is no image; an outline has another number of corners, corners of
             another shape or outside the image, or another scale than the other images.
     """
     if not outlines:
         raise ConfigError("no image of a known shape to measure the pixel's size with.")
-    single_fits = []
-    for outline in outlines:
-        _require_inside(outline, sensor)
-        fit = _fit_plane([outline], shape, sensor)
-        _require_shape(fit, outline, shape)
-        single_fits.append(fit)
-    _require_agreement(outlines, single_fits)
+    _require_agreement(outlines, [_fit_outline(outline, shape, sensor) for outline in outlines])
     fit = _fit_plane(outlines, shape, sensor)
     scale, random = fit.scale, np.sqrt(np.diag(fit.covariance))
     deviation = scale * np.hypot(random, _edge_deviation(outlines, shape))
@@ -99,11 +90,11 @@ def measure_pixel_scale(
     return PixelScale((x, y), (dx, dy), fit.residual_px, corners)
 
 
-def _require_inside(outline: Outline, sensor: SensorDescription) -> None:
-    """Corners may be slightly outside the image, where visible edges intersect."""
+def _fit_outline(outline: Outline, shape: KnownShape, sensor: SensorDescription) -> "_PlaneFit":
+    """Fit a single outline, which must be inside the image and have the known shape."""
     width, height = sensor.image_size_px
     x, y = outline.corners_px.T
-    margin = 0.1 * min(width, height)
+    margin = 0.1 * min(width, height)  # visible edges may intersect slightly outside
     outside = (x < -margin) | (y < -margin) | (x > width - 1 + margin) | (y > height - 1 + margin)
     if outside.any():
         corner = outline.corners_px[int(np.argmax(outside))]
@@ -111,26 +102,22 @@ def _require_inside(outline: Outline, sensor: SensorDescription) -> None:
             f"{outline.name}: the corner at ({corner[0]:.1f}, {corner[1]:.1f}) px is outside the"
             f" image of {width} x {height} px; give corners in rectified images."
         )
-
-
-def _require_shape(fit: "_PlaneFit", outline: Outline, shape: KnownShape) -> None:
-    limit = max(_MAX_RESIDUAL * square_side(outline.corners_px), _MIN_RESIDUAL_PX)
-    x, y = fit.scale
-    if fit.residual_px > limit:
+    fit = _fit_plane([outline], shape, sensor)
+    if fit.residual_px > max(_MAX_RESIDUAL * square_side(outline.corners_px), _MIN_RESIDUAL_PX):
         raise ConfigError(
             f"{outline.name}: its corners are no {shape.name} of that size, but"
             f" {fit.residual_px:.1f} px off on average; check the shape, its sizes and the corners."
         )
-    if not 2 / 3 < x / y < 1.5:
+    x_mm, y_mm = fit.scale
+    if not 2 / 3 < x_mm / y_mm < 1.5:
         raise ConfigError(
-            f"{outline.name}: a pixel would be {x:.4g} x {y:.4g} mm; check the sizes of the"
+            f"{outline.name}: a pixel would be {x_mm:.4g} x {y_mm:.4g} mm; check the sizes of the"
             f" {shape.name}, and its corners."
         )
+    return fit
 
 
 def _require_agreement(outlines: Sequence[Outline], fits: Sequence["_PlaneFit"]) -> None:
-    if len(fits) < 2:
-        return
     logs = np.array([fit.terms[:2] for fit in fits])
     median = np.median(logs, axis=0)
     deviations = np.array([np.sqrt(np.diag(fit.covariance)) for fit in fits])
@@ -152,11 +139,8 @@ def _edge_deviation(outlines: Sequence[Outline], shape: KnownShape) -> float:
     along = np.roll(shape.corners, -1, axis=0) - shape.corners
     cross = shape.corners[:, 0] * along[:, 1] - shape.corners[:, 1] * along[:, 0]
     inner_radius = float((np.abs(cross) / np.linalg.norm(along, axis=1)).mean())
-    radii_px = (
-        inner_radius
-        / square_side(shape.corners)
-        * np.array([square_side(outline.corners_px) for outline in outlines])
-    )
+    sides_px = np.array([square_side(outline.corners_px) for outline in outlines])
+    radii_px = inner_radius / square_side(shape.corners) * sides_px
     return float(np.mean([outline.edge_px for outline in outlines] / radii_px))
 
 
@@ -192,9 +176,6 @@ def fit_warp(outlines: Sequence[Outline], shape: KnownShape, sensor: SensorDescr
             cuboid in two or more, rotated and moved between them.
         shape: Pressed shape.
         sensor: Sensor that took the images, without a warp or a crop.
-
-    Returns:
-        The warp.
 
     Raises:
         ConfigError: The description has a warp already, there are too few corners, or they are

@@ -91,9 +91,6 @@ class Outline:
         corners_px: Corners (column, row), ordered from x toward y.
         deviation_px: Standard deviation of a corner; 0 if unknown.
         edge_px: Standard deviation of a common offset of all edges; 0 if unknown.
-
-    Raises:
-        ConfigError: The corners are not a convex polygon.
     """
 
     name: str
@@ -149,11 +146,9 @@ def read_corners(path: str | Path) -> Mapping[str, Outline]:
         corners[corner] = (row.number("x_px"), row.number("y_px"))
     if not table:
         raise FileError(f"table of corners '{path}' has no line; give one for each corner.")
-    deviation = _LABEL_DEVIATION_PX
+    corners_px = {image: np.array(list(corners.values())) for image, corners in table.items()}
+    deviations = _LABEL_DEVIATION_PX, _LABEL_DEVIATION_PX
     try:
-        return {
-            image: Outline(image, np.array(list(corners.values())), deviation, deviation)
-            for image, corners in table.items()
-        }
+        return {image: Outline(image, each, *deviations) for image, each in corners_px.items()}
     except ConfigError as error:
         raise ConfigError(f"table of corners '{path}': {error}") from error
