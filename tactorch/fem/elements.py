@@ -68,8 +68,7 @@ TET4 = Element(np.eye(4)[None], np.ones(1), (1.0 / 3.0, 0.0), (0.25, 0.0), mean_
 TET10 = _quadratic()
 #: Element types by name.
 ELEMENTS = Registry(
-    "element",
-    {"tet4": "tactorch.fem.elements:TET4", "tet10": "tactorch.fem.elements:TET10"},
+    "element", {"tet4": "tactorch.fem.elements:TET4", "tet10": "tactorch.fem.elements:TET10"}
 )
 
 
