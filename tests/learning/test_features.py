@@ -119,7 +119,7 @@ def test_press_locations_are_distinguished_by_their_loads(recording: Recording) 
     seen = replace(light, observed=holed)
     assert select_strongest(replace(recording, presses=(seen, heavy)), 1) == [1]
     pressed = np.flatnonzero(heavy.forces.any(axis=1))
-    half = np.isin(np.arange(heavy.n_points), pressed[: len(pressed) // 2])[:, None]
+    half = np.isin(np.arange(len(heavy.forces)), pressed[: len(pressed) // 2])[:, None]
     parts = [replace(heavy, forces=np.where(part, heavy.forces, 0.0)) for part in (half, ~half)]
     assert select_strongest(replace(recording, presses=tuple(parts)), 1) == [0, 1]
     gone = replace(light, springs=0 * light.springs, fixed=light.springs > 0)
