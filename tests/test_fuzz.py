@@ -83,7 +83,8 @@ def reconstruction(path: Path) -> Kind:
 
 def checkpoint(path: Path) -> Kind:
     monitor = Monitor(checkpoint=path / "checkpoint.npz", identity={"solver": "x"}, task="t")
-    monitor.best, monitor.history = np.linspace(0, 1, 6), [{"iteration": 0, "evaluations": 1, "misfit": 1.0}]
+    monitor.best = np.linspace(0, 1, 6)
+    monitor.history = [{"iteration": 0, "evaluations": 1, "misfit": 1.0}]
     monitor.save()
 
     def read(file: Path) -> Any:
