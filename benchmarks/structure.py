@@ -5,6 +5,7 @@
 Each figure is counted from the sources:
 
 - lines: all lines of tactorch/**/*.py, and those that are neither blank, comment nor docstring;
+  lines of the settings in conf/, which is installed as tactorch/conf;
 - public names: entries of `__all__`, each name once;
 - files per extension: files of tactorch/ and conf/ that name an existing component (its class or
   its setting), that is, the files that a new one of its kind touches;
@@ -103,6 +104,9 @@ def figures(root: Path) -> dict[str, Any]:
         "files": len(sources),
         "lines": sum(len(path.read_text("utf-8").splitlines()) for path in sources),
         "code lines": sum(code_lines(path) for path in sources),
+        "lines of conf": sum(
+            len(path.read_text("utf-8").splitlines()) for path in (root / "conf").rglob("*.yaml")
+        ),
         "public names": len(public_names(sources)),
         **{f"files for a {kind}": extension_files(root, kind) for kind in EXTENSIONS},
         "frames to the kernel": frames(root),
