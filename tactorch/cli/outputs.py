@@ -26,8 +26,6 @@ _RESULTS = (
     *("reconstruction.h5", "reconstruction.vtu", "slices.png", "convergence.png", "summary.json"),
     *("summary.txt", CHECKPOINT, "finding.txt", "finding.json", "report.html"),
 )
-# Largest share of the volume at the bounds of a map that can be trusted.
-_MAX_AT_BOUNDS = 0.2
 
 
 def score_table(
@@ -97,16 +95,7 @@ def summarise(
     recording: Recording, reconstruction: Reconstruction, inclusion: Inclusion | None, source: str
 ) -> dict[str, Any]:
     """Return the numbers of a run, with scores where there is a truth."""
-    last, youngs, warnings = reconstruction.history[-1], reconstruction.youngs, []
-    bounds, volumes = reconstruction.config["settings"]["bounds"], recording.mesh.volumes
-    is_at_bound = (youngs < 1.01 * bounds["lower"]) | (youngs > 0.99 * bounds["upper"])
-    at_bounds = float(volumes[is_at_bound].sum() / volumes.sum())
-    if at_bounds > _MAX_AT_BOUNDS:
-        warnings.append(
-            f"{at_bounds:.0%} of it is at a bound of Young's modulus. If the bounds are right, "
-            "presses or model are off by more than the noise that is stated: give noise.mm larger, "
-            "or estimate what is wrong (nuisance)."
-        )
+    last, youngs = reconstruction.history[-1], reconstruction.youngs
     summary: dict[str, Any] = {
         "recording": source,
         "optimizer": reconstruction.config["optimizer"]["name"],
@@ -119,8 +108,8 @@ def summarise(
         "elements": recording.mesh.n_tets,
         "presses": len(recording.presses),
         "youngs_median_mpa": float(np.median(youngs)),
-        "volume_at_bounds": at_bounds,
-        "warnings": warnings,
+        "volume_at_bounds": reconstruction.volume_at_bounds,
+        "warnings": reconstruction.warnings,
         "inclusion": None if inclusion is None else inclusion.plain(),
         "nuisance": {name: found.plain() for name, found in reconstruction.nuisance.items()},
     }
@@ -146,7 +135,7 @@ def describe(
         f"(misfit {summary['misfit']:.3g} mm2).",
         summarize_inclusion(inclusion, summary["youngs_median_mpa"]),
         *(_describe_estimate(name, value) for name, value in reconstruction.nuisance.items()),
-        *(f"DO NOT TRUST THIS MAP: {warning}" for warning in summary["warnings"]),
+        *(f"DO NOT TRUST THIS MAP: {warning}" for warning in reconstruction.warnings),
     ]
     if recording.truth is not None and inclusion is not None:
         true = find_lump(recording.mesh, recording.truth)

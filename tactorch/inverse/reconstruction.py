@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _FORMAT, _VERSION = "tactorch-reconstruction", 1
 _REMEDY = "give the reconstruction.h5 of a run folder."
+_MAX_AT_BOUNDS = 0.2  # fraction of the volume at the bounds in a map that can be trusted
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,29 @@ class Reconstruction:
     def misfit_mm2(self) -> float:
         """Half the sum of squared displacement differences (eq. 7), mm^2."""
         return float(self.history[-1]["misfit"]) if self.history else float("nan")
+
+    @property
+    def volume_at_bounds(self) -> float:
+        """Fraction of the volume within 1 % of a bound; NaN without stored bounds."""
+        try:
+            bounds = self.config["settings"]["bounds"]
+            low, high = 1.01 * float(bounds["lower"]), 0.99 * float(bounds["upper"])
+        except (KeyError, TypeError, ValueError):
+            return float("nan")
+        volumes = self.mesh.volumes
+        return float(volumes[(self.youngs < low) | (self.youngs > high)].sum() / volumes.sum())
+
+    @property
+    def warnings(self) -> list[str]:
+        """Reasons not to trust the map at all, as sentences about it; usually none."""
+        at_bounds = self.volume_at_bounds
+        if not at_bounds > _MAX_AT_BOUNDS:
+            return []
+        return [
+            f"{at_bounds:.0%} of it is at a bound of Young's modulus. If the bounds are right, "
+            "presses or model are off by more than the noise that is stated: give noise.mm larger, "
+            "or estimate what is wrong (nuisance)."
+        ]
 
     def save(self, path: str | Path) -> Path:
         """Write to HDF5 atomically."""

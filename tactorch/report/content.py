@@ -83,11 +83,6 @@ class RunReport:
         return [*facts, Fact("Fit", f"{_fit(self.run):.2g} SD", note)]
 
     @property
-    def warnings(self) -> list[str]:
-        """Reasons not to trust the map at all."""
-        return [str(warning) for warning in self.run.summary.get("warnings", ())]
-
-    @property
     def omitted(self) -> str:
         """What the report omits and why, or empty."""
         if self.run.recording is None:
