@@ -17,14 +17,18 @@ from tactorch.fem.materials import EnergyDerivatives, IsotropicMaterial, Materia
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Energy and forces of all elements per unit modulus, at one displacement field."""
+    """Energy and forces of all elements per unit modulus, at one displacement field.
+
+    Energy and forces are those of each element (s = 1), or of each quadrature point (s = q) where
+    the modulus is given at those.
+    """
 
     F: Float[np.ndarray, "m q 3 3"]  # deformation gradient at the quadrature points
     cofactors: Float[np.ndarray, "m q 3 3"]  # dJ/dF
     invariants: Float[np.ndarray, "3 m q"]  # I1, I2 and J
-    energy: Float[np.ndarray, " m"]  # mm^3
-    forces: Float[np.ndarray, "m k 3"]  # of each element's nodes, mm^2 (the columns of eq. 11)
-    derivatives: EnergyDerivatives | None  # of the energy; None for general materials
+    energy: Float[np.ndarray, "m s"]  # mm^3
+    forces: Float[np.ndarray, "m s k 3"]  # of each element's nodes, mm^2 (the columns of eq. 11)
+    derivatives: EnergyDerivatives | None  # without `mean`; None for general materials
     mean: EnergyDerivatives | None  # volumetric energy at the mean J, where it is averaged
 
     @property
@@ -64,12 +68,25 @@ class Assembly:
         return self.weights.sum(axis=1)
 
     @property
+    def averages_volume(self) -> bool:
+        """Whether the volumetric energy is that of the mean volume ratio of each element."""
+        mean_dilatation = self.discretisation.element.mean_dilatation
+        return mean_dilatation and isinstance(self.material, IsotropicMaterial)
+
+    @property
     def _point_poisson(self) -> float | np.ndarray:
         """Poisson's ratio, in a shape that broadcasts over quadrature points."""
         return self.poisson if np.ndim(self.poisson) == 0 else np.asarray(self.poisson)[:, None]
 
-    def respond(self, u: Float[np.ndarray, "nodes 3"]) -> Response | None:
-        """Evaluate all elements; None if the material excludes an inverted one."""
+    def respond(
+        self, u: Float[np.ndarray, "nodes 3"], *, per_point: bool = False
+    ) -> Response | None:
+        """Evaluate all elements; None if the material excludes an inverted one.
+
+        Args:
+            u: Displacement, mm.
+            per_point: Whether energy and forces are wanted by quadrature point.
+        """
         shape = self.weights.shape
         F, cofactors = np.empty((*shape, 3, 3)), np.empty((*shape, 3, 3))
         invariants = np.empty((3, *shape))
@@ -81,48 +98,54 @@ class Assembly:
             energy, derivatives, mean = self._strain_energy(self.material, invariants)
             first = (derivatives.d1, derivatives.d2, derivatives.dj)
             d1, d2, dj = (np.ascontiguousarray(np.broadcast_to(d, shape)) for d in first)
-            forces = np.empty((len(F), *self.gradients.shape[2:]))
+            sites = shape[1] if per_point else 1
+            forces = np.empty((len(F), sites, *self.gradients.shape[2:]))
             kernels.element_forces(
                 self.gradients, self.weights, F, cofactors, invariants, d1, d2, dj, forces
             )
+            if mean is not None:
+                slope = np.broadcast_to(mean.dj, len(F)).copy()
+                kernels.add_mean_forces(self.gradients, self.weights, cofactors, slope, forces)
         else:
             gradient, weights = torch.from_numpy(F), torch.from_numpy(self.weights)
             poisson = torch.as_tensor(self._point_poisson, dtype=torch.float64)
-            energy = (weights * self.material.energy(gradient, poisson)).sum(1).numpy()
+            energy = (weights * self.material.energy(gradient, poisson)).numpy()
             stress = weights[..., None, None] * self.material.stress(gradient, poisson)
-            shapes = torch.from_numpy(self.gradients)
-            forces = torch.einsum("mqiI,mqkI->mki", stress, shapes).contiguous().numpy()
+            forces = (torch.from_numpy(self.gradients) @ stress.mT).numpy()
+            if not per_point:
+                forces = forces.sum(axis=1, keepdims=True)
+        if not per_point:
+            energy = energy.sum(axis=1, keepdims=True)
         return Response(F, cofactors, invariants, energy, forces, derivatives, mean)
 
     def _strain_energy(
         self, material: IsotropicMaterial, invariants: np.ndarray
     ) -> tuple[np.ndarray, EnergyDerivatives, EnergyDerivatives | None]:
-        """Energy of each element, its derivatives, and the volumetric part where averaged."""
+        """Energy of each point, its derivatives, and the volumetric part where averaged."""
         i1, i2, j = invariants
         poisson, log_j = self._point_poisson, np.log(j)
         strain = material.strain_derivatives(i1, i2, j, log_j, poisson)
-        energy = (self.weights * strain.psi).sum(axis=1)
-        if self.discretisation.element.mean_dilatation:
+        if self.averages_volume:
             average = (self.weights * j).sum(axis=1) / self.volumes
             mean = material.volumetric_derivatives(average, np.log(average), self.poisson)
-            total = strain._replace(dj=strain.dj + np.reshape(mean.dj, (-1, 1)))
-            return energy + self.volumes * mean.psi, total, mean
+            return self.weights * (strain.psi + np.reshape(mean.psi, (-1, 1))), strain, mean
         volume = material.volumetric_derivatives(j, log_j, poisson)
-        energy = energy + (self.weights * volume.psi).sum(axis=1)
-        return energy, strain._replace(dj=strain.dj + volume.dj, djj=strain.djj + volume.djj), None
+        total = strain._replace(dj=strain.dj + volume.dj, djj=strain.djj + volume.djj)
+        return self.weights * (strain.psi + volume.psi), total, None
 
     def internal_force(
-        self, response: Response, youngs: Float[np.ndarray, " m"]
+        self, response: Response, youngs: Float[np.ndarray, "m *q"]
     ) -> Float[np.ndarray, "nodes 3"]:
         """Return the assembled nodal elastic forces, N; linear in the moduli (eq. 11)."""
         out = np.zeros((self.discretisation.n_nodes, 3))
-        kernels.scatter_forces(self.discretisation.nodes, response.forces, youngs, out)
+        scale = youngs.reshape(response.energy.shape)
+        kernels.scatter_forces(self.discretisation.nodes, response.forces, scale, out)
         return out
 
     def tangent(
         self,
         response: Response,
-        youngs: Float[np.ndarray, " m"],
+        youngs: Float[np.ndarray, "m *q"],
         springs: Float[np.ndarray, "nodes 3"] | None = None,
         *,
         project: bool = False,
@@ -132,7 +155,8 @@ class Assembly:
         `springs` (N/mm) act on the nodes; `project` sets the negative eigenvalues of each element
         to zero.
         """
-        d, weights = self.discretisation, self.weights * youngs[:, None]
+        youngs = youngs.reshape(len(self.weights), -1)
+        d, weights = self.discretisation, self.weights * youngs
         if response.derivatives is None:
             values = self._general_blocks(response, weights)
         else:
@@ -144,10 +168,12 @@ class Assembly:
                 row[...] = derivative
             mean = np.empty(0)
             if response.mean is not None:
-                mean = np.broadcast_to(response.mean.djj, youngs.shape) / (self.volumes * youngs)
+                average = weights.sum(axis=1) / self.volumes
+                coefficients[2] += np.reshape(response.mean.dj, (-1, 1)) * average[:, None] / youngs
+                mean = response.mean.djj * average / self.volumes
             kernels.tangent(
                 self.gradients, response.F, response.cofactors, response.invariants, coefficients,
-                weights, mean, slots if project else d.slots, values,
+                weights, self.weights, mean, slots if project else d.slots, values,
             )  # fmt: skip
         if project:
             values = self._positive_blocks(values.reshape(d.slots.shape))

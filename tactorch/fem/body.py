@@ -23,7 +23,10 @@ from tactorch.mesh import TetMesh
 
 
 class SoftBody:
-    """A mesh of one hyperelastic material with a Young's modulus for each element.
+    """A mesh of one hyperelastic material with a heterogeneous Young's modulus.
+
+    The modulus is given for each element, or at the quadrature points: a boundary that crosses
+    quadratic elements is resolved better by the latter.
 
     Args:
         mesh: Mesh of the rest shape, mm.
@@ -96,7 +99,7 @@ class SoftBody:
 
     def search(
         self,
-        youngs: Float[np.ndarray, " m"],
+        youngs: Float[np.ndarray, "m *q"],
         forces: Float[np.ndarray, "loaded 3"],
         supports: Supports,
         case: int = 0,
@@ -106,7 +109,7 @@ class SoftBody:
         """Return the equilibrium search of one load case, for use without autograd.
 
         Args:
-            youngs: Young's modulus of each element, MPa.
+            youngs: Young's modulus of each element, or quadrature point, MPa.
             forces: Nodal forces, N.
             supports: Supports.
             case: Load case of the supports.
@@ -149,7 +152,7 @@ class SoftBody:
         return changed
 
     def _check(self, youngs: np.ndarray, forces: np.ndarray) -> None:
-        check_youngs(youngs, self.mesh.n_tets)
+        check_youngs(youngs, self.assembly.weights.shape)
         if forces.shape[-2:] not in ((self.mesh.n_points, 3), (self.n_nodes, 3)):
             raise ConfigError(
                 f"forces have shape {forces.shape}; expected ({self.mesh.n_points}, 3), one row "
@@ -169,7 +172,7 @@ class SoftBody:
 
     def equilibrate(
         self,
-        youngs: Float[np.ndarray, " m"],
+        youngs: Float[np.ndarray, "m *q"],
         forces: Float[np.ndarray, "loaded 3"],
         supports: Supports,
         *,
@@ -180,7 +183,7 @@ class SoftBody:
 
     def solve(
         self,
-        youngs: Float[Tensor, " m"],
+        youngs: Float[Tensor, "m *q"],
         forces: Float[Tensor, "*cases loaded 3"],
         supports: Supports,
         *,
@@ -193,7 +196,7 @@ class SoftBody:
         Load cases are stacked along a leading axis of `forces` and solved in parallel.
 
         Args:
-            youngs: Young's modulus of each element, MPa.
+            youngs: Young's modulus of each element, or quadrature point, MPa.
             forces: Nodal forces, N.
             supports: Supports, the same for all cases or one each.
             poisson: Poisson's ratio, if differentiated or different from the material's.
@@ -238,17 +241,23 @@ class SoftBody:
         return u[0] if single else u
 
 
-def check_youngs(youngs: Float[np.ndarray, " k"], n_tets: int) -> None:
-    """Raise ConfigError unless there is a finite, positive modulus for each element."""
-    if youngs.shape != (n_tets,):
+def check_youngs(youngs: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise ConfigError unless there is a finite, positive modulus for each element or point.
+
+    Args:
+        youngs: Young's modulus of each element, or quadrature point, MPa.
+        shape: Number of elements and of quadrature points of an element.
+    """
+    n_tets = shape[0]
+    if youngs.shape not in ((n_tets,), shape):
         raise ConfigError(
             f"youngs has shape {youngs.shape}; the mesh has {n_tets} elements, so ({n_tets},) "
-            "is expected."
+            f"is expected, or {shape} for a modulus at each quadrature point."
         )
     bad = ~(np.isfinite(youngs) & (youngs > 0))
     if bad.any():
-        first = int(np.flatnonzero(bad)[0])
+        first = np.argwhere(bad)[0].tolist()
         raise ConfigError(
-            f"youngs[{first}] = {youngs[first]} MPa ({bad.sum()} such elements); Young's modulus "
+            f"youngs{first} = {youngs[*first]} MPa ({bad.sum()} such elements); Young's modulus "
             "must be finite and positive. Use the lower bound 0.001 MPa for a hole."
         )

@@ -76,7 +76,8 @@ class LoadCases:
         self, u: Tensor, v: Tensor, youngs: Tensor, poisson: Tensor, points: Tensor
     ) -> Float[Tensor, ""]:
         """Virtual work of the elastic forces at `u` on `v`, over all cases."""
-        return (reference.element_work(self.body, u, v, poisson, points) * youngs).sum()
+        work = reference.element_work(self.body, u, v, poisson, points, per_point=youngs.ndim == 2)
+        return (work * youngs).sum()
 
 
 class Equilibrium(torch.autograd.Function):
@@ -100,12 +101,14 @@ class Equilibrium(torch.autograd.Function):
         adjoint = AdjointSolve.apply(grad, u, youngs, poisson, points, cases)
         d_youngs = d_poisson = d_points = None
         if need[0] and torch.is_grad_enabled():
-            d_youngs = -reference.element_work(cases.body, u, adjoint, poisson, points).sum(0)
+            d_youngs = -reference.element_work(
+                cases.body, u, adjoint, poisson, points, per_point=youngs.ndim == 2
+            ).sum(0)
         elif need[0]:
             fields = adjoint.detach().numpy().reshape(len(u), -1, 1)
             pairs = zip(cases.solved, fields, strict=True)
             works = [case.linearization.unit_work(v) for case, v in pairs]
-            d_youngs = -torch.from_numpy(np.sum(works, axis=0)[:, 0])
+            d_youngs = -torch.from_numpy(np.sum(works, axis=0)).reshape(youngs.shape)
         state = (u, adjoint, youngs, poisson, points)
         if need[1]:
             d_poisson = -torch.func.grad(cases.work, argnums=3)(*state)

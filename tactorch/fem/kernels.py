@@ -57,11 +57,15 @@ def kinematics(nodes, gradients, u, F, cofactors, invariants):
 @no_type_check
 @numba.njit(**_OPTIONS)
 def element_forces(gradients, weights, F, cofactors, invariants, d1, d2, dj, out):
-    """Fill the elements' nodal forces (m, k, 3): sum over points of weight * P g, P the stress."""
+    """Fill the elements' nodal forces (m, s, k, 3): sums over points of weight * P g, P the stress.
+
+    There is one sum an element (s = 1), or one for each quadrature point (s = q).
+    """
     P = np.empty((3, 3))
     for e in range(F.shape[0]):
         out[e] = 0.0
         for q in range(F.shape[1]):
+            s = min(q, out.shape[1] - 1)
             M = F[e, q]
             w = weights[e, q]
             s2 = 2.0 * w * d2[e, q]
@@ -79,55 +83,89 @@ def element_forces(gradients, weights, F, cofactors, invariants, d1, d2, dj, out
             g = gradients[e, q]
             for a in range(g.shape[0]):
                 for i in range(3):
-                    out[e, a, i] += P[i, 0] * g[a, 0] + P[i, 1] * g[a, 1] + P[i, 2] * g[a, 2]
+                    out[e, s, a, i] += P[i, 0] * g[a, 0] + P[i, 1] * g[a, 1] + P[i, 2] * g[a, 2]
+
+
+@no_type_check
+@numba.njit(**_OPTIONS)
+def add_mean_forces(gradients, weights, cofactors, mean, out):
+    """Add the forces of an averaged volumetric energy U to `out`; see `element_forces`.
+
+    `mean` is dU/dJ of each element, (m,). U is the same at all points of an element, so that each
+    has a force in proportion to its volume.
+    """
+    average = np.empty(out.shape[2:])
+    for e in range(gradients.shape[0]):
+        volume = 0.0
+        average[:] = 0.0
+        for q in range(gradients.shape[1]):
+            w = weights[e, q]
+            cof = cofactors[e, q]
+            g = gradients[e, q]
+            volume += w
+            for a in range(g.shape[0]):
+                for i in range(3):
+                    average[a, i] += w * (
+                        cof[i, 0] * g[a, 0] + cof[i, 1] * g[a, 1] + cof[i, 2] * g[a, 2]
+                    )
+        for s in range(out.shape[1]):
+            share = mean[e] * (weights[e, s] / volume if out.shape[1] > 1 else 1.0)
+            for a in range(average.shape[0]):
+                for i in range(3):
+                    out[e, s, a, i] += share * average[a, i]
 
 
 @no_type_check
 @numba.njit(**_OPTIONS)
 def scatter_forces(nodes, forces, scale, out):
-    """Add scale[e] * forces[e] to the nodal vector `out` (n, 3)."""
+    """Add scale[e, s] * forces[e, s] to the nodal vector `out` (n, 3)."""
     for e in range(nodes.shape[0]):
-        for a in range(nodes.shape[1]):
-            node = nodes[e, a]
-            for i in range(3):
-                out[node, i] += scale[e] * forces[e, a, i]
+        for s in range(forces.shape[1]):
+            for a in range(nodes.shape[1]):
+                node = nodes[e, a]
+                for i in range(3):
+                    out[node, i] += scale[e, s] * forces[e, s, a, i]
 
 
 @no_type_check
 @numba.njit(**_OPTIONS)
 def gather_dot(nodes, forces, x, out):
-    """Fill out[e, :] = sum over the element's nodes of forces[e] * x, x of shape (n, 3, k)."""
+    """Fill out[e, s, :] = sum over the nodes of forces[e, s] * x, x of shape (n, 3, k)."""
     columns = x.shape[2]
-    if columns == 1:
-        for e in range(nodes.shape[0]):
-            total = 0.0
+    for e in range(nodes.shape[0]):
+        for s in range(forces.shape[1]):
+            if columns == 1:
+                total = 0.0
+                for a in range(nodes.shape[1]):
+                    node = nodes[e, a]
+                    for i in range(3):
+                        total += forces[e, s, a, i] * x[node, i, 0]
+                out[e, s, 0] = total
+                continue
+            for c in range(columns):
+                out[e, s, c] = 0.0
             for a in range(nodes.shape[1]):
                 node = nodes[e, a]
                 for i in range(3):
-                    total += forces[e, a, i] * x[node, i, 0]
-            out[e, 0] = total
-        return
-    for e in range(nodes.shape[0]):
-        for c in range(columns):
-            out[e, c] = 0.0
-        for a in range(nodes.shape[1]):
-            node = nodes[e, a]
-            for i in range(3):
-                f = forces[e, a, i]
-                for c in range(columns):
-                    out[e, c] += f * x[node, i, c]
+                    f = forces[e, s, a, i]
+                    for c in range(columns):
+                        out[e, s, c] += f * x[node, i, c]
 
 
 @no_type_check
 @numba.njit(**_OPTIONS)
-def tangent(gradients, F, cofactors, invariants, coefficients, weights, mean, slots, values):
+def tangent(
+    gradients, F, cofactors, invariants, coefficients, weights, volumes, mean, slots, values
+):
     """Add the element tangents to the stored entries `values` of the symmetric matrix.
 
     Sizes of m elements with q quadrature points and k nodes:
 
     - coefficients: d1, d2, dj, d11, d12, d1j, d22, d2j, djj per unit modulus, (9, m, q);
     - weights: modulus times volume of the quadrature points, (m, q);
-    - mean: modulus times U'' over volume where the volumetric energy is averaged, (m,), or empty;
+    - volumes: volume of the quadrature points, (m, q);
+    - mean: mean modulus times U'' over volume where the volumetric energy is averaged, (m,), or
+      empty;
     - slots: index in `values` of each entry of the upper triangle, by blocks of node pairs,
       (m, 3k(3k+1)/2).
     """
@@ -184,7 +222,7 @@ def tangent(gradients, F, cofactors, invariants, coefficients, weights, mean, sl
             if mean.shape[0] > 0:
                 for a in range(k):
                     for i in range(3):
-                        average[a, i] += weights[e, q] * c[a, i]
+                        average[a, i] += volumes[e, q] * c[a, i]
             entry = 0
             for a in range(k):
                 for b in range(a, k):

@@ -24,7 +24,7 @@ class Linearization:
     """An equilibrium with its tangent K, which is factored once, at the first solve."""
 
     assembly: Assembly
-    youngs: Float[np.ndarray, " m"]  # MPa
+    youngs: Float[np.ndarray, "m *q"]  # MPa
     displacement: Float[np.ndarray, "nodes 3"]  # at equilibrium, mm
     response: Response  # at the displacement
     tangent: Float[np.ndarray, " nnz"]  # K, with the rows of fixed unknowns reduced to the diagonal
@@ -47,15 +47,17 @@ class Linearization:
             rhs[self.fixed] = 0.0
         return self.lease.solve(rhs)
 
-    def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "m k"]:
+    def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "moduli k"]:
         """Return the transpose of dR/de (eq. 11) times nodal fields."""
-        nodes = self.assembly.discretisation.nodes
-        out = np.empty((len(nodes), fields.shape[1]))
+        forces = self.response.forces
+        out = np.empty((*forces.shape[:2], fields.shape[1]))
         columns = np.ascontiguousarray(fields).reshape(-1, 3, fields.shape[1])
-        kernels.gather_dot(nodes, self.response.forces, columns, out)
-        return out
+        kernels.gather_dot(self.assembly.discretisation.nodes, forces, columns, out)
+        return out.reshape(-1, fields.shape[1])
 
-    def displacement_change(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, "nodes 3"]:
+    def displacement_change(
+        self, change: Float[np.ndarray, " moduli"]
+    ) -> Float[np.ndarray, "nodes 3"]:
         """Return du/de times a change of the moduli (MPa), mm."""
         forces = self.assembly.internal_force(self.response, change)
         return -self.solve(forces.ravel()).reshape(-1, 3)
@@ -82,7 +84,10 @@ class Linearization:
         with torch.enable_grad():
             # The work of the forces is linear in the weights, so that the derivative of its
             # gradient by them is the forward derivative. Forward mode itself is not thread-safe.
-            work = (reference.element_work(body, u, weights, ratio, points) * youngs).sum()
+            work = reference.element_work(
+                body, u, weights, ratio, points, per_point=youngs.ndim == 2
+            )
+            work = (work * youngs).sum()
             by_ratio, by_points = torch.autograd.grad(work, (ratio, points), create_graph=True)
             slopes = [by_ratio.sum()] if poisson else []
             slopes += list((by_points * points).sum(0)) if stretch else []
@@ -90,8 +95,8 @@ class Linearization:
         return [rate.numpy() for rate in rates]
 
     def second_order(
-        self, adjoint: Float[np.ndarray, "nodes 3"], change: Float[np.ndarray, " m"]
-    ) -> Float[np.ndarray, " m"]:
+        self, adjoint: Float[np.ndarray, "nodes 3"], change: Float[np.ndarray, " moduli"]
+    ) -> Float[np.ndarray, " moduli"]:
         """Return the change of the adjoint gradient beyond that of Gauss-Newton.
 
         With K l = dL/du and the gradient g = -U^T l, U = dR/de, a change d of the moduli moves u
@@ -101,17 +106,22 @@ class Linearization:
         u = torch.tensor(self.displacement, requires_grad=True)
         youngs = torch.tensor(self.youngs, requires_grad=True)
         with torch.enable_grad():
-            work = reference.element_work(self.assembly, u, torch.from_numpy(adjoint))
+            work = reference.element_work(
+                self.assembly, u, torch.from_numpy(adjoint), per_point=youngs.ndim == 2
+            )
             (force,) = torch.autograd.grad((work * youngs).sum(), u, create_graph=True)
-            along = (force * moved).sum() + (work * torch.from_numpy(change)).sum()
+            along = (force * moved).sum() + (work.ravel() * torch.from_numpy(change)).sum()
             by_u, by_youngs = torch.autograd.grad(along, (u, youngs))
         back = self.solve(by_u.numpy().ravel())
-        return self.unit_work(back[:, None])[:, 0] - by_youngs.numpy()
+        return self.unit_work(back[:, None])[:, 0] - by_youngs.numpy().ravel()
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
     """The derivative S du/de of observed displacements by Young's moduli.
+
+    There is one modulus for each element, or one for each quadrature point, in the order of the
+    flattened array of moduli.
 
     Attributes:
         linearization: The equilibrium.
@@ -123,20 +133,20 @@ class Sensitivity:
     observed: Int[np.ndarray, " p"]
     frame: Float[np.ndarray, "3 3"] | None = None
 
-    def matrix(self) -> Float[np.ndarray, "p m"]:
+    def matrix(self) -> Float[np.ndarray, "p moduli"]:
         """Return S du/de, mm/MPa (eq. 13 and 14)."""
-        out = np.empty((len(self.observed), len(self.linearization.youngs)))
+        out = np.empty((len(self.observed), self.linearization.youngs.size))
         for begin in range(0, len(self.observed), _MAX_COLUMNS):
             rows = self.observed[begin : begin + _MAX_COLUMNS]
             fields = self.linearization.solve(self._unit_loads(rows))
             out[begin : begin + _MAX_COLUMNS] = -self.linearization.unit_work(fields).T
         return out
 
-    def times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " p"]:
+    def times(self, change: Float[np.ndarray, " moduli"]) -> Float[np.ndarray, " p"]:
         """Return S du/de times a change of the moduli (MPa), mm."""
         return self.observe(self.linearization.displacement_change(change))
 
-    def transpose_times(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " m"]:
+    def transpose_times(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " moduli"]:
         """Return the transpose of S du/de times observed weights: the adjoint gradient (eq. 12)."""
         field = self.adjoint(weights).reshape(-1, 1)
         return -self.linearization.unit_work(field)[:, 0]

@@ -85,7 +85,7 @@ class Newton:
         self,
         assembly: Assembly,
         pool: SolverPool,
-        youngs: Float[np.ndarray, " m"],
+        youngs: Float[np.ndarray, "m *q"],
         forces: Float[np.ndarray, "nodes 3"],
         supports: CaseSupports,
         options: NewtonOptions,
@@ -155,16 +155,20 @@ class Newton:
             return "The start is already inverted."
         element, j = response.smallest_volume_ratio
         x, y, z = self.assembly.points[self.assembly.discretisation.mesh.tets[element]].mean(0)
+        youngs = self.youngs[element].mean()
         return (
             f"The load collapses the object: element {element} near ({x:.3g}, {y:.3g}, {z:.3g}) mm "
-            f"with {self.youngs[element]:.3g} MPa is squeezed to {j:.2g} of its volume, with no "
+            f"with {youngs:.3g} MPa is squeezed to {j:.2g} of its volume, with no "
             f"balance beyond {load:.0%} of the load. Lower the forces, check their unit (N) and "
             "that of the moduli (MPa), or spread the load."
         )
 
+    def _respond(self, u: np.ndarray) -> Response | None:
+        return self.assembly.respond(u, per_point=self.youngs.ndim == 2)
+
     def _energy(self, response: Response, u: np.ndarray, load: float) -> tuple[float, float]:
         """Total energy, and the magnitude of its terms, to which round-off is relative."""
-        elastic = dot(self.youngs, response.energy)
+        elastic = dot(self.youngs.ravel(), response.energy.ravel())
         springs = 0.5 * float((self.supports.springs * u * u).sum())
         work = load * float((self.forces * u).sum())
         return elastic + springs - work, abs(elastic) + springs + abs(work)
@@ -179,7 +183,7 @@ class Newton:
     def _at_load(self, load: float, start: np.ndarray, max_iterations: int) -> EquilibriumResult:
         """Newton's method at one fraction of the load."""
         u = start.copy()
-        response = self.assembly.respond(u)
+        response = self._respond(u)
         if response is None:
             return EquilibriumResult(u, False, "The start has inverted elements.")
         jump = np.where(self.supports.fixed, load * self.supports.prescribed - u, 0.0).ravel()
@@ -209,7 +213,7 @@ class Newton:
                 break
             if jump.any():
                 # Prescribed displacements are applied in one step, whose energies are not compared.
-                trial = self.assembly.respond(u + step)
+                trial = self._respond(u + step)
                 if trial is None:
                     reason = "The prescribed displacements invert an element."
                     break
@@ -293,7 +297,7 @@ class Newton:
         fraction = 1.0
         while fraction >= self.options.min_line_step:
             trial_u = u + fraction * step
-            trial = self.assembly.respond(trial_u)
+            trial = self._respond(trial_u)
             if trial is not None:
                 change = self._energy(trial, trial_u, load)[0] - energy
                 if change <= _ARMIJO * fraction * slope:

@@ -30,10 +30,17 @@ def element_energy(
     u: Float[Tensor, "*cases nodes 3"],
     poisson: Float[Tensor, "*m"] | None = None,
     points: Float[Tensor, "n 3"] | None = None,
-) -> Float[Tensor, "*cases m"]:
-    """Return the energy of each element per unit modulus, mm^3 (eq. 2 over its volume)."""
+    *,
+    per_point: bool = False,
+) -> Float[Tensor, "*values"]:
+    """Return the energy of each element per unit modulus, mm^3 (eq. 2 over its volume).
+
+    With `per_point` it is that of each quadrature point.
+    """
     gradients, weights = body.discretisation.geometry(_points(body, points))
-    return _energy(body, deformation_gradient(body.discretisation, u, gradients), weights, poisson)
+    F = deformation_gradient(body.discretisation, u, gradients)
+    energy = _energy(body, F, _mean_dilatation(F, weights), weights, poisson)
+    return energy if per_point else energy.sum(-1)
 
 
 def element_work(
@@ -42,34 +49,50 @@ def element_work(
     v: Float[Tensor, "*cases nodes 3"],
     poisson: Float[Tensor, "*m"] | None = None,
     points: Float[Tensor, "n 3"] | None = None,
-) -> Float[Tensor, "*cases m"]:
-    """Return the virtual work of each element's unit force (eq. 11) on `v`, mm^3."""
+    *,
+    per_point: bool = False,
+) -> Float[Tensor, "*values"]:
+    """Return the virtual work of each element's unit force (eq. 11) on `v`, mm^3.
+
+    With `per_point` it is that of each quadrature point's unit force.
+    """
     gradients, weights = body.discretisation.geometry(_points(body, points))
     F = deformation_gradient(body.discretisation, u, gradients)
-    stress = torch.func.grad(lambda F: _energy(body, F, weights, poisson).sum())(F)
+    mean = _mean_dilatation(F, weights)
+
+    def energy(F: Tensor, mean: Tensor) -> Tensor:
+        return _energy(body, F, mean, weights, poisson).sum()
+
+    stress, slope = torch.func.grad(energy, argnums=(0, 1))(F, mean)
     nodes = torch.from_numpy(body.discretisation.nodes)
     change = torch.einsum("...mki,mqkI->...mqiI", v[..., nodes, :], gradients)
-    return (stress * change).sum((-3, -2, -1))
+    work = (stress * change).sum((-2, -1))
+    if body.averages_volume:
+        rate = torch.func.grad(lambda F: _mean_dilatation(F, weights)[..., 0].sum())(F)
+        work = work + slope * (rate * change).sum((-3, -2, -1))[..., None]
+    return work if per_point else work.sum(-1)
 
 
 def _points(body: Assembly, points: Tensor | None) -> Tensor:
     return torch.tensor(body.points) if points is None else points
 
 
+def _mean_dilatation(F: Tensor, weights: Tensor) -> Float[Tensor, "*cases m q"]:
+    """Mean of J over each element, repeated for its quadrature points."""
+    mean = (weights * invariants(F)[2]).sum(-1, keepdim=True) / weights.sum(-1, keepdim=True)
+    return mean.expand(F.shape[:-2])
+
+
 def _energy(
-    body: Assembly, F: Tensor, weights: Tensor, poisson: Tensor | None
-) -> Float[Tensor, "*cases m"]:
-    """Energy of each element per unit modulus, mm^3."""
+    body: Assembly, F: Tensor, mean: Tensor, weights: Tensor, poisson: Tensor | None
+) -> Float[Tensor, "*cases m q"]:
+    """Energy of each quadrature point per unit modulus, mm^3."""
     if poisson is None:
         poisson = torch.as_tensor(body.poisson, dtype=torch.float64)
     per_point = poisson[..., None] if poisson.ndim else poisson
     material = body.material
-    averaged = body.discretisation.element.mean_dilatation
-    if not (averaged and isinstance(material, IsotropicMaterial)):
-        return (weights * material.energy(F, per_point)).sum(-1)
+    if not isinstance(material, IsotropicMaterial) or not body.averages_volume:
+        return weights * material.energy(F, per_point) + 0.0 * mean
     i1, i2, j = invariants(F)
-    volumes = weights.sum(-1)
-    mean = (weights * j).sum(-1) / volumes
     strain = material.strain_energy(i1, i2, j, torch.log(j), per_point)
-    volume = material.volumetric_energy(mean, torch.log(mean), poisson)
-    return (weights * strain).sum(-1) + volumes * volume
+    return weights * (strain + material.volumetric_energy(mean, torch.log(mean), per_point))

@@ -283,7 +283,7 @@ class InverseProblem:
         Raises:
             ConvergenceError: a press has no equilibrium; names the press.
         """
-        check_youngs(youngs, self.n_elements)
+        check_youngs(youngs, self.body.assembly.weights.shape)
         values, mesh = nuisance or self.assumed, self.recording.mesh
         assembly = self.body.with_parameters(values.poisson, mesh.points * values.rest_scale)
         weight = self._weight * values.rest_scale.prod()

@@ -43,18 +43,20 @@ class Cell:
         """Total energy of a load case in plain torch operations (eq. 2 to 5)."""
         d = self.body.discretisation
         e, nu, x = (self.inputs[k] for k in ("youngs", "poisson", "points"))
-        elastic = (reference.element_energy(self.body.assembly, u, nu, x) * e).sum()
+        energy = reference.element_energy(self.body.assembly, u, nu, x, per_point=e.ndim == 2)
+        elastic = (energy * e).sum()
         springs = 0.5 * (torch.from_numpy(self.supports.case(case, d).springs) * u * u).sum()
         return elastic + springs - (self.inputs["forces"][case] * u).sum()
 
 
 @cache
-def make_cell(material: str, element: str) -> Cell:
+def make_cell(material: str, element: str, per_point: bool = False) -> Cell:
     grid = box_mesh(1.0, 1, tets_per_cell=5)
     rng = np.random.default_rng(0)
     mesh = TetMesh(grid.points + rng.uniform(-0.08, 0.08, grid.points.shape), grid.tets)
     body = SoftBody(mesh, make_material(material, 0.4), element=element)
     flat = SoftBody(grid, body.material, element=element)  # loads of the straight cell
+    sizes = body.assembly.weights.shape if per_point else mesh.n_tets
     springs = np.zeros((mesh.n_points, 3))
     springs[face_nodes(grid, "z-")] = 0.5
     loads = torch.stack([flat.pressure("z+", 0.04), flat.traction("x+", [0.01, 0.02, 0.03])])
@@ -62,7 +64,7 @@ def make_cell(material: str, element: str) -> Cell:
         body,
         Supports(springs=springs),
         {
-            "youngs": torch.tensor(rng.uniform(1.0, 2.0, mesh.n_tets)),
+            "youngs": torch.tensor(rng.uniform(1.0, 2.0, sizes)),
             "poisson": torch.tensor(0.4, dtype=torch.float64),
             "forces": loads,
             "points": torch.tensor(mesh.points),
@@ -102,8 +104,8 @@ def element(pair: tuple[str, str]) -> str:
 
 
 @pytest.fixture(scope="session")
-def cell() -> Callable[[str, str], Cell]:
-    """Make a cell of a material and an element."""
+def cell() -> Callable[..., Cell]:
+    """Make a cell of a material and an element; `per_point`: a modulus at each quadrature point."""
     return make_cell
 
 

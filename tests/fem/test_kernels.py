@@ -37,73 +37,89 @@ def u(assembly):
     return 0.05 * np.random.default_rng(3).standard_normal((n, 3))
 
 
+@pytest.fixture(params=[False, True], ids=["per_element", "per_point"])
+def per_point(request):
+    """Whether each quadrature point has a modulus."""
+    return request.param
+
+
 @pytest.fixture
-def youngs(assembly):
-    return np.random.default_rng(4).uniform(0.5, 3.0, assembly.discretisation.mesh.n_tets)
+def youngs(assembly, per_point):
+    sizes = assembly.weights.shape if per_point else assembly.weights.shape[:1]
+    return np.random.default_rng(4).uniform(0.5, 3.0, sizes)
 
 
-def energies(assembly: Assembly, u: torch.Tensor) -> torch.Tensor:
-    return reference.element_energy(assembly, u)
+def energies(assembly: Assembly, u: torch.Tensor, per_point: bool = False) -> torch.Tensor:
+    return reference.element_energy(assembly, u, per_point=per_point)
 
 
-def test_energy(assembly, u):
-    expected = energies(assembly, torch.from_numpy(u)).numpy()
-    np.testing.assert_allclose(assembly.respond(u).energy, expected, rtol=1e-12, atol=1e-15)
+def test_energy(assembly, u, per_point):
+    expected = energies(assembly, torch.from_numpy(u), per_point).numpy()
+    energy = assembly.respond(u, per_point=per_point).energy
+    np.testing.assert_allclose(energy.reshape(expected.shape), expected, rtol=1e-12, atol=1e-15)
 
 
-def test_forces_are_the_gradient_of_the_energy(assembly, u, youngs):
+def test_forces_are_the_gradient_of_the_energy(assembly, u, youngs, per_point):
     field = torch.from_numpy(u).requires_grad_(True)
-    total = (energies(assembly, field) * torch.from_numpy(youngs)).sum()
+    total = (energies(assembly, field, per_point) * torch.from_numpy(youngs)).sum()
     (expected,) = torch.autograd.grad(total, field)
-    forces = assembly.internal_force(assembly.respond(u), youngs)
+    forces = assembly.internal_force(assembly.respond(u, per_point=per_point), youngs)
     np.testing.assert_allclose(forces, expected.numpy(), rtol=1e-11, atol=1e-13)
 
 
-def test_tangent_is_the_hessian_of_the_energy(assembly, u, youngs):
+def test_tangent_is_the_hessian_of_the_energy(assembly, u, youngs, per_point):
     e = torch.from_numpy(youngs)
-    hessian = torch.func.hessian(lambda x: (energies(assembly, x) * e).sum())(torch.from_numpy(u))
+    total = torch.func.hessian(lambda x: (energies(assembly, x, per_point) * e).sum())
+    hessian = total(torch.from_numpy(u))
     pattern = assembly.discretisation.pattern
     expected = hessian.numpy().reshape(pattern.size, pattern.size)
-    tangent = pattern.full(assembly.tangent(assembly.respond(u), youngs)).toarray()
+    response = assembly.respond(u, per_point=per_point)
+    tangent = pattern.full(assembly.tangent(response, youngs)).toarray()
     np.testing.assert_allclose(tangent, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
-def test_unit_forces_scale_with_the_moduli(assembly, u, youngs):
+def test_unit_forces_scale_with_the_moduli(assembly, u, youngs, per_point):
     """Eq. 11: the assembled force is linear in the moduli, element by element."""
-    response = assembly.respond(u)
+    response = assembly.respond(u, per_point=per_point)
     one_by_one = np.zeros_like(u)
-    for j, e in enumerate(youngs):
-        np.add.at(one_by_one, assembly.discretisation.nodes[j], e * response.forces[j])
+    for j, moduli in enumerate(youngs.reshape(len(youngs), -1)):
+        for e, forces in zip(moduli, response.forces[j], strict=True):
+            np.add.at(one_by_one, assembly.discretisation.nodes[j], e * forces)
     np.testing.assert_allclose(assembly.internal_force(response, youngs), one_by_one, atol=1e-14)
 
 
-def test_virtual_work_is_the_slope_of_the_energy(assembly, u):
+def test_virtual_work_is_the_slope_of_the_energy(assembly, u, per_point):
     v = torch.randn(u.shape, dtype=torch.float64)
-    _, expected = torch.func.jvp(lambda x: energies(assembly, x), (torch.from_numpy(u),), (v,))
-    work = reference.element_work(assembly, torch.from_numpy(u), v)
+    field = torch.from_numpy(u)
+    _, expected = torch.func.jvp(lambda x: energies(assembly, x, per_point), (field,), (v,))
+    work = reference.element_work(assembly, field, v, per_point=per_point)
     torch.testing.assert_close(work, expected, rtol=1e-11, atol=1e-13)
 
 
 def dense_blocks(assembly, u, youngs, projected):
     """Element matrices, as hessians of single elements; negative eigenvalues set to zero."""
-    hessian = torch.func.jacfwd(torch.func.jacrev(lambda x: energies(assembly, x)))
-    full = hessian(torch.from_numpy(u)).numpy()
+    moduli = torch.from_numpy(youngs.reshape(len(youngs), -1))
+
+    def element_energies(x):
+        return (energies(assembly, x, youngs.ndim == 2).reshape(moduli.shape) * moduli).sum(-1)
+
+    full = torch.func.jacfwd(torch.func.jacrev(element_energies))(torch.from_numpy(u)).numpy()
     size = assembly.discretisation.pattern.size
     total = np.zeros((size, size))
     lowest = np.inf
-    for e, block in zip(youngs, full.reshape(len(youngs), size, size), strict=True):
-        values, vectors = np.linalg.eigh(e * block)
+    for block in full.reshape(len(youngs), size, size):
+        values, vectors = np.linalg.eigh(block)
         lowest = min(lowest, values[0])
         total += (vectors * np.maximum(values, 0.0 if projected else -np.inf)) @ vectors.T
     return total, lowest
 
 
 @pytest.mark.parametrize("name", ["neo_hookean", "mooney_rivlin"], indirect=True)
-def test_projected_tangent_drops_negative_eigenvalues_element_by_element(assembly, youngs):
+def test_projected_tangent_drops_negative_eigenvalues_of_elements(assembly, youngs, per_point):
     n = assembly.discretisation.n_nodes
     u = 0.09 * np.random.default_rng(5).standard_normal((n, 3))
     u[:, 2] -= 0.4 * assembly.discretisation.positions[:, 2]  # compression makes it indefinite
-    response = assembly.respond(u)
+    response = assembly.respond(u, per_point=per_point)
     assert response is not None
     expected, lowest = dense_blocks(assembly, u, youngs, projected=True)
     assert lowest < -1e-3  # else the test shows nothing

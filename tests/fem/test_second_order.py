@@ -67,6 +67,10 @@ def test_gradgradcheck(name, element, cell):
     check(cell(name, element), INPUTS)
 
 
+def test_gradgradcheck_with_moduli_at_the_quadrature_points(cell):
+    check(cell("neo_hookean", "tet10", per_point=True), INPUTS)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("which", INPUTS)
 def test_gradgradcheck_entry_by_entry(name, element, which, cell):
