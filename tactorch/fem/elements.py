@@ -34,6 +34,7 @@ class Element:
     Attributes:
         table: Derivatives d N_k / d L_c of the shape functions by the barycentric coordinates L
             at each quadrature point, (points, nodes, 4).
+        points: Barycentric coordinates of the quadrature points, (points, 4).
         rule: Volume fraction of each quadrature point, (points,).
         surface_rule: Area fraction of each vertex and of each midside node of a face.
         volume_rule: Volume fraction of each vertex and of each midside node.
@@ -41,6 +42,7 @@ class Element:
     """
 
     table: Float[np.ndarray, "points nodes 4"]
+    points: Float[np.ndarray, "points 4"]
     rule: Float[np.ndarray, " points"]
     surface_rule: tuple[float, float]
     volume_rule: tuple[float, float]
@@ -61,10 +63,15 @@ def _quadratic() -> Element:
             table[q, a, a] = 4.0 * L[a] - 1.0
         for k, (a, b) in enumerate(_EDGES):
             table[q, 4 + k, a], table[q, 4 + k, b] = 4.0 * L[b], 4.0 * L[a]
-    return Element(table, np.full(4, 0.25), (0.0, 1.0 / 3.0), (-0.05, 0.2), mean_dilatation=True)
+    return Element(
+        table, points, np.full(4, 0.25), (0.0, 1.0 / 3.0), (-0.05, 0.2), mean_dilatation=True
+    )
 
 
-TET4 = Element(np.eye(4)[None], np.ones(1), (1.0 / 3.0, 0.0), (0.25, 0.0), mean_dilatation=False)
+TET4 = Element(
+    np.eye(4)[None], np.full((1, 4), 0.25), np.ones(1), (1.0 / 3.0, 0.0), (0.25, 0.0),
+    mean_dilatation=False,
+)  # fmt: skip
 TET10 = _quadratic()
 #: Element types by name.
 ELEMENTS = Registry(

@@ -192,6 +192,18 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
     return builder.objective(problem, builder.model_errors(problem))
 
 
+def corrected_problem(recording: Recording, settings: Settings) -> InverseProblem:
+    """Return the inverse problem with the correction of its settings for the model's error."""
+    builder = ObjectiveBuilder(recording, settings)
+    problem = builder.problem(recording)
+    errors = builder.model_errors(problem)
+    return (
+        problem.with_data(problem.data.corrected(errors, recording.mesh.points))
+        if errors
+        else problem
+    )
+
+
 def solution(recording: Recording, result: Reconstruction, settings: Settings) -> Point:
     """Return the point of the objective at the result of an inversion with these settings."""
     nuisance, m = settings.nuisance, len(result.youngs)

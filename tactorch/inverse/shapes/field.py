@@ -1,0 +1,241 @@
+"""Ellipsoids in a uniform background as a field of Young's modulus.
+
+The logarithm of the modulus at a quadrature point is that of the background plus, for each
+inclusion, its log-contrast times the fraction of the point's volume inside the inclusion: the
+geometric mean. An arithmetic mean is too stiff where a boundary crosses an element.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from tactorch.fem.assembly import Assembly
+from tactorch.mesh import TetMesh
+from tactorch.mesh.quadrature import lattice
+
+_SAMPLES = 6  # points of the lattice along an edge of an element
+_WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
+# Orthonormal basis of symmetric matrices: the size, then five distortions of the same volume.
+_DIAGONALS = (
+    np.eye(3) / np.sqrt(3.0),
+    np.diag([1.0, -1.0, 0.0]) / np.sqrt(2.0),
+    np.diag([1.0, 1.0, -2.0]) / np.sqrt(6.0),
+)
+_SHEARS = tuple(
+    (np.outer(a, b) + np.outer(b, a)) / np.sqrt(2.0)
+    for a, b in ((np.eye(3)[i], np.eye(3)[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
+)
+_BASIS = np.stack([*_DIAGONALS, *_SHEARS])
+
+
+@dataclass(frozen=True, eq=False)
+class Sites:
+    """The volumes for which a field gives moduli: those of the quadrature points.
+
+    Attributes:
+        points: Sample points of each volume, (volumes, samples, 3), mm.
+        width: Width of a boundary in each volume, mm.
+        shape: Shape of the array of moduli, (elements, quadrature points).
+    """
+
+    points: Float[np.ndarray, "volumes samples 3"]
+    width: Float[np.ndarray, " volumes"]
+    shape: tuple[int, int]
+
+    @staticmethod
+    def of(assembly: Assembly) -> "Sites":
+        """Return the volumes around the quadrature points of a body's elements."""
+        mesh, rule = assembly.discretisation.mesh, assembly.discretisation.element.points
+        samples = lattice(_SAMPLES)
+        distance = ((samples[:, None] - rule) ** 2).sum(axis=2)
+        order = np.argsort(distance.argmin(axis=1), kind="stable")
+        corners = mesh.points[mesh.tets]
+        points = np.einsum("pc,mcd->mpd", samples[order], corners)
+        shape = assembly.weights.shape
+        width = _WIDTH * np.cbrt(np.repeat(assembly.volumes, shape[1]))
+        return Sites(points.reshape(shape[0] * shape[1], -1, 3), width, shape)
+
+    @staticmethod
+    def at(points: Float[np.ndarray, "n 3"]) -> "Sites":
+        """Return points (mm), at which boundaries are sharp."""
+        return Sites(points[:, None], np.zeros(len(points)), (len(points), 1))
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """An inclusion.
+
+    Attributes:
+        center_mm: Centre.
+        semi_axes_mm: Semi-axes in descending order; equal for a ball.
+        axes: Their directions, the rows of a rotation.
+        contrast: Young's modulus over that of the background.
+    """
+
+    center_mm: tuple[float, float, float]
+    semi_axes_mm: tuple[float, float, float]
+    axes: tuple[tuple[float, float, float], ...]
+    contrast: float
+
+    @property
+    def radius_mm(self) -> float:
+        """Radius of the ball of the same volume."""
+        return float(np.cbrt(np.prod(self.semi_axes_mm)))
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePrior:
+    """Normal prior of the parameters of shapes, wide enough for any body.
+
+    Centres are within the body's bounding box (one standard deviation is half its extent), radii
+    around a seventh of its size, moduli of inclusions within a factor of four or so.
+    """
+
+    low_mm: Float[np.ndarray, "3"]
+    high_mm: Float[np.ndarray, "3"]
+    size_mm: float
+    log_background: float
+
+    background: float = 1.0
+    log_radius: float = 0.6
+    distortion: float = 0.35
+    log_contrast: float = 1.5
+
+    @staticmethod
+    def of(mesh: TetMesh, background_mpa: float) -> "ShapePrior":
+        """Return the prior for a body whose best uniform modulus is given."""
+        low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+        return ShapePrior(low, high, float(np.cbrt(mesh.volumes.sum())), np.log(background_mpa))
+
+    def ball(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and deviation of centre (mm), log-radius and log-contrast."""
+        mean = [*(0.5 * (self.low_mm + self.high_mm)), np.log(0.15 * self.size_mm), 0.0]
+        deviation = [*(0.5 * (self.high_mm - self.low_mm)), self.log_radius, self.log_contrast]
+        return np.array(mean), np.array(deviation)
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeField:
+    """A number of inclusions in a uniform background.
+
+    The parameters are in standard deviations of the prior: the log-modulus of the background; for
+    each inclusion its centre, log-radius and log-contrast, and for an ellipsoid five distortions.
+
+    Attributes:
+        prior: Prior of the parameters.
+        distorted: For each inclusion, whether it is an ellipsoid rather than a ball.
+    """
+
+    prior: ShapePrior
+    distorted: tuple[bool, ...]
+
+    @cached_property
+    def _scale(self) -> tuple[np.ndarray, np.ndarray]:
+        ball, spread = self.prior.ball()
+        mean, deviation = [self.prior.log_background], [self.prior.background]
+        for distorted in self.distorted:
+            mean += [*ball, *[0.0] * (5 * distorted)]
+            deviation += [*spread, *[self.prior.distortion] * (5 * distorted)]
+        return np.array(mean), np.array(deviation)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return len(self._scale[0])
+
+    @property
+    def parts(self) -> list[slice]:
+        """Parameters of each inclusion."""
+        ends = np.cumsum([1, *(10 if distorted else 5 for distorted in self.distorted)])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def physical(self, z: Float[np.ndarray, "*k size"]) -> Float[np.ndarray, "*k size"]:
+        """Return parameters in mm and logarithms from those in standard deviations."""
+        mean, deviation = self._scale
+        return mean + deviation * z
+
+    def standard(self, values: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """Return parameters in standard deviations; the inverse of `physical`."""
+        mean, deviation = self._scale
+        return (values - mean) / deviation
+
+    def shapes(self, z: Float[np.ndarray, " size"]) -> Iterator[Ellipsoid]:
+        """Yield the inclusions."""
+        values = self.physical(z)
+        for part in self.parts:
+            stretch = _log_stretch(torch.from_numpy(values[part])).numpy()
+            logs, vectors = np.linalg.eigh(stretch)
+            order = np.argsort(-logs)
+            yield Ellipsoid(
+                tuple(values[part][:3].tolist()),
+                tuple(np.exp(logs[order]).tolist()),
+                tuple(tuple(row) for row in vectors.T[order].tolist()),
+                float(np.exp(values[part][4])),
+            )
+
+    def log_youngs(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
+        """Return the log-modulus of each volume, log MPa."""
+        values = self.physical(z)
+        out = np.full(len(sites.points), values[0])
+        for part in self.parts:
+            inclusion = torch.from_numpy(values[part])
+            near = _near(values[part], sites)
+            fraction = _fraction(inclusion, *_tensors(sites, near)).numpy()
+            out[near] += values[part][4] * fraction
+        return out
+
+    def jacobian(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
+        """Return the derivative of `log_youngs` by the parameters, (volumes, size)."""
+        values, deviation = self.physical(z), self._scale[1]
+        out = np.zeros((len(sites.points), self.size))
+        out[:, 0] = 1.0
+        for part in self.parts:
+            inclusion, near = torch.from_numpy(values[part]), _near(values[part], sites)
+            points, width = _tensors(sites, near)
+            out[near, part] = torch.func.jacfwd(
+                lambda x, points=points, width=width: x[4] * _fraction(x, points, width)
+            )(inclusion).numpy()
+        return out * deviation
+
+
+def _near(inclusion: np.ndarray, sites: Sites) -> np.ndarray:
+    """Indices of the volumes that may touch an inclusion."""
+    stretch = _log_stretch(torch.from_numpy(inclusion)).numpy()
+    reach = np.exp(np.linalg.eigvalsh(stretch)[-1]) + 4.0 * sites.width
+    distance = np.linalg.norm(sites.points - inclusion[:3], axis=2).min(axis=1)
+    return np.flatnonzero(distance < reach)
+
+
+def _tensors(sites: Sites, near: np.ndarray) -> tuple[Tensor, Tensor]:
+    return torch.from_numpy(sites.points[near]), torch.from_numpy(sites.width[near])
+
+
+def _log_stretch(inclusion: Tensor) -> Tensor:
+    """Logarithm of the matrix that maps the unit ball to the inclusion (mm)."""
+    one = torch.eye(3, dtype=torch.float64)
+    if len(inclusion) == 5:
+        return inclusion[3] * one
+    basis = torch.from_numpy(_BASIS[1:])
+    return inclusion[3] * one + torch.einsum("k,kij->ij", inclusion[5:], basis)
+
+
+def _fraction(inclusion: Tensor, points: Tensor, width: Tensor) -> Tensor:
+    """Fraction of each volume inside an inclusion, with a boundary of a width (mm)."""
+    offset = points - inclusion[:3]
+    if len(inclusion) == 5:
+        distance = torch.sqrt((offset * offset).sum(-1) + 1e-12) - torch.exp(inclusion[3])
+    else:  # to first order, exact for a ball
+        inverse = torch.matrix_exp(-_log_stretch(inclusion))
+        unit = offset @ inverse
+        level = torch.sqrt((unit * unit).sum(-1) + 1e-12)
+        slope = torch.sqrt(((unit @ inverse) ** 2).sum(-1) + 1e-12)
+        distance = (level - 1.0) * level / slope
+    if float(width.max() if len(width) else 0.0) == 0.0:
+        return (distance < 0).to(torch.float64).mean(-1)
+    return torch.sigmoid(-2.0 * distance / width[:, None]).mean(-1)
