@@ -81,8 +81,11 @@ class SoftBody:
         self, surface: Surface, traction_mpa: Sequence[float] | Tensor, points: Points = None
     ) -> Forces:
         """Return the nodal forces (N) of a dead traction (3,); see `pressure`."""
-        vector = torch.as_tensor(traction_mpa, dtype=torch.float64)
-        return loads.traction_forces(self.discretisation, surface, vector, points)
+        triangles, vectors = loads.area_vectors(self.discretisation, surface, points)
+        traction = torch.as_tensor(traction_mpa, dtype=torch.float64)
+        return loads.to_nodes(
+            self.discretisation, triangles, vectors.norm(dim=1)[:, None] * traction
+        )
 
     def gravity(
         self,
@@ -90,9 +93,18 @@ class SoftBody:
         gravity: Sequence[float] | Tensor = loads.STANDARD_GRAVITY,
         points: Points = None,
     ) -> Forces:
-        """Return the nodal weights (N); density in tonne/mm^3 (silicone: 1.07e-9), mm/s^2."""
-        vector = torch.as_tensor(gravity, dtype=torch.float64)
-        return loads.gravity_forces(self.discretisation, density, vector, points)
+        """Return the nodal weights (N), eq. (4).
+
+        The density is in tonne/mm^3 (silicone: 1.07e-9), the acceleration in mm/s^2.
+        """
+        d, acceleration = self.discretisation, torch.as_tensor(gravity, dtype=torch.float64)
+        _, weights = d.geometry(torch.tensor(self.mesh.points) if points is None else points)
+        at_vertex, at_midside = d.element.volume_rule
+        fractions = [at_vertex] * 4 + [at_midside] * (d.nodes.shape[1] - 4)
+        shares = torch.tensor(fractions, dtype=torch.float64)[:, None] * acceleration
+        forces = density * weights.sum(1)[:, None, None] * shares
+        out = torch.zeros(self.n_nodes, 3, dtype=torch.float64)
+        return out.index_add(0, torch.from_numpy(d.nodes).reshape(-1), forces.reshape(-1, 3))
 
     def search(
         self,

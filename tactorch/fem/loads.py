@@ -1,4 +1,4 @@
-"""Nodal forces of pressures, tractions and gravity, differentiable in the rest positions.
+"""Nodal forces of pressures and tractions, differentiable in the rest positions.
 
 Loads are dead: a pressure or traction acts per rest area, in a constant direction. Surfaces are
 flat sides, such as "z+", or indices into `mesh.surface.triangles`; rest positions (mm) are those of
@@ -22,14 +22,6 @@ Points = Float[Tensor, "n 3"] | None
 Forces = Float[Tensor, "nodes 3"]
 
 
-def traction_forces(
-    discretisation: Discretisation, surface: Surface, traction_mpa: Tensor, points: Points = None
-) -> Forces:
-    """Return the consistent nodal forces (N) of a uniform traction (MPa) on a surface."""
-    triangles, vectors = _areas(discretisation, surface, points)
-    return _to_nodes(discretisation, triangles, vectors.norm(dim=1)[:, None] * traction_mpa)
-
-
 def pressure_forces(
     discretisation: Discretisation,
     surface: Surface,
@@ -37,32 +29,14 @@ def pressure_forces(
     points: Points = None,
 ) -> Forces:
     """Return the nodal forces (N) of a pressure (MPa) against the outward rest normals."""
-    triangles, vectors = _areas(discretisation, surface, points)
-    return _to_nodes(discretisation, triangles, -pressure_mpa * vectors)
+    triangles, vectors = area_vectors(discretisation, surface, points)
+    return to_nodes(discretisation, triangles, -pressure_mpa * vectors)
 
 
-def gravity_forces(
-    discretisation: Discretisation, density: float, gravity: Tensor, points: Points = None
-) -> Forces:
-    """Return the nodal weights (N), eq. (4), of a density (tonne/mm^3) and gravity (mm/s^2)."""
-    _, weights = discretisation.geometry(_rest(discretisation, points))
-    at_vertex, at_midside = discretisation.element.volume_rule
-    nodes = torch.from_numpy(discretisation.nodes)
-    fractions = [at_vertex] * 4 + [at_midside] * (nodes.shape[1] - 4)
-    per_node = torch.tensor(fractions, dtype=torch.float64)[:, None] * gravity
-    per_node = density * weights.sum(1)[:, None, None] * per_node
-    out = torch.zeros(discretisation.n_nodes, 3, dtype=torch.float64)
-    return out.index_add(0, nodes.reshape(-1), per_node.reshape(-1, 3))
-
-
-def _rest(discretisation: Discretisation, points: Points) -> Tensor:
-    return torch.tensor(discretisation.mesh.points) if points is None else points
-
-
-def _areas(
+def area_vectors(
     discretisation: Discretisation, surface: Surface, points: Points
 ) -> tuple[Int[np.ndarray, "k 3"], Float[Tensor, "k 3"]]:
-    """Vertices of a surface's triangles, and their outward normals times areas."""
+    """Return the vertices of a surface's triangles, and their outward normals times areas."""
     mesh = discretisation.mesh
     selected = select_face(mesh, surface) if isinstance(surface, str) else np.asarray(surface)
     count = len(mesh.surface.triangles)
@@ -72,12 +46,13 @@ def _areas(
             "side (x-, x+, y-, y+, z-, z+) or give indices into mesh.surface.triangles."
         )
     triangles = mesh.surface.triangles[selected]
-    a, b, c = _rest(discretisation, points)[torch.tensor(triangles)].unbind(1)
+    rest = torch.tensor(mesh.points) if points is None else points
+    a, b, c = rest[torch.tensor(triangles)].unbind(1)
     return triangles, 0.5 * torch.linalg.cross(b - a, c - a)
 
 
-def _to_nodes(discretisation: Discretisation, triangles: np.ndarray, totals: Tensor) -> Forces:
-    """Nodal forces of the total force of each triangle."""
+def to_nodes(discretisation: Discretisation, triangles: np.ndarray, totals: Tensor) -> Forces:
+    """Return the consistent nodal forces of the total force of each triangle."""
     at_vertex, at_midside = discretisation.element.surface_rule
     out = torch.zeros(discretisation.n_nodes, 3, dtype=torch.float64)
     for vertices in triangles.T:

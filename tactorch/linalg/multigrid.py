@@ -67,5 +67,4 @@ class Multigrid(SolverOptions):
 
     @staticmethod
     def available() -> bool:
-        """Return whether pyamg is installed."""
         return find_spec("pyamg") is not None

@@ -148,5 +148,4 @@ class Pardiso(SolverOptions):
 
     @staticmethod
     def available() -> bool:
-        """Return whether pypardiso and its MKL library are installed."""
         return _library() is not None

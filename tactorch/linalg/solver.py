@@ -157,7 +157,6 @@ class AutoSolver(SolverOptions):
     """PARDISO where it is installed, multigrid for the largest meshes, SuperLU elsewhere."""
 
     def resolve(self, size: int) -> SolverOptions:
-        """Return the settings of the solver for `size` unknowns."""
         pardiso: SolverOptions = SOLVERS["pardiso"]()
         installed = pardiso.available()
         if size > (_MAX_PARDISO_SIZE if installed else _MAX_SUPERLU_SIZE):

@@ -129,26 +129,21 @@ class LaplacePosterior(GaussianPosterior):
         return torch.cholesky_inverse(self.factor.lower).numpy()
 
     def variance(self) -> Field:
-        """See `GaussianPosterior.variance`."""
         return self._covariance.diagonal()[: len(self.mean)].copy()
 
     def covariance(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
-        """See `GaussianPosterior.covariance`."""
         return self._covariance[np.ix_(elements, elements)]
 
     def resolution_diagonal(self) -> Field:
-        """See `GaussianPosterior.resolution_diagonal`."""
         gain = self._covariance[: len(self.mean)] @ self.jacobian.T
         return np.einsum("mp,pm->m", gain, self.jacobian[:, : len(self.mean)])
 
     def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
-        """See `GaussianPosterior.sample`."""
         noise = torch.from_numpy(rng.standard_normal((self.jacobian.shape[1], n)))
         sample = torch.linalg.solve_triangular(self.factor.lower.T, noise, upper=True).numpy()
         return self.mean + sample[: len(self.mean)].T
 
     def log_det(self) -> float:
-        """See `GaussianPosterior.log_det`."""
         return 2.0 * float(torch.log(torch.diagonal(self.factor.lower)).sum())
 
 

@@ -16,23 +16,19 @@ class NeoHookean(IsotropicMaterial):
     lame_factor: float = option(1.0, "Factor of lambda; 0.5 in the paper's published data")
 
     def strain_energy(self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return mu/2 (I1 - 3) - mu ln J."""
         _, mu = lame(poisson)
         return 0.5 * mu * (i1 - 3.0) - mu * log_j
 
     def volumetric_energy(self, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return lame_factor lambda/2 (ln J)^2."""
         return 0.5 * self.lame_factor * lame(poisson)[0] * log_j * log_j
 
     def strain_derivatives(
         self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array
     ) -> EnergyDerivatives:
-        """Closed form."""
         psi, mu = self.strain_energy(i1, i2, j, log_j, poisson), lame(poisson)[1]
         return EnergyDerivatives(psi, d1=0.5 * mu, dj=-mu / j, djj=mu / (j * j))
 
     def volumetric_derivatives(self, j: Array, log_j: Array, poisson: Array) -> EnergyDerivatives:
-        """Closed form."""
         lam, psi = self.lame_factor * lame(poisson)[0], self.volumetric_energy(j, log_j, poisson)
         return EnergyDerivatives(psi, dj=lam * log_j / j, djj=lam * (1.0 - log_j) / (j * j))
 
@@ -47,7 +43,6 @@ class StVenantKirchhoff(IsotropicMaterial):
     """
 
     def strain_energy(self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return lambda/8 (I1 - 3)^2 + mu/4 (I1^2 - 2 I2 - 2 I1 + 3)."""
         lam, mu = lame(poisson)
         trace = i1 - 3.0
         return 0.125 * lam * trace * trace + 0.25 * mu * (i1 * i1 - 2.0 * (i1 + i2) + 3.0)
@@ -55,7 +50,6 @@ class StVenantKirchhoff(IsotropicMaterial):
     def strain_derivatives(
         self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array
     ) -> EnergyDerivatives:
-        """Closed form."""
         lam, mu = lame(poisson)
         psi = self.strain_energy(i1, i2, j, log_j, poisson)
         d1 = 0.25 * lam * (i1 - 3.0) + 0.5 * mu * (i1 - 1.0)
@@ -80,18 +74,15 @@ class _IsochoricMaterial(IsotropicMaterial):
         return c1, self._c2_fraction * half_mu * j ** (-4.0 / 3.0)
 
     def strain_energy(self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return c1 (J^(-2/3) I1 - 3) + c2 (J^(-4/3) I2 - 3)."""
         a, b = self._coefficients(j, poisson)
         return a * i1 + b * i2 - 1.5 * lame(poisson)[1]
 
     def volumetric_energy(self, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return kappa/4 (J^2 - 1 - 2 ln J)."""
         return 0.25 * bulk(poisson) * (j * j - 1.0 - 2.0 * log_j)
 
     def strain_derivatives(
         self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array
     ) -> EnergyDerivatives:
-        """Closed form."""
         a, b = self._coefficients(j, poisson)
         return EnergyDerivatives(
             a * i1 + b * i2 - 1.5 * lame(poisson)[1],
@@ -104,7 +95,6 @@ class _IsochoricMaterial(IsotropicMaterial):
         )
 
     def volumetric_derivatives(self, j: Array, log_j: Array, poisson: Array) -> EnergyDerivatives:
-        """Closed form."""
         half_kappa, psi = 0.5 * bulk(poisson), self.volumetric_energy(j, log_j, poisson)
         return EnergyDerivatives(
             psi, dj=half_kappa * (j - 1.0 / j), djj=half_kappa * (1.0 + 1.0 / (j * j))

@@ -20,11 +20,9 @@ class LinearElastic(Material):
     allows_inversion: ClassVar[bool] = True
 
     def energy(self, F: Gradient, poisson: Array) -> Float[Tensor, "*batch"]:
-        """Return lambda/2 (tr eps)^2 + mu eps:eps."""
         return 0.5 * (self.stress(F, poisson) * _strain(F)).sum((-2, -1))
 
     def stress(self, F: Gradient, poisson: Array) -> Gradient:
-        """Return lambda tr(eps) I + 2 mu eps."""
         lam, mu = (_as_matrix(x, F) for x in lame(poisson))
         strain = _strain(F)
         trace = strain.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
