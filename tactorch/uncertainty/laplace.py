@@ -101,26 +101,20 @@ class LaplacePosterior(GaussianPosterior):
         """
         check_weight(weight)
         prior, parameterization = point.prior_curvature(weight), point.objective.parameterization
-        return LaplacePosterior.of(point.elements, point.jacobian, 1.0, prior, parameterization)
+        return LaplacePosterior.of(point.elements, point.jacobian, prior, parameterization)
 
     @staticmethod
     def of(
         mean: Field,
         jacobian: Float[np.ndarray, "data unknowns"],
-        weight: float,
         prior: sp.spmatrix | sp.sparray,
         parameterization: Parameterization,
     ) -> "LaplacePosterior":
-        """Return the posterior of a linear model; see `at`.
-
-        The precision of the prior is `weight` times `prior`.
-        """
-        check_weight(weight)
-        factor = DenseCholesky.of(jacobian.T @ jacobian, weight * prior)
+        """Return the posterior of a linear model with this precision of the prior; see `at`."""
+        factor = DenseCholesky.of(jacobian.T @ jacobian, prior)
         if factor is None:
             raise ConfigError(
-                f"weight={weight}: data and prior leave some moduli undetermined; give a prior "
-                "and a larger weight."
+                "data and prior leave some moduli undetermined; give a prior and a larger weight."
             )
         return LaplacePosterior(mean, jacobian, factor, parameterization)
 
