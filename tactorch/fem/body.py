@@ -10,14 +10,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from tactorch.errors import ConfigError
-from tactorch.fem import loads
+from tactorch.fem import boundary
 from tactorch.fem.assembly import Assembly
+from tactorch.fem.boundary import Forces, Points, Supports, Surface
 from tactorch.fem.elements import ELEMENTS, Discretisation
 from tactorch.fem.equilibrium import Equilibrium, LoadCases
-from tactorch.fem.loads import Forces, Points, Surface
 from tactorch.fem.materials import Material
 from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
-from tactorch.fem.supports import Supports
 from tactorch.linalg import SolverOptions, SolverPool
 from tactorch.mesh import TetMesh
 
@@ -75,22 +74,22 @@ class SoftBody:
             pressure_mpa: Force per rest area, MPa.
             points: Rest positions, mm; those of the mesh by default.
         """
-        return loads.pressure_forces(self.discretisation, surface, pressure_mpa, points)
+        return boundary.pressure_forces(self.discretisation, surface, pressure_mpa, points)
 
     def traction(
         self, surface: Surface, traction_mpa: Sequence[float] | Tensor, points: Points = None
     ) -> Forces:
         """Return the nodal forces (N) of a dead traction (3,); see `pressure`."""
-        triangles, vectors = loads.area_vectors(self.discretisation, surface, points)
+        triangles, vectors = boundary.area_vectors(self.discretisation, surface, points)
         traction = torch.as_tensor(traction_mpa, dtype=torch.float64)
-        return loads.to_nodes(
+        return boundary.to_nodes(
             self.discretisation, triangles, vectors.norm(dim=1)[:, None] * traction
         )
 
     def gravity(
         self,
         density: float,
-        gravity: Sequence[float] | Tensor = loads.STANDARD_GRAVITY,
+        gravity: Sequence[float] | Tensor = boundary.STANDARD_GRAVITY,
         points: Points = None,
     ) -> Forces:
         """Return the nodal weights (N), eq. (4).

@@ -86,9 +86,6 @@ def uniform_fit(
     Damped Gauss-Newton on the log-modulus and z, from a stiffer start where a press has no
     equilibrium. The first start is `first_mpa`; by default 0.2 MPa, or the ratio of mean stress and
     strain under the presses where that is much larger.
-
-    Raises:
-        ConvergenceError: no modulus within the bounds carries the presses.
     """
     bounds = bounds or Bounds()
     prior, groups = Quadratic(sp.csr_matrix((1, 1))), np.zeros(problem.n_elements, dtype=np.int64)
