@@ -4,7 +4,7 @@ Gel and object move together from this pose on, so its error adds to the object'
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -182,7 +182,10 @@ def first_pose_by_shape(
 
 
 def first_pose_by_depth(
-    poses: Poses, free_s: float | None, times_s: Sequence[float], depths_mm: Sequence[float]
+    poses: Poses,
+    free_s: float | None,
+    times_s: Float[np.ndarray, " f"],
+    depths_mm: Float[np.ndarray, " f"],
 ) -> Pose:
     """Return the pose at which the depth starts, extrapolated from the first two frames."""
     first = times_s[0]
