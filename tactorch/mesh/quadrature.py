@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
 from tactorch.mesh.tetmesh import TetMesh
@@ -11,6 +11,16 @@ from tactorch.mesh.values import Points
 
 # Points evaluated at once; limits the memory.
 _MAX_POINTS = 500_000
+
+
+def simplex_lattice(intervals: int, corners: int) -> Int[np.ndarray, "p c"]:
+    """Return an even lattice on a simplex as barycentric coordinates times `intervals`.
+
+    These are all rows of whole numbers, 0 or more, with the sum `intervals`.
+    """
+    free = np.indices((intervals + 1,) * (corners - 1)).reshape(corners - 1, -1).T
+    counts = np.column_stack((free, intervals - free.sum(axis=1)))
+    return counts[counts[:, -1] >= 0]
 
 
 def lattice(samples: int) -> Float[np.ndarray, "p 4"]:
@@ -23,12 +33,9 @@ def lattice(samples: int) -> Float[np.ndarray, "p 4"]:
     if samples < 1:
         raise ConfigError(f"samples={samples} must be at least 1.")
     n = samples - 1
-    ijk = np.indices((samples,) * 3).reshape(3, -1).T
-    counts = np.column_stack((ijk, n - ijk.sum(axis=1)))
-    counts = counts[counts[:, 3] >= 0]
     # The positive root of margin^2 + n margin / 2 = n / 4 makes the mean of L^2 one tenth.
     margin = (np.sqrt(0.25 * n * n + n) - 0.5 * n) / 2.0 if n else 0.25
-    return (counts + margin) / (n + 4.0 * margin)
+    return (simplex_lattice(n, 4) + margin) / (n + 4.0 * margin)
 
 
 def element_means(

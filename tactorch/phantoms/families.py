@@ -201,9 +201,9 @@ def _draw_background(rng: Rng, name: str, youngs: float, side: float) -> Real | 
         return youngs
     if name == "gradient":
         half_span = _direction(rng) * side / 2
-        center = np.full(3, side / 2)
-        ratio = np.sqrt(float(rng.uniform(1.3, 2.5)))
-        return Gradient(center - half_span, center + half_span, youngs / ratio, youngs * ratio)
+        start, end = (side / 2 - half_span).tolist(), (side / 2 + half_span).tolist()
+        ratio = float(np.sqrt(rng.uniform(1.3, 2.5)))
+        return Gradient(start, end, youngs / ratio, youngs * ratio)
     spread, length = float(rng.uniform(0.1, 0.35)), float(rng.uniform(0.2, 0.5)) * side
     return RandomField(youngs, spread, length, int(rng.integers(2**31)))
 
