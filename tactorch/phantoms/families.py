@@ -91,11 +91,9 @@ class InclusionsFamily(Options):
         (0.1, 0.4), "Range of the background's median modulus, log-uniform", unit="MPa", gt=0
     )
     contrast: Range = option(
-        (0.2, 8.0),
-        "Range of the ratio of an inclusion's modulus to the background's, log-uniform; ratios "
-        "within a quarter of 1 are excluded",
-        gt=0,
-    )
+        (0.2, 8.0), "Range of the ratio of an inclusion's modulus to the background's, log-uniform;"
+        " ratios within a quarter of 1 are excluded", gt=0,
+    )  # fmt: skip
     backgrounds: tuple[str, ...] = option(
         ("uniform", "uniform", "gradient", "random"),
         "Backgrounds; repeat a name to make it more likely",

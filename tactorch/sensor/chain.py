@@ -33,9 +33,7 @@ class DepthOptions(Options):
         0.03, "Depth below which a frame is without contact", unit="mm", gt=0
     )
     min_slope: float = option(
-        MIN_SLOPE,
-        "Slope above which the face counts as deformed; smaller for wide, flat objects",
-        gt=0,
+        MIN_SLOPE, "Slope above which the face is deformed; smaller for wide, flat objects", gt=0
     )
 
 

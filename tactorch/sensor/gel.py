@@ -45,9 +45,7 @@ class GelOptions(Options):
     edge_mm: float = option(1.0, "Edge length of the gel's cells on its face", unit="mm", gt=0)
     layers: int = option(4, "Number of cells through the gel", ge=1)
     element: Literal["tet10", "tet4"] = option(
-        "tet10",
-        "Element: tet10, free of locking (seconds per frame), or tet4, fast but too stiff near"
-        " incompressibility",
+        "tet10", "Element; tet10: no locking, seconds per frame; tet4: fast, but locks (too stiff)"
     )
 
 

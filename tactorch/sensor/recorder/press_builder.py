@@ -77,13 +77,11 @@ class RecordOptions(Fixture, ContactOptions):
     min_frames: int = option(1, "Contacts of fewer frames are ignored", ge=1)
     first_contact: Literal["shape", "depth"] = option(
         "shape",
-        "Pose of first contact: shape (where the gel and the object meet by their poses), or depth"
-        " (extrapolated from the first frames, for unknown shapes)",
+        "Pose of first contact; shape: where gel and object meet by their poses; depth:"
+        " extrapolated from the first frames, for unknown shapes",
     )
     press_noise_mm: float | None = option(
-        None,
-        "Standard deviation of the displacements of presses; null estimates it from frames without"
-        " contact",
+        None, "Standard deviation of the displacements; null: as in frames without contact",
         unit="mm", gt=0,
     )  # fmt: skip
 
@@ -97,10 +95,9 @@ class PressBuilder:
     def __init__(
         self, chain: SensorChain, target: TetMesh | VirtualCube, options: RecordOptions
     ) -> None:
-        self.chain, self.options = chain, options
+        self.chain, self.target, self.options = chain, target, options
         self.mesh = target if isinstance(target, TetMesh) else None
-        self._cube = target if isinstance(target, VirtualCube) else None
-        if options.untouched == "auto" and self._cube is not None:
+        if options.untouched == "auto" and self.mesh is None:
             self.options = replace(options, untouched="sensor")
 
     def build(
@@ -112,17 +109,16 @@ class PressBuilder:
         of frames without contact.
         """
         free_s, times_s, depths_mm = contact.free_s, contact.times_s, contact.depths_mm
-        if self._cube is None and self.options.first_contact == "shape":
-            assert self.mesh is not None
+        if isinstance(self.target, TetMesh) and self.options.first_contact == "shape":
             gel = self.chain.sensor.gel
-            first_pose = first_pose_by_shape(poses, free_s, times_s[0], self.mesh, gel)
+            first_pose = first_pose_by_shape(poses, free_s, times_s[0], self.target, gel)
         else:
             first_pose = first_pose_by_depth(poses, free_s, times_s, depths_mm)
-        if self.mesh is None:
-            assert self._cube is not None
+        if isinstance(self.target, VirtualCube) and self.mesh is None:
             deepest = contact.measurements[int(np.argmax(depths_mm))]
             center_mm = self.chain.model.points[deepest.in_contact, :2].mean(axis=0)
-            self.mesh = self._cube.mesh_under(first_pose, center_mm)
+            self.mesh = self.target.mesh_under(first_pose, center_mm)
+        assert self.mesh is not None
         noise_mm = self.options.press_noise_mm
         if noise_mm is None:
             noise_mm = max(self.chain.options.noise_mm, measured_noise_mm or 0.0)
