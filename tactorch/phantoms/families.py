@@ -53,7 +53,7 @@ class RecognitionFamily(Options):
         """Check the names and ranges."""
         super().__post_init__()
         _check_names("shape", self.shapes, _RECOGNITION_SHAPES)
-        _check_ranges(self, "size", "depth", "youngs_mpa", "contrast")
+        check_ranges(self, "size", "depth", "youngs_mpa", "contrast")
 
     def draw(self, rng: Rng) -> RandomPhantom:
         """Draw a phantom."""
@@ -105,7 +105,7 @@ class InclusionsFamily(Options):
         super().__post_init__()
         _check_names("shape", self.shapes, _SHAPES)
         _check_names("background", self.backgrounds, _BACKGROUNDS)
-        _check_ranges(self, "count", "size", "youngs_mpa", "contrast")
+        check_ranges(self, "count", "size", "youngs_mpa", "contrast")
 
     def draw(self, rng: Rng) -> RandomPhantom:
         """Draw a phantom; inclusions without room are left out."""
@@ -222,11 +222,13 @@ def _check_names(what: str, names: Sequence[str], known: Iterable[str]) -> None:
         raise ConfigError(f"no {what} is given; choose from {', '.join(known)}.")
 
 
-def _check_ranges(family: Options, *names: str) -> None:
+def check_ranges(options: Options, *names: str) -> None:
+    """Check that settings are pairs of a lower and an upper end, or None."""
     for name in names:
-        limits = list(getattr(family, name))
-        if limits[1] < limits[0]:
-            raise ConfigError(f"{name}={limits} must be the lower and the upper end of a range.")
+        pair = getattr(options, name)
+        if pair is not None and pair[0] > pair[1]:
+            setting = f"{options.section}.{name}={list(pair)}"
+            raise ConfigError(f"{setting}: give the lower end first.")
 
 
 def _direction(rng: Rng) -> np.ndarray:
