@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from tactorch.errors import ConfigError
 from tactorch.mesh.tetmesh import TetMesh
@@ -13,29 +13,25 @@ from tactorch.mesh.values import Points
 _MAX_POINTS = 500_000
 
 
-def simplex_lattice(intervals: int, corners: int) -> Int[np.ndarray, "p c"]:
-    """Return an even lattice on a simplex as barycentric coordinates times `intervals`.
-
-    These are all rows of whole numbers, 0 or more, with the sum `intervals`.
-    """
-    free = np.indices((intervals + 1,) * (corners - 1)).reshape(corners - 1, -1).T
-    counts = np.column_stack((free, intervals - free.sum(axis=1)))
-    return counts[counts[:, -1] >= 0]
-
-
-def lattice(samples: int) -> Float[np.ndarray, "p 4"]:
-    """Return barycentric coordinates of an even lattice within a tetrahedron.
+def lattice(
+    samples: int, margin: float | None = None, corners: int = 4
+) -> Float[np.ndarray, "p corners"]:
+    """Return barycentric coordinates of an even lattice within a tetrahedron (or triangle).
 
     There are `samples` points along an edge, samples (samples + 1) (samples + 2) / 6 in all: the
-    centroid alone for 1, four for 2, ten for 3. The margin to the faces makes the mean of a
-    quadratic exact; for 2 this is the four-point Gauss rule.
+    centroid alone for 1, four for 2, ten for 3. The margin to the faces, in steps of the lattice,
+    makes by default the mean of a quadratic exact; for 2 this is the four-point Gauss rule.
     """
     if samples < 1:
         raise ConfigError(f"samples={samples} must be at least 1.")
     n = samples - 1
-    # The positive root of margin^2 + n margin / 2 = n / 4 makes the mean of L^2 one tenth.
-    margin = (np.sqrt(0.25 * n * n + n) - 0.5 * n) / 2.0 if n else 0.25
-    return (simplex_lattice(n, 4) + margin) / (n + 4.0 * margin)
+    free = np.indices((samples,) * (corners - 1)).reshape(corners - 1, -1).T
+    counts = np.column_stack((free, n - free.sum(axis=1)))
+    counts = counts[counts[:, -1] >= 0]
+    if margin is None:
+        # The positive root of margin^2 + n margin / 2 = n / 4 makes the mean of L^2 one tenth.
+        margin = (np.sqrt(0.25 * n * n + n) - 0.5 * n) / 2.0 if n else 0.25
+    return (counts + margin) / (n + corners * margin)
 
 
 def element_means(

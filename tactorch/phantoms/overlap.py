@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.mesh import Hyperboloid, Lathe, Shape, Union
-from tactorch.mesh.quadrature import simplex_lattice
+from tactorch.mesh.quadrature import lattice
 
 # Sides of round shapes: results are short by 0.1 % of the radius at most.
 _SEGMENTS = 72
@@ -41,7 +41,7 @@ def _surface_points(shape: Shape, segments: int, steps: int) -> Float[np.ndarray
     step = np.linalg.norm(np.ptp(vertices, axis=0)) / _MIN_STEPS_ACROSS
     counts = np.clip(np.ceil(longest / step), 1, steps).astype(int)
     points = [
-        np.einsum("pc,kcd->kpd", simplex_lattice(int(n), 3) / n, corners[counts == n])
+        np.einsum("pc,kcd->kpd", lattice(int(n) + 1, 0.0, 3), corners[counts == n])
         for n in np.unique(counts)
     ]
     return np.concatenate([each.reshape(-1, 3) for each in points])

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.mesh import FACE_NAMES, TetMesh, face_nodes
-from tactorch.mesh.quadrature import simplex_lattice
+from tactorch.mesh.quadrature import lattice
 from tactorch.recording import Press
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.contact import MIN_FACING, ContactOptions, Pose, build_press
@@ -217,6 +217,6 @@ def sample_surface(mesh: TetMesh) -> tuple[Float[np.ndarray, "p 3"], Float[np.nd
     corners = mesh.points[surface.triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
     n = max(2, int(np.ceil(longest / _POINT_SPACING_MM)))
-    grid = simplex_lattice(n, 3) / n
+    grid = lattice(n + 1, 0.0, 3)
     points = np.einsum("pc,tcd->tpd", grid, corners).reshape(-1, 3)
     return points, np.repeat(surface.normals, len(grid), axis=0)
