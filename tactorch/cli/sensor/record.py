@@ -12,7 +12,7 @@ From a camera, with poses that a robot appends to a table, and the map at the sa
     tactorch live recording=session.h5
 
 The run folder gets recording.h5, session.csv (each frame), summary.json and .txt,
-over_time.png (depth, contacts, frames kept) and presses.png (the contacts, on the object).
+over_time.png (depth, contacts, selected frames) and presses.png (the contacts, on the object).
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -37,7 +37,7 @@ from tactorch.viz import save_figure
 from tactorch.viz.session import presses_figure, session_figure
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
-_HEADER = ("frame", "time_s", "depth_mm", "contact", "kept", "fault")
+_HEADER = ("frame", "time_s", "depth_mm", "contact", "selected", "fault")
 _LABELS = {"frames": "following the gel", "presses": "finding forces"}
 
 
@@ -141,7 +141,7 @@ def _write(
 ) -> None:
     facts = recording.provenance
     presses, faults, skipped = facts["presses"], facts["faulty frames"], facts["skipped"]
-    kept = {row["frame"] for row in presses}
+    selected = {row["frame"] for row in presses}
     numbers = {
         measurement.frame.index: number
         for number, contact in enumerate(contacts, start=1)
@@ -150,7 +150,7 @@ def _write(
     rows = []
     for frame, depth in ((m.frame, m.depth_mm) for m in measurements):
         number, fault = numbers.get(frame.index), frame.fault or skipped.get(frame.name, "")
-        rows.append((frame.name, frame.time_s, depth, number, int(frame.name in kept), fault))
+        rows.append((frame.name, frame.time_s, depth, number, int(frame.name in selected), fault))
     write_table(files.folder / _TABLE, _HEADER, rows)
     strongest = max(float(np.linalg.norm(row["force_n"])) for row in presses)
     values = {"frames": len(rows), "contacts": len(contacts), "presses": presses, "faulty": faults}

@@ -81,7 +81,8 @@ class RecordOptions(Fixture, ContactOptions):
         " extrapolated from the first frames, for unknown shapes",
     )
     press_noise_mm: float | None = option(
-        None, "Standard deviation of the displacements; null: as in frames without contact",
+        None, "Standard deviation of the displacements; null: the larger of noise_mm and the noise"
+        " of frames without contact",
         unit="mm", gt=0,
     )  # fmt: skip
 
