@@ -203,6 +203,11 @@ def _loaded_mm2(mesh: TetMesh, press: Press) -> float:
 
 def _plan(last: Press, patch: Patch, mesh: TetMesh, pressure_mpa: float) -> Press:
     """Press on a patch, fixed as the last press and observed where it loads."""
+    if not pressure_mpa > 0:
+        raise ConfigError(
+            "the presses have no net force, so the force of the next one is not known; choose "
+            "suggest.rule=largest_uncertainty."
+        )
     unit = patch.forces(mesh)
     zero = np.zeros_like(unit)
     observed = all_directions(np.any(unit != 0.0, axis=1))
