@@ -6,7 +6,7 @@ import numpy as np
 
 from tactorch.fem import SoftBody, make_material
 from tactorch.mesh import Sphere, TetMesh, box_mesh
-from tactorch.mesh.tetmesh import element_means
+from tactorch.mesh.quadrature import element_means
 from tactorch.recording import MaterialSpec
 from tactorch.sampling import SimulatedPresser
 

@@ -93,7 +93,7 @@ class Breast:
 
     def moduli(self, mesh: TetMesh) -> np.ndarray:
         """True moduli on any mesh of the breast, each element's mean over four points, MPa."""
-        from tactorch.mesh.tetmesh import element_means
+        from tactorch.mesh.quadrature import element_means
 
         return element_means(mesh, self._at, 2)
 

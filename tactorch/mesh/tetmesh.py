@@ -2,7 +2,6 @@
 
 import hashlib
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,7 +28,6 @@ logger = logging.getLogger(__name__)
 FACE_NAMES = ("x-", "x+", "y-", "y+", "z-", "z+")
 # A triangle belongs to a side if its normal deviates less than 45 degrees from the side's.
 _MIN_COSINE = np.sqrt(0.5)
-_MAX_POINTS = 500_000  # at which a field is evaluated at once; limits the memory
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -215,36 +213,3 @@ def select_face(mesh: TetMesh, name: str, tolerance: Real = 2e-3) -> Int[np.ndar
 def face_nodes(mesh: TetMesh, name: str, tolerance: Real = 2e-3) -> Int[np.ndarray, " k"]:
     """Return the nodes of `select_face`, ascending; same arguments and errors."""
     return np.unique(mesh.surface.triangles[select_face(mesh, name, tolerance)])
-
-
-def lattice(samples: int, margin: float | None = None) -> Float[np.ndarray, "p 4"]:
-    """Return barycentric coordinates of an even lattice within a tetrahedron.
-
-    There are `samples` points along an edge, samples (samples + 1) (samples + 2) / 6 in all: the
-    centroid alone for 1, four for 2, ten for 3. The margin to the faces, in steps of the lattice,
-    makes by default the mean of a quadratic exact; for 2 this is the four-point Gauss rule.
-    """
-    if samples < 1:
-        raise ConfigError(f"samples={samples} must be at least 1.")
-    n = samples - 1
-    ijk = np.indices((samples,) * 3).reshape(3, -1).T
-    counts = np.column_stack((ijk, n - ijk.sum(axis=1)))
-    counts = counts[counts[:, 3] >= 0]
-    if margin is None:
-        # The positive root of margin^2 + n margin / 2 = n / 4 makes the mean of L^2 one tenth.
-        margin = (np.sqrt(0.25 * n * n + n) - 0.5 * n) / 2.0 if n else 0.25
-    return (counts + margin) / (n + 4.0 * margin)
-
-
-def element_means(
-    mesh: TetMesh, values_at: Callable[[Points], Float[np.ndarray, " n"]], samples: int
-) -> Float[np.ndarray, " m"]:
-    """Return the mean of a field over each element, from `samples` points along an edge."""
-    weights = lattice(samples)
-    means = np.empty(mesh.n_tets)
-    step = max(1, _MAX_POINTS // len(weights))
-    for start in range(0, mesh.n_tets, step):
-        corners = mesh.points[mesh.tets[start : start + step]]
-        points = np.einsum("pc,mcd->mpd", weights, corners).reshape(-1, 3)
-        means[start : start + step] = values_at(points).reshape(-1, len(weights)).mean(axis=1)
-    return means

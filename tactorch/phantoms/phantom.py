@@ -12,7 +12,7 @@ from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh import Box, Cylinder, Hemisphere, Hyperboloid, Lathe, Shape, TetMesh
 from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.meshing import mesh_shape
-from tactorch.mesh.tetmesh import element_means
+from tactorch.mesh.quadrature import element_means
 from tactorch.mesh.values import Real, positive
 from tactorch.phantoms.background import Background
 from tactorch.phantoms.config import as_mapping, from_config, to_config
@@ -81,7 +81,7 @@ class Phantom:
             mesh: Mesh of the body.
             samples: Number of sampling points along an edge of an element. With 1, elements have
                 the modulus at their centroid; with more, the mean over a lattice (see
-                `tactorch.mesh.tetmesh.lattice`), so that elements cut by the surface of an
+                `tactorch.mesh.quadrature.lattice`), so that elements cut by the surface of an
                 inclusion have the volume average.
         """
         bounds = self.body.bounds()
@@ -179,11 +179,9 @@ class MeshSize(Options):
         None, "Edge length of the simulation's mesh; null: fine_relative", unit="mm", gt=0
     )
     fine_relative: float | None = option(
-        0.05,
-        "Edge length of the simulation's mesh as a fraction of the diagonal; null: the recording's "
-        "mesh (an inverse crime)",
-        gt=0,
-    )
+        0.05, "Edge length of the simulation's mesh as a fraction of the diagonal; null: the"
+        " recording's mesh (an inverse crime)", gt=0,
+    )  # fmt: skip
     generator: Literal["auto", "structured", "tetwild"] = option(
         "auto", "Mesh generator; auto: structured for boxes, tetwild for other bodies"
     )

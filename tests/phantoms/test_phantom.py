@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh import Box, Cylinder, Ellipsoid, Shape, Sphere, box_mesh
-from tactorch.mesh.tetmesh import lattice
+from tactorch.mesh.quadrature import lattice
 from tactorch.phantoms import PHANTOMS, Inclusion, Phantom, make_phantom
 
 CUBE = Box((5.0, 5.0, 5.0), (10.0, 10.0, 10.0))
