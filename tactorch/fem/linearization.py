@@ -6,8 +6,10 @@ S du/de one solve per observed degree of freedom (eq. 10 to 14 of the paper).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 import torch
 from jaxtyping import Bool, Float, Int
 
@@ -15,8 +17,13 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem import kernels, reference
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.linalg.pool import Lease
+from tactorch.linalg.solver import IndefiniteError
 
 _MAX_COLUMNS = 256  # right-hand sides solved at once; bounds the memory on large meshes
+_UNSTABLE = (
+    "The equilibrium is unstable (its tangent is not positive definite), so no derivative exists "
+    "there; lower the load."
+)
 
 
 @dataclass(eq=False)
@@ -32,12 +39,12 @@ class Linearization:
     lease: Lease  # solver that factors K
 
     def factor(self) -> None:
-        """Factor K, unless this is done; ConvergenceError where it is not positive definite."""
+        """Factor K, unless this is done; ConvergenceError if it is found not positive definite.
+
+        Iterative solvers may find this only in `solve`, and multigrid may not find it at all.
+        """
         if self.lease.factored is not self.tangent and not self.lease.factor(self.tangent):
-            raise ConvergenceError(
-                "The equilibrium is unstable (its tangent is not positive definite), so no "
-                "derivative exists there; lower the load."
-            )
+            raise ConvergenceError(_UNSTABLE)
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
         """Return the solution of K x = rhs, with x = 0 at fixed unknowns; see `factor`."""
@@ -45,7 +52,10 @@ class Linearization:
         if self.fixed.any():
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
-        return self.lease.solve(rhs)
+        try:
+            return self.lease.solve(rhs)
+        except IndefiniteError as error:
+            raise ConvergenceError(_UNSTABLE) from error
 
     def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "moduli k"]:
         """Return the transpose of dR/de (eq. 11) times nodal fields."""
@@ -133,12 +143,20 @@ class Sensitivity:
     observed: Int[np.ndarray, " p"]
     frame: Float[np.ndarray, "3 3"] | None = None
 
+    @cached_property
+    def selection(self) -> sp.csr_matrix:
+        """Matrix S from the unknowns to the observed components, (p, size)."""
+        size = self.linearization.fixed.size
+        rows = sp.identity(size, format="csr")[self.observed]
+        frame = self.frame
+        return rows if frame is None else (rows @ sp.kron(sp.identity(size // 3), frame)).tocsr()
+
     def matrix(self) -> Float[np.ndarray, "p moduli"]:
         """Return S du/de, mm/MPa (eq. 13 and 14)."""
         out = np.empty((len(self.observed), self.linearization.youngs.size))
         for begin in range(0, len(self.observed), _MAX_COLUMNS):
-            rows = self.observed[begin : begin + _MAX_COLUMNS]
-            fields = self.linearization.solve(self._unit_loads(rows))
+            loads = self.selection[begin : begin + _MAX_COLUMNS].T.toarray(order="F")
+            fields = self.linearization.solve(loads)
             out[begin : begin + _MAX_COLUMNS] = -self.linearization.unit_work(fields).T
         return out
 
@@ -153,22 +171,8 @@ class Sensitivity:
 
     def adjoint(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, "nodes 3"]:
         """Return the displacement due to the observed weights as forces."""
-        rhs = np.zeros(self.linearization.fixed.size)
-        np.add.at(rhs, self.observed, weights)
-        if self.frame is not None:
-            rhs = (rhs.reshape(-1, 3) @ self.frame).ravel()
-        return self.linearization.solve(rhs).reshape(-1, 3)
+        return self.linearization.solve(self.selection.T @ weights).reshape(-1, 3)
 
     def observe(self, field: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, " p"]:
         """Return the observed components of a displacement, mm."""
-        return (field if self.frame is None else field @ self.frame.T).ravel()[self.observed]
-
-    def _unit_loads(self, rows: Int[np.ndarray, " k"]) -> Float[np.ndarray, "size k"]:
-        """Unit loads along some of the observed unknowns."""
-        rhs = np.zeros((self.linearization.fixed.size, len(rows)), order="F")
-        if self.frame is None:
-            rhs[rows, np.arange(len(rows))] = 1.0
-        else:
-            for axis in range(3):
-                rhs[3 * (rows // 3) + axis, np.arange(len(rows))] = self.frame[rows % 3, axis]
-        return rhs
+        return self.selection @ field.ravel()

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactorch.errors import ConfigError, FileError, RecordingError
+from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
 from tactorch.inverse import IncrementalInversion, Reconstruction, Settings, invert
 from tactorch.metrics import scores
-from tactorch.recording import Recording, append_press
+from tactorch.recording import MaterialSpec, Recording, append_press
 from tactorch.sampling import LoopOptions, SuggestOptions
+from tactorch.sampling.loop import HISTORY, RESULT, STATE
 from tactorch.sampling.sources import replay
-from tactorch.sampling.store import HISTORY, RESULT, STATE
 
 
 def test_a_recording_that_another_process_writes_is_followed_to_its_end(live: Any) -> None:
@@ -124,6 +124,37 @@ def test_a_run_is_not_continued_with_other_presses_or_settings(
         live.follow(live.new_view())
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [Settings(misfit="adaptive"), Settings(parameterization="identity")],
+    ids=["misfit", "parameterization"],
+)
+def test_a_run_is_not_continued_with_another_method(live: Any, settings: Settings) -> None:
+    live.save(0)
+    live.follow(live.new_view(), max_iterations=1)
+    with pytest.raises(FileError, match="other settings"):
+        live.follow(settings=settings)
+    live.follow(settings=Settings(max_seconds=1e6))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"material": MaterialSpec("neo_hookean", 0.2)},
+        {"material": MaterialSpec("linear", 0.45)},
+        {"density": 1e-9, "gravity": np.array([0.0, 0.0, -9806.65])},
+    ],
+    ids=["poisson", "law", "weight"],
+)
+def test_a_run_is_not_continued_with_another_object(live: Any, changes: dict) -> None:
+    live.save(0)
+    live.follow(live.new_view(), max_iterations=1)
+    live.whole = replace(live.whole, **changes)
+    live.save(0)
+    with pytest.raises(RecordingError, match=r"another object.*choose another run_dir"):
+        live.follow()
+
+
 def test_a_press_that_nothing_carries_is_passed_over(live: Any) -> None:
     heavy = replace(live.whole.presses[1], forces=1e5 * live.whole.presses[1].forces)
     live.save(0, heavy, 2)
@@ -226,6 +257,21 @@ def test_where_no_place_can_be_suggested_it_says_why(live: Any) -> None:
     live.follow(suggest=SuggestOptions(radius_mm=0.01), max_iterations=2)
     assert live.view.suggestions[0].entry["next"] is None
     assert "no surface" in live.view.suggestions[0].entry["next_why_not"]
+
+
+def test_where_derivatives_fail_it_says_why_and_goes_on(
+    live: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tactorch.sampling.suggest import _WarmStartedPosterior
+
+    def fail(self: _WarmStartedPosterior, point: Any, weight: float) -> Any:
+        raise ConvergenceError("The equilibrium is unstable")
+
+    monkeypatch.setattr(_WarmStartedPosterior, "__call__", fail)
+    live.save(0)
+    live.follow(rule="expected_error", max_iterations=2)
+    assert live.view.suggestions[0].entry["next"] is None
+    assert "unstable" in live.view.suggestions[0].entry["next_why_not"]
 
 
 def test_control_c_ends_a_run_with_what_it_has(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
