@@ -135,19 +135,27 @@ def derive_seed(*numbers: int) -> int:
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-class Network(lightning.LightningModule):
-    """Network that is trained by AdamW with a linear warm-up and cosine decay.
+@dataclass(frozen=True, kw_only=True)
+class NetworkOptions(Options):
+    """Settings of a network; calling them with a data module makes it.
 
-    Args:
-        learning_rate: Largest learning rate.
-        weight_decay: Weight decay.
+    Attributes:
+        data: Name of the data that it learns from.
     """
 
-    def __init__(self, learning_rate: float, weight_decay: float) -> None:
+    section: ClassVar[str] = "model"
+    data: ClassVar[str]
+    learning_rate: float = option(2e-3, "Largest learning rate of AdamW", gt=0)
+    weight_decay: float = option(1e-3, "Weight decay of AdamW", ge=0)
+
+
+class Network(lightning.LightningModule):
+    """Network that is trained by AdamW with a linear warm-up and cosine decay."""
+
+    def __init__(self, options: NetworkOptions) -> None:
         super().__init__()
-        if not (learning_rate > 0 and weight_decay >= 0):
-            raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
-        self.learning_rate, self.weight_decay = learning_rate, weight_decay
+        self.save_hyperparameters(vars(options))
+        self.options = options
 
     @abstractmethod
     def scores(self, batch: Sequence[Tensor]) -> dict[str, Tensor]:
@@ -167,9 +175,8 @@ class Network(lightning.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """Return the optimizer and its schedule."""
-        optimizer = torch.optim.AdamW(
-            self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay
-        )
+        rate, decay = self.options.learning_rate, self.options.weight_decay
+        optimizer = torch.optim.AdamW(self.parameters(), lr=rate, weight_decay=decay)
         factor = warmup_cosine(int(self.trainer.estimated_stepping_batches))
         schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, factor)
         return [optimizer], [{"scheduler": schedule, "interval": "step"}]
@@ -247,7 +254,7 @@ def fit(
         ) from error
     if not has_validation:  # no loss to select an epoch by: take the last
         trainer.save_checkpoint(best)
-    load_weights(module, best)
+    module.load_state_dict(check_checkpoint(best, module)["state_dict"])
     scores = trainer.test(module, datamodule=data, verbose=False)
     return {name: float(value) for part in scores for name, value in part.items()}
 
@@ -343,8 +350,3 @@ def load_network(
         reason = " ".join(str(error).split())[:120]
         raise FileError(f"weights '{path}' are not a {kind}'s ({reason}); {advice}.") from error
     return network.eval()
-
-
-def load_weights(module: lightning.LightningModule, path: Path) -> None:
-    """Load the weights of a checkpoint into a network; see `check_checkpoint`."""
-    module.load_state_dict(check_checkpoint(path, module)["state_dict"])

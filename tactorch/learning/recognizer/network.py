@@ -1,7 +1,8 @@
 """The recognizer: classifies the inclusion in a map of Young's modulus (Section V-B); scores."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -9,8 +10,10 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
+from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.learning.training import Network
+from tactorch.learning.recognizer.data import RecognitionData
+from tactorch.learning.training import Network, NetworkOptions
 
 
 class FCN(nn.Module):
@@ -24,10 +27,6 @@ class FCN(nn.Module):
         self, classes: int, hidden: int = 64, layers: int = 4, dropout: float = 0.3
     ) -> None:
         super().__init__()
-        if min(classes, hidden, layers) < 1:
-            raise ConfigError("classes, hidden and layers must be at least 1.")
-        if not 0 <= dropout < 1:
-            raise ConfigError(f"dropout={dropout} must be a share in [0, 1).")
         blocks: list[nn.Module] = []
         for layer in range(layers):
             channels = 1 if layer == 0 else hidden
@@ -46,6 +45,23 @@ class FCN(nn.Module):
         return self.score(self.drop(self.hidden(maps))).mean(dim=(2, 3, 4))
 
 
+@dataclass(frozen=True, kw_only=True)
+class RecognizerOptions(NetworkOptions):
+    """Classifies inclusions from log-modulus on a grid."""
+
+    data: ClassVar[str] = "recognition"
+    hidden: int = option(64, "Channels of the hidden layers", ge=1)
+    layers: int = option(4, "Number of hidden layers", ge=1)
+    dropout: float = option(
+        0.3, "Fraction of channels dropped before the last layer, in training", ge=0, lt=1
+    )
+    weight_decay: float = option(1e-4, "Weight decay of AdamW", ge=0)
+
+    def __call__(self, data: RecognitionData) -> "Recognizer":
+        """Return the network for some data."""
+        return Recognizer(data.classes, data.mean, data.deviation, **vars(self))
+
+
 class Recognizer(Network):
     """Classifies inclusions from log-modulus on a grid.
 
@@ -53,33 +69,25 @@ class Recognizer(Network):
         classes: Names of the classes.
         mean: Mean log-modulus of the training maps; stored with the weights.
         deviation: Standard deviation of the log-modulus; stored with the weights.
-        hidden: Channels of the hidden layers.
-        layers: Number of hidden layers.
-        dropout: Fraction of channels dropped before the last layer, in training.
-        learning_rate: Largest learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
+        options: Settings, see `RecognizerOptions`.
     """
 
     mean: Tensor
     deviation: Tensor
 
     def __init__(
-        self,
-        classes: Sequence[str],
-        mean: float = 0.0,
-        deviation: float = 1.0,
-        hidden: int = 64,
-        layers: int = 4,
-        dropout: float = 0.3,
-        learning_rate: float = 2e-3,
-        weight_decay: float = 1e-4,
+        self, classes: Sequence[str], mean: float = 0.0, deviation: float = 1.0, **options: Any
     ) -> None:
-        super().__init__(learning_rate, weight_decay)
+        settings = RecognizerOptions(**options)
+        super().__init__(settings)
         self.save_hyperparameters()
+        if not classes:
+            raise ConfigError("a recognizer needs at least one class; give classes=[NAME, ...].")
         self.classes = list(classes)
         self.register_buffer("mean", torch.tensor(float(mean)))
         self.register_buffer("deviation", torch.tensor(float(deviation)))
-        self.network = FCN(len(self.classes), hidden, layers, dropout)
+        sizes = settings.hidden, settings.layers, settings.dropout
+        self.network = FCN(len(classes), *sizes)
 
     def forward(self, log_youngs: Float[Tensor, "b 1 x y z"]) -> Float[Tensor, "b c"]:
         """Return the logits of each class for maps of log-modulus (MPa)."""
