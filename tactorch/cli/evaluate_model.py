@@ -27,7 +27,7 @@ from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.files import require_folder
 from tactorch.findings.recognition import load_recognizer
-from tactorch.learning.recognizer.network import class_scores
+from tactorch.learning.recognizer import class_scores
 from tactorch.learning.surrogate.features import SHARED_CHANNELS
 from tactorch.learning.surrogate.network import correlation, load_surrogate
 from tactorch.learning.training import BEST

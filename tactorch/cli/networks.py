@@ -18,14 +18,14 @@ _LEARNING = "tactorch.learning"
 MODELS = Registry(
     "model",
     {
-        "recognizer": f"{_LEARNING}.recognizer.network:RecognizerOptions",
+        "recognizer": f"{_LEARNING}.recognizer:RecognizerOptions",
         "surrogate": f"{_LEARNING}.surrogate.network:SurrogateOptions",
     },
 )
 DATA = Registry(
     "data",
     {
-        "recognition": f"{_LEARNING}.recognizer.data:RecognitionOptions",
+        "recognition": f"{_LEARNING}.recognizer:RecognitionOptions",
         "warmstart": f"{_LEARNING}.surrogate.data:SurrogateDataOptions",
     },
 )

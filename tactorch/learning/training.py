@@ -20,7 +20,7 @@ import lightning
 import numpy as np
 import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
+from lightning.pytorch.callbacks import EarlyStopping, LambdaCallback, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from torch import Tensor
@@ -49,7 +49,6 @@ class TrainerOptions(Options):
     gradient_clip: float | None = option(1.0, "Largest norm of a gradient; null: any", gt=0)
     max_minutes: float | None = option(None, "Time limit; null: none", unit="min", gt=0)
     seed: int = 0
-    show_progress: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -116,17 +115,13 @@ class EpochProgress(lightning.Callback):
             self.report(trainer.current_epoch + 1, int(trainer.max_epochs or 0), "".join(losses))
 
 
-class SeededSteps(lightning.Callback):
-    """Seeds the random numbers of a network (such as dropout) at each step."""
+def seed_steps(seed: int) -> lightning.Callback:
+    """Return a callback that seeds the random numbers of a network (dropout) at each step."""
 
-    def __init__(self, seed: int = 0) -> None:
-        self.seed = seed
+    def seed_step(trainer: lightning.Trainer, *others: Any) -> None:
+        torch.manual_seed(derive_seed(seed, trainer.global_step))
 
-    def on_train_batch_start(
-        self, trainer: lightning.Trainer, module: lightning.LightningModule, *others: Any
-    ) -> None:
-        """Seed the step."""
-        torch.manual_seed(derive_seed(self.seed, trainer.global_step))
+    return LambdaCallback(on_train_batch_start=seed_step)
 
 
 def derive_seed(*numbers: int) -> int:
@@ -235,7 +230,7 @@ def fit(
                 "trainer.patience needs a validation part; give it a share of the data."
             )
         callbacks = [EarlyStopping("val/loss", patience=options.patience), *callbacks]
-    own = [*checkpoints, LossHistory(folder / CURVE), SeededSteps(options.seed)]
+    own = [*checkpoints, LossHistory(folder / CURVE), seed_steps(options.seed)]
     trainer = _make_trainer(folder, options, [*own, *callbacks])
     if last.is_file():
         check_checkpoint(last, module)
@@ -274,7 +269,7 @@ def _make_trainer(
             gradient_clip_val=options.gradient_clip,
             callbacks=callbacks,
             logger=TensorBoardLogger(str(folder), name="", version="tensorboard"),
-            enable_progress_bar=options.show_progress,
+            enable_progress_bar=False,
             enable_model_summary=False,
             log_every_n_steps=1,
             num_sanity_val_steps=0,

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.mesh import TetMesh
 from tactorch.viz.contact import ContactPatch, arrow_positions, contact_patches, cut_triangles
-from tactorch.viz.figure import CONTACT, MODULUS_LABEL, new_figure
+from tactorch.viz.figure import CONTACT, MODULUS_LABEL, new_grid
 from tactorch.viz.slicing import (
     AXES,
     IN_PLANE,
@@ -145,9 +145,8 @@ def _panels(size: np.ndarray, n_slices: int, n_maps: int) -> tuple[Figure, np.nd
     heights = [float(width * size[up] / widest) for _, up in IN_PLANE for _ in range(n_maps)]
     # Inches of titles, axis labels and legend.
     labels = 3 * (0.75 + 0.2 * (n_maps - 1)) + 0.7
-    figure = new_figure((width + 0.12) * n_slices + 1.7, sum(heights) + labels)
-    ratios = {"height_ratios": heights}
-    return figure, figure.subplots(len(heights), n_slices, squeeze=False, gridspec_kw=ratios)
+    inches = (width + 0.12) * n_slices + 1.7, sum(heights) + labels
+    return new_grid(*inches, len(heights), n_slices, gridspec_kw={"height_ratios": heights})
 
 
 def _draw_body(
@@ -252,8 +251,7 @@ def live_figure(
     rows = [(f"through {name}", mesh.bounds.mean(axis=0) if inclusion_mm is None else inclusion_mm)]
     if next_mm is not None and inward is not None:
         rows.append(("through the next press", next_mm + 0.5 * radius_mm * inward))
-    figure = new_figure(10.0, 3.1 * len(rows) + 0.9)
-    panels = figure.subplots(len(rows), 3, squeeze=False)
+    figure, panels = new_grid(10.0, 3.1 * len(rows) + 0.9, len(rows), 3)
     norm = colour_scale({"reconstruction": youngs}, "linear", None)
     patches, longest = contact_patches(mesh, pressed), float(np.ptp(mesh.bounds, axis=0).max())
     half = (0.5 + _LIVE_ARROW + 0.06) * longest  # with a margin for the arrow

@@ -7,8 +7,7 @@ import torch
 
 from tactorch.errors import ConfigError
 from tactorch.generation import MeshSizes, PressDraw, Recipe, generate
-from tactorch.learning.recognizer.data import RecognitionData, RecognitionOptions
-from tactorch.learning.recognizer.network import FCN, Recognizer
+from tactorch.learning.recognizer import FCN, RecognitionData, RecognitionOptions, Recognizer
 
 
 @pytest.mark.parametrize("size", [(4, 4, 4), (9, 16, 7), (24, 24, 24)])

@@ -22,7 +22,7 @@ from tactorch.inverse import (
 )
 from tactorch.inverse.starts import fits_better_than_uniform, uniform_fit
 from tactorch.learning.data import AugmentedSamples
-from tactorch.learning.recognizer.network import Recognizer
+from tactorch.learning.recognizer import Recognizer
 from tactorch.learning.surrogate import Prediction, SurrogateStart
 from tactorch.learning.surrogate import data as feature_cache
 from tactorch.learning.surrogate.data import SurrogateData, SurrogateDataOptions, load_features

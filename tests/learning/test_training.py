@@ -14,8 +14,7 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.learning.data import AugmentedSamples, EpochSampler, SplitData, symmetries
-from tactorch.learning.recognizer.data import RecognitionData, RecognitionOptions
-from tactorch.learning.recognizer.network import Recognizer
+from tactorch.learning.recognizer import RecognitionData, RecognitionOptions, Recognizer
 from tactorch.learning.training import (
     BEST,
     CURVE,
