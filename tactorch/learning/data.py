@@ -94,9 +94,7 @@ class SplitData(lightning.LightningDataModule):
         """Return the test batches."""
         return self.loader("test")
 
-    def predict_dataloader(self) -> DataLoader:
-        """Return the test batches."""
-        return self.loader("test")
+    predict_dataloader = test_dataloader
 
 
 class AugmentedSamples(Dataset[Any]):

@@ -54,22 +54,22 @@ class Panel:
         axes.set_xlabel(self.caption, fontsize=7)
 
 
-def panels_figure(rows: Sequence[Sequence[Panel]], names: Sequence[str]) -> Figure:
+def panels_figure(rows: Mapping[str, Sequence[Panel]]) -> Figure:
     """Return a figure of named rows of slices, with a colour bar if all have the same limits."""
-    if not rows or not all(rows):
+    if not rows or not all(rows.values()):
         raise ConfigError("panels_figure: a row is empty; give each at least one panel.")
-    columns = max(len(row) for row in rows)
+    columns = max(len(row) for row in rows.values())
     size = _INCHES * columns + 1.3, _INCHES * len(rows) * 1.25 + 0.3
     figure, grid = new_grid(*size, len(rows), columns)
     used = []
-    for row, name, line in zip(rows, names, grid, strict=True):
+    for (name, row), line in zip(rows.items(), grid, strict=True):
         for panel, axes in zip(row, line, strict=False):
             panel.draw(axes)
             used.append(axes)
         for axes in line[len(row) :]:
             axes.remove()
         line[0].set_ylabel(name, fontsize=9)
-    if len({panel.limits for row in rows for panel in row}) == 1:
+    if len({panel.limits for row in rows.values() for panel in row}) == 1:
         figure.colorbar(used[0].images[0], ax=used, label=MODULUS_LABEL, aspect=40, pad=0.02)
     return figure
 
