@@ -124,6 +124,7 @@ def test_train_learns_and_resumes(tactorch: Any, folder: Path, tmp_path: Path) -
         (("trainer=gpu",), ("trainer=gpu needs a CUDA device",)),
         (("trainer.max_epochs=0",), ("max_epochs=0",)),
         (("data.shares=[0.5,0.5]",), ("data.shares", "three numbers")),
+        (("data.shares=[0,0.5,0.5]",), ("data.shares: no object to train on",)),
         (("splits=0",), ("splits=0",)),
     ],
 )
