@@ -318,7 +318,13 @@ def load_sensor(name: str | Path) -> SensorDescription:
     if not isinstance(content, dict):
         raise FileError(f"{what} has no fields; see the shipped ones.")
     try:
-        return SensorDescription.from_mapping({k: _plain_numbers(k, v) for k, v in content.items()})
+        if not isinstance(content.get("gel"), dict):
+            raise ConfigError("'gel' is missing or not a table of fields; see the shipped ones.")
+        if not isinstance(content.get("markers"), dict | None):
+            raise ConfigError("'markers' is not a table of fields; give null if there are none.")
+        if content.get("name", "") is None:  # "name:" without text
+            content["name"] = ""
+        return SensorDescription.from_mapping(_plain_numbers(content))
     except ConfigError as error:
         raise ConfigError(f"{what}: {error}") from error
 
@@ -353,12 +359,12 @@ def _read_yaml(path: Path, what: str) -> Any:
         raise FileError(f"{what} is not valid YAML: {reason}.") from error
 
 
-def _plain_numbers(name: str, value: Any) -> Any:
+def _plain_numbers(value: Any, name: str = "") -> Any:
     """Return a value with whole floats as integers; refuse 1e-3, which YAML reads as text."""
     if isinstance(value, dict):
-        return {key: _plain_numbers(key, item) for key, item in value.items()}
+        return {k: _plain_numbers(v, f"{name}.{k}".strip(".")) for k, v in value.items()}
     if isinstance(value, list):
-        return [_plain_numbers(name, item) for item in value]
+        return [_plain_numbers(item, name) for item in value]
     if isinstance(value, str) and name != "name" and _EXPONENT.fullmatch(value):
         raise ConfigError(
             f"{name}={value!r} must be a number (YAML takes 1.0e-3 for one, not 1e-3)."

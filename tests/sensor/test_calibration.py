@@ -1,11 +1,13 @@
 """Slopes from colours: circles are found, rough ones are mended, and what was not seen is seen."""
 
 import json
+import logging
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.sensor.calibration import (
@@ -122,6 +124,26 @@ def test_the_same_seed_gives_the_same_map() -> None:
     one, other = (fit_map(pressed, BALL, FitOptions(rounds=0, seed=4))[0] for _ in range(2))
     for name, values in one.arrays().items():
         np.testing.assert_array_equal(values, other.arrays()[name])
+
+
+def test_a_fit_limits_the_threads_of_torch_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    logger, fitting = logging.getLogger("another.package"), []
+    monkeypatch.setattr(logger, "level", logging.INFO)
+    step = torch.optim.Adam.step
+
+    def watch(*arguments: object) -> object:
+        fitting.append((logger.isEnabledFor(logging.INFO), torch.get_num_threads()))
+        return step(*arguments)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", watch)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        SENSOR_MAPS.build("mlp").create(0).fit(np.zeros((9, 5)), np.zeros((9, 2)), 0)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(threads)
+    assert set(fitting) == {(True, 1)}
 
 
 def test_markers_do_not_count() -> None:
