@@ -49,7 +49,12 @@ class TrainOptions(CommandOptions):
 
     def make_data(self, number: int) -> Any:
         """Return the data module of a split."""
-        data, needed = DATA.name_of(type(self.data)), self.model.data
+        data, needed = DATA.name_of(type(self.data)), getattr(self.model, "data", None)
+        if needed is None:
+            raise ConfigError(
+                f"model={self.model_name} does not declare its data; give its options the attribute"
+                " data."
+            )
         if data != needed:
             raise ConfigError(
                 f"model={self.model_name} learns from data={needed}, not from data={data}; give"
