@@ -114,7 +114,7 @@ def _bisect(
     reached = large
     while True:
         chosen[longest[reached]] = True
-        touched = chosen[tet_edges].any(axis=1)
+        touched = np.asarray(chosen[tet_edges].any(axis=1))
         if (touched == reached).all():
             break
         reached = touched
