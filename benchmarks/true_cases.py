@@ -243,7 +243,7 @@ class Case:
     @property
     def body(self) -> Body:
         """The object."""
-        return _OBJECTS[self.object]()
+        return OBJECTS[self.object]()
 
     @property
     def solution(self) -> "Solution":
@@ -330,7 +330,7 @@ def _dome(*inclusions: tuple[Shape, float]) -> Body:
     return Body(phantom, tuple(range(len(inclusions))), 2.0, truth_edge_mm=1.3, interface_mm=1.3)
 
 
-_OBJECTS: dict[str, Callable[[], Body]] = {
+OBJECTS: dict[str, Callable[[], Body]] = {
     "ball": lambda: Body(make_phantom("cube_sphere", depth=0.4, radius=0.2), (0,)),
     "deep_ball": lambda: Body(make_phantom("cube_deep_sphere"), (0,)),
     "small_ball": lambda: _cube((Sphere((6.0, 4.5, 7.2), 1.2), 1.0)),
@@ -351,7 +351,6 @@ _OBJECTS: dict[str, Callable[[], Body]] = {
     "uniform_dome": lambda: _dome(),
     "fat_gland": lambda: _breast(),
 }
-OBJECTS = tuple(_OBJECTS)
 
 _SIDES = tuple(Contact("side", face) for face in ("z+", "x+", "y+"))
 _PATCHES = _patches(2.0, (2.5, 5.0, 7.5))
@@ -422,7 +421,7 @@ class Solution:
 
     def key(self) -> str:
         """Return the hash of the definition and of the format."""
-        body, presses = _OBJECTS[self.object](), PRESSES[self.presses]
+        body, presses = OBJECTS[self.object](), PRESSES[self.presses]
         definition = {
             "format": FORMAT,
             "phantom": body.phantom.to_config(),
@@ -447,7 +446,7 @@ class Solution:
 
     def solve(self) -> Recording:
         """Solve the presses on the truth mesh."""
-        body, presses = _OBJECTS[self.object](), PRESSES[self.presses]
+        body, presses = OBJECTS[self.object](), PRESSES[self.presses]
         mesh = body.mesh()
         truth = make_truth_mesh(body.phantom, body.truth_edge_mm, body.sizing(presses))
         motions = self._motions(body, presses, mesh, truth, presses.pressures)
@@ -481,7 +480,7 @@ class Solution:
         of the displacements of the highest pressure, over that of the displacements; the largest
         of all contacts.
         """
-        body, presses = _OBJECTS[self.object](), PRESSES[self.presses]
+        body, presses = OBJECTS[self.object](), PRESSES[self.presses]
         recording = self.recording(cache)
         truth = make_truth_mesh(body.phantom, body.truth_edge_mm, body.sizing(presses))
         finer = refine_everywhere(body.phantom, truth)

@@ -59,9 +59,14 @@ def make_truth_mesh(phantom: Phantom, edge_mm: float, sizing: Sizing) -> Labelle
         edge_mm: Edge length of the initial mesh, mm.
         sizing: Maximum edge length of an element with its centroid at given points.
     """
-    initial = phantom.mesh(edge_mm, conforming=bool(phantom.inclusions))
-    labels = labels_at(phantom, initial.centroids)
-    points, tets = initial.points.copy(), initial.tets
+    mesh = phantom.mesh(edge_mm, conforming=bool(phantom.inclusions))
+    return refine(phantom, mesh, sizing)
+
+
+def refine(phantom: Phantom, mesh: TetMesh, sizing: Sizing) -> LabelledMesh:
+    """Refine a mesh with faces on the interfaces, whose nodes are moved onto the surfaces."""
+    labels = labels_at(phantom, mesh.centroids)
+    points, tets = mesh.points.copy(), mesh.tets
     points = _move(points, tets, *_on_surfaces(phantom, points, tets, labels))
     for _ in range(_MAX_PASSES):
         large = _edge_lengths(points, tets).max(axis=1) > sizing(points[tets].mean(axis=1))

@@ -205,7 +205,7 @@ def parse_settings(assignments: Sequence[str]) -> dict[str, Any]:
         if not equals:
             raise SystemExit(f"--settings {assignment}: give KEY=VALUE.")
         try:
-            value = json.loads(text)
+            value: Any = json.loads(text)
         except ValueError:
             value = text
         *groups, name = key.split(".")
