@@ -68,7 +68,7 @@ def _print_findings(findings: Sequence[Finding], core_works: bool) -> None:
     failures = [(f.name, f.feature, f.remedy) for f in findings if f.works is False]
     print()
     if failures:
-        title = "Not working, what that takes away, and what to do"
+        title = "Not working, affected features and remedies"
         print(f"{title}; the first may be why others fail:")
         show(Table(("",) * 3, failures, 3))
         print()

@@ -197,7 +197,7 @@ def _press() -> str:
     stretch = 1.0 + float(u[torch.from_numpy(face_nodes(mesh, "z+")), 2].mean())
     if not abs(stretch - _STRETCH) < 1e-6:
         raise ConvergenceError(f"its stretch is {stretch:.6f}, and should be {_STRETCH:.6f}")
-    return f"stretch {stretch:.6f}, as theory has it"
+    return f"stretch {stretch:.6f}, as in theory"
 
 
 def check_machine() -> Iterator[Finding]:
@@ -275,7 +275,7 @@ def _missing_gpu() -> str:
         torch.cuda.init()
     except (RuntimeError, AssertionError) as error:
         return _reason(error)
-    return "torch sees no device"
+    return "torch finds no device"
 
 
 def _gpus() -> str:
@@ -285,7 +285,7 @@ def _gpus() -> str:
     names = []
     for k in range(torch.cuda.device_count()):
         if float(torch.ones(8, device=f"cuda:{k}").sum()) != 8.0:
-            raise ConfigError(f"device {k} adds wrongly")
+            raise ConfigError(f"device {k} computes a wrong sum")
         names.append(torch.cuda.get_device_name(k))
     return f"{', '.join(names)} (CUDA {torch.version.cuda})"
 
