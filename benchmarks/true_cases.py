@@ -18,7 +18,7 @@ import numpy as np
 from true_meshes import LabelledMesh, Sizing, labels_at, make_truth_mesh, refine_everywhere
 
 from tactorch.fem import ELEMENTS, Discretisation, NewtonOptions, SoftBody, Supports, make_material
-from tactorch.fem.loads import pressure_forces
+from tactorch.fem.boundary import pressure_forces
 from tactorch.files import atomic_path, cache_folder
 from tactorch.mesh import (
     Box,
