@@ -71,7 +71,6 @@ class TetMesh:
         return cls(nodes, cells)
 
     def __repr__(self) -> str:
-        """Return a summary of the size."""
         return f"TetMesh({self.n_points} nodes, {self.n_tets} tets, {self.diagonal:.4g} mm across)"
 
     def __reduce__(self) -> tuple[type["TetMesh"], tuple[np.ndarray, np.ndarray]]:

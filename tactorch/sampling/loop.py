@@ -307,8 +307,15 @@ class SamplingLoop:
         if not self._press_waits():
             self._refine()
         update = self._update
-        if update is not None and update.suggestion is None and not self._press_waits():
-            self._suggest(update)
+        if update is None or update.suggestion is not None or self._press_waits():
+            return
+        solution = update.solution
+        suggestion = self._suggester.suggest(solution.point, solution.weight, self._press_waits)
+        if suggestion is not None:
+            self._update = update.suggested(suggestion)
+            self._save()
+            for observer in self._observers:
+                observer.suggested(self._update)
 
     def _refine(self) -> None:
         """Continue an update that ended at its limit, until a press comes."""
@@ -346,16 +353,6 @@ class SamplingLoop:
         for observer in self._observers:
             observer.updated(self._update)
 
-    def _suggest(self, update: Update) -> None:
-        solution = update.solution
-        suggestion = self._suggester.suggest(solution.point, solution.weight, self._press_waits)
-        if suggestion is None:
-            return
-        self._update = update.suggested(suggestion)
-        self._save()
-        for observer in self._observers:
-            observer.suggested(self._update)
-
     def _save(self) -> None:
         if self._store is not None and self._inversion is not None:
             state = {**self._inversion.state(), "object": np.array(self._object_digest())}
@@ -368,7 +365,6 @@ class SamplingLoop:
         return _digest((about.mesh.content_hash(), about.material, weight))
 
     def _resume(self) -> None:
-        """Continue the run that the store holds."""
         saved = None if self._store is None else self._store.load()
         if saved is None:
             return
