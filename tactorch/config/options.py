@@ -37,10 +37,11 @@ class Constraint:
     le: float | None
     section: str
     preset: str
+    nonempty: bool
 
     def holds(self, value: Any) -> bool:
         """Return whether all numbers in a value are within the range."""
-        return all(
+        return not (self.nonempty and value == ()) and all(
             (self.gt is None or number > self.gt)
             and (self.ge is None or number >= self.ge)
             and (self.lt is None or number < self.lt)
@@ -80,6 +81,7 @@ def option(
     le: float | None = None,
     section: str = "",
     preset: str = "",
+    nonempty: bool = False,
 ) -> Any:
     """Declare a setting as a field of an `Options` dataclass.
 
@@ -95,11 +97,12 @@ def option(
         section: Registry that the value is chosen from by name.
         preset: Name of the preset in `conf/` that holds the defaults, for nested settings that the
             command line offers as a group of presets.
+        nonempty: Whether a list needs at least one item.
 
     Returns:
         A dataclass field.
     """
-    metadata = {_KEY: Constraint(help, unit, gt, ge, lt, le, section, preset)}
+    metadata = {_KEY: Constraint(help, unit, gt, ge, lt, le, section, preset, nonempty)}
     if factory is not None:
         return field(default_factory=factory, metadata=metadata)
     return field(default=default, metadata=metadata)
@@ -144,7 +147,8 @@ class Setting:
         kind, limits = describe(self.annotation), self.constraint.describe()
         separator = " " if limits.startswith(("above", "below")) else ", "
         or_null = ", or null" if convert(None, self.annotation) is None else ""
-        return f"{kind}{separator if limits else ''}{limits}{or_null}"
+        items = ", not empty" if self.constraint.nonempty else ""
+        return f"{kind}{separator if limits else ''}{limits}{items}{or_null}"
 
     def check(self, value: Any, prefix: str = "") -> Any:
         """Return the value converted to the setting's type.

@@ -526,9 +526,7 @@ TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=nul
         ("press.steps=-2", "at least 1"),
         settings=("press.steps=-2",),
     ),
-    Case(
-        "unknown side", ("press.faces: unknown face 'top'", "z+"), settings=("press.faces=[top]",)
-    ),
+    Case("unknown side", ("press.faces=['top']", "z+"), settings=("press.faces=[top]",)),
     Case(
         "one side for a list of sides", ("press.faces='z+'", "[A,B]"), settings=("press.faces=z+",)
     ),

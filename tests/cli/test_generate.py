@@ -40,7 +40,13 @@ def test_generate_writes_a_dataset_with_its_card(tactorch: Any, folder: Path) ->
         (("dataset.seed=9",), ("another recipe", "seed is 0 there and 9 here")),
         (("+dataset.family.sise=1",), ("dataset.family.sise", "'dataset.family.size'")),
         (("dataset.family.name=cats",), ("dataset.family=cats is unknown",)),
-        (("dataset.presses.faces=[[top]]",), ("unknown face 'top'",)),
+        (
+            ("dataset.presses.faces=[[top]]",),
+            (
+                "dataset.presses.faces=[['top']]",
+                "x-, x+",
+            ),
+        ),
         (("dataset.presses.p_max_mpa=0.02",), ("dataset.presses.p_max_mpa=0.02", "two numbers")),
         (("executor=dask",), ("needs scheduler",)),
         (("max_seconds=3", "dataset.reconstruct=true"), ("max_seconds",)),
