@@ -15,15 +15,6 @@ if TYPE_CHECKING:
 
 #: Settings of which leading words without a key are values: of the first word, and of the others.
 POSITIONAL = {"find": ("run", ""), "report": ("run", "compare"), "reproduce": ("exhibit", "")}
-#: Names of settings up to version 0.1, and their names now.
-_RENAMED = {
-    "most": "max_lumps",
-    "start_mpa": "initialization.start_mpa",
-    "press.hold": "press.support",
-    "dataset.presses.hold": "dataset.presses.support",
-    "dataset.sizes": "dataset.mesh",
-    "material.parameters": "material",
-}
 
 
 def named(command: str, words: Sequence[str]) -> list[str]:
@@ -47,7 +38,6 @@ def check_overrides(
     schema: Schema, words: Sequence[str], *, multirun: bool = False, trusted: bool = True
 ) -> list[str]:
     """Return settings as Hydra takes them; Hydra's own settings only if they are trusted."""
-    words = [_renamed(word, schema) for word in words]
     overrides = [_parse(word, schema) for word in words]
     chosen = {o.key_or_group: _values(o) for o in overrides if o.key_or_group in schema.defaults}
     for group, options in chosen.items():
@@ -83,16 +73,6 @@ def check_required(schema: Schema, words: Sequence[str]) -> None:
 def key_of(word: str) -> str:
     """Return the name of the setting in a word."""
     return word.partition("=")[0].lstrip("+~")
-
-
-def _renamed(word: str, schema: Schema) -> str:
-    """Return a word with the present name of its setting."""
-    name = word.partition("=")[0].lstrip("+")
-    for old, new in _RENAMED.items():
-        is_known = new.split(".")[0] in schema.groups or new == "max_lumps"
-        if is_known and (name == old or name.startswith(f"{old}.")):
-            return word.replace(old, new, 1)
-    return word
 
 
 def _parse(word: str, schema: Schema) -> "Override":

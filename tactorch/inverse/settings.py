@@ -81,13 +81,12 @@ def has_all_settings(config: Mapping[str, Any]) -> bool:
 
     It does not for a prior about a map, of which only the checksum is stored.
     """
-    settings = config.get("settings", {})
-    prior = settings.get("prior", settings.get("regularization"))
+    prior = config.get("settings", {}).get("regularization")
     return not (isinstance(prior, Mapping) and isinstance(prior.get("mean_mpa"), str))
 
 
 def settings_from(config: Mapping[str, Any]) -> Settings:
-    """Return the settings of a reconstruction from its `config`, of this version or an older one.
+    """Return the settings of a reconstruction from its `config`.
 
     Raises:
         ConfigError: the settings are incomplete, unknown, or depend on a map that is not stored.
@@ -95,27 +94,7 @@ def settings_from(config: Mapping[str, Any]) -> Settings:
     if not has_all_settings(config):
         raise ConfigError("the mean of the prior is a map that the result does not store")
     try:
-        values = dict(config["settings"])
-        if "prior" in values:
-            values = _converted(values, dict(config["optimizer"]))
-        values["newton"] = NewtonOptions(**values["newton"])
-        settings: Settings = Settings.from_mapping(values)
+        settings: Settings = Settings.from_mapping(config["settings"])
         return settings
     except (KeyError, TypeError, ConfigError) as error:
         raise ConfigError(f"the settings of the result cannot be read ({error})") from error
-
-
-def _converted(values: dict[str, Any], optimizer: dict[str, Any]) -> dict[str, Any]:
-    """Convert settings as stored up to version 0.1: one flat table for all priors."""
-    name, options = values["regularization"], dict(values.pop("prior"))
-    weight, edge = optimizer.pop("weight", None), values.pop("edge")
-    options |= {} if edge is None else {"edge": edge}
-
-    def prior(name: str, weight: float | None) -> dict[str, Any]:
-        known = {setting.name for setting in settings_of(REGISTRIES["regularization"][name])}
-        return {k: v for k, v in options.items() if k in known} | {"weight": weight}
-
-    table = {"name": name, **prior(name, weight)}
-    if "parts" in table:
-        table["parts"] = {part: prior(part, share) for part, share in table["parts"].items()}
-    return {**values, "optimizer": optimizer, "regularization": table}

@@ -308,27 +308,6 @@ def test_settings_come_back_from_a_result(settings: Settings) -> None:
     assert settings_from(config) == settings
 
 
-def test_settings_come_back_from_a_result_of_version_0_1() -> None:
-    prior = {
-        "level_mpa": None, "levels_mpa": None, "length_mm": 3.0, "deviation": 0.4,
-        "parts": {"matern": 1.0, "log_jumps": 0.5}, "mean_mpa": None, "mean_deviation": None,
-        "mean_share": 1.0,
-    }  # fmt: skip
-    old = stored_settings(Settings()) | {
-        "regularization": "composite", "edge": 0.2, "prior": prior, "misfit": "huber",
-        "optimizer": "", "parameterization": "log",
-    }  # fmt: skip
-    optimizer = {"name": "gauss_newton", "max_iterations": 9, "weight": 3.0}
-    assert settings_from({"settings": old, "optimizer": optimizer}) == Settings(
-        optimizer=GaussNewton(max_iterations=9),
-        regularization=Composite(
-            parts={"matern": {"deviation": 0.4}, "log_jumps": {"edge": 0.2, "weight": 0.5}},
-            weight=3.0,
-        ),
-        misfit=Huber(),
-    )
-
-
 def test_settings_that_are_not_all_told_are_refused() -> None:
     config = {"settings": stored_settings(Settings())}
     settings_from(config)
