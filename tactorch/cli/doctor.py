@@ -152,8 +152,10 @@ def _spinner() -> AbstractContextManager[Any]:
         if is_rich(sys.stderr):
             spinner = Spinner("dots", "looking at packages, solvers and files ...")
             # Not redirected: packages that are imported meanwhile would keep rich's streams.
-            redirect = {"redirect_stdout": False, "redirect_stderr": False}
-            return Live(spinner, console=Console(stderr=True), transient=True, **redirect)
+            return Live(
+                spinner, console=Console(stderr=True), transient=True,
+                redirect_stdout=False, redirect_stderr=False,
+            )  # fmt: skip
     return nullcontext()
 
 

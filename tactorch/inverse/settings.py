@@ -1,10 +1,10 @@
-"""Settings of an inversion, and their form in stored results."""
+"""Settings of an inversion, and those that a stored result holds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from tactorch.config import REGISTRIES, Options, option, settings_of
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import NoiseModel
@@ -16,7 +16,6 @@ from tactorch.inverse.parameterization import Bounds, Log, Parameterization
 from tactorch.inverse.regularization.base import Prior
 from tactorch.inverse.regularization.sharp import TotalVariation
 from tactorch.linalg.solver import AutoSolver, SolverOptions
-from tactorch.plain import plain
 
 # What the correction for the mesh leaves of its error, measured with truth on cubes whose balls are
 # two to four elements across: 0.13 to 0.41. It is less where elements are small relative to the
@@ -58,22 +57,6 @@ class Settings(Options):
         factory=NuisancePrior, help="Nuisance parameters to be estimated", preset="none"
     )
     max_seconds: float | None = option(None, "Time limit; null: none", unit="s", gt=0)
-
-
-def stored_settings(value: Any, section: str = "") -> Any:
-    """Return settings as plain values with the names of components; arrays by their checksum.
-
-    `section` is the one of the registry that the value is chosen from.
-    """
-    if isinstance(value, Options):
-        name = {"name": REGISTRIES[section].name_of(type(value))} if section in REGISTRIES else {}
-        return name | {
-            setting.name: stored_settings(getattr(value, setting.name), setting.constraint.section)
-            for setting in settings_of(type(value))
-        }
-    if isinstance(value, dict):  # parts of a prior
-        return {key: stored_settings(item, section) for key, item in value.items()}
-    return plain(value)
 
 
 def has_all_settings(config: Mapping[str, Any]) -> bool:

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.config import Options, option
+from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
 from tactorch.findings import find_lump
 from tactorch.inverse import IncrementalInversion, IncrementalResult, Settings, Start, StopReason
 from tactorch.inverse.starts import START_MPA
 from tactorch.metrics import Inclusion
-from tactorch.plain import plain
 from tactorch.recording import Recording
 from tactorch.sampling.sources import Arrival, PressSource
 from tactorch.sampling.store import RESULT, Store
@@ -167,7 +166,7 @@ class SamplingLoop:
         self._suggester = suggester or Suggester(settings)
         self._restart, self._target_deviation = restart, target_deviation
         self._max_presses = self._options.max_presses or sys.maxsize
-        digest = sha256(repr(plain(settings)).encode()).hexdigest()[:16]
+        digest = sha256(repr(to_mapping(settings)).encode()).hexdigest()[:16]
         self._store = None if folder is None else Store(folder, digest)
         self._waiting: list[Arrival] = []
         self._done: list[Arrival] = []

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.findings.text import Fact
 from tactorch.inverse import (
@@ -24,7 +25,6 @@ from tactorch.inverse import (
     settings_from,
 )
 from tactorch.inverse.misfit import Huber
-from tactorch.inverse.settings import stored_settings
 from tactorch.recording import Recording
 from tactorch.report import Run, load_run, run_names, write_report
 from tactorch.report.assessment import assess
@@ -304,12 +304,12 @@ def test_names_are_short_and_differ() -> None:
     ],
 )
 def test_settings_come_back_from_a_result(settings: Settings) -> None:
-    config = json.loads(json.dumps({"settings": stored_settings(settings)}))
+    config = json.loads(json.dumps({"settings": to_mapping(settings)}))
     assert settings_from(config) == settings
 
 
 def test_settings_that_are_not_all_told_are_refused() -> None:
-    config = {"settings": stored_settings(Settings())}
+    config = {"settings": to_mapping(Settings())}
     settings_from(config)
     config["settings"]["regularization"]["mean_mpa"] = "float64 array [5], sha256 abc..."
     with pytest.raises(ConfigError, match="a map that the result does not store"):

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from tactorch.config import REGISTRIES, option
+from tactorch.config import REGISTRIES, option, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.inverse.regularization.base import Field, Prior, Regularizer
 from tactorch.inverse.regularization.sharp import TotalVariation
 from tactorch.mesh import TetMesh
-from tactorch.plain import plain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +102,7 @@ class ShiftedPrior(Prior):
 
     def __eq__(self, other: object) -> bool:
         """Compare all settings, maps by their values."""
-        return isinstance(other, ShiftedPrior) and plain(self) == plain(other)
+        return isinstance(other, ShiftedPrior) and to_mapping(self) == to_mapping(other)
 
     __hash__ = None  # type: ignore[assignment]
 
