@@ -21,12 +21,6 @@ DATA_FILE = "data.json"
 #: What to do about a damaged file of a training.
 REMEDY = "restore it, or train again."
 
-_HERE = "tactorch.cli.networks"
-_NETWORKS = {"recognizer": "RecognizerOptions", "surrogate": "SurrogateOptions"}
-_DATA = {"recognition": "RecognitionDataOptions", "warmstart": "SurrogateDataOptions"}
-MODELS = Registry("model", {n: f"{_HERE}:{c}" for n, c in _NETWORKS.items()})
-DATA = Registry("data", {n: f"{_HERE}:{c}" for n, c in _DATA.items()})
-
 
 class DataUse(NamedTuple):
     """Use of data by a network."""
@@ -40,14 +34,12 @@ _USES = {
     "recognizer": DataUse("recognition", ("classes", "mean", "deviation"), ("classes",)),
     "surrogate": DataUse("warmstart", ("press_scale", "shared_scale", "cells", "frames")),
 }
-RecognizerOptions = options_from_arguments(
-    Recognizer, "model", without=_USES["recognizer"].arguments
-)
-SurrogateOptions = options_from_arguments(
-    Surrogate, "model", without=(*_USES["surrogate"].arguments, "version")
-)
-RecognitionDataOptions = options_from_arguments(RecognitionData, "data", without=("seed",))
-SurrogateDataOptions = options_from_arguments(SurrogateData, "data", without=("seed",))
+MODELS, DATA = Registry("model", {}), Registry("data", {})
+for _name, _network in (("recognizer", Recognizer), ("surrogate", Surrogate)):
+    _without = (*_USES[_name].arguments, "version")
+    MODELS.register(_name, options_from_arguments(_network, "model", without=_without))
+for _name, _data in (("recognition", RecognitionData), ("warmstart", SurrogateData)):
+    DATA.register(_name, options_from_arguments(_data, "data", without=("seed",)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ import lightning
 import pytest
 import torch
 
-from tactorch.cli.networks import RecognitionDataOptions
+from tactorch.cli.networks import DATA
 from tactorch.errors import ConfigError
 from tactorch.generation import MeshSizes, PressDraw, Recipe, generate
 from tactorch.learning.recognizer.data import RecognitionData
@@ -73,7 +73,7 @@ def test_what_a_dataset_lacks_is_said(dataset: Path) -> None:
     with pytest.raises(ConfigError, match="no reconstructions"):
         RecognitionData(dataset, voxels=8)
     with pytest.raises(ConfigError, match="source='map'"):
-        RecognitionDataOptions(folder=dataset, source="map")
+        DATA["recognition"](folder=dataset, source="map")
 
 
 def test_presses_on_three_sides_allow_six_symmetries(dataset: Path) -> None:
