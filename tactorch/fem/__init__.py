@@ -1,12 +1,11 @@
 """Quasi-static finite elements of soft bodies, differentiable. Units: mm, N, MPa, tonne/mm^3."""
 
 from tactorch.fem.body import SoftBody
+from tactorch.fem.boundary import STANDARD_GRAVITY, Supports
 from tactorch.fem.elements import ELEMENTS, Discretisation, Element
 from tactorch.fem.linearization import Linearization, Sensitivity
-from tactorch.fem.loads import STANDARD_GRAVITY
 from tactorch.fem.materials import MATERIALS, Material, make_material
 from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
-from tactorch.fem.supports import Supports
 
 __all__ = [
     "ELEMENTS",

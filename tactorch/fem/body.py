@@ -10,14 +10,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from tactorch.errors import ConfigError
-from tactorch.fem import loads
+from tactorch.fem import boundary
 from tactorch.fem.assembly import Assembly
+from tactorch.fem.boundary import Forces, Points, Supports, Surface
 from tactorch.fem.elements import ELEMENTS, Discretisation
 from tactorch.fem.equilibrium import Equilibrium, LoadCases
-from tactorch.fem.loads import Forces, Points, Surface
 from tactorch.fem.materials import Material
 from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
-from tactorch.fem.supports import Supports
 from tactorch.linalg import SolverOptions, SolverPool
 from tactorch.mesh import TetMesh
 
@@ -75,24 +74,36 @@ class SoftBody:
             pressure_mpa: Force per rest area, MPa.
             points: Rest positions, mm; those of the mesh by default.
         """
-        return loads.pressure_forces(self.discretisation, surface, pressure_mpa, points)
+        return boundary.pressure_forces(self.discretisation, surface, pressure_mpa, points)
 
     def traction(
         self, surface: Surface, traction_mpa: Sequence[float] | Tensor, points: Points = None
     ) -> Forces:
         """Return the nodal forces (N) of a dead traction (3,); see `pressure`."""
-        vector = torch.as_tensor(traction_mpa, dtype=torch.float64)
-        return loads.traction_forces(self.discretisation, surface, vector, points)
+        triangles, vectors = boundary.area_vectors(self.discretisation, surface, points)
+        traction = torch.as_tensor(traction_mpa, dtype=torch.float64)
+        return boundary.to_nodes(
+            self.discretisation, triangles, vectors.norm(dim=1)[:, None] * traction
+        )
 
     def gravity(
         self,
         density: float,
-        gravity: Sequence[float] | Tensor = loads.STANDARD_GRAVITY,
+        gravity: Sequence[float] | Tensor = boundary.STANDARD_GRAVITY,
         points: Points = None,
     ) -> Forces:
-        """Return the nodal weights (N); density in tonne/mm^3 (silicone: 1.07e-9), mm/s^2."""
-        vector = torch.as_tensor(gravity, dtype=torch.float64)
-        return loads.gravity_forces(self.discretisation, density, vector, points)
+        """Return the nodal weights (N), eq. (4).
+
+        The density is in tonne/mm^3 (silicone: 1.07e-9), the acceleration in mm/s^2.
+        """
+        d, acceleration = self.discretisation, torch.as_tensor(gravity, dtype=torch.float64)
+        _, weights = d.geometry(torch.tensor(self.mesh.points) if points is None else points)
+        at_vertex, at_midside = d.element.volume_rule
+        fractions = [at_vertex] * 4 + [at_midside] * (d.nodes.shape[1] - 4)
+        shares = torch.tensor(fractions, dtype=torch.float64)[:, None] * acceleration
+        forces = density * weights.sum(1)[:, None, None] * shares
+        out = torch.zeros(self.n_nodes, 3, dtype=torch.float64)
+        return out.index_add(0, torch.from_numpy(d.nodes).reshape(-1), forces.reshape(-1, 3))
 
     def search(
         self,

@@ -10,7 +10,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,8 +21,8 @@ from tactorch.config import Registry
 from tactorch.errors import ConfigError
 from tactorch.linalg import SymmetricPattern
 from tactorch.mesh import TetMesh
+from tactorch.mesh.topology import LOCAL_EDGES
 
-_EDGES = tuple(combinations(range(4), 2))
 Nodes = Int[np.ndarray, " k"]
 
 
@@ -59,7 +58,7 @@ def _quadratic() -> Element:
     for q, L in enumerate(points):
         for a in range(4):
             table[q, a, a] = 4.0 * L[a] - 1.0
-        for k, (a, b) in enumerate(_EDGES):
+        for k, (a, b) in enumerate(LOCAL_EDGES):
             table[q, 4 + k, a], table[q, 4 + k, b] = 4.0 * L[b], 4.0 * L[a]
     return Element(table, np.full(4, 0.25), (0.0, 1.0 / 3.0), (-0.05, 0.2), mean_dilatation=True)
 
@@ -85,16 +84,7 @@ class Discretisation:
     @property
     def edges(self) -> Int[np.ndarray, "edges 2"]:
         """End points of the edges that carry midside nodes; none for linear elements."""
-        return self._edge_table[0]
-
-    @cached_property
-    def _edge_table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Unique edges, and the edge of each local edge of each tetrahedron."""
-        if not self.element.quadratic:
-            return np.empty((0, 2), dtype=np.int64), np.empty((self.mesh.n_tets, 0), np.int64)
-        ends = np.sort(self.mesh.tets[:, np.array(_EDGES)], axis=2).reshape(-1, 2)
-        unique, inverse = np.unique(ends, axis=0, return_inverse=True)
-        return unique, inverse.reshape(-1, len(_EDGES))
+        return self.mesh.edges if self.element.quadratic else np.empty((0, 2), dtype=np.int64)
 
     @property
     def n_nodes(self) -> int:
@@ -104,8 +94,9 @@ class Discretisation:
     @cached_property
     def nodes(self) -> Int[np.ndarray, "m k"]:
         """Nodes of each element: vertices, then midsides."""
-        midsides = self.mesh.n_points + self._edge_table[1]
-        return np.ascontiguousarray(np.concatenate([self.mesh.tets, midsides], axis=1))
+        mesh = self.mesh
+        midsides = [mesh.n_points + mesh.tet_edges] if self.element.quadratic else []
+        return np.hstack([mesh.tets, *midsides])
 
     @property
     def positions(self) -> Float[np.ndarray, "nodes 3"]:

@@ -6,8 +6,10 @@ S du/de one solve per observed degree of freedom (eq. 10 to 14 of the paper).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 import torch
 from jaxtyping import Bool, Float, Int
 
@@ -123,12 +125,20 @@ class Sensitivity:
     observed: Int[np.ndarray, " p"]
     frame: Float[np.ndarray, "3 3"] | None = None
 
+    @cached_property
+    def selection(self) -> sp.csr_matrix:
+        """Matrix S from the unknowns to the observed components, (p, size)."""
+        size = self.linearization.fixed.size
+        rows = sp.identity(size, format="csr")[self.observed]
+        frame = self.frame
+        return rows if frame is None else (rows @ sp.kron(sp.identity(size // 3), frame)).tocsr()
+
     def matrix(self) -> Float[np.ndarray, "p m"]:
         """Return S du/de, mm/MPa (eq. 13 and 14)."""
         out = np.empty((len(self.observed), len(self.linearization.youngs)))
         for begin in range(0, len(self.observed), _MAX_COLUMNS):
-            rows = self.observed[begin : begin + _MAX_COLUMNS]
-            fields = self.linearization.solve(self._unit_loads(rows))
+            loads = self.selection[begin : begin + _MAX_COLUMNS].T.toarray(order="F")
+            fields = self.linearization.solve(loads)
             out[begin : begin + _MAX_COLUMNS] = -self.linearization.unit_work(fields).T
         return out
 
@@ -143,22 +153,8 @@ class Sensitivity:
 
     def adjoint(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, "nodes 3"]:
         """Return the displacement due to the observed weights as forces."""
-        rhs = np.zeros(self.linearization.fixed.size)
-        np.add.at(rhs, self.observed, weights)
-        if self.frame is not None:
-            rhs = (rhs.reshape(-1, 3) @ self.frame).ravel()
-        return self.linearization.solve(rhs).reshape(-1, 3)
+        return self.linearization.solve(self.selection.T @ weights).reshape(-1, 3)
 
     def observe(self, field: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, " p"]:
         """Return the observed components of a displacement, mm."""
-        return (field if self.frame is None else field @ self.frame.T).ravel()[self.observed]
-
-    def _unit_loads(self, rows: Int[np.ndarray, " k"]) -> Float[np.ndarray, "size k"]:
-        """Unit loads along some of the observed unknowns."""
-        rhs = np.zeros((self.linearization.fixed.size, len(rows)), order="F")
-        if self.frame is None:
-            rhs[rows, np.arange(len(rows))] = 1.0
-        else:
-            for axis in range(3):
-                rhs[3 * (rows // 3) + axis, np.arange(len(rows))] = self.frame[rows % 3, axis]
-        return rhs
+        return self.selection @ field.ravel()

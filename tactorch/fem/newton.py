@@ -14,8 +14,8 @@ from jaxtyping import Float
 from tactorch.config import Options, option
 from tactorch.errors import ConvergenceError
 from tactorch.fem.assembly import Assembly, Response
+from tactorch.fem.boundary import CaseSupports
 from tactorch.fem.linearization import Linearization
-from tactorch.fem.supports import CaseSupports
 from tactorch.linalg import SolverPool, conjugate_gradients
 from tactorch.linalg.dense import column_rank, dot
 from tactorch.linalg.pool import Lease

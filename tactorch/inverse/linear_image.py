@@ -6,7 +6,6 @@ eq. 3.37 and 3.38). Lengths are shares of the box, so the prior has no unit.
 """
 
 from functools import lru_cache
-from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.starts import uniform_fit
-from tactorch.mesh import TetMesh
+from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.recording import Recording
 
 # Of the prior: standard deviation of log E, correlation length, and deviation of the mean.
@@ -36,7 +35,7 @@ def linear_map(recording: Recording, count: int = 8) -> Float[np.ndarray, " m"]:
     evaluation = problem.evaluate(np.full(problem.n_elements, fit.youngs_mpa))
     deviations = problem.noise.deviations(recording)
     image, _ = linear_image(evaluation, recording.mesh, deviations, count)
-    return fit.youngs_mpa * np.exp(_cells(recording.mesh, count) @ image.ravel())
+    return fit.youngs_mpa * np.exp(VoxelGrid(recording.mesh, count).at_elements(image))
 
 
 def linear_image(
@@ -52,7 +51,7 @@ def linear_image(
         floor = _FLOOR * float(np.sqrt(np.mean(observed**2)))
         parts.append(np.full(len(observed), deviation / np.hypot(deviation, floor)))
     weights = np.concatenate(parts)  # of data with the floor, relative to those in the residuals
-    chain = sp.diags(evaluation.youngs) @ _cells(mesh, count)
+    chain = sp.diags(evaluation.youngs) @ VoxelGrid(mesh, count).element_weights
     # One solve per datum where the matrix over all elements is small, else one per cell.
     if len(evaluation.residuals) * len(evaluation.youngs) <= _MAX_ENTRIES:
         by_cells = evaluation.jacobian() @ chain
@@ -66,21 +65,6 @@ def linear_image(
     variance = cho_solve(factor, np.eye(count**3)).diagonal()
     explained = 1.0 - variance / (_SPREAD**2 + _SHIFT**2)
     return image.reshape((count,) * 3), explained.reshape((count,) * 3)
-
-
-def _cells(mesh: TetMesh, count: int) -> sp.csr_matrix:
-    """Interpolate fields on the cells to the elements' centroids, linearly, (m, count^3)."""
-    low, high = mesh.bounds
-    places = (mesh.centroids - low) / (high - low) * count - 0.5
-    corner = np.clip(np.floor(places).astype(int), 0, max(0, count - 2))
-    share = np.clip(places - corner, 0.0, 1.0)
-    rows, columns, values = np.tile(np.arange(mesh.n_tets), 8), [], []
-    for step in product((0, 1), repeat=3):
-        at = np.minimum(corner + step, count - 1)
-        columns.append((at[:, 0] * count + at[:, 1]) * count + at[:, 2])
-        values.append(np.prod(np.where(np.array(step) == 1, share, 1.0 - share), axis=1))
-    entries = (np.concatenate(values), (rows, np.concatenate(columns)))
-    return sp.csr_matrix(entries, shape=(mesh.n_tets, count**3))
 
 
 @lru_cache(maxsize=4)

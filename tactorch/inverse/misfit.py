@@ -48,15 +48,12 @@ class Squares(Misfit):
     """Least squares: for normal noise of known size."""
 
     def residuals(self, white: _Data, begins: _Begins) -> _Data:
-        """Return the residuals themselves."""
         return white
 
     def derivative(self, white: _Data, begins: _Begins, values: _Columns) -> _Columns:
-        """Return the values themselves."""
         return values
 
     def chi2(self, white: _Data, begins: _Begins) -> float:
-        """Return the mean square."""
         return float(np.mean(white**2))
 
 
@@ -76,7 +73,6 @@ class Huber(Misfit):
         return np.where(size <= self.edge, white, np.sign(white) * outer)
 
     def derivative(self, white: _Data, begins: _Begins, values: _Columns) -> _Columns:
-        """Return the values, scaled down at outliers."""
         outer = np.abs(self.residuals(white, begins))
         slope = np.where(np.abs(white) <= self.edge, 1.0, self.edge / outer)
         return (slope * values.T).T
@@ -103,7 +99,6 @@ class Adaptive(Misfit):
         )
 
     def derivative(self, white: _Data, begins: _Begins, values: _Columns) -> _Columns:
-        """Return the values times a(q), with the change of a(q) along the residuals."""
         parts = []
         for r, v in zip(*(np.split(x, begins[1:]) for x in (white, values)), strict=True):
             q = _mean_square(r)

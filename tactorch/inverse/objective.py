@@ -168,12 +168,11 @@ class Point:
             precision = self.jacobian.T @ self.jacobian
         except ConvergenceError:  # an unstable equilibrium, at which the search has ended
             return np.full(k, np.nan)
-        coo = self.prior_curvature(weight).tocoo()
-        np.add.at(precision, (coo.row, coo.col), coo.data)
+        prior = self.prior_curvature(weight)
         # Elements that neither data nor prior determine would break the factorisation; the shift
         # has no visible effect on the variances of z.
-        precision[np.diag_indices_from(precision)] += 1e-12 * precision.diagonal().max()
-        factor = DenseCholesky.of(precision)
+        shift = 1e-12 * (precision.diagonal() + prior.diagonal()).max()
+        factor = DenseCholesky.of(precision, prior + shift * sp.identity(len(self.x)))
         if factor is None:
             raise TactorchError("the posterior of the nuisance parameters is not definite")
         unit = np.eye(len(self.x), k, k - len(self.x))  # the columns of z

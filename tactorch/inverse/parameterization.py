@@ -86,21 +86,17 @@ class Scaled(Parameterization):
         return self.bounds.lower, self.bounds.upper - self.bounds.lower
 
     def youngs(self, x: _Field) -> _Field:
-        """Return lower + x (upper - lower), no less than lower."""
         origin, slope = self._line
         return np.maximum(origin + slope * x, origin)
 
     def parameters(self, youngs: _Field) -> _Field:
-        """Return (E - lower) / (upper - lower)."""
         origin, slope = self._line
         return (youngs - origin) / slope
 
     def slope(self, x: _Field) -> _Field:
-        """Return upper - lower."""
         return np.full_like(x, self._line[1])
 
     def second_derivative(self, x: _Field) -> _Field:
-        """Return zeros."""
         return np.zeros_like(x)
 
 
@@ -112,7 +108,6 @@ class Identity(Scaled):
         return 0.0, 1.0
 
     def youngs(self, x: _Field) -> _Field:
-        """Return x."""
         return x
 
 
@@ -122,13 +117,11 @@ class Log(Parameterization):
     max_step = 2.0  # a factor of e^2, beyond which the linearisation is meaningless
 
     def youngs(self, x: _Field) -> _Field:
-        """Return exp(x)."""
         return np.exp(x)
 
     slope = second_derivative = youngs
 
     def parameters(self, youngs: _Field) -> _Field:
-        """Return log E."""
         return np.log(youngs)
 
     def expected_variance_reduction(self, mean: _Field, before: _Field, after: _Field) -> _Field:

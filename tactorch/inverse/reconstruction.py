@@ -109,11 +109,7 @@ class Reconstruction:
 
     @staticmethod
     def load(path: str | Path) -> "Reconstruction":
-        """Read from HDF5.
-
-        Raises:
-            FileError: the file is missing, truncated, or not a reconstruction.
-        """
+        """Read from HDF5."""
         with open_hdf5(path, "reconstruction", _REMEDY) as file:
             reader = Hdf5Reader(file, path, "reconstruction", "Reconstruction.save")
             _check_format(reader)

@@ -1,16 +1,19 @@
-"""Starts of an inversion: one modulus, the best uniform one, random draws, or a given map.
+"""Starts of an inversion: uniform, of few moduli, of random draws, or a given map.
 
 A start is a function of the inverse problem and the bounds, as is a learned one.
 """
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.sparse.csgraph import laplacian
+from scipy.spatial import cKDTree
 
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError, ConvergenceError
@@ -22,15 +25,19 @@ from tactorch.inverse.parameterization import Bounds, Log
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.regularization.base import Quadratic
 from tactorch.linalg import map_cases
+from tactorch.mesh import TetMesh
+from tactorch.mesh.geometry import farthest_point_order
 
 _log = logging.getLogger(__name__)
 START_MPA = 0.2
 _BOUND_RTOL = 1e-9  # relative excess over a bound that counts as rounding
 _STEP_TOLERANCE = 1e-3  # change of the log-modulus, or of z
 _STIFFENING = 4.0  # factor to try where the object collapses, or seems much stiffer than START_MPA
-#: Tolerance of the objective where the size of the step alone ends the optimization.
-NO_TOLERANCE = 1e-15
-_OPTIMIZER = GaussNewton(max_iterations=30, tolerance=NO_TOLERANCE, max_trials=8)
+_NO_TOLERANCE = 1e-15  # of the objective: the size of the step alone ends the optimization
+_OPTIMIZER = GaussNewton(max_iterations=30, tolerance=_NO_TOLERANCE, max_trials=8)
+# Of the clusters of a coarse start: rounds of Lloyd's method, expected difference of log-modulus
+# between neighbours, and change of a log-modulus that ends the optimization.
+_LLOYD_ROUNDS, _JUMP, _COARSE_STEP_TOLERANCE = 10, 0.5, 0.02
 Start: TypeAlias = float | np.ndarray | Callable[[InverseProblem, Bounds], np.ndarray]
 
 #: Settings of the starts by name; each is a function of the problem and the bounds.
@@ -38,7 +45,7 @@ INITIALIZATIONS = Registry(
     "initialization",
     {
         "uniform": "tactorch.inverse.starts:Uniform",
-        "coarse": "tactorch.inverse.coarse:CoarseStart",
+        "coarse": "tactorch.inverse.starts:CoarseStart",
         "surrogate": "tactorch.learning.surrogate:SurrogateStart",
     },
 )
@@ -79,9 +86,6 @@ def uniform_fit(
     Damped Gauss-Newton on the log-modulus and z, from a stiffer start where a press has no
     equilibrium. The first start is `first_mpa`; by default 0.2 MPa, or the ratio of mean stress and
     strain under the presses where that is much larger.
-
-    Raises:
-        ConvergenceError: no modulus within the bounds carries the presses.
     """
     bounds = bounds or Bounds()
     prior, groups = Quadratic(sp.csr_matrix((1, 1))), np.zeros(problem.n_elements, dtype=np.int64)
@@ -92,7 +96,7 @@ def uniform_fit(
     x, upper = np.zeros(objective.size), np.log(bounds.upper)
     x[0] = np.clip(np.log(first), np.log(bounds.lower), upper)
     while True:
-        monitor = Monitor(stop_condition=small_step(_STEP_TOLERANCE), log=False)
+        monitor = Monitor(stop_condition=_stop_condition(_STEP_TOLERANCE), log=False)
         try:
             _OPTIMIZER.minimize(objective, x, monitor)
         except StopOptimization:
@@ -108,10 +112,12 @@ def uniform_fit(
         x[0] = min(x[0] + np.log(_STIFFENING), upper)
 
 
-def small_step(tolerance: float) -> StopCondition:
-    """Return a condition that stops after a step whose largest change is below a tolerance."""
+def _stop_condition(tolerance: float, fitted_chi2: float = 0.0) -> StopCondition:
+    """Stop at a misfit, or after a step whose largest change is below a tolerance."""
 
     def stop_condition(history: list[dict[str, float]]) -> StopReason | None:
+        if history[-1]["chi2"] <= fitted_chi2:
+            return StopReason.FITTED
         small = len(history) > 1 and history[-1]["step"] < tolerance
         return StopReason.CONVERGED if small else None
 
@@ -135,6 +141,59 @@ def _first_mpa(problem: InverseProblem) -> float:
             estimates.append(force / area * float(np.ptp(mesh.points @ inward)) / depth)
     guess = float(np.median(estimates)) if estimates else START_MPA
     return guess if guess > _STIFFENING * START_MPA else START_MPA
+
+
+def clusters(mesh: TetMesh, count: int) -> Int[np.ndarray, " m"]:
+    """Group elements into compact clusters, numbered from 0, by Lloyd's method on their centroids.
+
+    The method is deterministic: the first centres are far from each other, and no cluster is empty.
+    """
+    if not 1 <= count <= mesh.n_tets:
+        raise ConfigError(f"groups={count} must be from 1 to the {mesh.n_tets} elements.")
+    centroids, volumes = mesh.centroids, mesh.volumes
+    middle = np.linalg.norm(centroids - centroids.mean(axis=0), axis=1).argmin()
+    centres = centroids[farthest_point_order(centroids, count, int(middle))]
+    labels = cKDTree(centres).query(centroids)[1]
+    for _ in range(_LLOYD_ROUNDS):
+        mass = np.bincount(labels, volumes, minlength=count)
+        moments = [np.bincount(labels, volumes * x, minlength=count) for x in centroids.T]
+        filled = mass > 0
+        centres[filled] = (np.array(moments)[:, filled] / mass[filled]).T
+        labels = cKDTree(centres).query(centroids)[1]
+    return np.unique(labels, return_inverse=True)[1].astype(np.int64)
+
+
+@dataclass(frozen=True)
+class CoarseStart(Options):
+    """The map of few moduli that fits best, each shared by a cluster of elements.
+
+    The sensitivity matrix has one column per cluster, at one solve per press, so Gauss-Newton is
+    cheap and recovers large features only; as in multilevel inversion (Liu, 1993).
+    """
+
+    section: ClassVar[str] = "initialization"
+    groups: int = option(64, "Number of clusters of elements", gt=0)
+    steps: int = option(6, "Limit of Gauss-Newton steps", gt=0)
+
+    def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
+        """Return the map, MPa."""
+        mesh = problem.recording.mesh
+        labels = clusters(mesh, self.groups)
+        # The prior's matrix is the Laplacian of the graph of clusters that share a face.
+        ends = np.sort(labels[mesh.adjacency.pairs], axis=1)
+        i, j = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0).T
+        count = int(labels.max()) + 1
+        graph = sp.csr_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
+        prior = Quadratic(laplacian(graph + graph.T).tocsr() / _JUMP**2)
+        objective = Objective(problem, Log(bounds), prior, weight=1.0, groups=labels)
+        stop_condition = _stop_condition(_COARSE_STEP_TOLERANCE, fitted_chi2=1.0)
+        monitor = Monitor(stop_condition=stop_condition, log=False)
+        first = np.log(uniform_fit(problem, bounds).youngs_mpa)
+        optimizer = GaussNewton(max_iterations=self.steps, tolerance=_NO_TOLERANCE)
+        with suppress(StopOptimization):
+            optimizer.minimize(objective, np.full(objective.size, first), monitor)
+        assert monitor.point is not None
+        return monitor.point.youngs
 
 
 def best_uniform(

@@ -90,9 +90,6 @@ class PardisoSolver(Solver):
     """Sparse Cholesky, in single precision for preconditioning.
 
     Single precision takes two thirds of the time and half the memory, for about four digits.
-
-    Raises:
-        TactorchError: PARDISO failed for a reason other than indefiniteness, such as memory.
     """
 
     def __init__(self, *arguments: Any) -> None:
@@ -148,5 +145,4 @@ class Pardiso(SolverOptions):
 
     @staticmethod
     def available() -> bool:
-        """Return whether pypardiso and its MKL library are installed."""
         return _library() is not None

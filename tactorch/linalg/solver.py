@@ -1,7 +1,6 @@
 """The protocol of sparse solvers, and the choice of one by name or by size."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,8 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.config import Options, Registry
-from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.linalg.conjugate_gradients import conjugate_gradients
+from tactorch.errors import ConfigError
 from tactorch.linalg.pattern import SymmetricPattern
 
 #: Linear solvers by name.
@@ -20,8 +18,8 @@ SOLVERS = Registry(
         "auto": "tactorch.linalg.solver:AutoSolver",
         "pardiso": "tactorch.linalg.pardiso:Pardiso",
         "superlu": "tactorch.linalg.superlu:SuperLU",
-        "multigrid": "tactorch.linalg.multigrid:Multigrid",
-        "torch_cg": "tactorch.linalg.torch_cg:TorchCG",
+        "multigrid": "tactorch.linalg.iterative:Multigrid",
+        "torch_cg": "tactorch.linalg.iterative:TorchCG",
     },
 )
 
@@ -87,29 +85,6 @@ class Solver(ABC):
     def _solve(self, rhs: np.ndarray) -> np.ndarray: ...
 
 
-class IterativeSolver(Solver):
-    """Conjugate gradients within the limits `options.rtol` and `options.max_iterations`."""
-
-    direct = False
-
-    def _iterate(
-        self, product: Callable[[Any], Any], precondition: Callable[[Any], Any], rhs: Any
-    ) -> Any:
-        rtol, limit = self.options.rtol, self.options.max_iterations
-        result = conjugate_gradients(product, precondition, rhs, rtol=rtol, max_iterations=limit)
-        if result.negative_curvature:
-            raise IndefiniteError("negative curvature: the matrix is not positive definite")
-        if not result.converged:
-            residual = float(abs(rhs - result.image).max() / abs(rhs).max())
-            name = SOLVERS.name_of(type(self.options))
-            raise ConvergenceError(
-                f"solver={name} did not converge: a relative residual of {residual:.1e}, not "
-                f"{rtol:.0e}, in {limit} iterations; use solver=pardiso or solver=superlu, or "
-                f"raise solver.max_iterations or solver.rtol."
-            )
-        return result.solution
-
-
 @dataclass(frozen=True)
 class SolverOptions(Options):
     """Settings of a linear solver.
@@ -157,7 +132,6 @@ class AutoSolver(SolverOptions):
     """PARDISO where it is installed, multigrid for the largest meshes, SuperLU elsewhere."""
 
     def resolve(self, size: int) -> SolverOptions:
-        """Return the settings of the solver for `size` unknowns."""
         pardiso: SolverOptions = SOLVERS["pardiso"]()
         installed = pardiso.available()
         if size > (_MAX_PARDISO_SIZE if installed else _MAX_SUPERLU_SIZE):

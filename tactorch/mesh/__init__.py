@@ -1,10 +1,9 @@
 """Tetrahedral meshes: generation, files, validation and queries. Lengths in mm."""
 
 from tactorch.mesh.io import read_mesh, read_surface, write_mesh, write_surface
-from tactorch.mesh.meshing import tetrahedralize
+from tactorch.mesh.meshing import box_mesh, tetrahedralize
 from tactorch.mesh.revolved import Cone, Cylinder, Hemisphere, Hyperboloid, Lathe, Torus
 from tactorch.mesh.shapes import Box, Ellipsoid, Rotated, Shape, Sphere, Union
-from tactorch.mesh.structured import box_mesh
 from tactorch.mesh.tetmesh import FACE_NAMES, TetMesh, compact, face_nodes, select_face
 from tactorch.mesh.topology import Adjacency, Surface
 from tactorch.mesh.voxels import VoxelGrid, locate

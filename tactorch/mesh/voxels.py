@@ -5,6 +5,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
@@ -116,20 +117,26 @@ class VoxelGrid:
 
         The sum of each component is conserved.
         """
-        coordinates = (self.mesh.points - self.mesh.bounds[0]) / self.size_mm - 0.5
-        corner = np.floor(coordinates).astype(np.int64)
-        fraction = coordinates - corner
-        out = np.zeros((self.count**3, nodal.shape[1]))
-        for step in product((0, 1), repeat=3):
-            voxel = np.clip(corner + step, 0, self.count - 1)
-            weight = np.prod(np.where(np.array(step) == 1, fraction, 1.0 - fraction), axis=1)
-            flat = (voxel[:, 0] * self.count + voxel[:, 1]) * self.count + voxel[:, 2]
-            np.add.at(out, flat, weight[:, None] * nodal)
-        return np.ascontiguousarray(out.T).reshape(nodal.shape[1], *self.shape)
+        return (self._weights(self.mesh.points).T @ nodal).T.reshape(-1, *self.shape)
 
     def at_elements(self, values: Float[np.ndarray, "v v v"]) -> Float[np.ndarray, " m"]:
         """Interpolate a field on the voxels trilinearly at the elements' centroids."""
-        from scipy.ndimage import map_coordinates
+        return self.element_weights @ values.ravel()
 
-        coordinates = (self.mesh.centroids - self.mesh.bounds[0]) / self.size_mm - 0.5
-        return map_coordinates(values, coordinates.T, order=1, mode="nearest")
+    @cached_property
+    def element_weights(self) -> sp.csr_matrix:
+        """Trilinear weights of the voxels (v^3 columns) at the elements' centroids."""
+        return self._weights(self.mesh.centroids)
+
+    def _weights(self, points: Float[np.ndarray, "p 3"]) -> sp.csr_matrix:
+        """Trilinear weights at points; beyond the centres of the outer voxels these count alone."""
+        places = (points - self.mesh.bounds[0]) / self.size_mm - 0.5
+        corner = np.floor(places).astype(np.int64)
+        share, rows = places - corner, np.tile(np.arange(len(points)), 8)
+        columns, weights = [], []
+        for step in product((0, 1), repeat=3):
+            voxel = np.clip(corner + step, 0, self.count - 1)
+            columns.append(np.ravel_multi_index(tuple(voxel.T), self.shape))
+            weights.append(np.prod(np.where(step, share, 1.0 - share), axis=1))
+        entries = np.concatenate(weights), (rows, np.concatenate(columns))
+        return sp.csr_matrix(entries, shape=(len(points), self.count**3))

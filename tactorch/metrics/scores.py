@@ -40,9 +40,6 @@ def scores(mesh: TetMesh, youngs: Field, truth: Field) -> dict[str, float]:
         `rmse_mpa`, `pearson`, `normalised_correlation`, `ssim` (3-D, range 1 MPa), `psnr` (range
         1 MPa, dB), `position_error_mm`, `contrast_recovery`, `dice`, as defined by the functions of
         these names; NaN where a metric does not apply.
-
-    Raises:
-        MeshError: A field does not fit the mesh.
     """
     return {
         "rmse_mpa": rmse_mpa(youngs, truth),

@@ -158,8 +158,8 @@ class _WarmStartedPosterior:
 
 def _credibility(point: Point) -> Float[np.ndarray, "presses m"]:
     """Square of L (eq. 15) of each press by itself, see `SamplingState.credibility`."""
-    mesh = point.objective.problem.recording.mesh
-    blocks = _split(point.jacobian[:, : mesh.n_tets], point.objective.problem)
+    problem, mesh = point.objective.problem, point.objective.problem.recording.mesh
+    blocks = np.split(point.jacobian[:, : mesh.n_tets], problem.data.begins[1:])
     sensitivity = np.array([np.abs(block).max(axis=0) for block in blocks])
     # Small elements do not count as less sensitive.
     return (sensitivity * mesh.volumes.mean() / mesh.volumes) ** 2
@@ -172,7 +172,7 @@ def _predict(presses: Sequence[Press], point: Point, settings: Settings) -> list
     white and smooth.
     """
     current = point.objective.problem
-    noise = float(1.0 / np.median(np.concatenate([d.scale for d in current.data.observations])))
+    noise = float(1.0 / np.median(current.data.scale))
     # The Jacobian does not depend on the measured displacement, but presses with none are refused.
     nonzero = np.full(presses[0].forces.shape, noise)
     planned = tuple(replace(press, displacement=nonzero, noise_mm=noise) for press in presses)
@@ -181,18 +181,14 @@ def _predict(presses: Sequence[Press], point: Point, settings: Settings) -> list
     problem = InverseProblem(recording, newton=settings.newton, body=current.body)
     slope = point.objective.parameterization.slope(point.elements)
     try:
-        blocks = _split(problem.evaluate(point.youngs).jacobian() * slope, problem)
+        jacobian = problem.evaluate(point.youngs).jacobian() * slope
     except ConvergenceError:
         if len(presses) == 1:
             return [None]
         return [_predict([press], point, settings)[0] for press in presses]
+    blocks = np.split(jacobian, problem.data.begins[1:])
     if current.data.model_deviation is None:
         return [*blocks]
     deviation, points = float(np.median(current.data.model_deviation)), recording.mesh.points
     patterns = [smooth_pattern(points, data, deviation) for data in problem.data.observations]
     return [CorrelatedNoise(s).whiten(block) for s, block in zip(patterns, blocks, strict=True)]
-
-
-def _split(rows: np.ndarray, problem: InverseProblem) -> list[np.ndarray]:
-    counts = [len(data.index) for data in problem.data.observations]
-    return np.split(rows, np.cumsum(counts)[:-1])

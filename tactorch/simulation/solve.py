@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, Discretisation, SoftBody, Supports
-from tactorch.fem.loads import pressure_forces
+from tactorch.fem.boundary import pressure_forces
 from tactorch.mesh import TetMesh, face_nodes
 from tactorch.simulation.patch import nodes_within, patch_forces
 from tactorch.simulation.plan import PressPlan, PressSite

@@ -101,26 +101,20 @@ class LaplacePosterior(GaussianPosterior):
         """
         check_weight(weight)
         prior, parameterization = point.prior_curvature(weight), point.objective.parameterization
-        return LaplacePosterior.of(point.elements, point.jacobian, 1.0, prior, parameterization)
+        return LaplacePosterior.of(point.elements, point.jacobian, prior, parameterization)
 
     @staticmethod
     def of(
         mean: Field,
         jacobian: Float[np.ndarray, "data unknowns"],
-        weight: float,
         prior: sp.spmatrix | sp.sparray,
         parameterization: Parameterization,
     ) -> "LaplacePosterior":
-        """Return the posterior of a linear model; see `at`.
-
-        The precision of the prior is `weight` times `prior`.
-        """
-        check_weight(weight)
-        factor = DenseCholesky.of(jacobian.T @ jacobian, weight * prior)
+        """Return the posterior of a linear model with this precision of the prior; see `at`."""
+        factor = DenseCholesky.of(jacobian.T @ jacobian, prior)
         if factor is None:
             raise ConfigError(
-                f"weight={weight}: data and prior leave some moduli undetermined; give a prior "
-                "and a larger weight."
+                "data and prior leave some moduli undetermined; give a prior and a larger weight."
             )
         return LaplacePosterior(mean, jacobian, factor, parameterization)
 
@@ -129,26 +123,21 @@ class LaplacePosterior(GaussianPosterior):
         return torch.cholesky_inverse(self.factor.lower).numpy()
 
     def variance(self) -> Field:
-        """See `GaussianPosterior.variance`."""
         return self._covariance.diagonal()[: len(self.mean)].copy()
 
     def covariance(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
-        """See `GaussianPosterior.covariance`."""
         return self._covariance[np.ix_(elements, elements)]
 
     def resolution_diagonal(self) -> Field:
-        """See `GaussianPosterior.resolution_diagonal`."""
         gain = self._covariance[: len(self.mean)] @ self.jacobian.T
         return np.einsum("mp,pm->m", gain, self.jacobian[:, : len(self.mean)])
 
     def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
-        """See `GaussianPosterior.sample`."""
         noise = torch.from_numpy(rng.standard_normal((self.jacobian.shape[1], n)))
         sample = torch.linalg.solve_triangular(self.factor.lower.T, noise, upper=True).numpy()
         return self.mean + sample[: len(self.mean)].T
 
     def log_det(self) -> float:
-        """See `GaussianPosterior.log_det`."""
         return 2.0 * float(torch.log(torch.diagonal(self.factor.lower)).sum())
 
 

@@ -132,7 +132,6 @@ class LowRankPosterior(GaussianPosterior):
         return self.factor.inverse_diagonal[: len(self.mean)].copy()
 
     def variance(self) -> Field:
-        """See `GaussianPosterior.variance`."""
         variance = self.factor.inverse_diagonal - self.directions**2 @ self._reduction
         return variance[: len(self.mean)]
 
@@ -145,12 +144,10 @@ class LowRankPosterior(GaussianPosterior):
         return 0.5 * (prior + prior.T) - (rows * self._reduction) @ rows.T
 
     def resolution_diagonal(self) -> Field:
-        """See `GaussianPosterior.resolution_diagonal`."""
         weighted = self.precision @ self.directions
         return ((self.directions * weighted) @ self._reduction)[: len(self.mean)]
 
     def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
-        """See `GaussianPosterior.sample`."""
         sample = self.factor.correlated(rng.standard_normal((len(self.factor.pivots), n)))
         along = self.directions.T @ (self.precision @ sample)
         shrink = 1.0 - 1.0 / np.sqrt(1.0 + self.eigenvalues)

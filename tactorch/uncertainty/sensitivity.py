@@ -6,6 +6,7 @@ from jaxtyping import Float
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Evaluation
 from tactorch.mesh import TetMesh
+from tactorch.mesh.quadrature import lattice
 from tactorch.uncertainty.laplace import Field
 
 _SUBDIVISIONS = 11  # sample points along an edge of an element
@@ -60,17 +61,9 @@ def layer_profile(
         )
     low, high = mesh.bounds[:, axis]
     edges = np.linspace(low, high, layers + 1)
-    weights = _barycentric(_SUBDIVISIONS)
+    weights = lattice(_SUBDIVISIONS, margin=0.25)
     heights = mesh.points[mesh.tets, axis] @ weights.T
     index = np.clip(np.searchsorted(edges, heights, side="right") - 1, 0, layers - 1)
     share = np.repeat(values * mesh.volumes / len(weights), len(weights))
     sums = np.bincount(index.ravel(), weights=share, minlength=layers)
     return 0.5 * (edges[1:] + edges[:-1]), sums
-
-
-def _barycentric(count: int) -> Float[np.ndarray, "p 4"]:
-    """Evenly distributed inner points of a tetrahedron as barycentric weights."""
-    grid = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    grid = grid[grid.sum(axis=1) < count]
-    last = count - 1 - grid.sum(axis=1, keepdims=True)
-    return (np.hstack([grid, last]) + 0.25) / count

@@ -9,7 +9,7 @@ import torch
 from tactorch.fem import ELEMENTS, MATERIALS, Discretisation, make_material, reference
 from tactorch.fem.assembly import Assembly
 from tactorch.fem.materials import EnergyDerivatives, IsotropicMaterial
-from tactorch.fem.materials.linear import LinearElastic
+from tactorch.fem.materials.isotropic import LinearElastic
 from tactorch.mesh import TetMesh
 
 

@@ -25,7 +25,7 @@ def posterior(map_mpa, deviation):
     mean = log.parameters(map_mpa)
     nothing = np.zeros((1, MESH.n_tets))
     prior = sp.identity(MESH.n_tets, format="csr") / deviation**2
-    return LaplacePosterior.of(mean, nothing, 1.0, prior, log)
+    return LaplacePosterior.of(mean, nothing, prior, log)
 
 
 def sure(map_mpa, deviation, draws=400):

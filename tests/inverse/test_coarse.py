@@ -17,7 +17,7 @@ from tactorch.inverse import (
     Settings,
     invert,
 )
-from tactorch.inverse.coarse import CoarseStart, clusters
+from tactorch.inverse.starts import CoarseStart, clusters
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import Recording
 

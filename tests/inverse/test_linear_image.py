@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from tactorch.inverse import InverseProblem
-from tactorch.inverse.linear_image import _cells, _prior_precision, linear_image, linear_map
-from tactorch.mesh import box_mesh
+from tactorch.inverse.linear_image import _prior_precision, linear_image, linear_map
+from tactorch.mesh import VoxelGrid, box_mesh
 from tactorch.recording import Recording
 
 COUNT = 4
@@ -20,7 +20,8 @@ def test_the_image_is_that_of_linear_theory(cube: Recording) -> None:
     image, explained = linear_image(found, cube.mesh, deviations, COUNT)
     C = np.linalg.inv(_prior_precision(COUNT))
     scale = np.concatenate([seen.scale for seen in problem.data.observations])
-    J = 0.3 * (found.jacobian() / scale[:, None]) @ _cells(cube.mesh, COUNT).toarray()
+    cells = VoxelGrid(cube.mesh, COUNT).element_weights.toarray()
+    J = 0.3 * (found.jacobian() / scale[:, None]) @ cells
     noise = [
         np.full(len(d), s**2 + np.mean((0.02 * d) ** 2))
         for d, s in ((found.data.observations[i].displacement, s) for i, s in enumerate(deviations))
@@ -37,7 +38,7 @@ def test_cells_interpolate_linear_fields() -> None:
     mesh = box_mesh(6.0, 5, center_mm=(3.0, 3.0, 3.0), tets_per_cell=5)
     axis = np.arange(3) * 2.0 + 1.0
     x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
-    found = _cells(mesh, 3) @ (x + 2 * y - z).ravel()
+    found = VoxelGrid(mesh, 3).at_elements(x + 2 * y - z)
     held = np.clip(mesh.centroids, 1.0, 5.0)
     np.testing.assert_allclose(found, held @ [1.0, 2.0, -1.0], atol=1e-12)
 

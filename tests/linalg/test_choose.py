@@ -3,9 +3,8 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.linalg import SOLVERS, SolverPool, SymmetricPattern, analyse, available_solvers
-from tactorch.linalg.multigrid import Multigrid
+from tactorch.linalg.iterative import Multigrid, TorchCG
 from tactorch.linalg.pardiso import Pardiso
-from tactorch.linalg.torch_cg import TorchCG
 
 
 def ring(size: int) -> SymmetricPattern:

@@ -6,7 +6,7 @@ import pytest
 from tactorch.errors import ConvergenceError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.linalg import analyse
-from tactorch.linalg.multigrid import Multigrid, MultigridSolver
+from tactorch.linalg.iterative import Multigrid, MultigridSolver
 from tactorch.mesh import box_mesh, face_nodes
 
 

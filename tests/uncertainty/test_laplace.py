@@ -13,6 +13,7 @@ from tactorch.inverse import (
     Objective,
 )
 from tactorch.uncertainty import LaplacePosterior, calibration_error, coverage
+from tactorch.uncertainty.laplace import check_weight
 
 M = 12
 LOG = Log()
@@ -31,7 +32,7 @@ def posterior(
 ) -> LaplacePosterior:
     jacobian, prior = model
     mean = np.zeros(M) if mean is None else mean
-    return LaplacePosterior.of(mean, jacobian, 2.0, sp.csr_matrix(prior), LOG)
+    return LaplacePosterior.of(mean, jacobian, 2.0 * sp.csr_matrix(prior), LOG)
 
 
 def test_equals_the_analytic_posterior(model: tuple[np.ndarray, np.ndarray]) -> None:
@@ -84,7 +85,7 @@ def test_truths_of_the_prior_are_covered_as_claimed(model: tuple[np.ndarray, np.
 def test_global_unknowns_widen_the_elements(model: tuple[np.ndarray, np.ndarray]) -> None:
     jacobian, prior = model
     wide = np.hstack([jacobian, np.ones((7, 1))])
-    found = LaplacePosterior.of(np.zeros(M), wide, 2.0, sp.csr_matrix(prior), LOG)
+    found = LaplacePosterior.of(np.zeros(M), wide, 2.0 * sp.csr_matrix(prior), LOG)
     assert found.variance().shape == found.resolution_diagonal().shape == (M,)
     assert found.sample(np.random.default_rng(0), 3).shape == (3, M)
     assert np.all(found.variance() >= posterior(model).variance())
@@ -118,6 +119,6 @@ def test_global_unknowns_count_with_their_own_prior(
 def test_undetermined_moduli_are_refused(model: tuple[np.ndarray, np.ndarray]) -> None:
     empty = sp.csr_matrix((M, M))
     with pytest.raises(ConfigError, match="undetermined"):
-        LaplacePosterior.of(np.zeros(M), np.zeros((7, M)), 1.0, empty, LOG)
+        LaplacePosterior.of(np.zeros(M), np.zeros((7, M)), empty, LOG)
     with pytest.raises(ConfigError, match="weight=-1"):
-        LaplacePosterior.of(np.zeros(M), model[0], -1.0, empty, LOG)
+        check_weight(-1.0)

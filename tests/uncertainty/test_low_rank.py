@@ -66,7 +66,7 @@ def test_matrices_that_are_not_positive_definite_have_no_factor() -> None:
 @given(st.integers(0, 2**31))
 def test_equals_the_dense_posterior_where_the_rank_suffices(seed: int) -> None:
     jacobian, precision, exact = model(seed)
-    dense = LaplacePosterior.of(np.zeros(M), jacobian, 1.0, precision, LOG)
+    dense = LaplacePosterior.of(np.zeros(M), jacobian, precision, LOG)
     found = low_rank(jacobian, precision, DATA)
     some = np.array([4, 1, 29])
     for name in ("variance", "deviation", "resolution_diagonal", "log_det"):

@@ -12,7 +12,7 @@ MATERIALS = Registry(
     "material",
     {
         "neo_hookean": f"{_ISOTROPIC}:NeoHookean",
-        "linear": "tactorch.fem.materials.linear:LinearElastic",
+        "linear": f"{_ISOTROPIC}:LinearElastic",
         "st_venant_kirchhoff": f"{_ISOTROPIC}:StVenantKirchhoff",
         "isochoric_neo_hookean": f"{_ISOTROPIC}:IsochoricNeoHookean",
         "mooney_rivlin": f"{_ISOTROPIC}:MooneyRivlin",

@@ -1,9 +1,22 @@
-"""Materials with a strain energy of the invariants; their derivatives are in closed form."""
+"""Isotropic materials; their derivatives are in closed form."""
 
 from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from tactorch.config import option
-from tactorch.fem.materials.base import Array, EnergyDerivatives, IsotropicMaterial, bulk, lame
+from tactorch.fem.materials.base import (
+    Array,
+    EnergyDerivatives,
+    Gradient,
+    IsotropicMaterial,
+    Material,
+    bulk,
+    lame,
+)
 
 
 @dataclass(frozen=True)
@@ -16,23 +29,19 @@ class NeoHookean(IsotropicMaterial):
     lame_factor: float = option(1.0, "Factor of lambda; 0.5 in the paper's published data")
 
     def strain_energy(self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return mu/2 (I1 - 3) - mu ln J."""
         _, mu = lame(poisson)
         return 0.5 * mu * (i1 - 3.0) - mu * log_j
 
     def volumetric_energy(self, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return lame_factor lambda/2 (ln J)^2."""
         return 0.5 * self.lame_factor * lame(poisson)[0] * log_j * log_j
 
     def strain_derivatives(
         self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array
     ) -> EnergyDerivatives:
-        """Closed form."""
         psi, mu = self.strain_energy(i1, i2, j, log_j, poisson), lame(poisson)[1]
         return EnergyDerivatives(psi, d1=0.5 * mu, dj=-mu / j, djj=mu / (j * j))
 
     def volumetric_derivatives(self, j: Array, log_j: Array, poisson: Array) -> EnergyDerivatives:
-        """Closed form."""
         lam, psi = self.lame_factor * lame(poisson)[0], self.volumetric_energy(j, log_j, poisson)
         return EnergyDerivatives(psi, dj=lam * log_j / j, djj=lam * (1.0 - log_j) / (j * j))
 
@@ -47,7 +56,6 @@ class StVenantKirchhoff(IsotropicMaterial):
     """
 
     def strain_energy(self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return lambda/8 (I1 - 3)^2 + mu/4 (I1^2 - 2 I2 - 2 I1 + 3)."""
         lam, mu = lame(poisson)
         trace = i1 - 3.0
         return 0.125 * lam * trace * trace + 0.25 * mu * (i1 * i1 - 2.0 * (i1 + i2) + 3.0)
@@ -55,7 +63,6 @@ class StVenantKirchhoff(IsotropicMaterial):
     def strain_derivatives(
         self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array
     ) -> EnergyDerivatives:
-        """Closed form."""
         lam, mu = lame(poisson)
         psi = self.strain_energy(i1, i2, j, log_j, poisson)
         d1 = 0.25 * lam * (i1 - 3.0) + 0.5 * mu * (i1 - 1.0)
@@ -80,18 +87,15 @@ class _IsochoricMaterial(IsotropicMaterial):
         return c1, self._c2_fraction * half_mu * j ** (-4.0 / 3.0)
 
     def strain_energy(self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return c1 (J^(-2/3) I1 - 3) + c2 (J^(-4/3) I2 - 3)."""
         a, b = self._coefficients(j, poisson)
         return a * i1 + b * i2 - 1.5 * lame(poisson)[1]
 
     def volumetric_energy(self, j: Array, log_j: Array, poisson: Array) -> Array:
-        """Return kappa/4 (J^2 - 1 - 2 ln J)."""
         return 0.25 * bulk(poisson) * (j * j - 1.0 - 2.0 * log_j)
 
     def strain_derivatives(
         self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array
     ) -> EnergyDerivatives:
-        """Closed form."""
         a, b = self._coefficients(j, poisson)
         return EnergyDerivatives(
             a * i1 + b * i2 - 1.5 * lame(poisson)[1],
@@ -104,7 +108,6 @@ class _IsochoricMaterial(IsotropicMaterial):
         )
 
     def volumetric_derivatives(self, j: Array, log_j: Array, poisson: Array) -> EnergyDerivatives:
-        """Closed form."""
         half_kappa, psi = 0.5 * bulk(poisson), self.volumetric_energy(j, log_j, poisson)
         return EnergyDerivatives(
             psi, dj=half_kappa * (j - 1.0 / j), djj=half_kappa * (1.0 + 1.0 / (j * j))
@@ -133,3 +136,38 @@ class MooneyRivlin(_IsochoricMaterial):
     @property
     def _c2_fraction(self) -> float:  # type: ignore[override]
         return self.second_fraction
+
+
+@dataclass(frozen=True)
+class LinearElastic(Material):
+    """Linear elasticity, for small strains and rotations.
+
+    psi = lambda/2 (tr eps)^2 + mu eps:eps with eps = sym(F - I).
+    """
+
+    allows_inversion: ClassVar[bool] = True
+
+    def energy(self, F: Gradient, poisson: Array) -> Float[Tensor, "*batch"]:
+        return 0.5 * (self.stress(F, poisson) * _strain(F)).sum((-2, -1))
+
+    def stress(self, F: Gradient, poisson: Array) -> Gradient:
+        lam, mu = (_as_matrix(x, F) for x in lame(poisson))
+        strain = _strain(F)
+        trace = strain.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+        return lam * trace * torch.eye(3).to(F) + 2.0 * mu * strain
+
+    def tangent(self, F: Gradient, poisson: Array) -> Float[Tensor, "*batch 3 3 3 3"]:
+        """Return lambda d_iI d_jJ + mu (d_ij d_IJ + d_iJ d_jI)."""
+        lam, mu = (_as_matrix(x, F)[..., None, None] for x in lame(poisson))
+        one = torch.eye(3).to(F)
+        trace = torch.einsum("iI,jJ->iIjJ", one, one)
+        shear = torch.einsum("ij,IJ->iIjJ", one, one) + torch.einsum("iJ,jI->iIjJ", one, one)
+        return (lam * trace + mu * shear).expand(*F.shape[:-2], 3, 3, 3, 3)
+
+
+def _strain(F: Tensor) -> Tensor:
+    return 0.5 * (F + F.mT) - torch.eye(3).to(F)
+
+
+def _as_matrix(value: Array, F: Tensor) -> Tensor:
+    return torch.as_tensor(value, dtype=F.dtype, device=F.device)[..., None, None]

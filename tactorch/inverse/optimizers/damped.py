@@ -125,7 +125,6 @@ class DampedNewton(Optimizer):
         """Return the solver of a run that starts at a point or from a stored state."""
 
     def minimize(self, objective: Objective, start: Vector, monitor: Monitor) -> StopReason:
-        """See `Optimizer.minimize`."""
         point = objective.at(start)
         solver = self.step_solver(point, monitor.state)
         schedule = RegularizationSchedule.start(

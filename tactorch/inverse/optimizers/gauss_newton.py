@@ -29,7 +29,6 @@ class GaussNewton(DampedNewton):
     )
 
     def step_solver(self, point: Point, state: dict[str, float]) -> StepSolver:
-        """Return the solver of a run."""
         return _DenseSteps(self)
 
 
@@ -69,11 +68,7 @@ def parameter_space_step(
     jacobian: Float[np.ndarray, "p size"], gradient: Vector, prior: sp.csr_matrix, shift: Vector
 ) -> Vector | None:
     """Solve (J^T J + prior + shift) step = -gradient by Cholesky; None if it breaks down."""
-    matrix = jacobian.T @ jacobian
-    coo = prior.tocoo()
-    np.add.at(matrix, (coo.row, coo.col), coo.data)
-    matrix[np.diag_indices_from(matrix)] += shift
-    factor = DenseCholesky.of(matrix)
+    factor = DenseCholesky.of(jacobian.T @ jacobian, prior + sp.diags(shift))
     return None if factor is None else -factor.solve(gradient)
 
 

@@ -39,7 +39,6 @@ class NewtonCG(DampedNewton):
     )
 
     def step_solver(self, point: Point, state: dict[str, float]) -> StepSolver:
-        """Return the solver of a run."""
         if self.hessian == "true" and point.objective.nuisance.size:
             raise ConfigError(
                 "optimizer.hessian=true does not support nuisance parameters; use gauss_newton."

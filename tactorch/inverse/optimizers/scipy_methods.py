@@ -38,7 +38,6 @@ class TNC(Optimizer):
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " size"], monitor: Monitor
     ) -> StopReason:
-        """See `Optimizer.minimize`."""
         remaining = self.max_evaluations - monitor.evaluations
         if remaining <= 0:
             return StopReason.EVALUATION_LIMIT
@@ -59,7 +58,6 @@ class LBFGS(Optimizer):
     def minimize(
         self, objective: Objective, start: Float[np.ndarray, " size"], monitor: Monitor
     ) -> StopReason:
-        """See `Optimizer.minimize`."""
         point = objective.at(start)
         schedule = RegularizationSchedule.start(point, monitor.state)
         while schedule.ended is None:

@@ -92,12 +92,10 @@ class Quadratic(Regularizer):
         return field - level
 
     def value(self, field: Field) -> float:
-        """Return the penalty, zero at the level."""
         difference = self._difference(field)
         return 0.5 * float(difference @ (self._matrix @ difference))
 
     def gradient(self, field: Field) -> Field:
-        """Return the gradient of the penalty."""
         return self._matrix @ self._difference(field)
 
     def curvature(self, field: Field) -> sp.csr_matrix:
@@ -112,7 +110,6 @@ class NoPrior(Prior):
     weight: float | None = option(0.0, "Not used", ge=0)
 
     def on(self, mesh: TetMesh) -> Quadratic:
-        """Return the zero penalty."""
         return Quadratic(sp.csr_matrix((mesh.n_tets, mesh.n_tets)))
 
 

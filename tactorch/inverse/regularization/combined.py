@@ -36,7 +36,6 @@ class Composite(Prior):
         object.__setattr__(self, "parts", parts)
 
     def on(self, mesh: TetMesh) -> "CompositePenalty":
-        """Return the penalty on a mesh."""
         return CompositePenalty([(part.weight, part.on(mesh)) for part in self.parts.values()])
 
 
@@ -58,11 +57,9 @@ class CompositePenalty(Regularizer):
         self.gaussian = all(part.gaussian for _, part in self._parts)
 
     def value(self, field: Field) -> float:
-        """Return the penalty."""
         return sum(share * part.value(field) for share, part in self._parts)
 
     def gradient(self, field: Field) -> Field:
-        """Return the gradient of the penalty."""
         return sum((s * p.gradient(field) for s, p in self._parts), np.zeros_like(field))
 
     def curvature(self, field: Field) -> sp.csr_matrix:
@@ -107,7 +104,6 @@ class ShiftedPrior(Prior):
     __hash__ = None  # type: ignore[assignment]
 
     def on(self, mesh: TetMesh) -> Regularizer:
-        """Return the penalty on a mesh."""
         for name in ("mean_mpa", "deviation"):
             values = getattr(self, name)
             if values is not None and values.shape != (mesh.n_tets,):

@@ -21,7 +21,6 @@ class Smoothness(Prior):
     """
 
     def on(self, mesh: TetMesh) -> Quadratic:
-        """Return the penalty on a mesh."""
         faces, difference = mesh.adjacency, jumps(mesh)
         weights = relative(faces.areas) / relative(faces.distances)
         return Quadratic(difference.T @ sp.diags(weights) @ difference)
@@ -40,7 +39,6 @@ class Tikhonov(Prior):
     )
 
     def on(self, mesh: TetMesh) -> Quadratic:
-        """Return the penalty on a mesh."""
         volumes, level = relative(mesh.volumes), self.level_mpa and float(np.log(self.level_mpa))
         return Quadratic(sp.diags(volumes), level, volumes)
 
@@ -66,7 +64,6 @@ class Matern(Prior):
     )
 
     def on(self, mesh: TetMesh) -> "MaternPenalty":
-        """Return the penalty on a mesh."""
         return MaternPenalty(self, mesh)
 
 

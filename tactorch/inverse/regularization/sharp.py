@@ -73,7 +73,6 @@ class TotalVariation(Prior):
     edge: float = option(0.03, "Jump of log-modulus below which the penalty is quadratic", gt=0)
 
     def on(self, mesh: TetMesh) -> Regularizer:
-        """Return the penalty on a mesh."""
         areas = relative(mesh.adjacency.areas)
         cost = _smoothed_size(self.edge)
         return _ReweightedPenalty(jumps(mesh), areas, *cost, variation_edge=self.edge)
@@ -90,7 +89,6 @@ class LogJumps(Prior):
     edge: float = option(0.1, "Jump of log-modulus at which the force is largest", gt=0)
 
     def on(self, mesh: TetMesh) -> Regularizer:
-        """Return the penalty on a mesh."""
         edge = self.edge
         return _ReweightedPenalty(
             jumps(mesh),
@@ -117,7 +115,6 @@ class Sparsity(Prior):
     )
 
     def on(self, mesh: TetMesh) -> Regularizer:
-        """Return the penalty on a mesh."""
         volumes, known = relative(mesh.volumes), self.level_mpa and float(np.log(self.level_mpa))
 
         def level(field: np.ndarray) -> float:
@@ -151,7 +148,6 @@ class BinaryWell(Prior):
             )
 
     def on(self, mesh: TetMesh) -> Regularizer:
-        """Return the penalty on a mesh."""
         levels = self.levels_mpa and tuple(np.log(self.levels_mpa).tolist())
         return _BinaryWellPenalty(relative(mesh.volumes), levels)
 

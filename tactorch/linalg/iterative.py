@@ -1,0 +1,152 @@
+"""Iterative solvers: preconditioned conjugate gradients, for the largest meshes.
+
+Multigrid by smoothed aggregation takes the near-nullspace (the six rigid-body modes in elasticity),
+which makes its convergence independent of the mesh size (Vanek, Mandel and Brezina, 1996). The
+solver in PyTorch solves all right-hand sides at once, on a GPU where there is one.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from torch import Tensor
+
+from tactorch.config import option
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.linalg.conjugate_gradients import conjugate_gradients
+from tactorch.linalg.solver import SOLVERS, IndefiniteError, Solver, SolverOptions
+
+_BLOCK = 3  # unknowns of a node
+
+
+class IterativeSolver(Solver):
+    """Conjugate gradients within the limits `options.rtol` and `options.max_iterations`."""
+
+    direct = False
+
+    def _iterate(
+        self, product: Callable[[Any], Any], precondition: Callable[[Any], Any], rhs: Any
+    ) -> Any:
+        rtol, limit = self.options.rtol, self.options.max_iterations
+        result = conjugate_gradients(product, precondition, rhs, rtol=rtol, max_iterations=limit)
+        if result.negative_curvature:
+            raise IndefiniteError("negative curvature: the matrix is not positive definite")
+        if not result.converged:
+            residual = float(abs(rhs - result.image).max() / abs(rhs).max())
+            name = SOLVERS.name_of(type(self.options))
+            raise ConvergenceError(
+                f"solver={name} did not converge: a relative residual of {residual:.1e}, not "
+                f"{rtol:.0e}, in {limit} iterations; use solver=pardiso or solver=superlu, or "
+                f"raise solver.max_iterations or solver.rtol."
+            )
+        return result.solution
+
+
+class MultigridSolver(IterativeSolver):
+    """Conjugate gradients with multigrid; the aggregates of the first matrix are reused."""
+
+    _aggregates: list[sp.csr_matrix] | None = None
+
+    def _factor(self, values: np.ndarray) -> bool:
+        import pyamg
+
+        self._matrix = full = self.pattern.full(values)
+        if np.any(full.diagonal() <= 0):
+            return False
+        block = full.tobsr((3, 3)) if self.pattern.size % 3 == 0 else full
+        options: dict[str, Any] = {}
+        if self.near_nullspace is not None:
+            options["B"] = self._constrained_modes(self.near_nullspace)
+        if self._aggregates:
+            options["aggregate"] = [("predefined", {"AggOp": a}) for a in self._aggregates]
+            options["max_levels"] = len(self._aggregates) + 1
+        hierarchy = pyamg.smoothed_aggregation_solver(
+            block, keep=True, max_coarse=300, coarse_solver="splu", symmetry="symmetric", **options
+        )
+        if self._aggregates is None:
+            self._aggregates = [level.AggOp for level in hierarchy.levels[:-1]]
+        self._preconditioner = hierarchy.aspreconditioner(cycle="V")
+        return True
+
+    def _constrained_modes(self, modes: np.ndarray) -> np.ndarray:
+        """Modes with the fixed unknowns (rows with a diagonal entry only) set to zero."""
+        sums = np.asarray(abs(self._matrix).sum(axis=1)).ravel()
+        fixed = sums == np.abs(self._matrix.diagonal())
+        return np.where(fixed[:, None], 0.0, modes)
+
+    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+        if rhs.ndim > 1:
+            return np.stack([self._solve(np.ascontiguousarray(b)) for b in rhs.T], axis=1)
+        return self._iterate(
+            self._matrix.__matmul__, lambda r: self._preconditioner @ r, rhs.astype(np.float64)
+        )
+
+
+@dataclass(frozen=True)
+class Multigrid(SolverOptions):
+    """Conjugate gradients with algebraic multigrid, for the largest meshes."""
+
+    solver = MultigridSolver
+    requires: ClassVar[str] = "pyamg"
+
+    rtol: float = option(1e-12, "Relative residual at which a solve ends", gt=0, lt=1)
+    max_iterations: int = option(500, "Limit of iterations in one solve", ge=1)
+
+    @staticmethod
+    def available() -> bool:
+        return find_spec("pyamg") is not None
+
+
+class TorchCGSolver(IterativeSolver):
+    """Conjugate gradients, preconditioned by the inverse diagonal blocks of the nodes."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        device = self.options.device or ("cuda" if torch.cuda.is_available() else "cpu")
+        if device.startswith("cuda") and not torch.cuda.is_available():
+            raise ConfigError(f"solver.device={device}: there is no CUDA device; give cpu or null.")
+        self._device = torch.device(device)
+
+    def _factor(self, values: np.ndarray) -> bool:
+        full, size = self.pattern.full(values), self.pattern.size
+        block = _BLOCK if size % _BLOCK == 0 else 1
+        unknowns = np.arange(size).reshape(-1, block, 1) + np.zeros(block, dtype=int)
+        others = unknowns.swapaxes(1, 2)
+        blocks = np.asarray(full[unknowns.ravel(), others.ravel()]).reshape(unknowns.shape)
+        factors, info = torch.linalg.cholesky_ex(torch.from_numpy(blocks).to(self._device))
+        if bool(info.any()):  # a diagonal block is indefinite
+            return False
+        self._inverse_blocks = torch.cholesky_inverse(factors)
+        rows, cols = (torch.from_numpy(x.astype(np.int64)) for x in (full.indptr, full.indices))
+        data = torch.from_numpy(full.data)
+        with warnings.catch_warnings():  # sparse tensors are declared a beta feature
+            warnings.simplefilter("ignore", UserWarning)
+            matrix = torch.sparse_csr_tensor(rows, cols, data, size=full.shape)
+            self._matrix = matrix.to(self._device)
+        return True
+
+    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+        columns = torch.tensor(rhs, device=self._device).reshape(len(rhs), -1)
+        with torch.no_grad():
+            solution = self._iterate(self._matrix.matmul, self._precondition, columns)
+        return solution.reshape(rhs.shape).cpu().numpy()
+
+    def _precondition(self, residual: Tensor) -> Tensor:
+        blocks = residual.reshape(*self._inverse_blocks.shape[:2], -1)
+        return (self._inverse_blocks @ blocks).reshape(residual.shape)
+
+
+@dataclass(frozen=True)
+class TorchCG(SolverOptions):
+    """Conjugate gradients in PyTorch, for GPUs; on the CPU direct solvers are faster."""
+
+    solver = TorchCGSolver
+
+    device: str | None = option(None, "Torch device, such as cuda; null: a GPU if there is one")
+    rtol: float = option(1e-12, "Relative residual at which a solve ends", gt=0, lt=1)
+    max_iterations: int = option(20_000, "Limit of iterations in one solve", ge=1)
