@@ -71,7 +71,7 @@ def pressed(depth_mm: float, shift_mm: float) -> GelContact:
 
 
 def main() -> dict[str, np.ndarray]:
-    """Press, draw, and tell the force."""
+    """Press, render, and estimate the force."""
     truth = pressed(depth_mm=0.5, shift_mm=0.1)
     chain = SensorChain(
         SENSOR, calibrated(), render(SENSOR, AT_REST, seed=50), GelModel(GEL, GelOptions(0.8))
@@ -79,7 +79,7 @@ def main() -> dict[str, np.ndarray]:
     image = render(SENSOR, build_surface(SENSOR, truth.points, truth.displacement), seed=51)
     seen = chain.measure(Frame(0, "press", image, 0.0))
     assert seen.contact is not None, "no contact was seen"
-    found = {"true": truth.total, "told": seen.contact.total}
+    found = {"true": truth.total, "estimated": seen.contact.total}
     for name, force in found.items():
         print(f"{name}: {force[0]:+.3f} N along x, {force[2]:+.3f} N along z")
     print(f"depth {seen.height.depth_mm:.2f} mm (true 0.50)")

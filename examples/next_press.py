@@ -30,7 +30,7 @@ def main() -> dict[str, float]:
         print(f"pressed at ({where}) mm: deviation of log-moduli {step.rms_deviation:.3f}")
     stiffest = mesh.centroids[steps[-1].youngs.argmax()]
     off = float(np.linalg.norm(stiffest - BALL_MM))
-    print(f"the stiffest element lies {off:.1f} mm from the ball's middle")
+    print(f"the stiffest element is {off:.1f} mm from the ball's middle")
     return {
         "first": steps[0].rms_deviation,
         "last": steps[-1].rms_deviation,

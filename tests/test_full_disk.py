@@ -129,6 +129,29 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no limit of a file's size")
+@pytest.mark.parametrize(
+    ("free", "reason"),
+    [
+        (100, "cannot write"),  # a part of the first record fits
+        (
+            600,
+            "'missing.h5' is not a file",
+        ),  # the first record fits, the traceback does not
+    ],
+)
+def test_a_log_that_is_full_within_a_record_ends_with_one_line(
+    free: int, reason: str, tmp_path: Path
+) -> None:
+    (tmp_path / "invert.log").write_bytes(b"-" * (LIMIT - free))
+    words = ("invert", "recording=missing.h5", "run_dir=.")
+    done = run_command(tmp_path, *words, limit=LIMIT)
+    assert done.returncode == 2, done.stderr
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith("tactorch invert: error: ")
+    assert reason in done.stderr
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no limit of a file's size")
 @pytest.mark.parametrize("is_log_full", [False, True])

@@ -25,7 +25,10 @@ PAGES = {
     "recording": ("Recordings", ["tactorch.recording", "tactorch.importers"]),
     "simulation": ("Phantoms and simulation", ["tactorch.phantoms", "tactorch.simulation"]),
     "inverse": ("Inversion", ["tactorch.inverse"]),
-    "credibility": ("Credibility and active sampling", ["tactorch.uncertainty"]),
+    "uncertainty": (
+        "Uncertainty and active sampling",
+        ["tactorch.uncertainty", "tactorch.sampling"],
+    ),
     "fem": (
         "Mechanics",
         ["tactorch.fem", "tactorch.fem.materials", "tactorch.linalg"],

@@ -6,7 +6,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -15,7 +15,7 @@ from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
 from tactorch.cli.overrides import check_overrides, check_required, key_of, named
 from tactorch.cli.resume import has_state, with_resume
 from tactorch.cli.schema import command_module, load_schema
-from tactorch.errors import ConfigError, TactorchError
+from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.text import printable
 
 if TYPE_CHECKING:
@@ -124,7 +124,8 @@ class App:
         """Print an error; other jobs of a sweep still run."""
         self._failed = True
         _print_error(message, self.command)
-        console.to_log_file(f"error: {message}", error=True)
+        with suppress(FileError):  # of a log that cannot be written
+            console.to_log_file(f"error: {message}", error=True)
 
     def _check_output(self, out: Path | None) -> None:
         """Refuse that jobs of a sweep write the same file."""

@@ -95,7 +95,7 @@ def _keys(schema: Schema, given: Sequence[str], typed_key: str) -> dict[str, str
     prefix, dot, _ = typed_key.rpartition(".")
     choices = schema.choices(given)
     entries = schema.entries(choices)
-    tables = {name.rpartition(".")[0] for name in entries if "." in name}
+    tables = dict.fromkeys(name.rpartition(".")[0] for name in entries if "." in name)
     names = [*entries, *(name for name in tables if name not in schema.defaults)]
     names = [name for name in names if name.rpartition(".")[0] == prefix]
     keys = {}

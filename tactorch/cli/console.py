@@ -118,6 +118,16 @@ def to_log_file(message: str, error: bool = False) -> None:
             handler.handle(record)
 
 
+class _WholeWrites(io.FileIO):
+    """Unbuffered file. A disk that takes a part of a record raises an error."""
+
+    def write(self, data: Any) -> int:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[super().write(rest) :]
+        return len(data)
+
+
 class RunLog(logging.FileHandler):
     """Log file of a run. A command fails where the file cannot be written, as on a full disk."""
 
@@ -125,7 +135,7 @@ class RunLog(logging.FileHandler):
 
     def _open(self) -> Any:
         # Unbuffered: a buffer would be written again when the process ends.
-        file = open(self.baseFilename, f"{self.mode}b", buffering=0)  # noqa: SIM115
+        file: Any = _WholeWrites(self.baseFilename, self.mode)
         return io.TextIOWrapper(file, self.encoding, self.errors, write_through=True)
 
     def handleError(self, record: logging.LogRecord) -> None:

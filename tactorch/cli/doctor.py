@@ -130,7 +130,7 @@ def _print_findings(findings: Sequence[Finding], core_works: bool) -> None:
     failures = [(f.name, f.feature, f.remedy) for f in findings if f.works is False]
     print()
     if failures:
-        title = "Not working, what that takes away, and what to do"
+        title = "Not working, affected features and remedies"
         print(f"{title}; the first may be why others fail:")
         show(Table(("",) * 3, failures, 3))
         print()
@@ -264,7 +264,7 @@ def _press() -> str:
     stretch = 1.0 + float(u[torch.from_numpy(face_nodes(mesh, "z+")), 2].mean())
     if not abs(stretch - _STRETCH) < 1e-6:
         raise ConvergenceError(f"its stretch is {stretch:.6f}, and should be {_STRETCH:.6f}")
-    return f"stretch {stretch:.6f}, as theory has it"
+    return f"stretch {stretch:.6f}, as in theory"
 
 
 def _system() -> str:
@@ -325,7 +325,7 @@ def _missing_gpu() -> str:
         torch.cuda.init()
     except Exception as error:  # no driver, or a broken torch, reported among the packages
         return _reason(error)
-    return "torch sees no device"
+    return "torch finds no device"
 
 
 def _gpu() -> str:
@@ -337,7 +337,7 @@ def _gpu() -> str:
     names = []
     for k in range(torch.cuda.device_count()):
         if float(torch.ones(8, device=f"cuda:{k}").sum()) != 8.0:
-            raise ConfigError(f"device {k} adds wrongly")
+            raise ConfigError(f"device {k} computes a wrong sum")
         names.append(torch.cuda.get_device_name(k))
     return f"{', '.join(names)} (CUDA {torch.version.cuda})"
 

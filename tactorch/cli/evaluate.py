@@ -1,4 +1,4 @@
-"""`tactorch evaluate`: score a reconstruction against the truth that a recording carries.
+"""`tactorch evaluate`: score a reconstruction against the truth that a recording contains.
 
     tactorch evaluate run=runs/gauss_newton
     tactorch evaluate run=reconstruction.h5 recording=FILE.h5 out=scores.json
@@ -38,7 +38,7 @@ def run(options: EvaluateOptions) -> dict[str, float]:
     source = options.recording or _recording_path(path)
     recording = Recording.load(source, check_units=options.check_units)
     if recording.truth is None:
-        raise RecordingError(f"recording '{source}' carries no truth, so there is no score.")
+        raise RecordingError(f"recording '{source}' contains no truth, so there is no score.")
     if recording.mesh.content_hash() != reconstruction.mesh.content_hash():
         raise RecordingError(
             f"recording '{source}' and reconstruction '{path}' are on different meshes; give the "

@@ -31,11 +31,6 @@ _NAN = float("nan")
 def scores(mesh: TetMesh, youngs: Field, truth: Field) -> dict[str, float]:
     """Score a map against the truth.
 
-    Args:
-        mesh: The body, m elements.
-        youngs: Moduli, (m,), MPa.
-        truth: True moduli, (m,), MPa.
-
     Returns:
         `rmse_mpa`, `pearson`, `normalised_correlation`, `ssim` (3-D, range 1 MPa), `psnr` (range
         1 MPa, dB), `position_error_mm`, `contrast_recovery`, `dice`, as defined by the functions of
@@ -82,10 +77,7 @@ def normalised_correlation(youngs: Field, truth: Field) -> float:
 def psnr(youngs: Field, truth: Field, range_mpa: Range = 1.0) -> float:
     """Return the peak signal-to-noise ratio 20 log10(range / RMSE), dB; infinite if RMSE is 0.
 
-    Args:
-        youngs: Moduli, MPa.
-        truth: True moduli, MPa.
-        range_mpa: Range of the data, MPa (1 in Table II), or "truth" for max - min of the truth.
+    The range of the data is in MPa (1 in Table II), or "truth" for max - min of the truth.
     """
     _check_pair(youngs, truth)
     peak, error = _range(range_mpa, truth), rmse_mpa(youngs, truth)
@@ -99,8 +91,8 @@ def ssim_1d(youngs: Field, truth: Field, window: int = 401, range_mpa: Range = "
     compare with the published numbers, and `tactorch.metrics.ssim` otherwise.
 
     Args:
-        youngs: Moduli, (m,), MPa.
-        truth: True moduli, (m,), MPa.
+        youngs: Moduli of the map.
+        truth: True moduli.
         window: Length of the window, odd and at most m.
         range_mpa: Range of the data, MPa, or "truth" for max - min of the truth.
     """
@@ -145,12 +137,10 @@ def ssim(
     _check_pair(youngs, truth, mesh)
     if window % 2 == 0 or not 3 <= window <= voxels:
         raise ConfigError(f"window is {window}; it must be odd, and from 3 to {voxels} voxels")
-    if not (np.isfinite(range_mpa) and range_mpa > 0):
-        raise ConfigError(f"range_mpa is {range_mpa}; give a range above 0 MPa")
-    grid = VoxelGrid(mesh, voxels)
+    peak, grid = _range(range_mpa, truth), VoxelGrid(mesh, voxels)
     elements, inside = grid.nearest, grid.inside
     _, similarity = structural_similarity(
-        youngs[elements], truth[elements], win_size=window, data_range=range_mpa, full=True
+        youngs[elements], truth[elements], win_size=window, data_range=peak, full=True
     )
     inner = np.zeros_like(inside)
     margin = window // 2

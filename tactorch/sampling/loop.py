@@ -1,5 +1,6 @@
 """The loop of press, inversion and suggestion, over any source of presses."""
 
+import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -12,15 +13,16 @@ import numpy as np
 
 from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
+from tactorch.files import read_arrays, write_arrays, write_file
 from tactorch.findings import find_lump
 from tactorch.inverse import IncrementalInversion, IncrementalResult, Settings, Start, StopReason
 from tactorch.inverse.starts import START_MPA
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 from tactorch.sampling.sources import Arrival, PressSource
-from tactorch.sampling.store import RESULT, Store
 from tactorch.sampling.suggest import Suggester, Suggestion
 
+STATE, HISTORY, RESULT = "state.npz", "history.jsonl", "reconstruction.h5"
 _RESUME_TIMEOUT_S = 10.0  # for the presses of a continued run to be readable
 
 
@@ -131,6 +133,46 @@ class LoopResult:
     reason: str
     history: list[dict[str, Any]]
     update: Update | None
+
+
+class Store:
+    """State and history of a run, from which a killed one continues.
+
+    Each file is replaced as a whole. The state holds the history too, so that the two never
+    disagree: a run that was killed between writing them writes the history again. A run is
+    continued with the same settings only; `task` is their digest.
+    """
+
+    def __init__(self, folder: str | Path, task: str) -> None:
+        self.folder, self._task = Path(folder), task
+
+    def save(
+        self,
+        state: Mapping[str, np.ndarray],
+        arrivals: Sequence[Arrival],
+        history: Sequence[Mapping[str, Any]],
+    ) -> None:
+        """Write the state and the history, one JSON object a line."""
+        lines = [json.dumps(entry, allow_nan=False) for entry in history]
+        texts = {"keys": [a.key for a in arrivals], "marks": [a.digest for a in arrivals]}
+        texts |= {"history": lines, "task": [self._task]}
+        arrays = {name: np.array(values, dtype=str) for name, values in texts.items()}
+        write_arrays(self.folder / STATE, {**arrays, **state})
+        write_file(self.folder / HISTORY, "".join(f"{line}\n" for line in lines))
+
+    def load(self) -> tuple[dict[str, np.ndarray], dict[str, str], list[dict[str, Any]]] | None:
+        """Return state, digests of the presses by key, and history; None if the folder has none."""
+        path = self.folder / STATE
+        if not path.exists():
+            return None
+        state = read_arrays(path, "state", "delete it, or choose another run_dir.")
+        if [self._task] != state.get("task", np.empty(0)).tolist():
+            raise FileError(
+                f"'{path}' is of a run with other settings; give those, to continue it, or choose "
+                "another run_dir."
+            )
+        digests = dict(zip(state["keys"].tolist(), state["marks"].tolist(), strict=True))
+        return state, digests, [json.loads(line) for line in state["history"].tolist()]
 
 
 class SamplingLoop:

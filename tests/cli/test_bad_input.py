@@ -653,7 +653,7 @@ def test_resume_refuses(
     Case(
         "run to score missing", ("reconstruction not found", "nowhere"), settings=("run=nowhere",)
     ),
-    Case("scores without truth", ("carries no truth",), h5("truth", lambda x: None)),
+    Case("scores without truth", ("contains no truth",), h5("truth", lambda x: None)),
     Case("scores against another mesh", ("different meshes", "that was inverted"), of_turned_mesh),
     Case(
         "recording given as a run",

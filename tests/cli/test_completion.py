@@ -56,6 +56,11 @@ def test_every_setting_can_be_reached(verb: str) -> None:
         assert f"{key}=" in offered(f"{verb} {table + '.' if table else ''}")
 
 
+def test_tables_are_listed_in_the_order_of_the_settings() -> None:
+    tables = [key for key in offered("live ") if key.endswith(".")]
+    assert tables[:4] == ["suggest.", "bounds.", "noise.", "newton."]
+
+
 def test_settings_of_the_chosen_option_and_not_twice() -> None:
     assert "optimizer.max_evaluations=" in offered("invert optimizer=tnc optimizer.")
     assert "optimizer.max_evaluations=" not in offered("invert optimizer.")

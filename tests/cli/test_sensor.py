@@ -185,7 +185,7 @@ def test_contacts_that_were_found_can_be_given_as_labels(
     content = json.loads((tmp_path / "run" / "quality.json").read_text())
     assert list(content["presses"]) != list(PRESSES)[:3]  # groups are dealt out
     assert content["presses"].keys() == set(list(PRESSES)[:3])
-    assert "each left out once, in 2 groups" in content["judged"]
+    assert "each left out once, in 2 groups" in content["evaluated"]
     labelled = [r for r in table(tmp_path / "run" / "circles.csv") if f"{r['image']}," in rows_text]
     assert len(labelled) == 2
     for row in labelled:

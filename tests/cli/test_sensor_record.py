@@ -65,7 +65,7 @@ def test_a_session_becomes_a_recording(
     assert -0.3 < hard.displacement[seen, 2].min() < 0.1
     rows = table(run / "session.csv")
     assert [row["frame"] for row in rows] == [f"{k}.png" for k in range(5)]
-    assert [row["kept"] for row in rows] == ["0", "0", "1", "1", "0"]
+    assert [row["selected"] for row in rows] == ["0", "0", "1", "1", "0"]
     assert [row["contact"] for row in rows] == ["", "1", "1", "1", ""]
     assert "cannot be read" in rows[4]["fault"]
     content = json.loads((run / "summary.json").read_text())

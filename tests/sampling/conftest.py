@@ -22,7 +22,7 @@ from tactorch.sampling import (
     SuggestOptions,
     Update,
 )
-from tactorch.sampling.store import HISTORY
+from tactorch.sampling.loop import HISTORY
 from tactorch.simulation import PressPlan, simulate
 
 

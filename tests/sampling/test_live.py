@@ -12,8 +12,8 @@ from tactorch.inverse import IncrementalInversion, Reconstruction, Settings, inv
 from tactorch.metrics import scores
 from tactorch.recording import Recording, append_press
 from tactorch.sampling import LoopOptions, SuggestOptions
+from tactorch.sampling.loop import HISTORY, RESULT, STATE
 from tactorch.sampling.sources import replay
-from tactorch.sampling.store import HISTORY, RESULT, STATE
 
 
 def test_a_recording_that_another_process_writes_is_followed_to_its_end(live: Any) -> None:

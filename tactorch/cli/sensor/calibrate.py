@@ -79,7 +79,7 @@ def run(cfg: CalibrateSettings) -> Path:
         "ball_radius_mm": ball.radius_mm,
         "fit": to_mapping(options),
         "maps": {name: asdict(each) for name, each in maps.items()},
-        "judged": title,
+        "evaluated": title,
         "quality": asdict(quality),
         "fitted_to": {press.name: checksum(images[press.name]) for press in training},
     }
@@ -112,7 +112,7 @@ def _split(
     if not 0 <= count < len(presses):
         raise ConfigError(
             f"held_out={count} of {len(presses)} presses leaves none to fit to; add presses, or"
-            " give held_out=0 to do without a judgement."
+            " give held_out=0 to evaluate on the fitted presses."
         )
     order = np.random.default_rng(cfg.seed).permutation(len(presses)).tolist()
     held_out = set(order[:count])
@@ -140,7 +140,7 @@ def _cross_validate(
     training: Sequence[BallPress], ball: Ball, options: FitOptions, folds: int
 ) -> tuple[list[EvaluatedPress], MapQuality]:
     evaluated, parts = list[EvaluatedPress](), []
-    with progress("judging", "groups left out") as report:
+    with progress("evaluating", "groups left out") as report:
         for slope_map, group, circles in validation_groups(training, ball, options, folds):
             parts.append(evaluate_map(slope_map, group, circles, ball))
             pairs = zip(group, circles, strict=True)

@@ -79,10 +79,16 @@ class CalibrateSettings(FitOptions, BallSettings, MarkerSettings):
         "Map from colour to slope (mlp, mlp_colour, lookup); auto: least error on held-out presses",
     )
     held_out: int | None = option(
-        None, "Presses that are never fitted to, for the report; null: a quarter", ge=0
+        None,
+        "Presses that are never fitted to, for the report; null: a quarter; 0: the report is on the"
+        " fitted presses",
+        ge=0,
     )
     folds: int | None = option(
         None, "Cross-validation instead: each press is left out once, in so many groups", ge=2
+    )
+    seed: int = option(
+        0, "Seed of the map, of the drawn pixels and of the split of the presses", ge=0
     )
     out: Path | None = option(None, "Calibration to write; null: calib.npz in run_dir")
 

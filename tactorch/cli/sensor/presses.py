@@ -146,7 +146,7 @@ def write_report(
     )
     presses = {n: {**asdict(q), "contact_radius_mm": radii[n]} for n, q in single.items()}
     figures = {"quality": asdict(quality), "presses": presses}
-    write_json(folder / _REPORT, {"judged": title, **figures, **facts})
+    write_json(folder / _REPORT, {"evaluated": title, **figures, **facts})
     write_file(folder / _TEXT, f"{title}\n{table.text()}\n{note}\n")
     # This table can be used as `labels`.
     circles = {p.name: c for p, c, _ in evaluated} | dict(circles)

@@ -12,7 +12,7 @@ From a camera, with poses that a robot appends to a table, and the map at the sa
     tactorch live recording=session.h5
 
 The run folder gets recording.h5, session.csv (each frame), summary.json and .txt,
-over_time.png (depth, contacts, frames kept) and presses.png (the contacts, on the object).
+over_time.png (depth, contacts, selected frames) and presses.png (the contacts, on the object).
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -36,7 +36,7 @@ from tactorch.viz import save_figure
 from tactorch.viz.session import presses_figure, session_figure
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
-_HEADER = ("frame", "time_s", "depth_mm", "contact", "kept", "fault")
+_HEADER = ("frame", "time_s", "depth_mm", "contact", "selected", "fault")
 _LABELS = {"frames": "following the gel", "presses": "finding forces"}
 
 
@@ -132,10 +132,10 @@ def _append_contacts(contacts: Iterable[Recording], out: Path) -> Path:
 
 
 def _write(files: RunFiles, session: SessionRecording) -> None:
-    kept, summaries = {row["frame"] for row in session.presses}, session.frames
+    selected, summaries = {row["frame"] for row in session.presses}, session.frames
     rows = [
         (frame.name, frame.time_s, frame.depth_mm, None if number is None else number + 1,
-         int(frame.name in kept), frame.fault or session.skipped.get(frame.name, ""))
+         int(frame.name in selected), frame.fault or session.skipped.get(frame.name, ""))
         for frame, number in zip(summaries, session.contact_numbers(), strict=True)
     ]  # fmt: skip
     write_table(files.folder / _TABLE, _HEADER, rows)

@@ -79,7 +79,7 @@ def run(cfg: TrackSettings) -> Path:
     )
     series = {
         "displacement, mm": {"largest": largest, "median": median},
-        "markers seen": {"seen": valid.sum(axis=1).astype(float)},
+        "markers detected": {"detected": valid.sum(axis=1).astype(float)},
     }
     files.draw(view.figure, frames, show, cfg, measured, series)
     log.info("tracks: %s", files.folder / _TABLE)
@@ -118,7 +118,7 @@ def _summarize(size: np.ndarray, valid: Bool[np.ndarray, "f n"]) -> tuple[dict[s
     share = float(valid.mean())
     values = {"markers": n_markers, "seen_share": share, "seen_in_all_readable_frames": always}
     return values | {"largest_displacement_mm": largest}, (
-        f"{n_markers} markers in {n_frames} frames: seen in {share:.1%} of cases,"
+        f"{n_markers} markers in {n_frames} frames: detected in {share:.1%} of cases,"
         f" {always} of them in every frame that can be read; largest displacement {largest:.3g} mm."
     )
 
@@ -151,7 +151,7 @@ def _track_back(
     values["under_half_px"] = float((errors < 0.5).mean())
     return values, (
         f"Tracked back from the last frame, {values['markers']} of the"
-        f" {values['seen_at_both_ends']} markers seen at both ends are found in the first:"
+        f" {values['seen_at_both_ends']} markers detected at both ends are found in the first:"
         f" {values['median_px']:.2f} px from their start in the median,"
         f" {values['largest_px']:.2f} px at most, {values['under_half_px']:.1%} within 0.5 px."
     )

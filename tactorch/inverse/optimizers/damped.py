@@ -74,28 +74,20 @@ class StepSolver(ABC):
 class PriorSolver:
     """Solves with the prior's curvature plus a diagonal; its pattern is analysed once."""
 
-    def __init__(self) -> None:
-        self._indices: tuple[np.ndarray, np.ndarray] | None = None
-        self._fixed: np.ndarray | None = None
+    _pattern: SymmetricPattern | None = None
+    _fixed: Mask | None = None
 
     def factor(self, prior: sp.csr_matrix, shift: Vector, fixed: Mask | None = None) -> bool:
-        """Factor prior + diagonal with parameters held; return whether it is definite."""
-        prior = prior.tocsr()
-        indices = prior.indptr, prior.indices
-        if self._indices is None or not all(map(np.array_equal, self._indices, indices)):
-            self._indices = prior.indptr.copy(), prior.indices.copy()
-            coo = prior.tocoo()
-            rows, cols = coo.row.astype(np.int64), coo.col.astype(np.int64)
-            self._upper = rows <= cols
-            self._pattern = SymmetricPattern.from_pairs(prior.shape[0], rows, cols)
-            self._slots = self._pattern.slots(rows[self._upper], cols[self._upper])
-            self._solver: Solver = analyse(self._pattern, "auto")
-        values = np.zeros(self._pattern.nnz)
-        np.add.at(values, self._slots, prior.data[self._upper])
-        values[self._pattern.diagonal] += shift
-        if fixed is not None:
-            values = self._pattern.apply_dirichlet(values, fixed)
+        """Factor prior + positive diagonal with parameters held; return whether it is definite."""
+        upper = sp.triu(prior + sp.diags(shift), format="csr")
+        upper.sort_indices()
+        rows, old = (upper.indptr, upper.indices), self._pattern
+        if old is None or not all(map(np.array_equal, rows, (old.indptr, old.indices))):
+            self._pattern = SymmetricPattern(*rows)
+            self._solver: Solver = analyse(self._pattern)
+        assert self._pattern is not None
         self._fixed = fixed
+        values = upper.data if fixed is None else self._pattern.apply_dirichlet(upper.data, fixed)
         return self._solver.factor(values)
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:

@@ -81,8 +81,8 @@ class RecordOptions(Fixture, ContactOptions):
     )
     press_noise_mm: float | None = option(
         None,
-        "Standard deviation of the displacements of presses; null estimates it from frames without"
-        " contact",
+        "Standard deviation of the displacements of presses; null: the larger of noise_mm and the"
+        " noise of frames without contact",
         unit="mm", gt=0,
     )  # fmt: skip
 
