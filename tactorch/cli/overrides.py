@@ -1,13 +1,17 @@
 """Settings as typed, KEY=VALUE: checked against the schema before Hydra composes them."""
 
-import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactorch.cli.presets import EXPERIMENT, Entry, leaves
 from tactorch.cli.schema import Schema
-from tactorch.config.registry import NO_VALUE, missing_setting, unknown_choice
+from tactorch.config.registry import (
+    NO_VALUE,
+    missing_setting,
+    unknown_choice,
+    unknown_setting,
+)
 from tactorch.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -145,22 +149,7 @@ def _table_of(key: str, entries: Mapping[str, Entry]) -> str:
 def _unknown_setting(
     key: str, schema: Schema, entries: Mapping[str, Entry], choices: Mapping[str, str | None]
 ) -> str:
-    """Return the message for an unknown setting, with the closest name."""
-    text, group = f"unknown setting '{key}'.", key.split(".")[0]
-    if match := _nearest(key, [*entries, *schema.defaults]):
-        text += f" Did you mean '{match}'?"
-    elif group in schema.groups and "." in key:
-        inside = [n.removeprefix(f"{group}.") for n in entries if n.startswith(f"{group}.")]
-        text += f" Settings of {group}={choices.get(group)}: {', '.join(inside) or 'none'}."
-    return f"{text} See tactorch {schema.command} --help."
-
-
-def _nearest(key: str, known: Sequence[str]) -> str | None:
-    """Return the known name that a key most likely means: its group left out, or misspelt."""
-    group, _, leaf = key.rpartition(".")
-    inside = [name for name in known if group and name.startswith(f"{group}.")]
-    # The last part of a name counts: in a group all names begin alike.
-    leaf_names = {name.rpartition(".")[2]: name for name in reversed(inside or known)}
-    cutoff = 0.6 if inside else 0.75
-    matches = difflib.get_close_matches(leaf, list(leaf_names), n=1, cutoff=cutoff)
-    return leaf_names[matches[0]] if matches else None
+    group, dot, _ = key.partition(".")
+    chosen = f"{group}={choices.get(group)}" if dot and group in schema.groups else ""
+    message = unknown_setting(key, [*entries, *schema.defaults], f"{group}.", chosen)
+    return f"{message} See tactorch {schema.command} --help."

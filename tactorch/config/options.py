@@ -209,7 +209,11 @@ class Options:
         prefix = f"{section}." if section else ""
         for name in values:
             if name not in settings:
-                raise ConfigError(unknown_setting(f"{prefix}{name}", settings, chosen or section))
+                known, chosen = (
+                    [f"{prefix}{s}" for s in settings],
+                    chosen or section or "this group",
+                )
+                raise ConfigError(unknown_setting(f"{prefix}{name}", known, prefix, chosen))
         for setting in settings.values():
             if setting.required and setting.name not in values:
                 raise ConfigError(missing_setting(f"{prefix}{setting.name}", setting.expectation))
