@@ -135,10 +135,12 @@ class Hdf5Reader:
 
     def check_format(self, name: str, version: int, remedy: str) -> None:
         """Refuse a file of another format, or of a later version than the one that is read."""
-        attributes = self.root.attrs
-        kind = self.attribute("/", "format", str) if "format" in attributes else "another HDF5 file"
+        kind = self.attribute("/", "format", str) if "format" in self.root.attrs else None
         if kind != name:
-            raise self._error_class(f"'{self.source}' is not a {self._what} but {kind}; {remedy}")
+            raise self.error(
+                f"has format {kind!r} where {name!r} is expected; it is HDF5, but not a "
+                f"{self._what} of tactorch: {remedy}"
+            )
         stored = self.attribute("/", "version", int)
         if stored > version:
             raise self.error(

@@ -49,9 +49,7 @@ class RecordingReader(Hdf5Reader):
         }
 
     def _check_format(self) -> None:
-        self.check_format(
-            schema.FORMAT, schema.VERSION, f"give the file that {_WRITER} wrote, or import it first"
-        )
+        self.check_format(schema.FORMAT, schema.VERSION, f"give the file that {_WRITER} wrote")
         units = self.attribute("/", "units", str)
         if units != schema.UNITS:
             needed = schema.UNITS

@@ -657,7 +657,7 @@ def test_resume_refuses(
     Case("scores against another mesh", ("different meshes", "that was inverted"), of_turned_mesh),
     Case(
         "recording given as a run",
-        ("is not a reconstruction", "tactorch-recording"),
+        ("but not a reconstruction", "tactorch-recording"),
         settings=("run=RECORDING",),
     ),
     Case(

@@ -54,7 +54,7 @@ def test_a_writer_that_dies_leaves_what_was_there(
         append_press(path, second)
     content = path.read_bytes()
 
-    def die(*_: Any) -> None:
+    def die(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("tactorch.recording.append.write_attributes", die)

@@ -267,8 +267,8 @@ def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (mark("/", "format", None), "is not a recording but another HDF5 file"),
-        (mark("/", "format", "other"), "is not a recording but other"),
+        (mark("/", "format", None), "has format None"),
+        (mark("/", "format", "other"), "has format 'other'"),
         (mark("/", "version", 4), "has version 4, and this tactorch reads up to 3; upgrade"),
         (mark("/", "version", 0), "has version 0, which never existed"),
         (mark("/", "version", "one"), "attribute 'version' of '/' is 'one'; int is needed"),
