@@ -27,8 +27,9 @@ from indentation import FineGel, Indenter, Pressed, fine_gel, published_gel
 from layer_contact import Layer, flat_punch, half_space_punch_n, hertz_n, sphere
 from machine import OtherWork, write_results
 
+from tactorch.sensor.calibration import KnownLoad, calibrate_modulus
 from tactorch.sensor.description import GelLayer, load_sensor
-from tactorch.sensor.gel import GelModel, GelOptions, KnownLoad, calibrate_modulus
+from tactorch.sensor.gel import GelModel, GelOptions
 
 PACKAGES = ("tactorch", "numpy", "scipy", "pypardiso", "mkl")
 MINI, FINGER = load_sensor("gelsight_mini").gel, load_sensor("finger").gel

@@ -43,8 +43,7 @@ from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import ChainOptions, SensorChain
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
 from tactorch.sensor.frames import Image, read_frames
-from tactorch.sensor.gel import GelModel
-from tactorch.sensor.gel.model import GelMesh
+from tactorch.sensor.gel import GelMesh, GelModel
 from tactorch.sensor.markers import marker_displacements
 from tactorch.sensor.render import GelSurface, build_surface, render
 

@@ -103,8 +103,12 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compressed: boo
     """Write arrays of numbers or text by name to an .npz file, whole or not at all."""
     import numpy as np
 
+    # The option allow_pickle=False is new in NumPy 2.2; earlier ones store it as an array.
+    for name, values in arrays.items():
+        if np.asarray(values).dtype.hasobject:
+            raise ValueError(f"array '{name}' holds Python objects; give numbers or text.")
     memory = io.BytesIO()  # an archive on a full disk fails again from its destructor
-    (np.savez_compressed if compressed else np.savez)(memory, allow_pickle=False, **arrays)
+    (np.savez_compressed if compressed else np.savez)(memory, **arrays)
     write_file(path, memory.getvalue())
 
 
@@ -130,6 +134,7 @@ def read_arrays(
                 content = io.BytesIO(archive.read(name))
                 array = np.lib.format.read_array(content, allow_pickle=False)
                 arrays[name.removesuffix(".npy")] = array
+        arrays.pop("allow_pickle", None)  # written by NumPy before 2.2
     except Exception as error:  # what a damaged archive raises has no common base
         raise FileError(f"{what} '{source}' cannot be read ({error}); {remedy}") from error
     return arrays

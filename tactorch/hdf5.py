@@ -133,21 +133,22 @@ class Hdf5Reader:
         self.root, self.source = root, source
         self._what, self._writer, self._error_class = what, writer, error
 
-    def check_format(self, name: str, version: int, remedy: str) -> None:
-        """Refuse a file of another format, or of a later version than the one that is read."""
+    def check_format(self, name: str, version: int, remedy: str) -> int:
+        """Return the version of the file; refuse another format, and versions that are later."""
         kind = self.attribute("/", "format", str) if "format" in self.root.attrs else None
         if kind != name:
             raise self.error(
                 f"has format {kind!r} where {name!r} is expected; it is HDF5, but not a "
                 f"{self._what} of tactorch: {remedy}"
             )
-        stored = self.attribute("/", "version", int)
+        stored: int = self.attribute("/", "version", int)
         if stored > version:
             raise self.error(
                 f"has version {stored}, and this tactorch reads up to {version}; upgrade tactorch"
             )
         if stored < 1:
             raise self.error(f"has version {stored}, which never existed; write it again")
+        return stored
 
     def has(self, name: str) -> bool:
         """Return whether the file holds a dataset or group."""

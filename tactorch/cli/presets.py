@@ -15,9 +15,9 @@ from tactorch.errors import ConfigError, FileError
 
 PACKAGE = "tactorch.conf"
 EXPERIMENT = "experiment"
-#: Text that runs a function or reads the environment when settings are resolved; ${NAME} and the
-#: time do not.
-PROGRAM = re.compile(r"_target_|\$\{(?!now:|[\w.]+\})")
+#: Text that runs a function or reads the environment when settings are resolved; ${NAME}, the time
+#: and the settings of Hydra do not.
+PROGRAM = re.compile(r"_target_|\$\{(?!now:|hydra:|[\w.]+\})")
 _HYDRA = re.compile(r"(override )?/*hydra([/.@]|\Z)")
 _OVERRIDE = "override /"
 
@@ -116,7 +116,7 @@ def check_plain(folder: Path) -> None:
     for path in sorted(folder.rglob("*.yaml")):
         is_hydra = path.relative_to(folder).parts[0] == "hydra"
         is_hydra = is_hydra or b"@package hydra" in path.read_bytes()
-        programs = [t for t in _texts(read_yaml(path)) if _HYDRA.match(t) or PROGRAM.search(t)]
+        programs = list(_programs(read_yaml(path)))
         if is_hydra or programs:
             raise ConfigError(
                 f"'{path}' sets '{programs[0] if programs else 'hydra'}', which can run programs "
@@ -125,16 +125,16 @@ def check_plain(folder: Path) -> None:
             )
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """Yield all text in a table, names and values."""
+def _programs(value: Any, is_name: bool = False) -> Iterator[str]:
+    """Yield the names of Hydra's settings in a table, and text that runs a function."""
     if isinstance(value, dict):
         for key, inner in value.items():
-            yield str(key)
-            yield from _texts(inner)
+            yield from _programs(str(key), is_name=True)
+            yield from _programs(inner, is_name=key == "defaults")
     elif isinstance(value, list):
         for item in value:
-            yield from _texts(item)
-    elif isinstance(value, str):
+            yield from _programs(item, is_name)
+    elif isinstance(value, str) and (PROGRAM.search(value) or (is_name and _HYDRA.match(value))):
         yield value
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from tactorch.cli.compose import build_options
 from tactorch.cli.overrides import check_overrides, key_of
-from tactorch.cli.presets import PROGRAM
+from tactorch.cli.presets import PROGRAM, leaves
 from tactorch.cli.schema import Schema, app_name
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
@@ -90,11 +90,12 @@ def saved_options(command: str, run: Path) -> Any:
     content = _load(path)
     if not isinstance(content, dict):
         raise FileError(f"'{path}' does not hold a run's settings; start the run again.")
-    if reference := PROGRAM.search(path.read_text(encoding="utf-8")):
-        raise FileError(
-            f"'{path}' holds '{reference[0]}', which is no plain value; remove it, or start the "
-            "run again."
-        )
+    for setting in (f"{name}={value}" for name, value in leaves(content)):
+        if PROGRAM.search(setting):
+            raise FileError(
+                f"'{path}': {setting} is no plain value; write the value itself, or start the run "
+                "again."
+            )
     return build_options(command, OmegaConf.create(content))
 
 

@@ -153,7 +153,8 @@ class Setting:
         text = text if len(text) <= 60 else f"{text[:57]}..."
         if self.nested is not None:
             raise ConfigError(f"{name}={text}: several settings; give {name}.KEY=VALUE.")
-        hint = "" if converted is INVALID else self._unit_hint(converted)
+        hint = " Put it in quotes." if self.annotation is str else ""
+        hint = hint if converted is INVALID else self._unit_hint(converted)
         raise ConfigError(f"{name}={text}: give {self.expectation}.{hint}")
 
     def _in_range(self, value: Any) -> bool:

@@ -108,8 +108,10 @@ def describe(annotation: Any) -> str:
         return _join([str(a) for a in arguments])
     if origin is tuple and arguments[-1] is not Ellipsis:
         count = len(arguments)
-        letters = ",".join(_LETTERS[:count])
-        return f"a list of {_COUNTS.get(count, count)} {_plural(arguments[0])}: [{letters}]"
+        inner = get_args(arguments[0]) if get_origin(arguments[0]) is tuple else ()
+        letters = ",".join(_LETTERS[: len(inner) or count])
+        example = f"[[{letters}],...]" if inner else f"[{letters}]"
+        return f"a list of {_COUNTS.get(count, count)} {_plural(arguments[0])}: {example}"
     if origin in (tuple, list, Sequence):
         is_nested = get_origin(arguments[0]) in (tuple, list, Sequence)
         example = "[[...],[...]]" if is_nested else "[A,B]"
@@ -144,8 +146,11 @@ def leaf_types(annotation: Any) -> set[Any]:
 def _plural(annotation: Any) -> str:
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin in (tuple, list):
-        points = origin is tuple and arguments == (float, float, float)
-        return "points" if points else f"lists of {_plural(arguments[0])}"
+        if origin is list or arguments[-1] is Ellipsis:
+            return f"lists of {_plural(arguments[0])}"
+        count = len(arguments)
+        lists = f"lists of {_COUNTS.get(count, count)} {_plural(arguments[0])}"
+        return "points" if arguments == (float, float, float) else lists
     if origin in (Union, types.UnionType):
         return _join([_plural(a) for a in arguments if a is not types.NoneType])
     return _PLURALS.get(annotation, "values")

@@ -117,9 +117,10 @@ class Supports:
             return np.zeros((n, 3))
         rows = (n, discretisation.n_nodes) if name == "springs" else (n,)
         if values.ndim not in (2, 3) or values.shape[-2] not in rows or values.shape[-1] != 3:
+            others = f" (or all {rows[1]} element nodes)" if len(rows) > 1 else ""
             raise ConfigError(
                 f"supports.{name} has shape {values.shape}; expected ({n}, 3), one row per mesh "
-                f"node, or (cases, {n}, 3)."
+                f"node{others}, or (cases, {n}, 3)."
             )
         return values if values.ndim == 2 else values[index]
 

@@ -17,8 +17,13 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem import kernels, reference
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.linalg.pool import Lease
+from tactorch.linalg.solver import IndefiniteError
 
 _MAX_COLUMNS = 256  # right-hand sides solved at once; bounds the memory on large meshes
+_UNSTABLE = (
+    "The equilibrium is unstable (its tangent is not positive definite), so no derivative exists "
+    "there; lower the load."
+)
 
 
 @dataclass(eq=False)
@@ -34,12 +39,12 @@ class Linearization:
     lease: Lease  # solver that factors K
 
     def factor(self) -> None:
-        """Factor K, unless this is done; ConvergenceError where it is not positive definite."""
+        """Factor K, unless this is done; ConvergenceError if it is found not positive definite.
+
+        Iterative solvers may find this only in `solve`, and multigrid may not find it at all.
+        """
         if self.lease.factored is not self.tangent and not self.lease.factor(self.tangent):
-            raise ConvergenceError(
-                "The equilibrium is unstable (its tangent is not positive definite), so no "
-                "derivative exists there; lower the load."
-            )
+            raise ConvergenceError(_UNSTABLE)
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
         """Return the solution of K x = rhs, with x = 0 at fixed unknowns; see `factor`."""
@@ -47,7 +52,10 @@ class Linearization:
         if self.fixed.any():
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
-        return self.lease.solve(rhs)
+        try:
+            return self.lease.solve(rhs)
+        except IndefiniteError as error:
+            raise ConvergenceError(_UNSTABLE) from error
 
     def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "m k"]:
         """Return the transpose of dR/de (eq. 11) times nodal fields."""

@@ -14,6 +14,7 @@ from tactorch.fem import ELEMENTS, make_material
 from tactorch.inverse import Settings
 from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom, RandomPhantom
+from tactorch.phantoms.families import check_ranges
 from tactorch.recording import MaterialSpec
 from tactorch.simulation import PressPlan
 
@@ -54,7 +55,7 @@ class PressDraw(Options):
         super().__post_init__()
         if not self.faces or not self.steps:
             raise ConfigError("dataset.presses: faces and steps need at least one choice each.")
-        _check_ranges(self, "p_max_mpa", "load", "patch_radius_mm", "patches")
+        check_ranges(self, "p_max_mpa", "load", "patch_radius_mm", "patches")
         for faces, steps in product(self.faces, self.steps):  # refuse plans that cannot be made
             self._plan(p_max_mpa=self.p_max_mpa[0], steps=steps, faces=faces)
 
@@ -136,7 +137,7 @@ class Recipe(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_ranges(self, "snr_db", "poisson")
+        check_ranges(self, "snr_db", "poisson")
         if isinstance(self.inversion, str) and self.inversion != LINEAR:
             raise ConfigError(f"inversion={self.inversion!r}: give settings, {LINEAR!r} or None.")
         if isinstance(self.inversion, Settings) and self.inversion.max_seconds is not None:
@@ -176,11 +177,3 @@ class Recipe(Options):
         """Return all that determines the samples as plain values, to compare recipes by."""
         names = ("material", "element", "inversion")  # which a dataset's settings do not have
         return to_mapping(self) | {name: to_mapping(getattr(self, name)) for name in names}
-
-
-def _check_ranges(options: Options, *names: str) -> None:
-    for name in names:
-        pair = getattr(options, name)
-        if pair is not None and pair[0] > pair[1]:
-            section = type(options).section
-            raise ConfigError(f"{section}.{name}={list(pair)}: give the lower end first.")

@@ -19,6 +19,7 @@ of the paper's energy (`lame_factor`), and the truth of one case is not that of 
 in the files the force is stiffness times displacement.
 """
 
+import math
 import re
 import warnings
 from collections.abc import Mapping
@@ -30,7 +31,6 @@ from jaxtyping import Float
 
 from tactorch.errors import FileError, RecordingError
 from tactorch.files import require_file, require_folder
-from tactorch.importers.text_tables import read_diagonal, read_numbers
 from tactorch.mesh import TetMesh, read_mesh
 from tactorch.mesh.io import PLAUSIBLE_MM
 from tactorch.recording import MaterialSpec, Press, Recording
@@ -161,16 +161,16 @@ def _read_press(
 ) -> Press:
     size = 3 * mesh.n_points
     reason = f"x y z for each of the {mesh.n_points} nodes of the mesh"
-    forces = read_numbers(files["force"], "nodal forces", size, reason).reshape(-1, 3)
-    deformed_m = read_numbers(files["pnt"], "deformed positions", size, reason).reshape(-1, 3)
+    forces = _read_numbers(files["force"], "nodal forces", size, reason).reshape(-1, 3)
+    deformed_m = _read_numbers(files["pnt"], "deformed positions", size, reason).reshape(-1, 3)
     span, rest = float(np.linalg.norm(np.ptp(deformed_m, axis=0))), mesh.diagonal / _MM_PER_M
     if not 0.1 < span / rest < 10.0:
         raise FileError(
             f"'{files['pnt']}' holds deformed positions {span:.3g} m across, of a mesh {rest:.3g} m"
             " across; both must be in metres: convert the one that is not"
         )
-    springs = read_diagonal(files["A-"], "springs", size).reshape(-1, 3) / _MM_PER_M
-    observed = read_diagonal(files["B-"], "observed degrees of freedom", size).reshape(-1, 3)
+    springs = _read_diagonal(files["A-"], "springs", size).reshape(-1, 3) / _MM_PER_M
+    observed = _read_diagonal(files["B-"], "observed degrees of freedom", size).reshape(-1, 3)
     invalid = observed[(observed != 0) & (observed != 1)]
     if len(invalid):
         raise FileError(
@@ -216,7 +216,7 @@ def _read_moduli(
     if not path.exists():
         return None
     reason = f"one for each of the {mesh.n_tets} tetrahedra of the mesh"
-    values_pa = read_numbers(path, what, mesh.n_tets, reason)
+    values_pa = _read_numbers(path, what, mesh.n_tets, reason)
     middle = float(np.median(values_pa))
     if check_units and 0 < middle < _SMALLEST_PA:
         raise FileError(
@@ -247,3 +247,87 @@ def _relabelled(
             )
         corrected[matches] = new
     return corrected
+
+
+def _read_numbers(path: str | Path, what: str, count: int, reason: str) -> Float[np.ndarray, " k"]:
+    """Read exactly `count` finite numbers, separated by white space or line ends.
+
+    Messages name the expected content `what`, and the `reason` for the count.
+    """
+    source = require_file(path, what)
+    values = [
+        _number(token, source, number)
+        for number, line in enumerate(_lines(source), start=1)
+        for token in line.split()
+    ]
+    if len(values) != count:
+        raise FileError(
+            f"'{source}' holds {len(values)} numbers; {what} needs {count} ({reason}). "
+            "Is it cut short, or of another mesh?"
+        )
+    return np.array(values, dtype=np.float64)
+
+
+def _read_diagonal(path: str | Path, what: str, size: int) -> Float[np.ndarray, " k"]:
+    """Read the diagonal of a matrix of `size` rows given as lines of `row col value`, from 0.
+
+    Entries off the diagonal, given twice or negative are refused; the others are 0.
+    """
+    source = require_file(path, what)
+    diagonal = np.zeros(size)
+    line_of: dict[int, int] = {}
+    for number, line in enumerate(_lines(source), start=1):
+        if not line.strip():
+            continue
+        row, value = _entry(line, source, number, size)
+        if row in line_of:
+            raise FileError(
+                f"'{source}' line {number} repeats degree of freedom {row} of line {line_of[row]}; "
+                "keep one of the two"
+            )
+        line_of[row] = number
+        diagonal[row] = value
+    return diagonal
+
+
+def _lines(source: Path) -> list[str]:
+    try:
+        return source.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise FileError(f"'{source}' is not a text file: {error}; give numbers as text") from error
+
+
+def _entry(line: str, source: Path, number: int, size: int) -> tuple[int, float]:
+    tokens = line.split()
+    where = f"'{source}' line {number}"
+    if len(tokens) != 3:
+        raise FileError(f"{where} is {line.strip()!r}; 'row col value' is needed")
+    row, column, value = (_number(token, source, number) for token in tokens)
+    for index in (row, column):
+        if index != int(index) or not 0 <= index < size:
+            raise FileError(
+                f"{where} names degree of freedom {tokens[0]} {tokens[1]}, but the mesh has "
+                f"{size} (0 to {size - 1}: x y z of node 0, of node 1, ...). Is the file of "
+                "another mesh, or counted from 1?"
+            )
+    if row != column:
+        raise FileError(
+            f"{where} is off the diagonal ({tokens[0]}, {tokens[1]}); only the diagonal has a "
+            "meaning here: each degree of freedom on its own"
+        )
+    if value < 0:
+        raise FileError(f"{where} has the negative value {tokens[2]}; give one of at least 0")
+    return int(row), value
+
+
+def _number(token: str, source: Path, line: int) -> float:
+    try:
+        value = float(token)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise FileError(
+            f"'{source}' line {line} has {token!r}, which is not a finite number; "
+            "repair the line, or leave out the press it belongs to"
+        )
+    return value

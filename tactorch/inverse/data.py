@@ -87,7 +87,7 @@ class CorrelatedNoise:
 
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
         """Return whitened residuals or their derivatives; the operator is symmetric."""
-        if values.ndim == 1:  # not by BLAS: see `tactorch.linalg.vectors`
+        if values.ndim == 1:  # not by BLAS: see `tactorch.linalg.dense`
             inner = self._loss * np.einsum("dk,d->k", self._basis, values)
             return values - np.einsum("dk,k->d", self._basis, inner)
         return values - self._basis @ (self._loss[:, None] * (self._basis.T @ values))

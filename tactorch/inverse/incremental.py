@@ -115,7 +115,7 @@ class IncrementalInversion:
 
         Raises:
             RecordingError: a press does not fit the object, or has zero displacements.
-            ConvergenceError: neither a uniform map nor the present one carries a press.
+            ConvergenceError: a press has no equilibrium at the present map, nor at a uniform one.
             KeyboardInterrupt: Ctrl-C.
         """
         began, state = time.perf_counter(), self._state
@@ -161,7 +161,7 @@ class IncrementalInversion:
         return {
             "youngs": state.youngs,
             "weight": np.array([state.weight.get(name, np.nan) for name in _WEIGHT]),
-            "offsets": np.concatenate(offsets) if offsets else np.zeros(0),
+            "offsets": np.concatenate(offsets),
             "counts": np.array([len(offset) for offset in offsets], dtype=np.int64),
             "deviations": np.array([error.deviation for error in errors]),
         }
@@ -173,25 +173,31 @@ class IncrementalInversion:
             The point of the objective at the map.
 
         Raises:
-            ConfigError: the state belongs to other presses, or to another mesh.
+            ConfigError: the state belongs to other presses, settings, or another mesh.
             ConvergenceError: the presses have no equilibrium at the map.
         """
-        youngs, counts = state["youngs"], state["counts"]
-        m, n = self._object.mesh.n_tets, len(presses)
-        if youngs.shape != (m,) or not len(counts) == len(state["deviations"]) == n:
+        youngs, counts = state["youngs"], state["counts"].tolist()
+        m, problem, corrects = (
+            self._object.mesh.n_tets,
+            self._problem(presses),
+            self._builder.corrects,
+        )
+        data = problem.data.counts if corrects else [0] * len(presses)
+        if youngs.shape != (m,) or len(counts) != len(presses) or (corrects and counts != data):
             raise ConfigError(
-                f"the state has {len(youngs)} elements and {len(counts)} presses, not {m} and {n}; "
-                "start again without it."
+                f"the state has {len(youngs)} elements and model errors of {counts} data, not {m} "
+                f"and {data}; start again without it."
             )
-        offsets = np.split(state["offsets"], np.cumsum(counts)[:-1]) if n else []
         errors: tuple[ModelError, ...] = ()
-        if self._builder.corrects:
+        if corrects:
+            offsets = np.split(state["offsets"], np.cumsum(counts)[:-1])
             errors = tuple(map(ModelError, offsets, state["deviations"].tolist()))
         known = dict(zip(_WEIGHT, map(float, state["weight"]), strict=True))
         weight = {} if np.isnan(known["weight"]) else known
+        objective = self._builder.objective(problem, errors)
+        point = objective.at(objective.start(youngs))
         self._state = _State(tuple(presses), errors, youngs, weight)
-        objective = self._builder.objective(self._problem(presses), errors)
-        return objective.at(objective.start(youngs))
+        return point
 
     def _with(self, presses: Sequence[Press]) -> Recording:
         # Magnitudes are checked where presses are read; a single press may be small.
@@ -220,7 +226,7 @@ class IncrementalInversion:
         max_iterations: int | None,
         stop_condition: StopCondition | None,
     ) -> IncrementalResult:
-        """Invert from the present map, or from a uniform one that carries all presses.
+        """Invert from the present map, or from a uniform one with equilibria of all presses.
 
         The amount of data is `growth` times that of the present weight of the prior; None forgets
         that weight.

@@ -184,8 +184,8 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
 
     Raises:
         ConfigError: a setting cannot be used.
-        ConvergenceError: the model's error is to be corrected or the misfit is adaptive, and no
-            uniform map carries the presses.
+        ConvergenceError: the model's error is to be corrected or the misfit is adaptive, and all
+            presses have an equilibrium with no uniform map.
     """
     builder = ObjectiveBuilder(recording, settings)
     problem = builder.problem(recording)

@@ -104,8 +104,8 @@ def uniform_fit(
         except ConvergenceError as error:
             if monitor.point is None and x[0] >= upper:
                 raise ConvergenceError(
-                    f"No uniform modulus up to {bounds.upper:g} MPa carries the presses; check the "
-                    "units of the forces (N)."
+                    f"With no uniform modulus up to {bounds.upper:g} MPa do all presses have an "
+                    "equilibrium; check the units of the forces (N)."
                 ) from error
         if (point := monitor.point) is not None:
             return UniformFit(float(point.youngs[0]), point.evaluation.nuisance)
@@ -202,7 +202,7 @@ def best_uniform(
     """Return the modulus that fits best where all elements have the same, MPa.
 
     Raises:
-        ConvergenceError: no modulus within the bounds carries the presses.
+        ConvergenceError: with no modulus within the bounds do all presses have an equilibrium.
     """
     return uniform_fit(problem, bounds, first_mpa=first_mpa).youngs_mpa
 
@@ -244,7 +244,8 @@ def monte_carlo(
         best = int(np.argmin(chi2))
         if np.isinf(chi2[best]):
             raise ConvergenceError(
-                f"None of {draws} random starts carries the presses; draw stiffer maps."
+                f"None of {draws} random starts has an equilibrium under all presses; draw stiffer "
+                "maps."
             )
         return drawn[best]
 

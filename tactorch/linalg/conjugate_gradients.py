@@ -98,7 +98,7 @@ def conjugate_gradients(
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """Scalar products of the columns; without BLAS for vectors, see `tactorch.linalg.dot`."""
+    """Scalar products of the columns; without BLAS for vectors, see `tactorch.linalg.dense`."""
     if isinstance(a, np.ndarray) and a.ndim == 1:
         return np.float64(dot(a, b))
     return (a * b).sum(0)

@@ -61,7 +61,12 @@ class Solver(ABC):
         self.factored: Float[np.ndarray, " nnz"] | None = None
 
     def factor(self, values: Float[np.ndarray, " nnz"]) -> bool:
-        """Factor the matrix of these upper-triangle values; return if it is positive definite."""
+        """Factor the matrix of these upper-triangle values.
+
+        Returns:
+            False if the matrix is found not positive definite. Iterative solvers may find this only
+            when they solve, and do not where no residual meets negative curvature.
+        """
         definite = bool(np.isfinite(values).all()) and self._factor(values)
         self.factored = values if definite else None
         return definite

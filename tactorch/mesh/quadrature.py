@@ -13,8 +13,10 @@ from tactorch.mesh.values import Points
 _MAX_POINTS = 500_000
 
 
-def lattice(samples: int, margin: float | None = None) -> Float[np.ndarray, "p 4"]:
-    """Return barycentric coordinates of an even lattice within a tetrahedron.
+def lattice(
+    samples: int, margin: float | None = None, corners: int = 4
+) -> Float[np.ndarray, "p corners"]:
+    """Return barycentric coordinates of an even lattice within a tetrahedron (or triangle).
 
     There are `samples` points along an edge, samples (samples + 1) (samples + 2) / 6 in all: the
     centroid alone for 1, four for 2, ten for 3. The margin to the faces, in steps of the lattice,
@@ -23,13 +25,13 @@ def lattice(samples: int, margin: float | None = None) -> Float[np.ndarray, "p 4
     if samples < 1:
         raise ConfigError(f"samples={samples} must be at least 1.")
     n = samples - 1
-    ijk = np.indices((samples,) * 3).reshape(3, -1).T
-    counts = np.column_stack((ijk, n - ijk.sum(axis=1)))
-    counts = counts[counts[:, 3] >= 0]
+    free = np.indices((samples,) * (corners - 1)).reshape(corners - 1, -1).T
+    counts = np.column_stack((free, n - free.sum(axis=1)))
+    counts = counts[counts[:, -1] >= 0]
     if margin is None:
         # The positive root of margin^2 + n margin / 2 = n / 4 makes the mean of L^2 one tenth.
         margin = (np.sqrt(0.25 * n * n + n) - 0.5 * n) / 2.0 if n else 0.25
-    return (counts + margin) / (n + 4.0 * margin)
+    return (counts + margin) / (n + corners * margin)
 
 
 def element_means(

@@ -1,16 +1,18 @@
 """Heterogeneous fields of Young's modulus. Lengths in mm, moduli in MPa."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.mesh.values import Checked, Real, Vector, checked, positive, unit_vector, vector
+from tactorch.mesh.values import unit_vector
 
 _N_WAVES = 128
+_Point = tuple[float, float, float]
 
 
 @runtime_checkable
@@ -22,13 +24,13 @@ class Background(Protocol):
 
 
 @dataclass(frozen=True)
-class Gradient(Checked):
+class Gradient(Options):
     """Linear from `low_mpa` at `start_mm` to `high_mpa` at `end_mm`, constant beyond."""
 
-    start_mm: Vector = checked(vector)
-    end_mm: Vector = checked(vector)
-    low_mpa: Real = checked(positive, 0.1)
-    high_mpa: Real = checked(positive, 0.5)
+    start_mm: _Point = option(help="Start of the gradient", unit="mm")
+    end_mm: _Point = option(help="End of the gradient", unit="mm")
+    low_mpa: float = option(0.1, "Young's modulus at the start", unit="MPa", gt=0)
+    high_mpa: float = option(0.5, "Young's modulus at the end", unit="MPa", gt=0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -40,33 +42,23 @@ class Gradient(Checked):
         return self.low_mpa + position * (self.high_mpa - self.low_mpa)
 
 
-def _levels(name: str, values: Sequence[Real]) -> tuple[float, ...]:
-    levels = tuple(float(value) for value in values)
-    if not (np.isfinite(levels).all() and (np.diff(levels) > 0).all()):
-        raise ConfigError(f"{name}={list(levels)} must increase.")
-    return levels
-
-
-def _moduli(name: str, values: Sequence[Real]) -> tuple[float, ...]:
-    return tuple(positive(f"{name}[{i}]", value) for i, value in enumerate(values))
-
-
 @dataclass(frozen=True)
-class Layers(Checked):
-    """Homogeneous layers across `axis`, separated at the increasing `levels_mm`.
+class Layers(Options):
+    """Homogeneous layers across `axis`, separated at the increasing `levels_mm`."""
 
-    Attributes:
-        levels_mm: Positions of the interfaces along the axis, increasing.
-        youngs_mpa: Young's modulus of each layer, one more than there are interfaces.
-        axis: Normal of the layers.
-    """
-
-    levels_mm: Sequence[Real] = checked(_levels)
-    youngs_mpa: Sequence[Real] = checked(_moduli)
-    axis: Vector = checked(unit_vector, (0.0, 0.0, 1.0))
+    levels_mm: tuple[float, ...] = option(
+        help="Positions of the interfaces along the axis, increasing", unit="mm"
+    )
+    youngs_mpa: tuple[float, ...] = option(
+        help="Young's modulus of each layer, one more than there are interfaces", unit="MPa", gt=0
+    )
+    axis: _Point = option((0.0, 0.0, 1.0), "Normal of the layers")
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "axis", unit_vector("axis", self.axis))
+        if any(upper <= lower for lower, upper in pairwise(self.levels_mm)):
+            raise ConfigError(f"levels_mm={list(self.levels_mm)} must increase.")
         if len(self.youngs_mpa) != len(self.levels_mm) + 1:
             raise ConfigError(
                 f"youngs_mpa has {len(self.youngs_mpa)} moduli for {len(self.levels_mm)} levels"
@@ -79,28 +71,19 @@ class Layers(Checked):
 
 
 @dataclass(frozen=True)
-class RandomField(Checked):
+class RandomField(Options):
     """Smooth log-normal random field with a Gaussian correlation function.
 
     A sum of 128 random plane waves (random Fourier features, Rahimi and Recht, 2007), defined at
     every point independently of the mesh.
-
-    Attributes:
-        median_mpa: Median, MPa.
-        spread: Standard deviation of the natural logarithm.
-        correlation_mm: Distance at which the correlation is exp(-1/2).
-        seed: Seed of the generator.
     """
 
-    median_mpa: Real = checked(positive, 0.2)
-    spread: Real = checked(positive, 0.3)
-    correlation_mm: Real = checked(positive, 4.0)
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.seed < 0:
-            raise ConfigError(f"seed={self.seed} must not be negative.")
+    median_mpa: float = option(0.2, "Median", unit="MPa", gt=0)
+    spread: float = option(0.3, "Standard deviation of the natural logarithm", gt=0)
+    correlation_mm: float = option(
+        4.0, "Distance at which the correlation is exp(-1/2)", unit="mm", gt=0
+    )
+    seed: int = option(0, "Seed of the generator", ge=0)
 
     def at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         rng = np.random.default_rng(self.seed)

@@ -206,7 +206,7 @@ class CubeLayers(Options):
 
     def build(self) -> Phantom:
         count = len(self.youngs_mpa)
-        levels = [self.side_mm * i / count for i in range(1, count)]
+        levels = tuple(self.side_mm * i / count for i in range(1, count))
         return Phantom(cube_body(self.side_mm), (), Layers(levels, self.youngs_mpa))
 
 

@@ -53,7 +53,7 @@ class RecognitionFamily(Options):
         """Check the names and ranges."""
         super().__post_init__()
         _check_names("shape", self.shapes, _RECOGNITION_SHAPES)
-        _check_ranges(self, "size", "depth", "youngs_mpa", "contrast")
+        check_ranges(self, "size", "depth", "youngs_mpa", "contrast")
 
     def draw(self, rng: Rng) -> RandomPhantom:
         """Draw a phantom."""
@@ -91,11 +91,9 @@ class InclusionsFamily(Options):
         (0.1, 0.4), "Range of the background's median modulus, log-uniform", unit="MPa", gt=0
     )
     contrast: Range = option(
-        (0.2, 8.0),
-        "Range of the ratio of an inclusion's modulus to the background's, log-uniform; ratios "
-        "within a quarter of 1 are excluded",
-        gt=0,
-    )
+        (0.2, 8.0), "Range of the ratio of an inclusion's modulus to the background's, log-uniform;"
+        " ratios within a quarter of 1 are excluded", gt=0,
+    )  # fmt: skip
     backgrounds: tuple[str, ...] = option(
         ("uniform", "uniform", "gradient", "random"),
         "Backgrounds; repeat a name to make it more likely",
@@ -107,7 +105,7 @@ class InclusionsFamily(Options):
         super().__post_init__()
         _check_names("shape", self.shapes, _SHAPES)
         _check_names("background", self.backgrounds, _BACKGROUNDS)
-        _check_ranges(self, "count", "size", "youngs_mpa", "contrast")
+        check_ranges(self, "count", "size", "youngs_mpa", "contrast")
 
     def draw(self, rng: Rng) -> RandomPhantom:
         """Draw a phantom; inclusions without room are left out."""
@@ -201,9 +199,9 @@ def _draw_background(rng: Rng, name: str, youngs: float, side: float) -> Real | 
         return youngs
     if name == "gradient":
         half_span = _direction(rng) * side / 2
-        center = np.full(3, side / 2)
-        ratio = np.sqrt(float(rng.uniform(1.3, 2.5)))
-        return Gradient(center - half_span, center + half_span, youngs / ratio, youngs * ratio)
+        start, end = (side / 2 - half_span).tolist(), (side / 2 + half_span).tolist()
+        ratio = float(np.sqrt(rng.uniform(1.3, 2.5)))
+        return Gradient(start, end, youngs / ratio, youngs * ratio)
     spread, length = float(rng.uniform(0.1, 0.35)), float(rng.uniform(0.2, 0.5)) * side
     return RandomField(youngs, spread, length, int(rng.integers(2**31)))
 
@@ -224,11 +222,13 @@ def _check_names(what: str, names: Sequence[str], known: Iterable[str]) -> None:
         raise ConfigError(f"no {what} is given; choose from {', '.join(known)}.")
 
 
-def _check_ranges(family: Options, *names: str) -> None:
+def check_ranges(options: Options, *names: str) -> None:
+    """Check that settings are pairs of a lower and an upper end, or None."""
     for name in names:
-        limits = list(getattr(family, name))
-        if limits[1] < limits[0]:
-            raise ConfigError(f"{name}={limits} must be the lower and the upper end of a range.")
+        pair = getattr(options, name)
+        if pair is not None and pair[0] > pair[1]:
+            setting = f"{options.section}.{name}={list(pair)}"
+            raise ConfigError(f"{setting}: give the lower end first.")
 
 
 def _direction(rng: Rng) -> np.ndarray:

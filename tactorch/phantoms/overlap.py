@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.mesh import Hyperboloid, Lathe, Shape, Union
+from tactorch.mesh.quadrature import lattice
 
 # Sides of round shapes: results are short by 0.1 % of the radius at most.
 _SEGMENTS = 72
@@ -39,11 +40,8 @@ def _surface_points(shape: Shape, segments: int, steps: int) -> Float[np.ndarray
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     step = np.linalg.norm(np.ptp(vertices, axis=0)) / _MIN_STEPS_ACROSS
     counts = np.clip(np.ceil(longest / step), 1, steps).astype(int)
-    return np.concatenate([_subdivide(corners[counts == n], int(n)) for n in np.unique(counts)])
-
-
-def _subdivide(corners: Float[np.ndarray, "k 3 3"], steps: int) -> Float[np.ndarray, "p 3"]:
-    """Points of triangles, `steps` intervals along each edge."""
-    counts = [(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]
-    weights = np.array(counts) / steps
-    return np.einsum("pc,kcd->kpd", weights, corners).reshape(-1, 3)
+    points = [
+        np.einsum("pc,kcd->kpd", lattice(int(n) + 1, 0.0, 3), corners[counts == n])
+        for n in np.unique(counts)
+    ]
+    return np.concatenate([each.reshape(-1, 3) for each in points])

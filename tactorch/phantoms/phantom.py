@@ -179,11 +179,9 @@ class MeshSize(Options):
         None, "Edge length of the simulation's mesh; null: fine_relative", unit="mm", gt=0
     )
     fine_relative: float | None = option(
-        0.05,
-        "Edge length of the simulation's mesh as a fraction of the diagonal; null: the recording's "
-        "mesh (an inverse crime)",
-        gt=0,
-    )
+        0.05, "Edge length of the simulation's mesh as a fraction of the diagonal; null: the"
+        " recording's mesh (an inverse crime)", gt=0,
+    )  # fmt: skip
     generator: Literal["auto", "structured", "tetwild"] = option(
         "auto", "Mesh generator; auto: structured for boxes, tetwild for other bodies"
     )

@@ -22,7 +22,7 @@ from tactorch.hdf5 import hdf5_image, write_attributes
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
 from tactorch.recording.schema import GROWING, PRESS_ARRAYS, PRESS_OPTIONAL, SAVED
-from tactorch.recording.storage import FileReader, RecordingReader, open_recording, write_press
+from tactorch.recording.storage import RecordingReader, open_recording, write_press
 from tactorch.recording.tail import tail_record
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ def digest(press: Press) -> str:
     return result.hexdigest()[:16]
 
 
-def _whole_image(reader: FileReader, version: int, press: Press | None = None) -> bytes:
+def _whole_image(reader: RecordingReader, version: int, press: Press | None = None) -> bytes:
     """Return the content of a file with the presses of the tail, and another one, in HDF5."""
     import h5py
 

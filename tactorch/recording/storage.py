@@ -25,12 +25,16 @@ _LAYOUT = f"{_WRITER} (layout: tactorch.recording.schema)"
 
 
 class RecordingReader(Hdf5Reader):
-    """Reads the parts of one recording from a file or group; `mesh` is given if known already."""
+    """Reads the parts of one recording from a file or group; `mesh` is given if known already.
+
+    `tail` holds the presses that were appended to a file; it is None where its version has none.
+    """
 
     def __init__(self, root: "h5py.Group", source: Path | str, mesh: TetMesh | None = None) -> None:
         super().__init__(root, source, "recording", _LAYOUT, RecordingError)
         self._mesh = mesh
-        self._check_format()
+        growing = self._check_format() >= schema.GROWING
+        self.tail = PressTail(root.file, source, self._count_stored()) if growing else None
 
     def fields(self, presses: Sequence[Press] | None = None) -> dict[str, Any]:
         """Read the arguments of `Recording`; `presses` replace those in the file."""
@@ -48,12 +52,15 @@ class RecordingReader(Hdf5Reader):
             **{k: self.array(k, "f", shape) for k, shape in optional.items() if self.has(k)},
         }
 
-    def _check_format(self) -> None:
-        self.check_format(schema.FORMAT, schema.VERSION, f"give the file that {_WRITER} wrote")
+    def _check_format(self) -> int:
+        """Return the version of the file."""
+        remedy = f"give the file that {_WRITER} wrote"
+        version = self.check_format(schema.FORMAT, schema.VERSION, remedy)
         units = self.attribute("/", "units", str)
         if units != schema.UNITS:
             needed = schema.UNITS
             raise self.error(f"is in units {units!r}; {needed!r} is needed: convert the values")
+        return version
 
     def mesh(self) -> TetMesh:
         """Read the mesh, once."""
@@ -85,7 +92,11 @@ class RecordingReader(Hdf5Reader):
         return self.array("gravity", "f", (3,))
 
     def count(self) -> int:
-        """Return the number of presses; a file that declares more than it holds is refused."""
+        """Return the number of presses."""
+        return self._count_stored() + len(self.tail or ())
+
+    def _count_stored(self) -> int:
+        """Number of presses in HDF5; a file that declares more than it holds is refused."""
         count: int = self.attribute("presses", "count", int)
         groups = len(self.group("presses"))
         if not 0 <= count <= groups:
@@ -97,32 +108,11 @@ class RecordingReader(Hdf5Reader):
 
     def press(self, index: int) -> Press:
         """Read and check a press by its number from 0."""
-        return _read_press(self, f"presses/{index:04d}", self.mesh().n_points)
-
-
-class FileReader(RecordingReader):
-    """Reads the recording of a file, with the presses that were appended to it.
-
-    `tail` holds the appended presses; it is None where the file's version has none.
-    """
-
-    def __init__(self, file: "h5py.File", source: Path) -> None:
-        super().__init__(file, source)
-        self._stored = super().count()
-        growing = self.attribute("/", "version", int) >= schema.GROWING
-        self.tail = PressTail(file, source, self._stored) if growing else None
-
-    def count(self) -> int:
-        """Return the number of presses."""
-        return self._stored + len(self.tail or ())
-
-    def press(self, index: int) -> Press:
-        """Read and check a press by its number from 0."""
-        if self.tail is None or index < self._stored:
-            return super().press(index)
+        if self.tail is None or index < self.tail.first:
+            return _read_press(self, f"presses/{index:04d}", self.mesh().n_points)
         import h5py
 
-        image = BytesIO(self.tail.image(index - self._stored))
+        image = BytesIO(self.tail.image(index - self.tail.first))
         with h5py.File(image, "r") as file:
             source = f"{self.source}, press {index + 1}"
             reader = Hdf5Reader(file, source, "recording", "append_press", RecordingError)
@@ -150,11 +140,11 @@ def _read_press(reader: Hdf5Reader, path: str, n_points: int) -> Press:
 
 
 @contextmanager
-def open_recording(path: str | Path) -> Iterator[FileReader]:
+def open_recording(path: str | Path) -> Iterator[RecordingReader]:
     """Open a recording for reading."""
     remedy = "give the file that Recording.save wrote, or import foreign data first"
     with open_hdf5(path, "recording", remedy) as file:
-        yield FileReader(file, Path(path))
+        yield RecordingReader(file, path)
 
 
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:

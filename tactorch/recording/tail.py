@@ -25,10 +25,10 @@ class PressTail:
     ends; `complete` is whether nothing follows. `first` is the number of its first press.
     """
 
-    def __init__(self, file: "h5py.File", source: Path, first: int) -> None:
+    def __init__(self, file: "h5py.File", source: Path | str, first: int) -> None:
         # The file that HDF5 has open: the one of this name may have been replaced meanwhile.
         self._descriptor: int = file.id.get_vfd_handle()
-        self._source, self._first = source, first
+        self._source, self.first = source, first
         self._images: list[tuple[int, int, bytes]] = []
         self.begin = self.end = _hdf5_end(self._descriptor)
         size = os.fstat(self._descriptor).st_size
@@ -60,7 +60,7 @@ class PressTail:
         fields, (crc,) = content[: _FIELDS.size], _CRC.unpack(content[_FIELDS.size :])
         magic, number, length, digest = _FIELDS.unpack(fields)
         count = len(self._images)
-        if magic != _MAGIC or crc != zlib.crc32(fields) or number != self._first + count:
+        if magic != _MAGIC or crc != zlib.crc32(fields) or number != self.first + count:
             raise self._error(count, "its header is not valid")
         begin = self.end + _HEADER_BYTES
         if begin + length > size:
@@ -71,7 +71,7 @@ class PressTail:
 
     def _error(self, index: int, reason: str) -> RecordingError:
         return RecordingError(
-            f"recording '{self._source}' is damaged at press {self._first + index + 1} "
+            f"recording '{self._source}' is damaged at press {self.first + index + 1} "
             f"({reason}); copy it again from its source"
         )
 

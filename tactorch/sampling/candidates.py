@@ -109,7 +109,9 @@ def candidate_patches(
     if count < 1:
         raise ConfigError(f"count is {count}; ask for at least 1 candidate.")
     if not held.any():
-        raise ConfigError("held marks no node, so that the body would fly off; hold some.")
+        raise ConfigError(
+            "held marks no fixed node, so that the body could move freely; mark at least three."
+        )
     normals = _vertex_normals(mesh)
     free = [int(i) for i in mesh.surface.nodes() if not held[i]]
     all_patches = (Patch(mesh.points[i], -normals[i], float(radius)) for i in free)
@@ -121,7 +123,8 @@ def candidate_patches(
     ]
     if not fitting:
         raise ConfigError(
-            f"radius_mm={radius:g}: no patch fits without touching what is held; use a smaller one."
+            f"radius_mm={radius:g}: no patch of this radius avoids the fixed nodes; use a smaller "
+            "one."
         )
     centers = np.array([patch.center for patch in fitting])
     gaps = np.linalg.norm(centers[:, None] - mesh.points[held], axis=2).min(axis=1)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.config import Options, option
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse import InverseProblem, Point, Settings
 from tactorch.inverse.data import CorrelatedNoise, smooth_pattern
 from tactorch.recording import Press, Recording
@@ -113,7 +113,7 @@ class Suggester:
             gaussian = posterior if rule.uses_posterior else None
             index = rule.choose(self._state(point, gaussian, candidates))
             patch = candidates.patches[index]
-        except ConfigError as error:
+        except (ConfigError, ConvergenceError, RecordingError) as error:
             reason = str(error)
         deviation = None if posterior is None else posterior.deviation()
         name, seconds = RULES.name_of(type(rule)), time.perf_counter() - started

@@ -33,9 +33,7 @@ class DepthOptions(Options):
         0.03, "Depth below which a frame is without contact", unit="mm", gt=0
     )
     min_slope: float = option(
-        MIN_SLOPE,
-        "Slope above which the face counts as deformed; smaller for wide, flat objects",
-        gt=0,
+        MIN_SLOPE, "Slope above which the face is deformed; smaller for wide, flat objects", gt=0
     )
 
 
@@ -60,6 +58,8 @@ class Measurement:
         frame: Frame.
         markers_px: Markers in the reference's order (column, row); NaN for markers not seen.
         height: Height map of the face; None without an image.
+        depth_mm: Depth of the face; NaN without an image.
+        max_slope: Largest slope of the face; NaN without an image.
         displacement: Displacements of the nodes of the gel's face, NaN where unknown, mm; None
             without contact.
         in_contact: Nodes of the gel's face in contact.
@@ -70,6 +70,8 @@ class Measurement:
     frame: Frame
     markers_px: Float[np.ndarray, "n 2"]
     height: HeightMap | None
+    depth_mm: float
+    max_slope: float
     displacement: Float[np.ndarray, "k 3"] | None
     in_contact: Bool[np.ndarray, " k"]
     contact: GelContact | None = None
@@ -125,17 +127,17 @@ class SensorChain:
         """Track the markers into the next frame and measure the deformation, without forces."""
         markers_px = self.tracker.track(frame.image)
         nothing = np.zeros(len(self.model.points), dtype=bool)
-        untouched = Measurement(frame, markers_px, None, None, nothing)
         if frame.image is None:
-            return untouched
+            return Measurement(frame, markers_px, None, np.nan, np.nan, None, nothing)
         slopes = self.calibration.slopes(frame.image, self.reference)
         height = reconstruct_height(slopes, self.sensor.mm_per_px, self.options.min_slope)
+        size = height.depth_mm, height.max_slope
         if height.depth_mm < self.options.min_depth_mm:
-            return replace(untouched, height=height)
+            return Measurement(frame, markers_px, height, *size, None, nothing)
         displacement = self._face_displacement(markers_px, height)
         in_contact = self._contact_nodes(height, displacement)
         known = displacement if in_contact.any() else None
-        return Measurement(frame, markers_px, height, known, in_contact)
+        return Measurement(frame, markers_px, height, *size, known, in_contact)
 
     def solve_contact(self, measurement: Measurement) -> GelContact | None:
         """Return the contact forces behind a measured deformation; None without contact."""

@@ -38,9 +38,8 @@ class ContactOptions(Options):
     """Pairing of the gel with the object."""
 
     reach_mm: float = option(
-        3.0, "Distance of the object's face from the gel at first contact, up to which it may be"
-        " touched", unit="mm", gt=0,
-    )  # fmt: skip
+        3.0, "Largest distance of touched faces from the gel at first contact", unit="mm", gt=0
+    )
     untouched: Literal["unseen", "sensor", "auto"] = option(
         "auto",
         "Nodes under the gel without contact: unseen (not observed), sensor (displaced with the"

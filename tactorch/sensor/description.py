@@ -43,9 +43,8 @@ class GelLayer(Options):
         None, "Radius of a circular outline; give either this or size_mm", unit="mm", ge=0.5, le=500
     )
     curvature_radius_mm: float | None = option(
-        None, "Radius of a spherical outer face that bulges outward; null for a flat face",
-        unit="mm", gt=0,
-    )  # fmt: skip
+        None, "Radius of an outward spherical face; null for a flat face", unit="mm", gt=0
+    )
     material: str = option("neo_hookean", "Name of the constitutive law")
 
     def __post_init__(self) -> None:
@@ -56,9 +55,9 @@ class GelLayer(Options):
             raise ConfigError(f"gel: {error}") from error
         if (self.size_mm is None) == (self.radius_mm is None):
             raise ConfigError("gel: give size_mm (of a rectangle) or radius_mm (of a circle).")
-        curvature, outline = self.curvature_radius_mm, self.outline_radius_mm
-        if curvature is None:
+        if (curvature := self.curvature_radius_mm) is None:
             return
+        outline = self.radius_mm or float(np.hypot(*self.half_size_mm))
         if curvature <= outline:
             raise ConfigError(
                 f"gel.curvature_radius_mm={curvature:g} is no more than the outline's radius"
@@ -78,11 +77,6 @@ class GelLayer(Options):
             return self.size_mm[0] / 2, self.size_mm[1] / 2
         assert self.radius_mm is not None
         return self.radius_mm, self.radius_mm
-
-    @property
-    def outline_radius_mm(self) -> float:
-        """Largest distance of the outline from the center."""
-        return float(np.hypot(*self.half_size_mm)) if self.radius_mm is None else self.radius_mm
 
     @property
     def material_spec(self) -> MaterialSpec:
@@ -116,9 +110,8 @@ class MarkerGrid(Options):
     )
     diameter_mm: float = option(help="Diameter of a marker", unit="mm", gt=0)
     within_mm: float | None = option(
-        None, "Radius about the center beyond which there are no markers; null for a full grid",
-        unit="mm", gt=0,
-    )  # fmt: skip
+        None, "Radius about the center that has markers; null for a full grid", unit="mm", gt=0
+    )
     shift_mm: tuple[float, float] = option(
         (0.0, 0.0), "Offset of the grid's center from the gel's", unit="mm"
     )
@@ -189,9 +182,8 @@ class SensorDescription(Options):
         None, "Width and height of the warped image before cropping", unit="px", ge=8, le=20000
     )
     crop_px: tuple[int, int, int, int] | None = option(
-        None, "Left, top, width and height of the cropped region; null for the full image",
-        unit="px", ge=0,
-    )  # fmt: skip
+        None, "Left, top, width and height of the crop; null for the full image", unit="px", ge=0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -326,7 +318,13 @@ def load_sensor(name: str | Path) -> SensorDescription:
     if not isinstance(content, dict):
         raise FileError(f"{what} has no fields; see the shipped ones.")
     try:
-        return SensorDescription.from_mapping({k: _plain_numbers(k, v) for k, v in content.items()})
+        if not isinstance(content.get("gel"), dict):
+            raise ConfigError("'gel' is missing or not a table of fields; see the shipped ones.")
+        if not isinstance(content.get("markers"), dict | None):
+            raise ConfigError("'markers' is not a table of fields; give null if there are none.")
+        if content.get("name", "") is None:  # "name:" without text
+            content["name"] = ""
+        return SensorDescription.from_mapping(_plain_numbers(content))
     except ConfigError as error:
         raise ConfigError(f"{what}: {error}") from error
 
@@ -361,12 +359,12 @@ def _read_yaml(path: Path, what: str) -> Any:
         raise FileError(f"{what} is not valid YAML: {reason}.") from error
 
 
-def _plain_numbers(name: str, value: Any) -> Any:
+def _plain_numbers(value: Any, name: str = "") -> Any:
     """Return a value with whole floats as integers; refuse 1e-3, which YAML reads as text."""
     if isinstance(value, dict):
-        return {key: _plain_numbers(key, item) for key, item in value.items()}
+        return {k: _plain_numbers(v, f"{name}.{k}".strip(".")) for k, v in value.items()}
     if isinstance(value, list):
-        return [_plain_numbers(name, item) for item in value]
+        return [_plain_numbers(item, name) for item in value]
     if isinstance(value, str) and name != "name" and _EXPONENT.fullmatch(value):
         raise ConfigError(
             f"{name}={value!r} must be a number (YAML takes 1.0e-3 for one, not 1e-3)."

@@ -60,9 +60,8 @@ class FaultLimits(Options):
         0.05, "Fraction of saturated pixels in excess of the reference's", ge=0, le=1
     )
     torn: float = option(
-        8.0, "Jump between two rows, over the frame's median jump, above which a frame is torn",
-        gt=0,
-    )  # fmt: skip
+        8.0, "Jump between two rows over the median jump, above which a frame is torn", gt=0
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,13 +47,11 @@ class TrackOptions(Options):
     """Tolerances of marker tracking."""
 
     gate: float = option(
-        0.35, "Largest distance of a spot from a marker's predicted position, in marker spacings",
-        gt=0, lt=0.5,
-    )  # fmt: skip
+        0.35, "Largest distance of a spot from a predicted marker, in spacings", gt=0, lt=0.5
+    )
     max_deviation: float = option(
-        0.2, "Largest deviation of a marker's step from its neighbors', in marker spacings",
-        gt=0, lt=0.5,
-    )  # fmt: skip
+        0.2, "Largest deviation of a step from the neighbors', in marker spacings", gt=0, lt=0.5
+    )
     max_round_trip_px: float = option(
         0.5, "Largest error of optical flow followed forward and back", unit="px", gt=0
     )

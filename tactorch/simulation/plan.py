@@ -60,10 +60,7 @@ class PressPlan(Options):
     section = "press"
     faces: tuple[str, ...] = option(("z+",), f"Pressed faces, of {', '.join(FACE_NAMES)}")
     pressures_mpa: tuple[float, ...] | None = option(
-        None,
-        "Pressure of each load step, increasing; null: equal steps to p_max_mpa",
-        unit="MPa",
-        gt=0,
+        None, "Increasing pressure of each step; null: equal steps to p_max_mpa", unit="MPa", gt=0
     )
     p_max_mpa: float = option(0.02, "Pressure of the last load step", unit="MPa", gt=0)
     steps: int = option(4, "Number of equal load steps (t in the paper)", ge=1)
@@ -71,10 +68,7 @@ class PressPlan(Options):
         None, "Radius of a circular pressed patch; null: the whole face", unit="mm", gt=0
     )
     patch_centers_mm: tuple[Point, ...] | None = option(
-        None,
-        "Points whose projections onto each face are the centres of its patches; null: one patch "
-        "in the middle",
-        unit="mm",
+        None, "Points projected onto each face as centres of patches; null: the middle", unit="mm"
     )
     support: Literal["springs", "fixed", "roller"] = option(
         "springs",

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle as Round
 from matplotlib.patheffects import withStroke
 
-from tactorch.sensor.calibration import Ball, Circle
+from tactorch.sensor.calibration import Ball, BallPress
 from tactorch.sensor.frames import Image
 from tactorch.text import one_line
 from tactorch.viz.figure import BLUE, VERMILION, new_figure
@@ -26,31 +26,27 @@ _COLUMNS = ("contact", "slopes", "depth", "depth error", "profile")
 
 
 @dataclass(frozen=True, eq=False)
-class BallPress:
+class PlottedPress:
     """A press of a ball, measured by a calibration.
 
-    The circle of the contact is first as labelled or detected, then fitted. `known` are the pixels
-    without markers; `slopes` are dz/dx and dz/dy by the calibration, integrated to `height_mm`.
+    `slopes` are dz/dx and dz/dy by the calibration, integrated to `height_mm`.
     """
 
-    name: str
+    press: BallPress
     image: Image
-    initial: Circle
-    circle: Circle
     ball: Ball
-    known: Bool[np.ndarray, "h w"]
     slopes: Float[np.ndarray, "h w 2"]
     height_mm: Float[np.ndarray, "h w"]
 
     @cached_property
     def inside(self) -> Bool[np.ndarray, "h w"]:
         """Pixels that are compared."""
-        return self.ball.distance(self.known.shape, self.circle) < _INSIDE
+        return self.ball.distance(self.press.shape, self.press.contact) < _INSIDE
 
     @cached_property
     def true_depth_mm(self) -> Float[np.ndarray, "h w"]:
         """True depth below the edge of the contact."""
-        return -self.ball.heights(self.known.shape, self.circle)
+        return -self.ball.heights(self.press.shape, self.press.contact)
 
     @cached_property
     def depth_mm(self) -> Float[np.ndarray, "h w"]:
@@ -63,13 +59,18 @@ class BallPress:
         """Error of the depth; NaN where it is not compared."""
         return np.where(self.inside, self.depth_mm - self.true_depth_mm, np.nan)
 
+    @cached_property
+    def offset_mm(self) -> Float[np.ndarray, "2 h w"]:
+        """Offset of each pixel from the center of the contact along x and y."""
+        return self.ball.offsets(self.press.shape, self.press.contact)
+
     @property
     def radius_mm(self) -> float:
         """Radius of the contact, mm."""
-        return self.circle.radius_px * self.ball.mm_per_px[0]
+        return self.press.contact.radius_px * self.ball.mm_per_px[0]
 
 
-def ball_press_figure(presses: Sequence[BallPress], title: str) -> Figure:
+def ball_press_figure(presses: Sequence[PlottedPress], title: str) -> Figure:
     """Return a figure of contact, slopes, depth, depth error and profile of each press.
 
     Of many presses, evenly selected ones are drawn.
@@ -108,19 +109,19 @@ def _label(axes: Axes, xlabel: str, ylabel: str) -> None:
     axes.set_ylabel(ylabel, fontsize=8)
 
 
-def _draw_image(axes: Axes, press: BallPress) -> None:
+def _draw_image(axes: Axes, press: PlottedPress) -> None:
     axes.imshow(press.image)
-    for circle, style in ((press.initial, ":"), (press.circle, "-")):
+    for circle, style in ((press.press.circle, ":"), (press.press.contact, "-")):
         ring = Round(circle.center_px, circle.radius_px, fill=False, ec="white", lw=1.2, ls=style)
         ring.set_path_effects([withStroke(linewidth=2.6, foreground=EDGE)])
         axes.add_patch(ring)
     axes.set(xticks=[], yticks=[])
-    axes.set_ylabel(one_line(press.name, _MAX_NAME), fontsize=8)
+    axes.set_ylabel(one_line(press.press.name, _MAX_NAME), fontsize=8)
 
 
-def _draw_slopes(axes: Axes, press: BallPress) -> None:
-    inside = press.known & press.inside
-    true = press.ball.slopes(press.known.shape, press.circle)[inside]
+def _draw_slopes(axes: Axes, press: PlottedPress) -> None:
+    inside = press.press.known & press.inside
+    true = press.ball.slopes_at(press.offset_mm)[inside]
     step = max(1, len(true) // _MAX_DOTS)
     x, y = true[::step], press.slopes[inside][::step]
     end = 1.05 * float(np.abs(true).max())
@@ -132,9 +133,9 @@ def _draw_slopes(axes: Axes, press: BallPress) -> None:
 
 
 def _draw_map(
-    axes: Axes, press: BallPress, values: np.ndarray, cmap: str, low: float, high: float
+    axes: Axes, press: PlottedPress, values: np.ndarray, cmap: str, low: float, high: float
 ) -> None:
-    x, y = press.ball.offsets(press.known.shape, press.circle)
+    x, y = press.offset_mm
     extent = (float(x[0, 0]), float(x[0, -1]), float(y[-1, 0]), float(y[0, 0]))
     reach = _WINDOW * press.radius_mm
     axes.imshow(values, extent=extent, cmap=cmap, vmin=low, vmax=high)
@@ -142,11 +143,11 @@ def _draw_map(
     _label(axes, "x, mm", "y, mm")
 
 
-def _draw_profile(axes: Axes, press: BallPress) -> None:
+def _draw_profile(axes: Axes, press: PlottedPress) -> None:
     depth, true, reach = press.depth_mm, press.true_depth_mm, press.radius_mm
-    row = int(np.clip(round(press.circle.center_px[1]), 0, depth.shape[0] - 1))
-    column = int(np.clip(round(press.circle.center_px[0]), 0, depth.shape[1] - 1))
-    x, y = press.ball.offsets(depth.shape, press.circle)
+    center = np.round(press.press.contact.center_px).astype(int)[::-1]
+    row, column = np.clip(center, 0, np.array(depth.shape) - 1)
+    x, y = press.offset_mm
     ball = np.where(abs(x[row]) <= reach, true[row], np.nan)
     axes.plot(x[row], ball, "k--", lw=1.2, label="ball")
     axes.plot(x[row], depth[row], color=BLUE, lw=1.2, label="along x")

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 
 from tactorch.errors import ConfigError
 from tactorch.recording import Press, Recording
-from tactorch.sensor.recorder import SessionRecording
+from tactorch.sensor.chain import Measurement
+from tactorch.sensor.recorder import ContactInterval
 from tactorch.text import one_line
 from tactorch.viz.figure import BLUE, COLOURS, GREEN, VERMILION, new_figure
 from tactorch.viz.slicing import AXES
@@ -53,27 +54,32 @@ def _mark_faulty(axes: Axes, positions: Float[np.ndarray, " k"]) -> None:
         axes.axvline(x, color="0.6", lw=0.8, ls=":", label=label, zorder=0)
 
 
-def session_figure(recorded: SessionRecording) -> Figure:
-    """Return a figure of the depth over time with contacts, and of the forces of the presses."""
-    frames, numbers = recorded.frames, np.array(recorded.contact_numbers(), dtype=float)
+def session_figure(
+    recording: Recording, measurements: Sequence[Measurement], contacts: Sequence[ContactInterval]
+) -> Figure:
+    """Return a figure of the depth over time with contacts, and of the forces of the presses.
+
+    The arguments are the results of `tactorch.sensor.recorder.record`.
+    """
+    frames, rows = [m.frame for m in measurements], recording.provenance["presses"]
     times = [frame.time_s for frame in frames]
     timed = all(time is not None for time in times)
     across = np.array(times if timed else range(len(frames)), dtype=float)
     position = {frame.name: across[i] for i, frame in enumerate(frames)}
-    presses = [position[row["frame"]] for row in recorded.presses]
+    presses = [position[row["frame"]] for row in rows]
     figure = new_figure(8.0, 5.0)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    depths = np.array([frame.depth_mm for frame in frames])
+    depths = [measurement.depth_mm for measurement in measurements]
     upper.plot(across, depths, color=BLUE, marker=".", lw=1.4, label="depth")
     upper.plot(
-        presses, [row["depth_mm"] for row in recorded.presses], ls="none", marker="o", mfc="none",
+        presses, [row["depth_mm"] for row in rows], ls="none", marker="o", mfc="none",
         mew=1.6, ms=9, color=VERMILION, label="recorded press",
     )  # fmt: skip
     _mark_faulty(upper, across[[i for i, frame in enumerate(frames) if frame.fault]])
     upper.set_ylabel("depth of the gel, mm")
     upper.legend(ncol=3, **_LEGEND)
-    forces = np.array([row["force_n"] for row in recorded.presses])
-    directions = np.array([press.direction for press in recorded.recording.presses])
+    forces = np.array([row["force_n"] for row in rows])
+    directions = np.array([press.direction for press in recording.presses])
     normal = (forces * directions).sum(axis=1)
     tangential = np.linalg.norm(forces - normal[:, None] * directions, axis=1)
     lower.plot(presses, normal, ls="none", marker="o", color=BLUE, label="along the press")
@@ -83,9 +89,9 @@ def session_figure(recorded: SessionRecording) -> Figure:
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
         axes.margins(y=0.15)
-        for number in range(len(recorded.contacts)):
-            contact = across[numbers == number]
-            axes.axvspan(contact[0], contact[-1], color="0.88", zorder=-1)
+        for contact in contacts:
+            ends = (position[contact.measurements[i].frame.name] for i in (0, -1))
+            axes.axvspan(*ends, color="0.88", zorder=-1)
     lower.set_xlabel("time, s" if timed else "frame")
     return figure
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from tactorch.cli.overrides import named
+from tactorch.report import Run
 
 
 @pytest.mark.parametrize(
@@ -44,6 +45,17 @@ def test_runs_side_by_side(tactorch: Any, finished_run: Path, tmp_path: Path) ->
     done = tactorch("report", finished_run, other, "out=both.html", "uncertainty=false")
     assert done.status == 0, done.err
     assert "2 runs compared" in Path("both.html").read_text(encoding="utf-8")
+
+
+def test_all_runs_are_read_before_a_surrogate_predicts(
+    tactorch: Any, finished_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    predicted: list[Run] = []
+    monkeypatch.setattr("tactorch.cli.report.with_settings", predicted.append)
+    done = tactorch("report", finished_run, "nowhere")
+    assert done.status == 2
+    assert "run not found: 'nowhere'" in done.err
+    assert not predicted
 
 
 @pytest.mark.slow

@@ -212,6 +212,16 @@ def test_presets_and_experiments_of_a_folder_are_used(
     assert "not a folder" in tactorch("invert", "--config-dir", "nowhere").err
 
 
+def test_a_folder_of_settings_may_refer_to_hydra(tactorch: Any, tmp_path: Path) -> None:
+    experiment = tmp_path / "own" / "experiment" / "mine.yaml"
+    experiment.parent.mkdir(parents=True)
+    experiment.write_text("run_dir: outputs/${hydra:job.name}/x\nout: hydra/x.h5\n")
+    done = tactorch("simulate", "--config-dir", tmp_path / "own", "experiment=mine", "--cfg", "job")
+    assert done.status == 0, done.err
+    assert "run_dir: outputs/${hydra:job.name}/x" in done.out
+    assert "out: hydra/x.h5" in done.out
+
+
 def test_a_trusted_folder_is_composed_by_hydra(
     tactorch: Any, recording: Path, tmp_path: Path
 ) -> None:
@@ -237,6 +247,17 @@ def test_settings_of_a_run_are_plain_values(
     file = tmp_path / ".hydra" / "config.yaml"
     file.write_text("seed: 3\nrun_dir: runs/${now:%Y}\n")
     assert saved_options("simulate", tmp_path).seed == 3
-    file.write_text("recording: ${oc.env:A_SECRET}\n")
-    with pytest.raises(FileError, match="no plain value"):
-        saved_options("simulate", tmp_path)
+    for value in ("${oc.env:A_SECRET}", "${hydra:job.${oc.env:A_SECRET}}"):
+        file.write_text(f"optimizer:\n  name: [tnc, '{value}']\n")
+        with pytest.raises(FileError, match=r"optimizer\.name=.*A_SECRET.* is no plain value"):
+            saved_options("invert", tmp_path)
+
+
+def test_settings_of_a_run_may_refer_to_hydra(tactorch: Any) -> None:
+    Path("trained/.hydra").mkdir(parents=True)
+    settings = "run_dir: runs/${hydra:job.name}\ndata: {name: recognition, folder: nowhere}\n"
+    Path("trained/.hydra/config.yaml").write_text(settings)
+    done = tactorch("evaluate-model", "run=trained", "run_dir=out")
+    assert done.status == 2
+    assert "nowhere" in done.err
+    assert "plain value" not in done.err

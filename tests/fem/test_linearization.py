@@ -101,3 +101,20 @@ def test_an_unstable_equilibrium_is_refused(search):
     unstable = replace(good, tangent=bad)
     with pytest.raises(ConvergenceError, match=r"unstable.*lower the load"):
         unstable.solve(np.ones(good.fixed.size))
+
+
+@pytest.mark.parametrize("solver", ["superlu", "torch_cg"])
+def test_an_unstable_equilibrium_is_refused_by_every_kind_of_solver(block, clamped, solver):
+    """The diagonal blocks stay positive definite, so that only solving finds the instability."""
+    body = SoftBody(block, make_material("neo_hookean", 0.45), solver=solver)
+    forces = body.pressure("z+", 0.1).numpy()
+    search = body.search(np.ones(block.n_tets), forces, Supports(fixed=clamped(block, "z-")))
+    good = search.linearize(search.run())
+    free = np.flatnonzero(~good.fixed)
+    eigenvalues, modes = np.linalg.eigh(search.pattern.full(good.tangent).toarray()[free][:, free])
+    bad = good.tangent.copy()
+    bad[search.pattern.diagonal[free]] -= 2.0 * eigenvalues[0]
+    rhs = np.zeros(good.fixed.size)
+    rhs[free] = modes[:, 0]
+    with pytest.raises(ConvergenceError, match=r"unstable.*lower the load"):
+        replace(good, tangent=bad).solve(rhs)

@@ -92,8 +92,12 @@ def test_springs_that_cannot_be_are_refused(body, block, bad):
 def test_arrays_of_another_mesh_are_refused(body, block, field):
     kind = bool if field == "fixed" else float
     values = np.ones((block.n_points - 1, 3), dtype=kind)
-    with pytest.raises(ConfigError, match=rf"supports\.{field} has shape.*{block.n_points}"):
+    with pytest.raises(
+        ConfigError, match=rf"supports\.{field} has shape.*{block.n_points}"
+    ) as error:
         Supports(**{field: values}).case(0, body.discretisation)
+    at_all_nodes = f"or all {body.n_nodes} element nodes" in str(error.value)
+    assert at_all_nodes == (field == "springs")
 
 
 def test_prescribed_values_must_be_finite(body, block, clamped):

@@ -192,6 +192,17 @@ def test_a_state_of_other_presses_is_refused(noisy: Recording) -> None:
         IncrementalInversion(noisy).restore(noisy.presses[:1], growing.state())
 
 
+def test_a_state_without_model_errors_is_refused_where_they_are_corrected(
+    noisy: Recording,
+) -> None:
+    growing = IncrementalInversion(noisy, Settings(model_error="none"), max_iterations=1)
+    growing.add(noisy.presses[:2])
+    corrected = IncrementalInversion(noisy)
+    with pytest.raises(ConfigError, match=r"model errors of \[0, 0\] data.*start again"):
+        corrected.restore(noisy.presses[:2], growing.state())
+    assert not corrected.presses
+
+
 def test_settling_can_be_broken_off_and_goes_on(noisy: Recording) -> None:
     growing = IncrementalInversion(noisy, max_iterations=1)
     growing.add(noisy.presses[:2])

@@ -72,8 +72,9 @@ def test_it_learns_the_shapes(tmp_path: Path) -> None:
 def test_what_a_dataset_lacks_is_said(dataset: Path) -> None:
     with pytest.raises(ConfigError, match="no reconstructions"):
         RecognitionData(dataset, voxels=8)
-    with pytest.raises(ConfigError, match="source='map'"):
-        DATA["recognition"](folder=dataset, source="map")
+    for data in (DATA["recognition"], RecognitionData):
+        with pytest.raises(ConfigError, match="source='map'"):
+            data(folder=dataset, source="map")
 
 
 def test_presses_on_three_sides_allow_six_symmetries(dataset: Path) -> None:

@@ -174,6 +174,15 @@ def test_weights_travel(run: Path, tmp_path: Path, recording: Recording) -> None
     assert a.youngs.shape == recording.truth.shape
 
 
+def test_only_weights_of_a_surrogate_are_exported(run: Path, tmp_path: Path) -> None:
+    content = torch.load(run / BEST, weights_only=True)
+    del content["hyper_parameters"]
+    torch.save(content, tmp_path / "other.ckpt")
+    with pytest.raises(FileError, match=r"other.ckpt' are not a surrogate's \('hyper_parameters'"):
+        export_weights(tmp_path / "other.ckpt", tmp_path / "small.pt")
+    assert not (tmp_path / "small.pt").exists()
+
+
 def test_an_inversion_starts_from_it(run: Path, recording: Recording) -> None:
     start = SurrogateStart(run / BEST)
     settings = Settings(max_seconds=None)

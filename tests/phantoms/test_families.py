@@ -57,7 +57,11 @@ def test_contrast_can_be_told() -> None:
         ("recognition", {"shapes": ["cube"]}, "'cube' is unknown"),
         ("recognition", {"sise": 1}, "sise"),
         ("recognition", {"size": (3.0, 4.0)}, "No inclusion fits"),
-        ("recognition", {"size": (2.0, 1.0)}, "lower and the upper"),
+        (
+            "recognition",
+            {"size": (2.0, 1.0)},
+            r"family.size=\[2.0, 1.0\]: give the lower end first",
+        ),
         ("inclusions", {"shapes": ["cube"]}, "'cube' is unknown"),
         ("inclusions", {"backgrounds": ["blue"]}, "'blue' is unknown"),
         ("inclusions", {"contrast": (0.9, 1.1)}, "differs from 1"),

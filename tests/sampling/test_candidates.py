@@ -46,11 +46,11 @@ def test_each_candidate_is_the_farthest_from_those_before(dome: TetMesh) -> None
 
 def test_what_cannot_be_is_refused(dome: TetMesh) -> None:
     held = dome.points[:, 2] < 1e-9
-    with pytest.raises(ConfigError, match="no patch fits"):
+    with pytest.raises(ConfigError, match="no patch of this radius avoids the fixed nodes"):
         candidate_patches(dome, held | True, 1.5, 3)
     with pytest.raises(ConfigError, match="count is 0"):
         candidate_patches(dome, held, 1.5, 0)
-    with pytest.raises(ConfigError, match="held marks no node"):
+    with pytest.raises(ConfigError, match="held marks no fixed node"):
         candidate_patches(dome, held & False, 1.5, 3)
     with pytest.raises(ConfigError, match="no surface within"):
         Patch(np.full(3, 90.0), np.array([0.0, 0.0, -1.0]), 1.0).forces(dome)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactorch.errors import ConfigError, FileError, RecordingError
+from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
 from tactorch.inverse import IncrementalInversion, Reconstruction, Settings, invert
 from tactorch.metrics import scores
 from tactorch.recording import Recording, append_press
@@ -226,6 +226,21 @@ def test_where_no_place_can_be_suggested_it_says_why(live: Any) -> None:
     live.follow(suggest=SuggestOptions(radius_mm=0.01), max_iterations=2)
     assert live.view.suggestions[0].entry["next"] is None
     assert "no surface" in live.view.suggestions[0].entry["next_why_not"]
+
+
+def test_where_derivatives_fail_it_says_why_and_goes_on(
+    live: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tactorch.sampling.suggest import _WarmStartedPosterior
+
+    def fail(self: _WarmStartedPosterior, point: Any, weight: float) -> Any:
+        raise ConvergenceError("The equilibrium is unstable")
+
+    monkeypatch.setattr(_WarmStartedPosterior, "__call__", fail)
+    live.save(0)
+    live.follow(rule="expected_error", max_iterations=2)
+    assert live.view.suggestions[0].entry["next"] is None
+    assert "unstable" in live.view.suggestions[0].entry["next_why_not"]
 
 
 def test_control_c_ends_a_run_with_what_it_has(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:

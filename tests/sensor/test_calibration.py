@@ -1,10 +1,13 @@
 """Slopes from colours: circles are found, rough ones are mended, and what was not seen is seen."""
 
 import json
+import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.sensor.calibration import (
@@ -24,7 +27,7 @@ from tactorch.sensor.calibration import (
     save_calibration,
     select_map,
 )
-from tactorch.sensor.calibration.fit import fit_circle
+from tactorch.sensor.calibration.fit import fit_contact
 from tactorch.sensor.calibration.maps import map_slopes
 from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.markers import MarkerAppearance
@@ -78,14 +81,16 @@ def test_rough_circles_are_mended_and_held_out_slopes_are_seen() -> None:
     new = touches([(41.2, 58.7), (69.4, 36.3)], seed=5)
     truth = [touch.circle for touch in new]
     believed, _ = fit_map(pressed, BALL, FitOptions(rounds=0))
-    mended, circles = fit_map(pressed, BALL, FitOptions(rounds=3))
-    before, after = (evaluate_map(one, new, truth, BALL) for one in (believed, mended))
+    mended, fitted = fit_map(pressed, BALL, FitOptions(rounds=3))
+    before, after = (evaluate_map(one, new, BALL) for one in (believed, mended))
     assert min(after.r2) > 0.97
     assert max(after.mae) < 0.6 * min(before.mae)
     assert after.depth_rms_mm < 0.02
-    found = np.array([circles[touch.name].center_px for touch in pressed])
+    assert [press.name for press in fitted] == [touch.name for touch in pressed]
+    found = np.array([press.contact.center_px for press in fitted])
     assert np.linalg.norm(found - CENTERS, axis=1).max() < 1.0
-    one = fit_circle(new[0], mended, BALL, Circle((44.0, 56.0), 14.0))
+    rough = replace(new[0], fitted=Circle((44.0, 56.0), 14.0))
+    one = fit_contact(rough, mended, BALL).contact
     assert np.hypot(*np.subtract(one.center_px, truth[0].center_px)) < 0.7
     assert abs(one.radius_px - truth[0].radius_px) < 3.0
 
@@ -95,7 +100,7 @@ def test_every_map_learns_and_is_kept(name: str, tmp_path: Path) -> None:
     pressed = touches(CENTERS)
     found, _ = fit_map(pressed, BALL, FitOptions(name, rounds=0))
     (new,) = touches([(60.0, 52.0)], seed=8)
-    assert min(evaluate_map(found, [new], [new.circle], BALL).r2) > 0.85
+    assert min(evaluate_map(found, [new], BALL).r2) > 0.85
     kept = Calibration(
         found, drawn.still(), BALL.mm_per_px, MarkerAppearance(9.0), {"r2": [0.9, 0.8]}
     )
@@ -119,6 +124,26 @@ def test_the_same_seed_gives_the_same_map() -> None:
     one, other = (fit_map(pressed, BALL, FitOptions(rounds=0, seed=4))[0] for _ in range(2))
     for name, values in one.arrays().items():
         np.testing.assert_array_equal(values, other.arrays()[name])
+
+
+def test_a_fit_limits_the_threads_of_torch_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    logger, fitting = logging.getLogger("another.package"), []
+    monkeypatch.setattr(logger, "level", logging.INFO)
+    step = torch.optim.Adam.step
+
+    def watch(*arguments: object) -> object:
+        fitting.append((logger.isEnabledFor(logging.INFO), torch.get_num_threads()))
+        return step(*arguments)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", watch)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        SENSOR_MAPS.build("mlp").create(0).fit(np.zeros((9, 5)), np.zeros((9, 2)), 0)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(threads)
+    assert set(fitting) == {(True, 1)}
 
 
 def test_markers_do_not_count() -> None:

@@ -17,6 +17,7 @@ from tactorch.sensor.description import (
     save_sensor,
 )
 
+GEL_LINE = "gel: {thickness_mm: 2, youngs_mpa: 0.1, radius_mm: 3}\n"
 HEAD = "name: s\nimage_size_px: [64, 48]\nmm_per_px: [.1, .1]\n"
 GEL = {"thickness_mm": 3.0, "youngs_mpa": 0.2, "size_mm": (20.0, 16.0)}
 
@@ -48,9 +49,13 @@ def test_every_field_is_kept(tmp_path: Path) -> None:
 
 
 def test_whole_numbers_may_have_a_point(tmp_path: Path) -> None:
-    text = HEAD.replace("64", "64.0") + "gel: {thickness_mm: 2, youngs_mpa: 0.1, radius_mm: 3}\n"
-    (tmp_path / "sensor.yaml").write_text(text)
+    (tmp_path / "sensor.yaml").write_text(HEAD.replace("64", "64.0") + GEL_LINE)
     assert load_sensor(tmp_path / "sensor.yaml").image_size_px == (64, 48)
+
+
+def test_the_name_may_be_empty(tmp_path: Path) -> None:
+    (tmp_path / "sensor.yaml").write_text(HEAD.replace("name: s", "name:") + GEL_LINE)
+    assert load_sensor(tmp_path / "sensor.yaml").name == ""
 
 
 def test_the_papers_finger() -> None:
@@ -94,7 +99,11 @@ def test_markers_lie_about_the_middle() -> None:
         ({"raw_size_px": (80, 60)}, "give crop_px or warped_size_px"),
         ({"raw_size_px": (80, 60), "crop_px": (20, 0, 64, 48)}, "exceeds the warped image"),
         ({"raw_size_px": (80, 60), "crop_px": (0, 0, 60, 48)}, "keeps 60 x 48"),
-        ({"warp_corners_px": [(0, 0), (9, 0), (9, 9)]}, "warp_corners_px=.*give a list of four"),
+        (
+            {"warp_corners_px": [(0, 0), (9, 0), (9, 9)]},
+            r"four lists of two numbers: \[\[X,Y\],...\]",
+        ),
+        ({"name": 3}, "name=3: give text. Put it in quotes."),
         ({"warp_corners_px": [(0, 0), (0, 9), (9, 9), (9, 0)]}, "go round a convex figure"),
     ],
 )
@@ -139,12 +148,12 @@ def test_wrong_markers_are_refused(changes: dict, message: str) -> None:
         ("name: s\n  gel: [", "is not valid YAML"),
         ("- a\n", "has no fields"),
         (HEAD, "'gel' is missing"),
+        (HEAD + "gel: [1, 2]\n", "'gel' is missing or not a table of fields"),
+        (HEAD + f"{GEL_LINE}markers: none\n", "'markers' is not a table of fields; give null"),
+        (HEAD + "gel: {thickness_mm: 3e0}\n", "gel.thickness_mm='3e0' must be a number"),
         (HEAD + "gel: {thickness_mm: 2, youngs_mpa: 0.1}\n", "gel: give size_mm"),
         (HEAD + "gel: {thickness_mm: 2}\n", "'gel.youngs_mpa' is missing"),
-        (
-            "ppmm: 19\ngel: {thickness_mm: 2, youngs_mpa: 0.1, radius_mm: 3}\n",
-            "unknown setting 'ppmm'",
-        ),
+        (f"ppmm: 19\n{GEL_LINE}", "unknown setting 'ppmm'"),
     ],
 )
 def test_files_that_are_no_descriptions(text: str, message: str, tmp_path: Path) -> None:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
+from tactorch.fem import Supports
 from tactorch.sensor.description import GelLayer, load_sensor
-from tactorch.sensor.gel import GelModel, GelOptions
-from tactorch.sensor.gel.model import GelMesh
+from tactorch.sensor.gel import GelMesh, GelModel, GelOptions
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 
@@ -23,8 +23,10 @@ def pushed(model: GelModel) -> tuple[np.ndarray, np.ndarray]:
     forces = np.where((distance < 2.6)[:, None], (0.004, 0.0, -0.02), 0.0)
     loads = np.zeros(model.gel_mesh.mesh.points.shape)
     loads[model.gel_mesh.face] = forces
-    held = model._supports(np.full(model.points.shape, np.nan))
-    moved = model.body.equilibrate(model.youngs, loads, held).require().displacement
+    held = np.zeros(loads.shape, dtype=bool)
+    held[model.gel_mesh.window] = True
+    result = model.body.equilibrate(model.youngs, loads, Supports(fixed=held))
+    moved = result.require().displacement
     return forces, moved[model.gel_mesh.face]
 
 

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
+from tactorch.sensor.calibration import KnownLoad, calibrate_modulus
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel import GelModel, GelOptions, KnownLoad, calibrate_modulus
+from tactorch.sensor.gel import GelModel, GelOptions
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 CELLS = GelOptions(1.25, 2, "tet4")
@@ -31,7 +32,7 @@ def presses() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         touched = np.linalg.norm(stiffer.points[:, :2], axis=1) < radius
         forces = np.where(touched[:, None], (0.1, 0.0, -1.0), 0.0) * pressure
         forces = forces * stiffer.gel_mesh.face_areas[:, None]
-        moved = stiffer._equilibrium(forces).displacement[stiffer.gel_mesh.face]
+        moved = stiffer._equilibrium(forces).result.displacement[stiffer.gel_mesh.face]
         found.append((moved, forces.sum(axis=0), touched))
     return found
 

@@ -6,8 +6,7 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import GelModel, GelOptions
-from tactorch.sensor.gel.model import _State
-from tactorch.sensor.gel.smoothing import fit_smooth_forces, traction_basis
+from tactorch.sensor.tractions import fit_smooth_forces, traction_basis
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 NONE = np.zeros((60, 0))
@@ -102,20 +101,20 @@ def pushed(model: GelModel, pressure_mpa: float) -> tuple[np.ndarray, np.ndarray
     forces = np.where(touched[:, None], (0.2, 0.0, -1.0), 0.0) * pressure_mpa
     forces = forces * model.gel_mesh.face_areas[:, None]
     state = model._equilibrium(forces)
-    return forces, state.displacement[model.gel_mesh.face], touched
+    return forces, state.result.displacement[model.gel_mesh.face], touched
 
 
 def test_forces_on_nodes_are_tractions_about_them(model: GelModel) -> None:
     """The same all over, they are what the element itself makes of a uniform traction."""
     traction = np.array([0.02, 0.0, -0.1])
-    loads = model._face_load(model.gel_mesh.face_areas[:, None] * traction)
+    loads = model._load_matrix @ (model.gel_mesh.face_areas[:, None] * traction)
     corners = np.isin(model.gel_mesh.mesh.surface.triangles, model.gel_mesh.face).all(axis=1)
     exact = model.body.traction(np.flatnonzero(corners), traction.tolist()).numpy()
     np.testing.assert_allclose(loads, exact, atol=1e-12)
     alone = np.zeros(model.points.shape)
     alone[30] = traction
-    np.testing.assert_allclose(model._face_load(alone).sum(axis=0), traction)
-    assert (model._face_load(alone) != 0).any(axis=1).sum() == (
+    np.testing.assert_allclose((model._load_matrix @ alone).sum(axis=0), traction)
+    assert ((model._load_matrix @ alone) != 0).any(axis=1).sum() == (
         1 if model.body.n_nodes == model.gel_mesh.mesh.n_points else 6
     )
 
@@ -151,10 +150,8 @@ def test_direct_total_answers_to_noise_as_stated(model: GelModel, rng: np.random
     step = rng.normal(0, 1e-6, moved.shape)
     apart = model.forces(given + step).total - model.forces(given - step).total
     known = np.isfinite(given)
-    search = model.body.search(
-        model.youngs, np.zeros(model.gel_mesh.mesh.points.shape), model._supports(given)
-    )
-    rates = model._total_force_sensitivity(_State(search), known)
+    state = model._equilibrium(np.zeros(given.shape), given)
+    rates = model._total_force_sensitivity(state, known)
     np.testing.assert_allclose(rates @ step[known], apart / 2, rtol=2e-4, atol=1e-10)
     np.testing.assert_allclose(found.covariance, rates @ rates.T)
 

@@ -1,5 +1,6 @@
 """Calibration with real presses of balls, which others took: `-m external`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from tactorch.sensor.calibration import (
     marker_pixels,
     read_labels,
 )
-from tactorch.sensor.calibration.fit import fit_circle
+from tactorch.sensor.calibration.fit import fit_new_contact
 from tactorch.sensor.frames import read_image
 from tactorch.sensor.markers import MarkerAppearance
 
@@ -57,13 +58,8 @@ def test_held_out_presses(presses: tuple[list[BallPress], Ball], shared_data: Pa
     order = np.random.default_rng(0).permutation(len(touches))
     held, used = ([touches[k] for k in part] for part in (order[:6], order[6:]))
     found, _ = fit_map(used, ball, FitOptions())
-    circles = [touch.circle for touch in held]
-    for _ in range(2):
-        circles = [
-            fit_circle(touch, found, ball, circle)
-            for touch, circle in zip(held, circles, strict=True)
-        ]
-    quality = evaluate_map(found, held, circles, ball)
+    held = [fit_new_contact(touch, found, ball) for touch in held]
+    quality = evaluate_map(found, held, ball)
     assert min(quality.r2) > 0.94
     assert max(quality.mae) < 0.06
     assert quality.depth_rms_mm < 0.05
@@ -71,10 +67,10 @@ def test_held_out_presses(presses: tuple[list[BallPress], Ball], shared_data: Pa
     # this sensor's colours hardly change any more.
     labels = read_labels(shared_data / "fots-mini/labels.csv")
     wide = [
-        Circle(circle.center_px, 0.8 * labels[touch.name].radius_px)
-        for touch, circle in zip(held, circles, strict=True)
+        replace(touch, fitted=Circle(touch.contact.center_px, 0.8 * labels[touch.name].radius_px))
+        for touch in held
     ]
-    quality = evaluate_map(found, held, wide, ball)
+    quality = evaluate_map(found, wide, ball)
     assert min(quality.r2) > 0.94
     assert quality.depth_rms_mm < 0.05
 

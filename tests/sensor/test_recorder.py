@@ -53,13 +53,16 @@ class Chain(SensorChain):
 
     def measure_deformation(self, frame: Frame) -> Measurement:
         none = np.zeros(len(self.model.points), dtype=bool)
+        if frame.image is None:
+            unseen = np.full((2, 2), np.nan)
+            return Measurement(frame, unseen, None, np.nan, np.nan, None, none)
         depth = self._depth(frame)
         here = self.tracker.reference_px + self.noise_px * self.rng.normal(size=(2, 2))
         flat = np.full((8, 8), -depth)
         height = HeightMap(flat, flat - flat.mean(), flat == 0, flat < 0)
         if depth <= 0:
-            return Measurement(frame, here, height, None, none)
-        return Measurement(frame, here, height, self.pairs[depth].u_gel, ~none)
+            return Measurement(frame, here, height, depth, 0.0, None, none)
+        return Measurement(frame, here, height, depth, 0.0, self.pairs[depth].u_gel, ~none)
 
     def solve_contact(self, measurement: Measurement) -> GelContact | None:
         if measurement.displacement is None:
@@ -104,11 +107,17 @@ def frames(**changes: object) -> list[Frame]:
 def test_presses_are_those_that_were_made(pairs: dict[float, Pair], poses: Poses) -> None:
     told: list[tuple[str, int, int | None]] = []
     cube = pairs[0.2].cube
-    found = record(
+    recording, measurements, contacts = record(
         frames(), Chain(pairs), poses, cube, SPEC, RecordOptions(steps=2),
         progress=lambda *all_: told.append(all_),
     )  # fmt: skip
-    presses = found.recording.presses
+    presses = recording.presses
+    assert [m.frame.name for m in measurements] == [frame.name for frame in frames()]
+    assert all(m.frame.image is None and m.height is None for m in measurements)
+    assert [m.depth_mm for m in measurements[3:6]] == pytest.approx([0.2, 0.4, 0.2])
+    assert [[m.frame.index for m in contact.measurements] for contact in contacts] == [
+        [3, 4, 5], [8, 9],
+    ]  # fmt: skip
     assert [p.name for p in presses] == [
         "contact 1, 003.png", "contact 1, 004.png", "contact 2, 008.png", "contact 2, 009.png",
     ]  # fmt: skip
@@ -123,7 +132,7 @@ def test_presses_are_those_that_were_made(pairs: dict[float, Pair], poses: Poses
         assert press.noise_mm == pytest.approx(0.01)  # what the chain allows for
     assert told[-1] == ("presses", 4, 4)
     assert ("frames", 11, None) in told
-    notes = found.recording.provenance
+    notes = recording.provenance
     assert notes["sensor"] == "seeing"
     assert notes["frames"] == 11
     assert [row["frame"] for row in notes["presses"]] == [p.name[-7:] for p in presses]
@@ -135,7 +144,7 @@ def test_contacts_come_as_they_end_and_are_those_of_the_whole_session(
     pairs: dict[float, Pair], poses: Poses
 ) -> None:
     cube, options = pairs[0.2].cube, RecordOptions(steps=2)
-    whole = record(frames(), Chain(pairs), poses, cube, SPEC, options).recording.presses
+    whole = record(frames(), Chain(pairs), poses, cube, SPEC, options)[0].presses
     seen: list[int] = []
 
     def coming() -> Iterator[Frame]:
@@ -172,12 +181,12 @@ def test_a_contact_whose_poses_stay_away_is_skipped(
 
 def test_steps_are_even_in_depth(pairs: dict[float, Pair], poses: Poses) -> None:
     cube = pairs[0.2].cube
-    one = record(frames(), Chain(pairs), poses, cube, SPEC, RecordOptions(steps=1))
-    assert [p.name for p in one.recording.presses] == ["contact 1, 004.png", "contact 2, 009.png"]
-    many = record(frames(), Chain(pairs), poses, cube, SPEC, RecordOptions(steps=9))
-    assert len(many.recording.presses) == 4  # what is released again is no new step
+    one, *_ = record(frames(), Chain(pairs), poses, cube, SPEC, RecordOptions(steps=1))
+    assert [p.name for p in one.presses] == ["contact 1, 004.png", "contact 2, 009.png"]
+    many, *_ = record(frames(), Chain(pairs), poses, cube, SPEC, RecordOptions(steps=9))
+    assert len(many.presses) == 4  # what is released again is no new step
     long = RecordOptions(steps=1, min_frames=3)
-    assert len(record(frames(), Chain(pairs), poses, cube, SPEC, long).recording.presses) == 1
+    assert len(record(frames(), Chain(pairs), poses, cube, SPEC, long)[0].presses) == 1
 
 
 def test_faulty_frames_do_not_count(pairs: dict[float, Pair], poses: Poses) -> None:
@@ -187,10 +196,11 @@ def test_faulty_frames_do_not_count(pairs: dict[float, Pair], poses: Poses) -> N
     session[9] = Frame(9, "009.png", None, 0.9, "cannot be read", usable=False)
     dropped = Frame(3, "003.png", STILL, 0.3, "2 frames were dropped before it")
     session[3] = dropped
-    found = record(session, Chain(pairs), poses, pairs[0.2].cube, SPEC, RecordOptions(steps=1))
-    assert [p.name for p in found.recording.presses] == ["contact 1, 003.png", "contact 2, 008.png"]
-    assert list(found.faults) == ["003.png", "004.png", "009.png"]
-    assert found.recording.provenance["faulty frames"]["004.png"].startswith("dark")
+    found, *_ = record(session, Chain(pairs), poses, pairs[0.2].cube, SPEC, RecordOptions(steps=1))
+    assert [p.name for p in found.presses] == ["contact 1, 003.png", "contact 2, 008.png"]
+    faults = found.provenance["faulty frames"]
+    assert list(faults) == ["003.png", "004.png", "009.png"]
+    assert faults["004.png"].startswith("dark")
 
 
 def test_noise_is_what_frames_without_contact_show(pairs: dict[float, Pair], poses: Poses) -> None:
@@ -198,10 +208,10 @@ def test_noise_is_what_frames_without_contact_show(pairs: dict[float, Pair], pos
     assert len(list(found.detect(frames()))) == 2
     assert found.noise_mm == pytest.approx(0.05, rel=0.4)  # 24 numbers
     cube = pairs[0.2].cube
-    press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC).recording.presses[0]
+    press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC)[0].presses[0]
     assert press.noise_mm == pytest.approx(found.noise_mm)
     given = RecordOptions(press_noise_mm=0.02)
-    press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC, given).recording.presses[0]
+    press = record(frames(), Chain(pairs, 0.05), poses, cube, SPEC, given)[0].presses[0]
     assert press.noise_mm == 0.02
 
 
@@ -254,7 +264,7 @@ def test_poses_that_do_not_fit_the_images_are_told(caplog: pytest.LogCaptureFixt
 
 def test_first_touch_by_depth() -> None:
     poses = Poses(np.array([0.0, 1.0]), np.stack([sensor_pose(10.5), sensor_pose(9.5)]))
-    times, depths = [0.7, 0.9], [0.1, 0.2]  # half of the way goes to the gel
+    times, depths = np.array([0.7, 0.9]), np.array([0.1, 0.2])  # half of the way goes to the gel
     np.testing.assert_allclose(first_pose_by_depth(poses, 0.4, times, depths), FIRST, atol=1e-9)
     # Not before the last frame without contact, nor by depths that do not grow.
     assert first_pose_by_depth(poses, 0.6, times, depths)[2, 3] == pytest.approx(9.9)
@@ -274,7 +284,7 @@ def test_a_virtual_cube_moves_with_the_sensor_where_untouched(
 
     chain.measure_deformation = half  # type: ignore[method-assign]
     cube = VirtualCube(8.0, 6.0, 1.0)
-    found = record(frames(), chain, poses, cube, SPEC, RecordOptions(steps=1)).recording
+    found = record(frames(), chain, poses, cube, SPEC, RecordOptions(steps=1))[0]
     low, high = found.mesh.bounds
     # Under the middle of what is touched, from the height of first touch downward.
     begin = found.presses[0].displacement

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tactorch.errors import FileError
-from tactorch.sensor.calibration import Ball, Circle
+from tactorch.sensor.calibration import Ball, BallPress, Circle
 from tactorch.sensor.description import GelLayer, SensorDescription
 from tactorch.viz import save_figure
-from tactorch.viz.sensor_calibration import BallPress, ball_press_figure
+from tactorch.viz.sensor_calibration import PlottedPress, ball_press_figure
 from tactorch.viz.sensor_frames import (
     DepthView,
     ForceView,
@@ -118,7 +118,8 @@ def test_presses_are_drawn_beside_the_ball(tmp_path: Path, monkeypatch: pytest.M
     ball, circle = Ball(2.0, (0.1, 0.1)), Circle((30.0, 20.0), 10.0)
     slopes, height = ball.slopes((40, 60), circle), ball.heights((40, 60), circle)
     known = np.ones((40, 60), dtype=bool)
-    press = BallPress("p.png", IMAGE, circle, circle, ball, known, slopes, height)
+    touched = BallPress("p.png", np.zeros(IMAGE.shape), known, circle, circle)
+    press = PlottedPress(touched, IMAGE, ball, slopes, height)
     monkeypatch.setattr("tactorch.viz.sensor_calibration._MAX_PRESSES", 2)
     one = save_figure(ball_press_figure([press], "title"), tmp_path / "one.png")
     many = save_figure(ball_press_figure([press] * 12, "title"), tmp_path / "many.png")

@@ -21,7 +21,6 @@ from tactorch.cli.sensor.options import CalibrateSettings
 from tactorch.cli.sensor.presses import (
     EvaluatedPress,
     checksum,
-    evaluate_presses,
     prepare_folder,
     read_presses,
     write_report,
@@ -40,7 +39,7 @@ from tactorch.sensor.calibration import (
     save_calibration,
     select_map,
 )
-from tactorch.sensor.calibration.fit import validation_groups
+from tactorch.sensor.calibration.fit import fit_new_contact, validation_groups
 from tactorch.sensor.frames import read_reference
 
 AUTO = "auto"
@@ -60,20 +59,20 @@ def run(cfg: CalibrateSettings) -> Path:
     training, held_out = _split(presses, cfg)
     options, maps = _select_map(cfg.map, training, ball, options)
     with progress("fitting map and contacts", "rounds") as report:
-        slope_map, circles = fit_map(training, ball, options, report)
+        slope_map, fitted = fit_map(training, ball, options, report)
     title = f"{SENSOR_MAPS.name_of(type(options.map))}, "
     if cfg.folds is not None:
         evaluated, quality = _cross_validate(training, ball, options, cfg.folds)
         title += f"on {len(training)} presses, each left out once, in {cfg.folds} groups"
     else:
         if held_out:
-            evaluated = evaluate_presses(held_out, slope_map, ball)
+            others = [fit_new_contact(press, slope_map, ball) for press in held_out]
             title += f"fitted to {len(training)} presses, on {len(held_out)} others"
         else:
-            evaluated = [EvaluatedPress(p, circles[p.name], slope_map) for p in training]
+            others = fitted
             title += f"on the {len(training)} presses it was fitted to: others do worse"
-        contacts = [item.circle for item in evaluated]
-        quality = evaluate_map(slope_map, [item.press for item in evaluated], contacts, ball)
+        evaluated = [(press, slope_map) for press in others]
+        quality = evaluate_map(slope_map, others, ball)
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,
@@ -84,7 +83,7 @@ def run(cfg: CalibrateSettings) -> Path:
         "fitted_to": {press.name: checksum(images[press.name]) for press in training},
     }
     save_calibration(Calibration(slope_map, reference, ball.mm_per_px, markers, facts), out)
-    write_report(folder, title, quality, evaluated, images, ball, circles, facts)
+    write_report(folder, title, quality, evaluated, images, ball, fitted, facts)
     log.info("calibration: %s", out)
     return out
 
@@ -141,9 +140,8 @@ def _cross_validate(
 ) -> tuple[list[EvaluatedPress], MapQuality]:
     evaluated, parts = list[EvaluatedPress](), []
     with progress("evaluating", "groups left out") as report:
-        for slope_map, group, circles in validation_groups(training, ball, options, folds):
-            parts.append(evaluate_map(slope_map, group, circles, ball))
-            pairs = zip(group, circles, strict=True)
-            evaluated += [EvaluatedPress(press, circle, slope_map) for press, circle in pairs]
+        for slope_map, group in validation_groups(training, ball, options, folds):
+            parts.append(evaluate_map(slope_map, group, ball))
+            evaluated += [(press, slope_map) for press in group]
             report(len(parts), folds)
     return evaluated, MapQuality.pool(parts)

@@ -10,14 +10,9 @@ calibration was fitted to are named: their figures are no test of the calibratio
 from tactorch.cli.console import log
 from tactorch.cli.sensor.inputs import load_calibrated
 from tactorch.cli.sensor.options import CheckSettings
-from tactorch.cli.sensor.presses import (
-    checksum,
-    evaluate_presses,
-    prepare_folder,
-    read_presses,
-    write_report,
-)
+from tactorch.cli.sensor.presses import checksum, prepare_folder, read_presses, write_report
 from tactorch.sensor.calibration import Ball, MapQuality, evaluate_map
+from tactorch.sensor.calibration.fit import fit_new_contact
 from tactorch.sensor.frames import read_reference
 
 
@@ -30,13 +25,14 @@ def run(cfg: CheckSettings) -> MapQuality:
     if cfg.reference is not None:
         reference = read_reference(cfg.reference, sensor, cfg.reference_frames)
     presses, images = read_presses(cfg, sensor, ball, reference, calibration.markers)
-    evaluated = evaluate_presses(presses, calibration.map, ball)
-    quality = evaluate_map(calibration.map, presses, [item.circle for item in evaluated], ball)
+    presses = [fit_new_contact(press, calibration.map, ball) for press in presses]
+    quality = evaluate_map(calibration.map, presses, ball)
     known = set(calibration.facts.get("fitted_to", {}).values())
     fitted = [name for name, image in images.items() if checksum(image) in known]
-    title = f"{cfg.calibration.name} ({calibration.map_name}), on {len(evaluated)} presses"
+    title = f"{cfg.calibration.name} ({calibration.map_name}), on {len(presses)} presses"
     facts = {"calibration": calibration.facts, "fitted_to": fitted}
-    write_report(folder, title, quality, evaluated, images, ball, {}, facts)
+    evaluated = [(press, calibration.map) for press in presses]
+    write_report(folder, title, quality, evaluated, images, ball, [], facts)
     if fitted:
         names = ", ".join(fitted[:3]) + (", ..." if len(fitted) > 3 else "")
         log.info(

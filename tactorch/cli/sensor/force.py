@@ -74,10 +74,9 @@ def _frame_forces(
     except ConvergenceError as error:
         unknown = np.full(shape, nan)
         return without_image(frame, f"no forces found: {error}"), unknown, unknown, none, nan
-    contact, height = measurement.contact, measurement.height
-    depth = nan if height is None else height.depth_mm
+    contact, depth = measurement.contact, measurement.depth_mm
     if contact is None:
-        free = np.full(shape, nan if height is None else 0.0)
+        free = np.full(shape, nan if frame.image is None else 0.0)
         return stored, free, free, none, depth
     return stored, contact.forces, contact.displacement, measurement.in_contact, depth
 

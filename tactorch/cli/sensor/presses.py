@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from tactorch.files import write_file, write_json
 from tactorch.sensor.calibration import (
     Ball,
     BallPress,
-    Circle,
     MapQuality,
     SlopeMap,
     evaluate_map,
@@ -27,34 +26,19 @@ from tactorch.sensor.calibration import (
     marker_pixels,
     read_labels,
 )
-from tactorch.sensor.calibration.fit import fit_new_circle
 from tactorch.sensor.calibration.maps import map_slopes
 from tactorch.sensor.depth import integrate_slopes
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image, read_frames
 from tactorch.sensor.markers import MarkerAppearance
 from tactorch.viz import save_figure
-from tactorch.viz.sensor_calibration import BallPress as PlottedPress
-from tactorch.viz.sensor_calibration import ball_press_figure
+from tactorch.viz.sensor_calibration import PlottedPress, ball_press_figure
 
 _REPORT, _TEXT, _CIRCLES, _PICTURE = "quality.json", "quality.txt", "circles.csv", "held_out.png"
 
 Images = Mapping[str, Image]  # rectified, by name of the press
-
-
-class EvaluatedPress(NamedTuple):
-    """Press with a fitted contact and a map, not fitted to this press if possible."""
-
-    press: BallPress
-    circle: Circle
-    map: SlopeMap
-
-
-def evaluate_presses(
-    presses: Sequence[BallPress], slope_map: SlopeMap, ball: Ball
-) -> list[EvaluatedPress]:
-    """Fit the contacts of presses that a map was not fitted to."""
-    return [EvaluatedPress(p, fit_new_circle(p, slope_map, ball), slope_map) for p in presses]
+#: Press with a fitted contact, and a map that was not fitted to this press if possible.
+EvaluatedPress = tuple[BallPress, SlopeMap]
 
 
 def checksum(image: Image) -> str:
@@ -123,16 +107,16 @@ def write_report(
     evaluated: Sequence[EvaluatedPress],
     images: Images,
     ball: Ball,
-    circles: Mapping[str, Circle],
+    training: Sequence[BallPress],
     facts: Mapping[str, Any],
 ) -> None:
     """Write and log the accuracy of presses together and singly, with contacts and a picture.
 
-    `circles` are the contacts of further presses that the map was fitted to, `facts` further
-    entries of the JSON file.
+    `training` are further presses, which the map was fitted to, `facts` further entries of the JSON
+    file.
     """
-    single = {p.name: evaluate_map(slope_map, [p], [c], ball) for p, c, slope_map in evaluated}
-    radii = {p.name: c.radius_px * ball.mm_per_px[0] for p, c, _ in evaluated}
+    single = {p.name: evaluate_map(slope_map, [p], ball) for p, slope_map in evaluated}
+    radii = {p.name: p.contact.radius_px * ball.mm_per_px[0] for p, _ in evaluated}
     head = ("", "R^2 x", "R^2 y", "MAE x", "MAE y", "depth rms, mm", "contact radius, mm")
     lines = []
     for name, q in [*single.items(), ("all together", quality)]:
@@ -149,18 +133,17 @@ def write_report(
     write_json(folder / _REPORT, {"evaluated": title, **figures, **facts})
     write_file(folder / _TEXT, f"{title}\n{table.text()}\n{note}\n")
     # This table can be used as `labels`.
-    circles = {p.name: c for p, c, _ in evaluated} | dict(circles)
+    circles = {p.name: p.contact for p in (*(press for press, _ in evaluated), *training)}
     header = ("image", "center_x_px", "center_y_px", "radius_px")
     rows = [(n, *(f"{v:.2f}" for v in (*c.center_px, c.radius_px))) for n, c in circles.items()]
     write_table(folder / _CIRCLES, header, rows)
-    plotted = [_plotted(item, images[item.press.name], ball) for item in evaluated]
+    plotted = [_plotted(p, slope_map, images[p.name], ball) for p, slope_map in evaluated]
     save_figure(ball_press_figure(plotted, title), folder / _PICTURE)
     log_text(title, table, note)
     log.info("pictures of them: %s", folder / _PICTURE)
 
 
-def _plotted(evaluated: EvaluatedPress, image: Image, ball: Ball) -> PlottedPress:
-    press, circle, slope_map = evaluated
+def _plotted(press: BallPress, slope_map: SlopeMap, image: Image, ball: Ball) -> PlottedPress:
     slopes = map_slopes(slope_map, press.change)
     height = integrate_slopes(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
-    return PlottedPress(press.name, image, press.circle, circle, ball, press.known, slopes, height)
+    return PlottedPress(press, image, ball, slopes, height)

@@ -30,8 +30,9 @@ from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.recording import Recording, append_press, compact
+from tactorch.sensor.chain import Measurement
 from tactorch.sensor.poses import Poses, read_poses
-from tactorch.sensor.recorder import SessionRecording, VirtualCube, record, record_streaming
+from tactorch.sensor.recorder import ContactInterval, VirtualCube, record, record_streaming
 from tactorch.viz import save_figure
 from tactorch.viz.session import presses_figure, session_figure
 
@@ -50,21 +51,22 @@ def run(cfg: RecordSettings) -> Path:
     facts = {"settings": to_mapping(cfg), "calibration": chain.calibration.facts}
     poses = _pose_reader(cfg, frames)
     if cfg.as_they_end:
-        contacts = record_streaming(frames, chain, poses, target, material, cfg, provenance=facts)
-        return _append_contacts(contacts, out)
+        grown = record_streaming(frames, chain, poses, target, material, cfg, provenance=facts)
+        return _append_contacts(grown, out)
     if frames.is_camera:
         require_file(str(cfg.poses), "table of poses")  # a robot still appends to it
     else:
         poses()  # errors of the table are reported at once
     with _stages(frames) as report:
-        session = record(
+        recording, measurements, contacts = record(
             frames, chain, poses, target, material, cfg, provenance=facts, progress=report
         )
-    session.recording.save(out)
-    _write(files, session)
+    recording.save(out)
+    _write(files, recording, measurements, contacts)
     if cfg.plots:
-        save_figure(session_figure(session), files.folder / OVER_TIME)
-        save_figure(presses_figure(session.recording), files.folder / _PRESSES)
+        figure = session_figure(recording, measurements, contacts)
+        save_figure(figure, files.folder / OVER_TIME)
+        save_figure(presses_figure(recording), files.folder / _PRESSES)
     log.info("recording: %s", out)
     return out
 
@@ -131,24 +133,34 @@ def _append_contacts(contacts: Iterable[Recording], out: Path) -> Path:
     return out
 
 
-def _write(files: RunFiles, session: SessionRecording) -> None:
-    selected, summaries = {row["frame"] for row in session.presses}, session.frames
-    rows = [
-        (frame.name, frame.time_s, frame.depth_mm, None if number is None else number + 1,
-         int(frame.name in selected), frame.fault or session.skipped.get(frame.name, ""))
-        for frame, number in zip(summaries, session.contact_numbers(), strict=True)
-    ]  # fmt: skip
+def _write(
+    files: RunFiles,
+    recording: Recording,
+    measurements: list[Measurement],
+    contacts: list[ContactInterval],
+) -> None:
+    facts = recording.provenance
+    presses, faults, skipped = facts["presses"], facts["faulty frames"], facts["skipped"]
+    selected = {row["frame"] for row in presses}
+    numbers = {
+        measurement.frame.index: number
+        for number, contact in enumerate(contacts, start=1)
+        for measurement in contact.measurements
+    }
+    rows = []
+    for frame, depth in ((m.frame, m.depth_mm) for m in measurements):
+        number, fault = numbers.get(frame.index), frame.fault or skipped.get(frame.name, "")
+        rows.append((frame.name, frame.time_s, depth, number, int(frame.name in selected), fault))
     write_table(files.folder / _TABLE, _HEADER, rows)
-    strongest = max(float(np.linalg.norm(row["force_n"])) for row in session.presses)
-    counts = {"frames": len(summaries), "contacts": len(session.contacts)}
-    tables = {"presses": session.presses, "faulty": session.faults, "skipped": session.skipped}
-    noise_mm = session.recording.presses[0].noise_mm
+    strongest = max(float(np.linalg.norm(row["force_n"])) for row in presses)
+    values = {"frames": len(rows), "contacts": len(contacts), "presses": presses, "faulty": faults}
+    values |= {"skipped": skipped, "noise_mm": recording.presses[0].noise_mm}
     lines = [
-        f"{len(session.presses)} presses of {len(session.contacts)} contacts in"
-        f" {len(summaries)} frames; forces up to {strongest:.3g} N.",
-        *(f"  {name}: {fault}" for name, fault in session.faults.items()),
-        *(f"  {name} became no press: {reason}" for name, reason in session.skipped.items()),
+        f"{len(presses)} presses of {len(contacts)} contacts in {len(rows)} frames; forces up to"
+        f" {strongest:.3g} N.",
+        *(f"  {name}: {fault}" for name, fault in faults.items()),
+        *(f"  {name} became no press: {reason}" for name, reason in skipped.items()),
         "",
-        session.recording.summary(),
+        recording.summary(),
     ]
-    files.write_summary({**counts, **tables, "noise_mm": noise_mm}, lines)
+    files.write_summary(values, lines)

@@ -69,8 +69,8 @@ def compute_features(
     """Return the features of a recording.
 
     Its truth is not used. The grid has `count` cells in each direction; of each press location,
-    the `frames` load steps of largest load are used. `ConvergenceError` is raised if no uniform
-    modulus carries the presses.
+    the `frames` load steps of largest load are used. `ConvergenceError` is raised if the
+    presses have an equilibrium with no uniform modulus.
     """
     if count < 2 or count % 2 or frames < 1:
         raise ConfigError(f"count={count} must be even and at least 2, frames={frames} at least 1.")

@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.learning.surrogate.features import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
-from tactorch.learning.training import Network, load_network, read_checkpoint, save_atomically
+from tactorch.learning.training import Network, load_network, save_atomically
 
 #: Weights of tactorch; surrogate.json states the data and settings of their training.
 INCLUDED_WEIGHTS = Path(__file__).with_name("surrogate.pt")
@@ -240,11 +240,11 @@ def export_weights(checkpoint: Path, path: Path) -> None:
     """Write the weights of a checkpoint in half precision: about a fifth of its size.
 
     Raises:
-        FileError: The checkpoint is missing or damaged.
+        FileError: The checkpoint is missing, damaged or of another model.
     """
-    stored = read_checkpoint(checkpoint)
+    network = load_surrogate(checkpoint)
     content = {
-        "state_dict": {name: values.half() for name, values in stored["state_dict"].items()},
-        "hyper_parameters": stored["hyper_parameters"],
+        "state_dict": {name: values.half() for name, values in network.state_dict().items()},
+        "hyper_parameters": dict(network.hparams),
     }
     save_atomically(content, path)

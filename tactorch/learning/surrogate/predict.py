@@ -81,7 +81,7 @@ class SurrogateStart(Options):
             bounds: Limits of the moduli.
 
         Raises:
-            ConvergenceError: No uniform modulus carries the presses.
+            ConvergenceError: The presses have an equilibrium with no uniform modulus.
             FileError: The weights are missing, damaged or of another model.
         """
         key, last = (noise, bounds), self._last
@@ -129,7 +129,7 @@ class SurrogateStart(Options):
 
         Raises:
             ConfigError: The prior has no mean, or refers to levels.
-            ConvergenceError: No uniform modulus carries the presses.
+            ConvergenceError: The presses have an equilibrium with no uniform modulus.
             FileError: The weights are missing, damaged or of another model.
         """
         if self.prior_mean is False:

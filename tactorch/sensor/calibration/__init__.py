@@ -1,4 +1,4 @@
-"""Calibration of a sensor's colors with presses of a ball (Section VI-B)."""
+"""Calibration of a sensor: colors by presses of a ball (Section VI-B), gel by known loads."""
 
 from tactorch.sensor.calibration.ball import Ball, BallPress, Circle, find_circle, read_labels
 from tactorch.sensor.calibration.fit import (
@@ -16,6 +16,7 @@ from tactorch.sensor.calibration.maps import (
     image_change,
     marker_pixels,
 )
+from tactorch.sensor.calibration.modulus import GelModulus, KnownLoad, calibrate_modulus
 from tactorch.sensor.calibration.storage import Calibration, load_calibration, save_calibration
 
 __all__ = [
@@ -25,9 +26,12 @@ __all__ = [
     "Calibration",
     "Circle",
     "FitOptions",
+    "GelModulus",
+    "KnownLoad",
     "MapQuality",
     "SensorMap",
     "SlopeMap",
+    "calibrate_modulus",
     "cross_validate",
     "evaluate_map",
     "find_circle",

@@ -37,12 +37,14 @@ class BallPress:
         change: Change of the colors, see `image_change`.
         known: Pixels not covered by markers.
         circle: Contact, labeled or detected.
+        fitted: Contact fitted to the slopes of a map; None before.
     """
 
     name: str
     change: Float[np.ndarray, "h w 3"]
     known: Bool[np.ndarray, "h w"]
     circle: Circle
+    fitted: Circle | None = None
 
     def __post_init__(self) -> None:
         rows, columns = self.shape
@@ -59,6 +61,11 @@ class BallPress:
             )
         if not np.isfinite(self.change).all():
             raise ConfigError(f"{self.name}: the change of its colors is not finite; leave it out.")
+
+    @property
+    def contact(self) -> Circle:
+        """Fitted contact if there is one, else the labeled or detected one."""
+        return self.fitted or self.circle
 
     @property
     def shape(self) -> tuple[int, int]:

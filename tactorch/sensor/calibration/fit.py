@@ -7,7 +7,7 @@ color means no slope. The size of a pixel is not: slopes of a larger ball are an
 function of the colors, so `mm_per_px` has to be measured.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,7 +52,7 @@ def fit_map(
     ball: Ball,
     options: FitOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[SlopeMap, Mapping[str, Circle]]:
+) -> tuple[SlopeMap, list[BallPress]]:
     """Fit the map from colors to slopes together with the contacts.
 
     Args:
@@ -62,27 +62,25 @@ def fit_map(
         progress: Callback with the number of finished rounds and of all.
 
     Returns:
-        The map, and the fitted contact of each press by name.
+        The map, and the presses with fitted contacts.
     """
     options = options or FitOptions()
     if not presses:
         raise ConfigError(
             "no press of the ball to calibrate with; give images and where it touches."
         )
-    slope_map = options.map.create(options.seed)
-    circles = [press.circle for press in presses]
+    slope_map, fitted = options.map.create(options.seed), list(presses)
     for number in range(options.rounds + 1):
-        _fit_map_to_circles(slope_map, presses, circles, ball, options.seed + number)
+        _fit_map_to_contacts(slope_map, fitted, ball, options.seed + number)
         if number < options.rounds:
-            pairs = zip(presses, circles, strict=True)
-            circles = [fit_circle(press, slope_map, ball, circle) for press, circle in pairs]
+            fitted = [fit_contact(press, slope_map, ball) for press in fitted]
         if progress is not None:
             progress(number + 1, options.rounds + 1)
-    return slope_map, {p.name: c for p, c in zip(presses, circles, strict=True)}
+    return slope_map, fitted
 
 
-def fit_circle(press: BallPress, slope_map: SlopeMap, ball: Ball, circle: Circle) -> Circle:
-    """Return the contact fitted to the slopes of a map, from a first estimate.
+def fit_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
+    """Return a press with its contact fitted to the slopes of a map, from the present contact.
 
     The center is fitted to the slopes well inside. The radius is where the slope of the map falls
     below that of the ball, and at least 0.9 of the press's labeled or detected radius.
@@ -90,7 +88,7 @@ def fit_circle(press: BallPress, slope_map: SlopeMap, ball: Ball, circle: Circle
     Raises:
         ConfigError: Markers cover the contact.
     """
-    slopes = map_slopes(slope_map, press.change)
+    slopes, circle = map_slopes(slope_map, press.change), press.contact
     inside = press.known & (ball.distance(press.shape, circle) < _CENTER_RADIUS)
     rows, columns = np.nonzero(inside)
     if len(rows) < 20:
@@ -111,13 +109,13 @@ def fit_circle(press: BallPress, slope_map: SlopeMap, ball: Ball, circle: Circle
         options={"xatol": 0.05, "fatol": 1e-6, "initial_simplex": simplex},
     ).x  # fmt: skip
     radius = _contact_radius(slopes, press, ball, Circle((x, y), circle.radius_px))
-    return Circle((x, y), max(radius, _MIN_RADIUS * press.circle.radius_px))
+    radius = max(radius, _MIN_RADIUS * press.circle.radius_px)
+    return replace(press, fitted=Circle((x, y), radius))
 
 
-def fit_new_circle(press: BallPress, slope_map: SlopeMap, ball: Ball) -> Circle:
+def fit_new_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
     """Fit the contact of a left-out press in two passes, since the first changes the radius."""
-    first = fit_circle(press, slope_map, ball, press.circle)
-    return fit_circle(press, slope_map, ball, first)
+    return fit_contact(fit_contact(press, slope_map, ball), slope_map, ball)
 
 
 def _contact_radius(slopes: np.ndarray, press: BallPress, ball: Ball, circle: Circle) -> float:
@@ -137,16 +135,13 @@ def _contact_radius(slopes: np.ndarray, press: BallPress, ball: Ball, circle: Ci
     return float(max_ring)
 
 
-def _fit_map_to_circles(
-    slope_map: SlopeMap,
-    presses: Sequence[BallPress],
-    circles: Sequence[Circle],
-    ball: Ball,
-    seed: int,
+def _fit_map_to_contacts(
+    slope_map: SlopeMap, presses: Sequence[BallPress], ball: Ball, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
     features, slopes = [], []
-    for press, circle in zip(presses, circles, strict=True):
+    for press in presses:
+        circle = press.contact
         ball.check(circle, press.name)
         rows = pixel_features(press.change)
         distance = np.where(press.known, ball.distance(press.shape, circle), np.nan).ravel()
@@ -195,14 +190,12 @@ class MapQuality:
         return cls(tuple(r2.tolist()), tuple(mae.tolist()), depth, sum(counts))
 
 
-def evaluate_map(
-    slope_map: SlopeMap, presses: Sequence[BallPress], circles: Sequence[Circle], ball: Ball
-) -> MapQuality:
+def evaluate_map(slope_map: SlopeMap, presses: Sequence[BallPress], ball: Ball) -> MapQuality:
     """Return the errors of the slopes and heights of a map for all presses together.
 
-    They are compared with those of the ball at the contacts `circles` of the presses.
+    They are compared with those of the ball at the contacts of the presses.
     """
-    results = [_compare(slope_map, p, c, ball) for p, c in zip(presses, circles, strict=True)]
+    results = [_compare(slope_map, press, ball) for press in presses]
     slopes, expected, heights = (np.concatenate(parts) for parts in zip(*results, strict=True))
     spread = ((expected - expected.mean(axis=0)) ** 2).sum(axis=0)
     r2 = 1 - ((slopes - expected) ** 2).sum(axis=0) / spread
@@ -211,11 +204,9 @@ def evaluate_map(
     return MapQuality(tuple(r2.tolist()), tuple(mae.tolist()), depth, len(slopes))
 
 
-def _compare(
-    slope_map: SlopeMap, press: BallPress, circle: Circle, ball: Ball
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _compare(slope_map: SlopeMap, press: BallPress, ball: Ball) -> tuple[np.ndarray, ...]:
     """Slopes of the map and of the ball, and errors of the height."""
-    slopes = map_slopes(slope_map, press.change)
+    slopes, circle = map_slopes(slope_map, press.change), press.contact
     contact = ball.distance(press.shape, circle) < _EVALUATED_RADIUS
     inside = press.known & contact
     height = integrate_slopes(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
@@ -225,8 +216,8 @@ def _compare(
 
 def validation_groups(
     presses: Sequence[BallPress], ball: Ball, options: FitOptions, folds: int
-) -> Iterator[tuple[SlopeMap, list[BallPress], list[Circle]]]:
-    """Yield for each group the map fitted to all other presses, the group, and its contacts.
+) -> Iterator[tuple[SlopeMap, list[BallPress]]]:
+    """Yield for each group the map fitted to all other presses, and the group.
 
     The contacts of left-out presses are fitted: three parameters to thousands of pixels.
     """
@@ -238,7 +229,7 @@ def validation_groups(
         training = [press for i, press in enumerate(presses) if i not in group]
         left_out = [press for i, press in enumerate(presses) if i in group]
         slope_map, _ = fit_map(training, ball, options)
-        yield slope_map, left_out, [fit_new_circle(press, slope_map, ball) for press in left_out]
+        yield slope_map, [fit_new_contact(press, slope_map, ball) for press in left_out]
 
 
 def cross_validate(

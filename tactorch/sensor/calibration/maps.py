@@ -17,7 +17,6 @@ from torch import nn
 
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
-from tactorch.processes import single_thread
 from tactorch.sensor.depth import fill_masked
 from tactorch.sensor.frames import Image
 from tactorch.sensor.markers import MarkerAppearance, marker_mask
@@ -170,7 +169,9 @@ class _MlpMap:
         x, y = (torch.from_numpy(v.astype(np.float32)) for v in (inputs, slopes))
         optimizer = torch.optim.Adam(self.network.parameters(), lr=self._learning_rate)
         scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self._steps)
-        with single_thread():  # fastest for small networks on shared cores
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)  # fastest for small networks on shared cores
+        try:
             for _ in range(self._steps):
                 rows = torch.randint(len(x), (_BATCH,), generator=generator)
                 loss = (self.network(x[rows]) - y[rows]).square().mean()
@@ -178,6 +179,8 @@ class _MlpMap:
                 loss.backward()
                 optimizer.step()
                 scheduler.step()
+        finally:
+            torch.set_num_threads(threads)
 
     def __call__(self, features: Features) -> Slopes:
         with torch.inference_mode():

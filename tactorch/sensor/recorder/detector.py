@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.chain import Measurement, SensorChain
@@ -18,55 +18,42 @@ class ContactInterval:
 
     Attributes:
         free_s: Time of the last frame without contact before; None if there is none.
-        times_s: Time of each frame.
-        depths_mm: Depth of each frame.
         measurements: Measurement of each frame, without images and height maps.
     """
 
     free_s: float | None
-    times_s: list[float] = field(default_factory=list)
-    depths_mm: list[float] = field(default_factory=list)
     measurements: list[Measurement] = field(default_factory=list)
+
+    @property
+    def times_s(self) -> Float[np.ndarray, " f"]:
+        """Time of each frame."""
+        return np.array([measurement.frame.time_s for measurement in self.measurements], float)
+
+    @property
+    def depths_mm(self) -> Float[np.ndarray, " f"]:
+        """Depth of each frame."""
+        return np.array([measurement.depth_mm for measurement in self.measurements])
 
     def select_frames(self, steps: int) -> list[int]:
         """Return up to `steps` frames before the deepest, evenly spaced in depth."""
-        loading = np.array(self.depths_mm[: int(np.argmax(self.depths_mm)) + 1])
+        loading = self.depths_mm[: int(np.argmax(self.depths_mm)) + 1]
         targets = loading[-1] * np.arange(1, steps + 1) / steps
         nearest = np.abs(loading[None] - targets[:, None]).argmin(axis=1)
         return sorted({int(i) for i in nearest})
 
 
-class FrameSummary(NamedTuple):
-    """Summary of a frame.
-
-    Attributes:
-        frame: Position in the sequence.
-        name: Name of the frame.
-        time_s: Time since the first frame; None if unknown.
-        depth_mm: Depth of the gel's face; NaN if not measured.
-        max_slope: Largest slope of the face; NaN if not measured.
-        fault: Description of the fault, or "".
-    """
-
-    frame: int
-    name: str
-    time_s: float | None
-    depth_mm: float
-    max_slope: float
-    fault: str
-
-
 class ContactDetector:
-    """Detector of contacts of at least `min_frames`; `report` receives a summary of each frame.
+    """Detector of contacts of at least `min_frames`; `report` receives each frame's measurement.
 
-    Frames that are not usable neither end a contact nor belong to one.
+    Frames that are not usable neither end a contact nor belong to one. Measurements are reported
+    and stored without images and height maps, which would fill the memory.
     """
 
     def __init__(
         self,
         chain: SensorChain,
         min_frames: int = 1,
-        report: Callable[[FrameSummary], object] = lambda summary: None,
+        report: Callable[[Measurement], object] = lambda measurement: None,
     ) -> None:
         self.chain, self.min_frames, self.report = chain, min_frames, report
         self._squared_sum, self._count = 0.0, 0  # of marker displacements without contact, mm^2
@@ -75,31 +62,23 @@ class ContactDetector:
         """Yield each contact when it ends."""
         contact = ContactInterval(None)
         for frame in frames:
-            depth = slope = float("nan")
-            measurement = None
-            if frame.image is not None and frame.usable:
-                if frame.time_s is None:
-                    raise ConfigError(
-                        f"frame '{frame.name}' has no time, which is needed to find its pose: give"
-                        " frame_rate_hz in the sensor's description."
-                    )
-                time_s, measurement = frame.time_s, self.chain.measure_deformation(frame)
-                if measurement.height is not None:
-                    depth, slope = measurement.height.depth_mm, measurement.height.max_slope
-            summary = FrameSummary(frame.index, frame.name, frame.time_s, depth, slope, frame.fault)
-            self.report(summary)
-            if measurement is None:
-                continue
+            stored = replace(frame, image=None)
+            usable = frame.usable and frame.image is not None
+            if usable and frame.time_s is None:
+                raise ConfigError(
+                    f"frame '{frame.name}' has no time, which is needed to find its pose: give"
+                    " frame_rate_hz in the sensor's description."
+                )
+            measurement = self.chain.measure_deformation(frame if usable else stored)
+            measurement = replace(measurement, frame=stored, height=None)
+            self.report(measurement)
             if measurement.displacement is not None:
-                contact.times_s.append(time_s)
-                contact.depths_mm.append(depth)
-                stored = replace(frame, image=None)  # images and height maps fill the memory
-                contact.measurements.append(replace(measurement, frame=stored, height=None))
-                continue
-            self._add_noise(measurement)
-            if len(contact.measurements) >= self.min_frames:
-                yield contact
-            contact = ContactInterval(time_s)
+                contact.measurements.append(measurement)
+            elif usable:
+                self._add_noise(measurement)
+                if len(contact.measurements) >= self.min_frames:
+                    yield contact
+                contact = ContactInterval(frame.time_s)
         if len(contact.measurements) >= self.min_frames:
             yield contact
 

@@ -4,7 +4,7 @@ Gel and object move together from this pose on, so its error adds to the object'
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.mesh import FACE_NAMES, TetMesh, face_nodes
+from tactorch.mesh.quadrature import lattice
 from tactorch.recording import Press
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.contact import MIN_FACING, ContactOptions, Pose, build_press
@@ -76,13 +77,12 @@ class RecordOptions(Fixture, ContactOptions):
     min_frames: int = option(1, "Contacts of fewer frames are ignored", ge=1)
     first_contact: Literal["shape", "depth"] = option(
         "shape",
-        "Pose of first contact: shape (where the gel and the object meet by their poses), or depth"
-        " (extrapolated from the first frames, for unknown shapes)",
+        "Pose of first contact; shape: where gel and object meet by their poses; depth:"
+        " extrapolated from the first frames, for unknown shapes",
     )
     press_noise_mm: float | None = option(
-        None,
-        "Standard deviation of the displacements of presses; null: the larger of noise_mm and the"
-        " noise of frames without contact",
+        None, "Standard deviation of the displacements; null: the larger of noise_mm and the noise"
+        " of frames without contact",
         unit="mm", gt=0,
     )  # fmt: skip
 
@@ -96,10 +96,9 @@ class PressBuilder:
     def __init__(
         self, chain: SensorChain, target: TetMesh | VirtualCube, options: RecordOptions
     ) -> None:
-        self.chain, self.options = chain, options
+        self.chain, self.target, self.options = chain, target, options
         self.mesh = target if isinstance(target, TetMesh) else None
-        self._cube = target if isinstance(target, VirtualCube) else None
-        if options.untouched == "auto" and self._cube is not None:
+        if options.untouched == "auto" and self.mesh is None:
             self.options = replace(options, untouched="sensor")
 
     def build(
@@ -111,17 +110,16 @@ class PressBuilder:
         of frames without contact.
         """
         free_s, times_s, depths_mm = contact.free_s, contact.times_s, contact.depths_mm
-        if self._cube is None and self.options.first_contact == "shape":
-            assert self.mesh is not None
+        if isinstance(self.target, TetMesh) and self.options.first_contact == "shape":
             gel = self.chain.sensor.gel
-            first_pose = first_pose_by_shape(poses, free_s, times_s[0], self.mesh, gel)
+            first_pose = first_pose_by_shape(poses, free_s, times_s[0], self.target, gel)
         else:
             first_pose = first_pose_by_depth(poses, free_s, times_s, depths_mm)
-        if self.mesh is None:
-            assert self._cube is not None
+        if isinstance(self.target, VirtualCube) and self.mesh is None:
             deepest = contact.measurements[int(np.argmax(depths_mm))]
             center_mm = self.chain.model.points[deepest.in_contact, :2].mean(axis=0)
-            self.mesh = self._cube.mesh_under(first_pose, center_mm)
+            self.mesh = self.target.mesh_under(first_pose, center_mm)
+        assert self.mesh is not None
         noise_mm = self.options.press_noise_mm
         if noise_mm is None:
             noise_mm = max(self.chain.options.noise_mm, measured_noise_mm or 0.0)
@@ -182,7 +180,10 @@ def first_pose_by_shape(
 
 
 def first_pose_by_depth(
-    poses: Poses, free_s: float | None, times_s: Sequence[float], depths_mm: Sequence[float]
+    poses: Poses,
+    free_s: float | None,
+    times_s: Float[np.ndarray, " f"],
+    depths_mm: Float[np.ndarray, " f"],
 ) -> Pose:
     """Return the pose at which the depth starts, extrapolated from the first two frames."""
     first = times_s[0]
@@ -217,6 +218,6 @@ def sample_surface(mesh: TetMesh) -> tuple[Float[np.ndarray, "p 3"], Float[np.nd
     corners = mesh.points[surface.triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
     n = max(2, int(np.ceil(longest / _POINT_SPACING_MM)))
-    grid = np.array([(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]) / n
+    grid = lattice(n + 1, 0.0, 3)
     points = np.einsum("pc,tcd->tpd", grid, corners).reshape(-1, 3)
     return points, np.repeat(surface.normals, len(grid), axis=0)

@@ -3,7 +3,6 @@
 import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,10 +10,10 @@ import numpy as np
 from tactorch.errors import ConfigError, FileError
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.sensor.chain import SensorChain
+from tactorch.sensor.chain import Measurement, SensorChain
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.poses import Poses
-from tactorch.sensor.recorder.detector import ContactDetector, ContactInterval, FrameSummary
+from tactorch.sensor.recorder.detector import ContactDetector, ContactInterval
 from tactorch.sensor.recorder.objects import VirtualCube
 from tactorch.sensor.recorder.press_builder import PressBuilder, RecordOptions
 from tactorch.versions import versions
@@ -22,37 +21,6 @@ from tactorch.versions import versions
 _log = logging.getLogger(__name__)
 _POSES_POLL_S = 0.1
 ProgressCallback = Callable[[str, int, int | None], None]
-
-
-@dataclass(frozen=True, eq=False)
-class SessionRecording:
-    """Recording of a session.
-
-    Attributes:
-        recording: Recording with all presses.
-        presses: Table of the presses: contact, frame, time_s, depth_mm, force_n (three components
-            in the object frame) and nodes (number of observed nodes).
-        frames: Summary of each frame.
-        contacts: Contacts.
-        faults: Faults of frames by name.
-        skipped: Reason by name for each frame with contact that became no press.
-    """
-
-    recording: Recording
-    presses: list[dict[str, Any]]
-    frames: list[FrameSummary]
-    contacts: list[ContactInterval]
-    faults: dict[str, str]
-    skipped: dict[str, str]
-
-    def contact_numbers(self) -> list[int | None]:
-        """Return the number of the contact, from 0, of each frame; None without contact."""
-        numbers = {
-            measurement.frame.index: number
-            for number, contact in enumerate(self.contacts)
-            for measurement in contact.measurements
-        }
-        return [numbers.get(summary.frame) for summary in self.frames]
 
 
 def record(
@@ -65,7 +33,7 @@ def record(
     *,
     provenance: dict[str, Any] | None = None,
     progress: ProgressCallback = lambda stage, done, total: None,
-) -> SessionRecording:
+) -> tuple[Recording, list[Measurement], list[ContactInterval]]:
     """Convert a session of frames and poses to a recording (Sections III-B and VI-B).
 
     Args:
@@ -80,23 +48,30 @@ def record(
         progress: Callback with the stage ("frames", "presses"), the amount done, and the total
             (None if unknown).
 
+    Returns:
+        The recording with all presses, the measurement of each frame without images and height
+        maps, and the contacts. The provenance of the recording has "presses", a table of contact
+        (from 1), frame, time_s, depth_mm, force_n (three components in the object frame) and nodes
+        (number of observed nodes); "faulty frames", the faults by name; and "skipped", the reason
+        by name for each frame with contact that became no press.
+
     Raises:
         ConfigError: No frame shows contact, a frame has no time or no pose, no contact yields a
             press, or the object has no such side to support.
         RecordingError: Presses, mesh and material are inconsistent.
     """
     options = options or RecordOptions()
-    summaries = list[FrameSummary]()
+    measurements = list[Measurement]()
 
-    def report(summary: FrameSummary) -> None:
-        summaries.append(summary)
-        progress("frames", len(summaries), None)
+    def report(measurement: Measurement) -> None:
+        measurements.append(measurement)
+        progress("frames", len(measurements), None)
 
     detector = ContactDetector(chain, options.min_frames, report)
     contacts = list(detector.detect(frames))
-    faults = {summary.name: summary.fault for summary in summaries if summary.fault}
+    faults = {m.frame.name: m.frame.fault for m in measurements if m.frame.fault}
     if not contacts:
-        raise ConfigError(_no_contact(summaries, len(faults), chain))
+        raise ConfigError(_no_contact(measurements, len(faults), chain))
     known_poses = poses if isinstance(poses, Poses) else poses()
     known_poses.at([time_s for contact in contacts for time_s in contact.times_s])
     builder = PressBuilder(chain, target, options)
@@ -104,14 +79,12 @@ def record(
     presses, rows, skipped = list[Press](), [], {}
     for number, contact in enumerate(contacts, start=1):
         for index, result in builder.build(contact, number, known_poses, detector.noise_mm):
-            name = contact.measurements[index].frame.name
+            measurement = contact.measurements[index]
+            name = measurement.frame.name
             if isinstance(result, Press):
                 presses.append(result)
-                row = {"contact": number, "frame": name, "time_s": contact.times_s[index]}
-                row |= {
-                    "depth_mm": contact.depths_mm[index],
-                    "force_n": result.total_force.tolist(),
-                }
+                row = {"contact": number, "frame": name, "time_s": measurement.frame.time_s}
+                row |= {"depth_mm": measurement.depth_mm, "force_n": result.total_force.tolist()}
                 rows.append(row | {"nodes": int(result.observed.any(axis=1).sum())})
             else:
                 skipped[name] = str(result)
@@ -119,12 +92,12 @@ def record(
     if not presses:
         name, reason = next(iter(skipped.items()))
         raise ConfigError(f"no frame with contact became a press; '{name}': {reason}")
-    facts = {"sensor": chain.sensor.name, "frames": len(summaries), "presses": rows}
+    facts = {"sensor": chain.sensor.name, "frames": len(measurements), "presses": rows}
     facts |= {"faulty frames": faults, "skipped": skipped, "versions": versions()}
     assert builder.mesh is not None
     facts |= provenance or {}
     recording = Recording(builder.mesh, tuple(presses), material, provenance=facts)
-    return SessionRecording(recording, rows, summaries, contacts, faults, skipped)
+    return recording, measurements, contacts
 
 
 def record_streaming(
@@ -177,9 +150,9 @@ def record_streaming(
             yield Recording(builder.mesh, presses, material, provenance=facts, check_units=False)
 
 
-def _log_fault(summary: FrameSummary) -> None:
-    if summary.fault:
-        _log.warning("%s: %s", summary.name, summary.fault)
+def _log_fault(measurement: Measurement) -> None:
+    if measurement.frame.fault:
+        _log.warning("%s: %s", measurement.frame.name, measurement.frame.fault)
 
 
 def _wait_for_poses(
@@ -198,7 +171,7 @@ def _wait_for_poses(
         time.sleep(_POSES_POLL_S)
 
 
-def _no_contact(frames: list[FrameSummary], n_faulty: int, chain: SensorChain) -> str:
+def _no_contact(frames: list[Measurement], n_faulty: int, chain: SensorChain) -> str:
     faulty = f", {n_faulty} of them faulty," if n_faulty else ""
     depth = np.nanmax([0.0, *(frame.depth_mm for frame in frames)])
     slope = np.nanmax([0.0, *(frame.max_slope for frame in frames)])

@@ -8,6 +8,7 @@ then each edge is fitted separately, see `edges`.
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import fft
@@ -81,8 +82,6 @@ def _downscale(
     strength: Gray, known: Mask, max_px: int
 ) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, "2"]]:
     """Downscaled image, its known pixels, and the scale factors along x and y."""
-    import cv2
-
     rows, columns = strength.shape
     ratio = min(1.0, max_px / max(rows, columns))
     size = (max(8, round(columns * ratio)), max(8, round(rows * ratio)))
@@ -93,8 +92,6 @@ def _downscale(
 
 def _gradient(strength: Gray, known: Mask, blur_px: float) -> np.ndarray:
     """Gradient of the change as x + iy, with its magnitude clipped."""
-    import cv2
-
     smooth = cv2.GaussianBlur(strength, (0, 0), blur_px)
     along_y, along_x = np.gradient(smooth)
     gradient = np.where(known, along_x + 1j * along_y, 0.0)

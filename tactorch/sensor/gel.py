@@ -2,7 +2,7 @@
 
 The gel's elasticity is known, so at equilibrium its deformation determines the forces on its face.
 This amplifies noise of the displacements. `GelModel.smooth_forces` therefore finds the smooth
-forces that explain the displacements, see `tactorch.sensor.gel.smoothing`.
+forces that explain the displacements, see `tactorch.sensor.tractions`.
 """
 
 from dataclasses import dataclass
@@ -15,11 +15,12 @@ from jaxtyping import Bool, Float, Int
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.fem import Linearization, Newton, NewtonOptions, SoftBody, Supports, make_material
+from tactorch.fem import NewtonOptions, SoftBody, Supports, make_material
+from tactorch.fem.equilibrium import SolvedCase
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel.smoothing import fit_smooth_forces, traction_basis
+from tactorch.sensor.tractions import fit_smooth_forces, traction_basis
 
 _MAX_CELLS = 200_000
 _NEWTON_RTOL = 1e-8
@@ -29,6 +30,8 @@ _NOISE_FRACTION = 0.1  # acceptable linearization error, relative to the noise
 # The gel is linearized again if the linearization error exceeds this fraction of the displacement,
 # or of the error in the previous iteration.
 _DISPLACEMENT_FRACTION, _ERROR_DECREASE = 0.05, 0.3
+
+__all__ = ["GelContact", "GelModel", "GelOptions"]
 
 FaceVectors = Float[np.ndarray, "k 3"]
 FaceMask = Bool[np.ndarray, " k"]
@@ -42,9 +45,7 @@ class GelOptions(Options):
     edge_mm: float = option(1.0, "Edge length of the gel's cells on its face", unit="mm", gt=0)
     layers: int = option(4, "Number of cells through the gel", ge=1)
     element: Literal["tet10", "tet4"] = option(
-        "tet10",
-        "Element: tet10, free of locking (seconds per frame), or tet4, fast but too stiff near"
-        " incompressibility",
+        "tet10", "Element; tet10: no locking, seconds per frame; tet4: fast, but locks (too stiff)"
     )
 
 
@@ -122,20 +123,6 @@ class GelContact:
         return self.forces.sum(axis=0)
 
 
-class _State:
-    """Equilibrium found by a search, with its tangent."""
-
-    def __init__(self, newton: Newton, start: NodeVectors | None = None) -> None:
-        self.newton, self.equilibrium = newton, newton.run(start).require()
-        self.displacement = self.equilibrium.displacement
-        assert self.equilibrium.response is not None
-        self.response = self.equilibrium.response
-
-    @cached_property
-    def tangent(self) -> Linearization:
-        return self.newton.linearize(self.equilibrium)
-
-
 class GelModel:
     """Finite element model of a gel that computes the forces behind a deformation.
 
@@ -172,14 +159,15 @@ class GelModel:
             ConvergenceError: Newton's method does not converge.
         """
         known = self._known(displacement)
-        no_load = np.zeros(self.gel_mesh.mesh.points.shape)
-        state = _State(self.body.search(self.youngs, no_load, self._supports(displacement)))
-        reactions = self._gather(self.body.assembly.internal_force(state.response, self.youngs))
+        state = self._equilibrium(np.zeros(displacement.shape), displacement)
+        response = state.result.response
+        assert response is not None
+        reactions = self._gather(self.body.assembly.internal_force(response, self.youngs))
         covariance = None
         if noise_mm is not None:
             sensitivity = self._total_force_sensitivity(state, known)
             covariance = float(noise_mm) ** 2 * sensitivity @ sensitivity.T
-        moved = state.displacement[self.gel_mesh.face]
+        moved = state.result.displacement[self.gel_mesh.face]
         return GelContact(self.points, moved, np.where(known, reactions, 0.0), covariance)
 
     def smooth_forces(
@@ -214,7 +202,7 @@ class GelModel:
         forces, state = np.zeros((len(self.points), 3)), self._rest
         linearized, compliance, last_error = state, self._rest_compliance(loaded), np.inf
         for _ in range(_MAX_LINEARIZATIONS):
-            residual = (np.nan_to_num(displacement) - state.displacement[face])[known]
+            residual = (np.nan_to_num(displacement) - state.result.displacement[face])[known]
             target = residual + compliance[rows] @ forces[loaded].ravel()
             fitted, covariance, noise = fit_smooth_forces(
                 compliance[rows], plane, target, basis, float(noise_mm)
@@ -222,20 +210,21 @@ class GelModel:
             change = np.zeros_like(forces)
             change[loaded] = fitted.reshape(-1, 3) - forces[loaded]
             forces = forces + change
-            linear_step = linearized.tangent.solve(self._face_load(change).ravel()).reshape(-1, 3)
-            predicted = state.displacement + linear_step
-            state = self._equilibrium(forces, predicted, None if state is linearized else state)
-            error = _rms((state.displacement - predicted)[face])
+            step = linearized.linearization.solve((self._load_matrix @ change).ravel())
+            predicted = state.result.displacement + step.reshape(-1, 3)
+            previous = None if state is linearized else state
+            state = self._equilibrium(forces, start=predicted, previous=previous)
+            error = _rms((state.result.displacement - predicted)[face])
             if error <= _NOISE_FRACTION * noise or _rms(change) <= _FORCE_RTOL * _rms(forces):
                 break
-            size = _rms(state.displacement[face])
+            size = _rms(state.result.displacement[face])
             if error > min(_DISPLACEMENT_FRACTION * size, _ERROR_DECREASE * last_error):
                 linearized, compliance = state, self._compliance(state, loaded)
             last_error = error
-        return GelContact(self.points, state.displacement[face], forces, covariance)
+        return GelContact(self.points, state.result.displacement[face], forces, covariance)
 
     @cached_property
-    def _rest(self) -> _State:
+    def _rest(self) -> SolvedCase:
         return self._equilibrium(np.zeros((len(self.points), 3)))
 
     @cached_property
@@ -247,9 +236,6 @@ class GelModel:
         indicator[self.gel_mesh.face] = 1.0
         matrix = self.body.discretisation.consistent_load_matrix(indicator)
         return matrix.tocsc()[:, self.gel_mesh.face]
-
-    def _face_load(self, forces: FaceVectors) -> NodeVectors:
-        return np.asarray(self._load_matrix @ forces)
 
     def _gather(self, forces: NodeVectors) -> FaceVectors:
         """Forces on the face from those on all element nodes; midside nodes go to both ends."""
@@ -263,13 +249,24 @@ class GelModel:
         return gathered[self.gel_mesh.face]
 
     def _equilibrium(
-        self, forces: FaceVectors, start: NodeVectors | None = None, previous: _State | None = None
-    ) -> _State:
-        """Equilibrium under forces on the face; the factorization of a previous state is reused."""
-        supports = self._supports(np.full(forces.shape, np.nan))
-        after = None if previous is None else previous.newton
-        load = self._face_load(forces)
-        return _State(self.body.search(self.youngs, load, supports, after=after), start)
+        self,
+        forces: FaceVectors,
+        displacement: FaceVectors | float = np.nan,
+        start: NodeVectors | None = None,
+        previous: SolvedCase | None = None,
+    ) -> SolvedCase:
+        """Equilibrium under forces on the face and displacements of it; NaN where it is free.
+
+        The factorization of a previous state is reused.
+        """
+        prescribed = np.full(self.gel_mesh.mesh.points.shape, np.nan)
+        prescribed[self.gel_mesh.window] = 0.0
+        prescribed[self.gel_mesh.face] = displacement
+        fixed = np.isfinite(prescribed)
+        supports = Supports(fixed=fixed, prescribed=np.where(fixed, prescribed, 0.0))
+        load, after = self._load_matrix @ forces, None if previous is None else previous.newton
+        newton = self.body.search(self.youngs, load, supports, after=after)
+        return SolvedCase(newton, newton.run(start).require())
 
     def _rest_compliance(self, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Compliance at rest; columns are cached, since presses load similar nodes."""
@@ -282,24 +279,27 @@ class GelModel:
             self._rest_columns.update(zip(missing, columns, strict=True))
         return np.hstack([self._rest_columns[i] for i in nodes])
 
-    def _compliance(self, state: _State, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
+    def _compliance(self, state: SolvedCase, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Displacement of the face under unit forces on the loaded nodes."""
         loads = np.asfortranarray(np.kron(self._load_matrix[:, loaded].toarray(), np.eye(3)))
-        solution = state.tangent.solve(loads).reshape(self.body.n_nodes, 3, -1)
+        solution = state.linearization.solve(loads).reshape(self.body.n_nodes, 3, -1)
         return solution[self.gel_mesh.face].reshape(3 * len(self.points), -1)
 
-    def _total_force_sensitivity(self, state: _State, known: Bool[np.ndarray, "k 3"]) -> np.ndarray:
+    def _total_force_sensitivity(
+        self, state: SolvedCase, known: Bool[np.ndarray, "k 3"]
+    ) -> np.ndarray:
         """Derivative of the total force (rows) with respect to the prescribed displacements."""
         # The tangent is symmetric: these are the forces on the face when all its known components
         # move along an axis.
-        values = self.body.assembly.tangent(state.response, self.youngs)
+        linear = state.linearization
+        values = self.body.assembly.tangent(linear.response, self.youngs)
         pattern, extend = self.body.discretisation.pattern, self.body.discretisation.extend
         rows = []
         for axis in range(3):
             moved = np.zeros(self.gel_mesh.mesh.points.shape)
             moved[self.gel_mesh.face, axis] = known[:, axis]
-            prescribed = np.where(state.newton.supports.fixed, extend(moved), 0.0).ravel()
-            total = prescribed - state.tangent.solve(pattern.product(values, prescribed))
+            prescribed = np.where(linear.fixed, extend(moved).ravel(), 0.0)
+            total = prescribed - linear.solve(pattern.product(values, prescribed))
             reaction = pattern.product(values, total).reshape(-1, 3)
             rows.append(self._gather(reaction)[known])
         return np.stack(rows)
@@ -310,14 +310,6 @@ class GelModel:
         modes[:, 2, 0] = 1.0
         modes[:, 2, 1:] = self.points[:, :2] / np.abs(self.points[:, :2]).max(axis=0)
         return modes.reshape(-1, 3)
-
-    def _supports(self, displacement: FaceVectors) -> Supports:
-        """Bonded window, and displacements prescribed on the face; NaN where it is free."""
-        prescribed = np.full(self.gel_mesh.mesh.points.shape, np.nan)
-        prescribed[self.gel_mesh.window] = 0.0
-        prescribed[self.gel_mesh.face] = displacement
-        fixed = np.isfinite(prescribed)
-        return Supports(fixed=fixed, prescribed=np.where(fixed, prescribed, 0.0))
 
     def _known(self, displacement: FaceVectors) -> Bool[np.ndarray, "k 3"]:
         if displacement.shape != self.points.shape:

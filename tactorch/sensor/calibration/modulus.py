@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from tactorch.errors import ConfigError
 from tactorch.mesh.values import Real, positive
-from tactorch.sensor.gel.model import GelContact, GelModel
+from tactorch.sensor.gel import GelContact, GelModel
 
 _MESH_ERROR = 0.02  # relative error of the forces due to the mesh, see benchmarks/gel_contact.py
 _MIN_SIGNAL = 6.0  # displacement that shows contact, over the noise
