@@ -66,7 +66,7 @@ def test_other_files_are_refused(recording: Recording, tmp_path: Path) -> None:
 def test_a_newer_version_asks_for_an_upgrade(file: Path) -> None:
     with h5py.File(file, "r+") as h5:
         h5.attrs["version"] = 2
-    with pytest.raises(FileError, match=r"version 2; .*upgrade tactorch"):
+    with pytest.raises(FileError, match=r"version 2, .*upgrade tactorch"):
         Reconstruction.load(file)
 
 
