@@ -78,7 +78,7 @@ class OtherWork:
     def stolen(self) -> float | None:
         """Share of all cores that the host of this (virtual) machine gave to its other guests.
 
-        None where it cannot be told. A host may not tell its guest; then this is 0.
+        None where unknown. A host may not report this to its guest; then it is 0.
         """
         before, now = self._began[2], _stolen_seconds()
         return None if before is None or now is None else self._of_cores(now - before)

@@ -89,8 +89,8 @@ def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str,
     about = start.with_prior_mean(Settings(), recording)
     runs = {
         "uniform": (homogeneous, Settings()),
-        "surrogate": (replace(start), Settings()),
-        "about": (replace(start), about),
+        "surrogate": (without_prediction(start), Settings()),
+        "about": (without_prediction(start), about),
     }
     results = {
         kind: invert(recording, settings, start_mpa=first, show_progress=False)
@@ -104,6 +104,13 @@ def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str,
         "target_chi2": target,
         **{kind: figures(one, recording, target) for kind, one in results.items()},
     }
+
+
+def without_prediction(start: SurrogateStart) -> SurrogateStart:
+    """Return a start that has its weights read, but no prediction yet."""
+    copy = replace(start)
+    vars(copy)["network"] = start.network  # the cached property
+    return copy
 
 
 def figures(result: Reconstruction, recording: Recording, target: float) -> dict[str, float]:
@@ -169,7 +176,7 @@ def format_summary(means: dict[str, Any]) -> list[str]:
 
 
 HEADER = (
-    "Three figures in a cell: from uniform, from the surrogate, from it and about it.\n\n"
+    "Three figures in a cell: uniform / surrogate / surrogate as mean of the prior.\n\n"
     "| object | presses | predicted r | SSIM | chi2 at first | iterations to misfit | s |"
     " iterations | SSIM | r |\n|" + "---|" * 10
 )

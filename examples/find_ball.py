@@ -22,7 +22,7 @@ def main() -> dict[str, float]:
     )
     result = invert(recording)
     inclusion = find_lump(recording.mesh, result.youngs)
-    assert inclusion is not None, "no lump stands out of the map"
+    assert inclusion is not None, "no inclusion found"
     score = scores(recording.mesh, result.youngs, recording.truth)
     off = np.linalg.norm(inclusion.center_mm - [5.0, 5.0, 6.5])
     found = {

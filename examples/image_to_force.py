@@ -78,7 +78,7 @@ def main() -> dict[str, np.ndarray]:
     )
     image = render(SENSOR, build_surface(SENSOR, truth.points, truth.displacement), seed=51)
     seen = chain.measure(Frame(0, "press", image, 0.0))
-    assert seen.contact is not None, "no contact was seen"
+    assert seen.contact is not None, "no contact detected"
     found = {"true": truth.total, "estimated": seen.contact.total}
     for name, force in found.items():
         print(f"{name}: {force[0]:+.3f} N along x, {force[2]:+.3f} N along z")

@@ -66,9 +66,14 @@ def run(options: EvaluateModelOptions) -> dict[str, Any]:
     """Evaluate a trained network; writes numbers and pictures."""
     folder, out = require_folder(options.run, "run to evaluate"), run_folder()
     trained: TrainOptions = saved_options("train", folder)
+    evaluations = {"recognizer": _evaluate_recognizer, "surrogate": _evaluate_surrogate}
+    if trained.model_name not in evaluations:
+        raise ConfigError(
+            f"model={trained.model_name} has no evaluation; its scores on the test part are in"
+            f" '{folder / 'scores.json'}'."
+        )
     splits = [_load_split(trained, folder, n, options) for n in range(trained.splits)]
-    evaluate = _evaluate_recognizer if trained.model_name == "recognizer" else _evaluate_surrogate
-    scores = evaluate(splits, out)
+    scores = evaluations[trained.model_name](splits, out)
     write_json(out / "scores.json", scores)
     return scores
 

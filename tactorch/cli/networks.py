@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import lightning
 
@@ -15,31 +15,27 @@ from tactorch.learning.recognizer.data import RecognitionData
 from tactorch.learning.recognizer.network import Recognizer
 from tactorch.learning.surrogate.data import SurrogateData
 from tactorch.learning.surrogate.network import Surrogate
-from tactorch.learning.training import TrainerOptions
+from tactorch.learning.training import DataUse, TrainerOptions
 
 DATA_FILE = "data.json"
 #: What to do about a damaged file of a training.
 REMEDY = "restore it, or train again."
 
-
-class DataUse(NamedTuple):
-    """Use of data by a network."""
-
-    data: str  # name of the data module
-    arguments: tuple[str, ...]  # arguments of the network that are attributes of the data module
-    facts: tuple[str, ...] = ()  # of these, the ones that a run stores with the fingerprint
+_HERE = "tactorch.cli.networks"
+_NETWORKS = {"recognizer": "RecognizerOptions", "surrogate": "SurrogateOptions"}
+_DATA = {"recognition": "RecognitionDataOptions", "warmstart": "SurrogateDataOptions"}
+MODELS = Registry("model", {n: f"{_HERE}:{c}" for n, c in _NETWORKS.items()})
+DATA = Registry("data", {n: f"{_HERE}:{c}" for n, c in _DATA.items()})
 
 
-_USES = {
-    "recognizer": DataUse("recognition", ("classes", "mean", "deviation"), ("classes",)),
-    "surrogate": DataUse("warmstart", ("press_scale", "shared_scale", "cells", "frames")),
-}
-MODELS, DATA = Registry("model", {}), Registry("data", {})
-for _name, _network in (("recognizer", Recognizer), ("surrogate", Surrogate)):
-    _without = (*_USES[_name].arguments, "version")
-    MODELS.register(_name, options_from_arguments(_network, "model", without=_without))
-for _name, _data in (("recognition", RecognitionData), ("warmstart", SurrogateData)):
-    DATA.register(_name, options_from_arguments(_data, "data", without=("seed",)))
+RecognizerOptions = options_from_arguments(
+    Recognizer, "model", without=Recognizer.data_use.arguments
+)
+SurrogateOptions = options_from_arguments(
+    Surrogate, "model", without=(*Surrogate.data_use.arguments, "version")
+)
+RecognitionDataOptions = options_from_arguments(RecognitionData, "data", without=("seed",))
+SurrogateDataOptions = options_from_arguments(SurrogateData, "data", without=("seed",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +57,11 @@ class TrainOptions(CommandOptions):
     def data_use(self) -> DataUse:
         """Return how the network uses its data."""
         model, data = self.model_name, DATA.name_of(type(self.data))
-        use = _USES[model]
+        use: DataUse | None = getattr(getattr(self.model, "function", None), "data_use", None)
+        if use is None:
+            raise ConfigError(
+                f"model={model} does not declare its data; give its class the attribute data_use."
+            )
         if data != use.data:
             raise ConfigError(
                 f"model={model} learns from data={use.data}, not from data={data}; give that."

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from tactorch.errors import ConfigError
 from tactorch.findings.lumps import Mask, adjacent_elements, find_lumps
@@ -58,11 +58,12 @@ class Confidence:
     """Probability and intervals of a lump.
 
     They account for the stated noise and the prior, but not for model errors. The lump was
-    selected as the most conspicuous one, so its probability is optimistic.
+    selected as the most conspicuous one, so its probability is optimistic. The logarithm of the
+    contrast is taken as normally distributed about that of the map, `Inclusion.contrast`.
 
     Attributes:
         probability: Probability that the lump is stiffer (or softer) than its surroundings.
-        contrast: 90 % interval of the ratio of the moduli's geometric means.
+        contrast: 90 % interval of the contrast.
         center_deviation_mm: Standard deviation of the centre along x, y and z, (3,), mm.
     """
 
@@ -71,12 +72,19 @@ class Confidence:
     center_deviation_mm: Float[np.ndarray, "3"]
 
     def at_least(self, side: Side) -> float:
-        """Return the 95 % lower bound of the contrast as a ratio above 1.
+        """Return the 95 % lower bound of the factor by which the lump is stiffer (or softer).
 
-        An upper bound is not given: total variation shrinks contrasts, so that the true one is
-        often larger.
+        It is below 1 where the probability is below 95 %. An upper bound is not given: total
+        variation shrinks contrasts, so that the true one is often larger.
         """
         return self.contrast[0] if side == "stiff" else 1.0 / self.contrast[1]
+
+    def bound_text(self, side: Side) -> str:
+        """Return the bound of `at_least` in words."""
+        ratio = self.at_least(side)
+        if ratio <= 1:
+            return f"it may not be {side}er at all (95 %)"
+        return f"it is at least {ratio:.2g} times as {side} (95 %)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +143,9 @@ class Lump:
         percent = "more than 99.9 %" if probability > 0.999 else f"{100 * probability:.3g} %"
         deviation = float(np.linalg.norm(self.confidence.center_deviation_mm))
         text += (
-            f" Given noise and prior, its probability is {percent}, it is at least "
-            f"{self.confidence.at_least(side):.2g} times as {side} (95 %), and the standard "
-            f"deviation of its centre is {deviation:.2g} mm."
+            f" Given noise and prior, its probability is {percent}, "
+            f"{self.confidence.bound_text(side)}, and the standard deviation of its centre is "
+            f"{deviation:.2g} mm."
         )
         if probability < _DOUBTFUL:
             return f"{text} Do not rely on it without more presses."
@@ -241,10 +249,11 @@ def compute_confidence(
     log_youngs = np.log(np.array([posterior.parameterization.youngs(row) for row in x]))
     near, sign = adjacent_elements(mesh, lump.elements), 1.0 if lump.side == "stiff" else -1.0
     background = volume_mean(mesh, log_youngs.T, ~near)
-    contrasts = volume_mean(mesh, log_youngs.T, lump.elements) - background
-    low, high = np.exp(np.quantile(contrasts, [_TAIL, 1.0 - _TAIL]))
-    deviation = float(contrasts.std())
-    probability = ndtr(sign * float(contrasts.mean()) / deviation) if deviation > 0 else 1.0
+    # The contrast is that of the map; the samples' geometric means give its relative uncertainty.
+    contrast = np.log(lump.contrast)
+    deviation = (volume_mean(mesh, log_youngs.T, lump.elements) - background).std()
+    low, high = np.exp(contrast + deviation * ndtri([_TAIL, 1.0 - _TAIL]))
+    probability = ndtr(sign * contrast / deviation) if deviation > 0 else 1.0
     # Centres are weighted by the excess over the background.
     excess = np.maximum(sign * (log_youngs - background[:, None]), 0.0) * (mesh.volumes * near)
     centers = excess @ mesh.centroids / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)

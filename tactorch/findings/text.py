@@ -89,8 +89,8 @@ def _probability(lump: Lump) -> Fact:
         "Probability",
         "over 99.9 %" if percent > 99.9 else f"{percent:.3g} %",
         f"that it is {'stiffer' if side == 'stiff' else 'softer'} than its surroundings, given "
-        f"noise and prior; at least {confidence.at_least(side):.2g} times (95 %); standard "
-        f"deviation of its centre {deviation:.2g} mm",
+        f"noise and prior; {confidence.bound_text(side)}; standard deviation of its centre "
+        f"{deviation:.2g} mm",
     )
 
 

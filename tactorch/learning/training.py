@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 from zipfile import ZipFile
 
 import lightning
@@ -135,13 +135,31 @@ def derive_seed(*numbers: int) -> int:
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
+class DataUse(NamedTuple):
+    """Use of data by a network.
+
+    Attributes:
+        data: Name of the data module.
+        arguments: Arguments of the network that are attributes of the data module.
+        facts: Those among them that a run stores with the fingerprint of the data.
+    """
+
+    data: str
+    arguments: tuple[str, ...]
+    facts: tuple[str, ...] = ()
+
+
 class Network(lightning.LightningModule):
     """Network that is trained by AdamW with a linear warm-up and cosine decay.
+
+    `data_use` declares the data of `tactorch train`.
 
     Args:
         learning_rate: Largest learning rate.
         weight_decay: Weight decay.
     """
+
+    data_use: ClassVar[DataUse]
 
     def __init__(self, learning_rate: float, weight_decay: float) -> None:
         super().__init__()

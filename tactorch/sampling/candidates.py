@@ -10,24 +10,15 @@ from jaxtyping import Bool, Float
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
+from tactorch.mesh.quadrature import lattice
 from tactorch.mesh.values import Real, positive
 from tactorch.recording import Press, Recording
 
 NodeMask = Bool[np.ndarray, " n"]
 _MIN_FACING = 0.85  # mean cosine between surface and sensor; an edge of a cube has 0.71
 _MAX_RADIUS_SHARE = 0.25  # inferred radius of the sensor over the object's smallest extent
-
-
-def _inner_points(cuts: int = 8) -> Float[np.ndarray, "q 3"]:
-    """Evenly spread inner points of a triangle as barycentric weights, with the mean at 1/3."""
-    i, j = np.meshgrid(np.arange(cuts), np.arange(cuts), indexing="ij")
-    upward = np.stack((i, j), axis=-1)[i + j < cuts] + 1 / 3
-    downward = np.stack((i, j), axis=-1)[i + j < cuts - 1] + 2 / 3
-    two = np.concatenate((upward, downward)) / cuts
-    return np.column_stack((two, 1.0 - two.sum(axis=1)))
-
-
-_WEIGHTS = _inner_points()  # each point is counted in or out of a patch
+# Centroids of 64 equal parts of a triangle: each is counted in or out of a patch.
+_WEIGHTS = np.concatenate([lattice(8, 1 / 3, corners=3), lattice(7, 2 / 3, corners=3)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,6 +194,11 @@ def _loaded_mm2(mesh: TetMesh, press: Press) -> float:
 
 def _plan(last: Press, patch: Patch, mesh: TetMesh, pressure_mpa: float) -> Press:
     """Press on a patch, fixed as the last press and observed where it loads."""
+    if not pressure_mpa > 0:
+        raise ConfigError(
+            "the presses have no net force, so the force of the next one is not known; choose "
+            "suggest.rule=largest_uncertainty."
+        )
     unit = patch.forces(mesh)
     zero = np.zeros_like(unit)
     observed = all_directions(np.any(unit != 0.0, axis=1))

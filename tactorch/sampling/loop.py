@@ -208,7 +208,7 @@ class SamplingLoop:
         self._suggester = suggester or Suggester(settings)
         self._restart, self._target_deviation = restart, target_deviation
         self._max_presses = self._options.max_presses or sys.maxsize
-        digest = sha256(repr(to_mapping(settings)).encode()).hexdigest()[:16]
+        digest = _digest(to_mapping(replace(settings, max_seconds=None)))
         self._store = None if folder is None else Store(folder, digest)
         self._waiting: list[Arrival] = []
         self._done: list[Arrival] = []
@@ -357,7 +357,14 @@ class SamplingLoop:
 
     def _save(self) -> None:
         if self._store is not None and self._inversion is not None:
-            self._store.save(self._inversion.state(), self._done, self._history)
+            state = {**self._inversion.state(), "object": np.array(self._object_digest())}
+            self._store.save(state, self._done, self._history)
+
+    def _object_digest(self) -> str:
+        about = self._source.about
+        assert about is not None
+        weight = about.density, about.gravity.tolist()
+        return _digest((about.mesh.content_hash(), about.material, weight))
 
     def _resume(self) -> None:
         """Continue the run that the store holds."""
@@ -366,6 +373,11 @@ class SamplingLoop:
             return
         state, digests, history = saved
         arrivals = self._await(list(digests))
+        if str(state.get("object")) != self._object_digest():
+            raise RecordingError(
+                f"{self._source.name} is of another object than this run: its mesh, material, "
+                "density or gravity differs; choose another run_dir."
+            )
         for arrival in arrivals:
             if arrival.digest != digests[arrival.key]:
                 raise RecordingError(
@@ -397,3 +409,7 @@ class SamplingLoop:
             time.sleep(self._options.poll_seconds)
         self._waiting = [arrival for arrival in self._waiting if arrival.key not in set(keys)]
         return [available[key] for key in keys]
+
+
+def _digest(value: Any) -> str:
+    return sha256(repr(value).encode()).hexdigest()[:16]

@@ -153,7 +153,7 @@ class SensorChain:
             self.sensor, self.tracker.reference_px, markers_px, height.height_mm
         )
         nodes = self.model.points
-        displacement, _ = interpolate_displacements(points, in_plane, nodes, _AXIS)
+        displacement = interpolate_displacements(points, in_plane, nodes, _AXIS)
         current = nodes[:, :2] + np.nan_to_num(displacement[:, :2])
         rise = self._sample(height.zero_mean_mm, current)
         displacement[:, 2] = rise + self.sensor.gel.height_mm(current) - nodes[:, 2]

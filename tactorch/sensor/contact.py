@@ -18,7 +18,7 @@ from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
 from tactorch.recording import Press
 from tactorch.sensor.gel import GelContact
-from tactorch.sensor.poses import check_pose, rotate_vectors, transform_points
+from tactorch.sensor.poses import Pose, check_pose, rotate_vectors, transform_points
 
 __all__ = ["ContactOptions", "build_press"]
 #: Smallest cosine between the sensor axis and the inward normal of a face that may be in contact.
@@ -26,7 +26,6 @@ MIN_FACING = 0.5
 _MIN_INERTIA = 1e-9  # relative to the largest, of an axis about which nodes can carry a couple
 _CONTACT_LEVEL = 0.5  # of the interpolated contact indicator
 
-Pose = Float[np.ndarray, "4 4"]
 Points = Float[np.ndarray, "k 3"]
 Nodes = Float[np.ndarray, "n 3"]
 Triangles = Int[np.ndarray, "t 3"]
@@ -87,9 +86,9 @@ def build_press(
     motion = transform_points(pose, contact.points + contact.displacement) - paired
     forces = -rotate_vectors(pose, np.where(in_contact[:, None], contact.forces, 0.0))
     transferred = transfer_forces(paired, forces, mesh.points, triangles)
-    interpolated, inside = interpolate_displacements(
-        paired, motion, points, first_pose[:3, 2], options.smoothing
-    )
+    normal = first_pose[:3, 2]
+    interpolated = interpolate_displacements(paired, motion, points, normal, options.smoothing)
+    inside = np.isfinite(interpolated).all(axis=1)
     at_rest = transform_points(np.linalg.inv(first_pose), points)
     indicator = LinearNDInterpolator(contact.points[:, :2], in_contact.astype(float), 0.0)
     touched = np.asarray(indicator(at_rest[:, :2]) >= _CONTACT_LEVEL)
@@ -197,10 +196,10 @@ def _couple(nodes: Nodes, moment: Vector) -> np.ndarray:
 
 def interpolate_displacements(
     points: Points, displacements: Points, nodes: Nodes, normal: Vector, smoothing: float = 0.0
-) -> tuple[Nodes, Bool[np.ndarray, " n"]]:
+) -> Nodes:
     """Interpolate displacements by a thin-plate spline in the plane across a normal.
 
-    They are NaN at nodes outside the convex hull of the points; also returns which are inside.
+    They are NaN at nodes outside the convex hull of the points.
     """
     known = np.isfinite(displacements).all(axis=1)
     if known.sum() < 4:
@@ -217,4 +216,4 @@ def interpolate_displacements(
             smoothing=smoothing, kernel="thin_plate_spline",
         )  # fmt: skip
         result[inside] = spline(targets[inside])
-    return result, inside
+    return result

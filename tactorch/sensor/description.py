@@ -78,11 +78,6 @@ class GelLayer(Options):
         assert self.radius_mm is not None
         return self.radius_mm, self.radius_mm
 
-    @property
-    def material_spec(self) -> MaterialSpec:
-        """Constitutive law, without Young's modulus."""
-        return MaterialSpec(self.material, self.poisson)
-
     def covers(self, positions_mm: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
         """Return which positions x, y are within the outline."""
         if self.radius_mm is not None:

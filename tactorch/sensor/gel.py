@@ -142,8 +142,7 @@ class GelModel:
         self.gel_mesh = GelMesh(gel, options.edge_mm, options.layers)
         self.points = self.gel_mesh.face_points
         self.youngs = np.full(self.gel_mesh.mesh.n_tets, gel.youngs_mpa)
-        spec = gel.material_spec
-        law = make_material(spec.name, spec.poisson, **spec.parameters)
+        law = make_material(gel.material, gel.poisson)
         newton = NewtonOptions(rtol=_NEWTON_RTOL)
         self.body = SoftBody(self.gel_mesh.mesh, law, element=options.element, newton=newton)
         self._rest_columns: dict[int, np.ndarray] = {}  # compliance at rest by node, mm/N

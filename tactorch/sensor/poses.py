@@ -18,7 +18,7 @@ from tactorch.sensor.table import read_rows
 _TOLERANCE = 1e-4  # of a rotation's orthonormality
 _MAX_DISTANCE_MM = 1e4
 _COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-_Pose = Float[np.ndarray, "4 4"]
+Pose = Float[np.ndarray, "4 4"]
 _Vectors = Float[np.ndarray, "*n 3"]
 
 
@@ -84,7 +84,7 @@ class Poses:
         return poses
 
 
-def check_pose(pose: _Pose, name: str = "T_object_sensor") -> None:
+def check_pose(pose: Pose, name: str = "T_object_sensor") -> None:
     """Check that a matrix is a rigid transform."""
     if not np.isfinite(pose).all():
         raise ConfigError(f"{name} is not finite; leave out poses that the robot did not report.")
@@ -109,12 +109,12 @@ def check_pose(pose: _Pose, name: str = "T_object_sensor") -> None:
         raise ConfigError(f"{name} is {distance:.4g} mm away from the object's origin; give mm.")
 
 
-def transform_points(pose: _Pose, points: _Vectors) -> _Vectors:
+def transform_points(pose: Pose, points: _Vectors) -> _Vectors:
     """Transform points from the sensor frame to the object frame, mm."""
     return points @ pose[:3, :3].T + pose[:3, 3]
 
 
-def rotate_vectors(pose: _Pose, vectors: _Vectors) -> _Vectors:
+def rotate_vectors(pose: Pose, vectors: _Vectors) -> _Vectors:
     """Rotate vectors, such as forces, from the sensor frame to the object frame."""
     return vectors @ pose[:3, :3].T
 

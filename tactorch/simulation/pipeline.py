@@ -98,7 +98,7 @@ def simulate(
     def on_solved() -> None:
         with lock:
             if progress is not None:
-                progress(next(solved), plan.n_presses)
+                progress(next(solved), len(sites) * len(plan.pressures))
 
     displacements = map_cases(lambda i: simulator.solve(sites[i], on_solved), len(sites))
     presses: list[Press] = []

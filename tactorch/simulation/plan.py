@@ -123,8 +123,3 @@ class PressPlan(Options):
         if self.patch_centers_mm is None:
             return tuple(PressSite(face) for face in self.faces)
         return tuple(PressSite(f, center) for f in self.faces for center in self.patch_centers_mm)
-
-    @property
-    def n_presses(self) -> int:
-        """Number of presses: locations times load steps."""
-        return len(self.sites) * len(self.pressures)

@@ -24,8 +24,8 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Parameterization, Point
+from tactorch.linalg.superlu import SparseFactor
 from tactorch.uncertainty.laplace import Field, GaussianPosterior, check_weight
-from tactorch.uncertainty.selected_inverse import SparseFactor
 
 Product = Callable[[np.ndarray], np.ndarray]
 

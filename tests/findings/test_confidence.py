@@ -6,6 +6,7 @@ import scipy.sparse as sp
 
 from tactorch.findings import build_finding, find_lump
 from tactorch.findings.finding import compute_confidence
+from tactorch.findings.text import lump_facts
 from tactorch.inverse import Log
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording
@@ -51,9 +52,20 @@ def test_what_might_be_chance_is_not_believed():
     lump, stated = sure(youngs(0.21), 3.0)
     assert 0.4 < stated.probability < 0.9
     finding = build_finding(recording(), youngs(0.21), posterior(youngs(0.21), 3.0))
+    assert stated.at_least("stiff") < 1
+    assert "it may not be stiffer at all (95 %)" in finding.text()
+    assert "it may not be stiffer at all (95 %)" in lump_facts(finding.lumps[0])[-1].note
     assert "Do not rely on it" in finding.text()
     assert finding.lumps[0].plain()["probability"] == stated.probability
     assert lump.side == "stiff"
+
+
+def test_the_bound_is_of_the_contrast_that_is_stated():
+    """Also in a soft lump of unequal elements, whose geometric mean is far below the mean."""
+    uneven = np.where(np.arange(MESH.n_tets) % 2, 0.02, 0.09)
+    lump, stated = sure(youngs(uneven), 0.01)
+    assert lump.side == "soft"
+    assert 0.9 / lump.contrast < stated.at_least("soft") < 1 / lump.contrast
 
 
 def test_a_certain_map_has_a_certain_centre():

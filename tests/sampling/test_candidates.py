@@ -3,7 +3,8 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh, box_mesh
-from tactorch.sampling.candidates import Patch, candidate_patches
+from tactorch.recording import MaterialSpec, Press, Recording
+from tactorch.sampling.candidates import InferredCandidates, Patch, candidate_patches
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +55,18 @@ def test_what_cannot_be_is_refused(dome: TetMesh) -> None:
         candidate_patches(dome, held & False, 1.5, 3)
     with pytest.raises(ConfigError, match="no surface within"):
         Patch(np.full(3, 90.0), np.array([0.0, 0.0, -1.0]), 1.0).forces(dome)
+
+
+def test_the_load_of_a_press_is_unknown_where_motions_are_prescribed(dome: TetMesh) -> None:
+    held = np.repeat(dome.points[:, 2:] < 1e-9, 3, axis=1)
+    moved = np.linalg.norm(dome.points - [0.0, 0.0, 10.0], axis=1) < 1e-9
+    prescribed = np.where(moved[:, None], [0.0, 0.0, -0.1], 0.0)
+    observed = np.repeat(dome.points[:, 2:] > 8.0, 3, axis=1) & ~moved[:, None]
+    press = Press(
+        np.zeros_like(prescribed), observed, 0.01 * observed, prescribed=prescribed,
+        fixed=held | moved[:, None], noise_mm=1e-3,
+    )  # fmt: skip
+    recording = Recording(dome, (press,), MaterialSpec("neo_hookean", 0.45), check_units=False)
+    candidates = InferredCandidates(1.5, 4)(recording)
+    with pytest.raises(ConfigError, match=r"no net force.*rule=largest_uncertainty"):
+        candidates.plan(candidates.patches[0])

@@ -10,7 +10,7 @@ import pytest
 from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
 from tactorch.inverse import IncrementalInversion, Reconstruction, Settings, invert
 from tactorch.metrics import scores
-from tactorch.recording import Recording, append_press
+from tactorch.recording import MaterialSpec, Recording, append_press
 from tactorch.sampling import LoopOptions, SuggestOptions
 from tactorch.sampling.loop import HISTORY, RESULT, STATE
 from tactorch.sampling.sources import replay
@@ -122,6 +122,37 @@ def test_a_run_is_not_continued_with_other_presses_or_settings(
     (live.run / STATE).write_bytes((live.run / STATE).read_bytes()[:-40])
     with pytest.raises(FileError, match="cannot be read"):
         live.follow(live.new_view())
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [Settings(misfit="adaptive"), Settings(parameterization="identity")],
+    ids=["misfit", "parameterization"],
+)
+def test_a_run_is_not_continued_with_another_method(live: Any, settings: Settings) -> None:
+    live.save(0)
+    live.follow(live.new_view(), max_iterations=1)
+    with pytest.raises(FileError, match="other settings"):
+        live.follow(settings=settings)
+    live.follow(settings=Settings(max_seconds=1e6))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"material": MaterialSpec("neo_hookean", 0.2)},
+        {"material": MaterialSpec("linear", 0.45)},
+        {"density": 1e-9, "gravity": np.array([0.0, 0.0, -9806.65])},
+    ],
+    ids=["poisson", "law", "weight"],
+)
+def test_a_run_is_not_continued_with_another_object(live: Any, changes: dict) -> None:
+    live.save(0)
+    live.follow(live.new_view(), max_iterations=1)
+    live.whole = replace(live.whole, **changes)
+    live.save(0)
+    with pytest.raises(RecordingError, match=r"another object.*choose another run_dir"):
+        live.follow()
 
 
 def test_a_press_that_nothing_carries_is_passed_over(live: Any) -> None:

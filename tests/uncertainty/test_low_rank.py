@@ -15,8 +15,8 @@ from tactorch.inverse import (
     NuisancePrior,
     Objective,
 )
+from tactorch.linalg.superlu import SparseFactor
 from tactorch.uncertainty import LaplacePosterior, LowRankPosterior
-from tactorch.uncertainty.selected_inverse import SparseFactor
 
 LOG = Log()
 M, DATA = 30, 12

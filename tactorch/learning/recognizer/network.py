@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from tactorch.errors import ConfigError
-from tactorch.learning.training import Network
+from tactorch.learning.training import DataUse, Network
 
 
 class FCN(nn.Module):
@@ -60,6 +60,7 @@ class Recognizer(Network):
         weight_decay: Weight decay of AdamW.
     """
 
+    data_use = DataUse("recognition", ("classes", "mean", "deviation"), ("classes",))
     mean: Tensor
     deviation: Tensor
 

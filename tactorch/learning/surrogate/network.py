@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.learning.surrogate.features import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
-from tactorch.learning.training import Network, load_network, save_atomically
+from tactorch.learning.training import DataUse, Network, load_network, save_atomically
 
 #: Weights of tactorch; surrogate.json states the data and settings of their training.
 INCLUDED_WEIGHTS = Path(__file__).with_name("surrogate.pt")
@@ -135,6 +135,7 @@ class Surrogate(Network):
         version: Version of the input; stored with the weights.
     """
 
+    data_use = DataUse("warmstart", ("press_scale", "shared_scale", "cells", "frames"))
     press_scale: Tensor
     shared_scale: Tensor
 

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh, box_mesh, read_mesh
-from tactorch.sensor.contact import Pose
-from tactorch.sensor.poses import check_pose, transform_points
+from tactorch.sensor.poses import Pose, check_pose, transform_points
 
 _MAX_ELEMENTS = 200_000
 

@@ -16,10 +16,10 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.mesh import FACE_NAMES, TetMesh, face_nodes
 from tactorch.mesh.quadrature import lattice
 from tactorch.recording import Press
-from tactorch.sensor.chain import SensorChain
-from tactorch.sensor.contact import MIN_FACING, ContactOptions, Pose, build_press
+from tactorch.sensor.chain import Measurement, SensorChain
+from tactorch.sensor.contact import MIN_FACING, ContactOptions, build_press
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.poses import Poses, transform_points
+from tactorch.sensor.poses import Pose, Poses, transform_points
 from tactorch.sensor.recorder.detector import ContactInterval
 from tactorch.sensor.recorder.objects import VirtualCube
 
@@ -103,8 +103,8 @@ class PressBuilder:
 
     def build(
         self, contact: ContactInterval, number: int, poses: Poses, measured_noise_mm: float | None
-    ) -> Iterator[tuple[int, Press | ConfigError | ConvergenceError]]:
-        """Yield the index of each selected frame with its press, or with the error.
+    ) -> Iterator[tuple[Measurement, Press | ConfigError | ConvergenceError]]:
+        """Yield the measurement of each selected frame with its press, or with the error.
 
         `number` counts contacts from 1, for the names of the presses. `measured_noise_mm` is that
         of frames without contact.
@@ -138,10 +138,10 @@ class PressBuilder:
                 )  # fmt: skip
             except (ConfigError, ConvergenceError) as error:
                 _log.warning("Frame '%s' is skipped: %s", name, error)
-                yield index, error
+                yield measurement, error
             else:
                 step += 1
-                yield index, press
+                yield measurement, press
 
 
 def first_pose_by_shape(

@@ -78,8 +78,7 @@ def record(
     total = sum(len(contact.select_frames(options.steps)) for contact in contacts)
     presses, rows, skipped = list[Press](), [], {}
     for number, contact in enumerate(contacts, start=1):
-        for index, result in builder.build(contact, number, known_poses, detector.noise_mm):
-            measurement = contact.measurements[index]
+        for measurement, result in builder.build(contact, number, known_poses, detector.noise_mm):
             name = measurement.frame.name
             if isinstance(result, Press):
                 presses.append(result)
