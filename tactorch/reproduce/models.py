@@ -291,7 +291,7 @@ def _maps(results: Results) -> Exhibit:
             table.add(name, label, *(scored[key] for key in _SCORES))
             caption = f"SSIM {scored['ssim']:.3f}"
             rows[label].append(Panel(mesh, arrays[method], limits, caption=caption))
-    figure = panels_figure(list(rows.values()), list(rows)) if results else None
+    figure = panels_figure(rows) if results else None
     return Exhibit([table.markdown()], table, figure, "Truth, this package and TNC, middle slices")
 
 

@@ -94,7 +94,7 @@ def fig12(results: Results, options: CaseSettings) -> Exhibit:
             marks = arrays["centers"][:count]
             youngs = arrays["youngs"][count - 1]
             panels.append(Panel(mesh, youngs, limits, 1, title, caption, marks))
-    figure = panels_figure(list(rows.values()), list(rows))
+    figure = panels_figure(rows)
     return Exhibit([table.markdown()], table, figure, "Maps after increasing numbers of presses")
 
 

@@ -94,7 +94,6 @@ def test_train_learns_and_resumes(tactorch: Any, folder: Path, tmp_path: Path) -
     assert "is damaged or no checkpoint" in broken.err
     for name, content in (
         ("data.json", "{"), ("data.json", "[]"), ("data.json", "{}"),
-        ("data.json", '{"fingerprint": 0, "classes": 3}'),
         (".hydra/config.yaml", "model: [\n"), (".hydra/config.yaml", "model: {name: recognizer}\n"),
         (".hydra/config.yaml", "\0\1"),
     ):  # fmt: skip
@@ -121,10 +120,11 @@ def test_train_learns_and_resumes(tactorch: Any, folder: Path, tmp_path: Path) -
     ("arguments", "words"),
     [
         (("data.folder=nowhere",), ("dataset not found: 'nowhere'",)),
-        (("model.hidden=0",), ("must be at least 1",)),
+        (("model.hidden=0",), ("model.hidden=0", "at least 1")),
         (("trainer=gpu",), ("trainer=gpu needs a CUDA device",)),
         (("trainer.max_epochs=0",), ("max_epochs=0",)),
         (("data.shares=[0.5,0.5]",), ("data.shares", "three numbers")),
+        (("data.shares=[0,0.5,0.5]",), ("data.shares: no object to train on",)),
         (("splits=0",), ("splits=0",)),
     ],
 )

@@ -93,8 +93,8 @@ def test_an_inversion_uses_it(
         (("model=surrogate", "data=recognition"), ("learns from data=warmstart",)),
         (("model=recognizer", "data=warmstart"), ("learns from data=recognition",)),
         ((*SMALL, "data.folder=nowhere"), ("dataset not found: 'nowhere'",)),
-        ((*SMALL, "data.cells=3"), ("cells=3", "even")),
-        ((*SMALL, "model.width=3"), ("width=3",)),
+        ((*SMALL, "data.cells=3"), ("cells=3", "at least 4")),
+        ((*SMALL, "model.width=3"), ("width=3", "even")),
         ((*SMALL, "data.folder=null"), ("data.folder",)),
     ],
 )

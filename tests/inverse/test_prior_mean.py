@@ -95,7 +95,7 @@ def test_settings_with_different_maps_differ() -> None:
     one, other = (ShiftedPrior(mean_mpa=m) for m in (MEAN, np.nextafter(MEAN, 1.0)))
     assert one == ShiftedPrior(mean_mpa=MEAN.copy())
     assert one != other
-    kinds = (TotalVariation(), Smoothness())
+    kinds = (PRIORS.build({"name": name, "weight": 1.0}) for name in ("none", "smoothness"))
     one_kind, other_kind = (ShiftedPrior(prior=p, mean_mpa=MEAN, weight=1.0) for p in kinds)
     assert one_kind != other_kind
     assert to_mapping(one) == to_mapping(ShiftedPrior(mean_mpa=MEAN.copy()))

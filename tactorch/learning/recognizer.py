@@ -1,7 +1,9 @@
-"""The recognizer: classifies the inclusion in a map of Young's modulus (Section V-B); scores."""
+"""The recognizer: which inclusion a map of Young's modulus shows (Section V-B); data and scores."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -9,8 +11,98 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
+from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.learning.training import DataUse, Network
+from tactorch.generation import SampleMaps, SampleSet
+from tactorch.learning.data import (
+    IDENTITY,
+    DataOptions,
+    SplitData,
+    Symmetry,
+    apply_symmetry,
+    symmetries,
+)
+from tactorch.learning.training import Network, NetworkOptions
+from tactorch.mesh import VoxelGrid
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecognitionOptions(DataOptions):
+    """Log-modulus on a grid and the class of the inclusion."""
+
+    folder: Path = option(help="Dataset, such as of `tactorch generate dataset=recognition`")
+    voxels: int = option(24, "Voxels in each direction", ge=1)
+    source: Literal["reconstruction", "truth"] = option("reconstruction", "Maps to use")
+    brightness: float = option(
+        0.1, "Standard deviation of the logarithm of the factor on the modulus of augmented maps"
+    )
+
+    def __call__(self, *, seed: int) -> "RecognitionData":
+        """Return the data module."""
+        return RecognitionData(self, seed)
+
+
+class RecognitionData(SplitData):
+    """Log-modulus on a grid and the class of the inclusion.
+
+    Args:
+        options: Settings.
+        seed: Seed of order and augmentation.
+
+    Raises:
+        FileError: The dataset is missing or damaged.
+        ConfigError: The dataset has no reconstructions.
+    """
+
+    def __init__(self, options: RecognitionOptions, seed: int = 0) -> None:
+        dataset = SampleSet.open(options.folder)
+        dataset.verify()
+        samples = [dataset.maps(index) for index in dataset.indices]
+        if not samples:
+            raise ConfigError(f"dataset '{options.folder}' is empty.")
+        objects, labels = [s.object for s in samples], [s.label for s in samples]
+        grids = {sample.mesh: VoxelGrid(sample.mesh, options.voxels) for sample in samples}
+        maps = [_log_map(sample, options.source, grids[sample.mesh]) for sample in samples]
+        super().__init__(options, seed, dataset.manifest, objects, labels)
+        self.maps, self.brightness = torch.stack(maps), options.brightness
+        self.classes = sorted(set(labels))
+        self.labels = torch.tensor([self.classes.index(label) for label in labels])
+        self.allowed = _common_symmetries(samples)
+
+    @property
+    def mean(self) -> float:
+        """Mean of the training maps."""
+        return float(self.maps[self.parts["train"]].mean())
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the training maps."""
+        return float(self.maps[self.parts["train"]].std())
+
+    def sample(
+        self, row: int, symmetry: Symmetry = IDENTITY, deviate: float = 0.0
+    ) -> tuple[Tensor, Tensor]:
+        """Return a map and its label; the logarithm is shifted by `deviate` times brightness."""
+        image = apply_symmetry(symmetry, self.maps[row]) + self.brightness * deviate
+        return image, self.labels[row]
+
+
+def _log_map(sample: SampleMaps, source: str, grid: VoxelGrid) -> Tensor:
+    youngs = sample.truth if source == "truth" else sample.reconstruction
+    if youngs is None:
+        raise ConfigError(
+            "the dataset has no reconstructions; generate it with dataset.reconstruct=true, or"
+            " learn from data.source=truth."
+        )
+    return torch.from_numpy(np.log(grid.fill(youngs))).float()[None]
+
+
+def _common_symmetries(samples: Sequence[SampleMaps]) -> list[Symmetry]:
+    """Return the symmetries that keep the pressed sides of every sample."""
+    if any(sample.pushes is None for sample in samples):
+        return [IDENTITY]
+    sets = [symmetries(sample.pushes) for sample in samples if sample.pushes is not None]
+    return [symmetry for symmetry in sets[0] if all(symmetry in other for other in sets[1:])]
 
 
 class FCN(nn.Module):
@@ -24,10 +116,6 @@ class FCN(nn.Module):
         self, classes: int, hidden: int = 64, layers: int = 4, dropout: float = 0.3
     ) -> None:
         super().__init__()
-        if min(classes, hidden, layers) < 1:
-            raise ConfigError("classes, hidden and layers must be at least 1.")
-        if not 0 <= dropout < 1:
-            raise ConfigError(f"dropout={dropout} must be a share in [0, 1).")
         blocks: list[nn.Module] = []
         for layer in range(layers):
             channels = 1 if layer == 0 else hidden
@@ -46,6 +134,23 @@ class FCN(nn.Module):
         return self.score(self.drop(self.hidden(maps))).mean(dim=(2, 3, 4))
 
 
+@dataclass(frozen=True, kw_only=True)
+class RecognizerOptions(NetworkOptions):
+    """Classifies inclusions from log-modulus on a grid."""
+
+    data: ClassVar[str] = "recognition"
+    hidden: int = option(64, "Channels of the hidden layers", ge=1)
+    layers: int = option(4, "Number of hidden layers", ge=1)
+    dropout: float = option(
+        0.3, "Fraction of channels dropped before the last layer, in training", ge=0, lt=1
+    )
+    weight_decay: float = option(1e-4, "Weight decay of AdamW", ge=0)
+
+    def __call__(self, data: RecognitionData) -> "Recognizer":
+        """Return the network for some data."""
+        return Recognizer(data.classes, data.mean, data.deviation, **vars(self))
+
+
 class Recognizer(Network):
     """Classifies inclusions from log-modulus on a grid.
 
@@ -53,34 +158,25 @@ class Recognizer(Network):
         classes: Names of the classes.
         mean: Mean log-modulus of the training maps; stored with the weights.
         deviation: Standard deviation of the log-modulus; stored with the weights.
-        hidden: Channels of the hidden layers.
-        layers: Number of hidden layers.
-        dropout: Fraction of channels dropped before the last layer, in training.
-        learning_rate: Largest learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
+        options: Settings, see `RecognizerOptions`.
     """
 
-    data_use = DataUse("recognition", ("classes", "mean", "deviation"), ("classes",))
     mean: Tensor
     deviation: Tensor
 
     def __init__(
-        self,
-        classes: Sequence[str],
-        mean: float = 0.0,
-        deviation: float = 1.0,
-        hidden: int = 64,
-        layers: int = 4,
-        dropout: float = 0.3,
-        learning_rate: float = 2e-3,
-        weight_decay: float = 1e-4,
+        self, classes: Sequence[str], mean: float = 0.0, deviation: float = 1.0, **options: Any
     ) -> None:
-        super().__init__(learning_rate, weight_decay)
+        settings = RecognizerOptions(**options)
+        super().__init__(settings)
         self.save_hyperparameters()
+        if not classes:
+            raise ConfigError("a recognizer needs at least one class; give classes=[NAME, ...].")
         self.classes = list(classes)
         self.register_buffer("mean", torch.tensor(float(mean)))
         self.register_buffer("deviation", torch.tensor(float(deviation)))
-        self.network = FCN(len(self.classes), hidden, layers, dropout)
+        sizes = settings.hidden, settings.layers, settings.dropout
+        self.network = FCN(len(classes), *sizes)
 
     def forward(self, log_youngs: Float[Tensor, "b 1 x y z"]) -> Float[Tensor, "b c"]:
         """Return the logits of each class for maps of log-modulus (MPa)."""
