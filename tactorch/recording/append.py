@@ -189,16 +189,12 @@ def _check_same(reader: RecordingReader, known: Recording) -> None:
             f"has {mesh.n_points} nodes and {mesh.n_tets} elements, theirs {known.mesh.n_points} "
             f"and {known.mesh.n_tets}, or others. Start another run for it."
         )
-    if material != known.material:
-        raise OtherObjectError(
-            f"recording '{reader.source}' has another material than the presses before: "
-            f"{material}, not {known.material}. Start another run for it."
-        )
     density = reader.density(), known.density
     gravity = reader.gravity().tolist(), known.gravity.tolist()
-    for name, (value, before) in {"density": density, "gravity": gravity}.items():
+    pairs = {"material": (material, known.material), "density": density, "gravity": gravity}
+    for name, (value, before) in pairs.items():
         if value != before:
             raise OtherObjectError(
-                f"recording '{reader.source}' has {name}={value}, the presses before {before}: "
-                "weight is the same for all presses of a run. Start another run for it."
+                f"recording '{reader.source}' has {name}={value}, the presses before {before}: it"
+                " is the same for all presses of a run. Start another run for it."
             )

@@ -51,7 +51,7 @@ def fit_map(
     presses: Sequence[BallPress],
     ball: Ball,
     options: FitOptions | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[SlopeMap, list[BallPress]]:
     """Fit the map from colors to slopes together with the contacts.
 
@@ -74,8 +74,7 @@ def fit_map(
         _fit_map_to_contacts(slope_map, fitted, ball, options.seed + number)
         if number < options.rounds:
             fitted = [fit_contact(press, slope_map, ball) for press in fitted]
-        if progress is not None:
-            progress(number + 1, options.rounds + 1)
+        progress(number + 1, options.rounds + 1)
     return slope_map, fitted
 
 
@@ -95,7 +94,6 @@ def fit_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
         raise ConfigError(
             f"{press.name}: fewer than 20 pixels of the contact are not markers; leave it out."
         )
-
     measured = slopes[inside]
 
     def misfit(center: np.ndarray) -> float:
@@ -252,7 +250,7 @@ def select_map(
     ball: Ball,
     options: FitOptions | None = None,
     folds: int = 3,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[str, dict[str, MapQuality]]:
     """Select the map with the smallest error on left-out presses.
 
@@ -271,6 +269,5 @@ def select_map(
     for number, name in enumerate(names):
         candidate = replace(options, map=SENSOR_MAPS.build(name))
         quality[name] = cross_validate(presses, ball, candidate, folds)
-        if progress is not None:
-            progress(number + 1, len(names))
+        progress(number + 1, len(names))
     return min(quality, key=lambda name: sum(quality[name].mae)), quality
