@@ -12,12 +12,10 @@ from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, make_material
 from tactorch.inverse import Settings
-from tactorch.inverse.settings import stored_settings
 from tactorch.mesh import TetMesh
 from tactorch.mesh.tetmesh import FaceName
 from tactorch.phantoms import Phantom, RandomPhantom
-from tactorch.phantoms.families import FAMILIES, check_ranges
-from tactorch.plain import plain
+from tactorch.phantoms.families import check_ranges
 from tactorch.recording import MaterialSpec
 from tactorch.simulation import PressPlan
 
@@ -178,9 +176,5 @@ class Recipe(Options):
 
     def to_config(self) -> dict[str, Any]:
         """Return all that determines the samples as plain values, to compare recipes by."""
-        config = plain(self)
-        assert isinstance(config, dict)
-        config["family"] = {"name": FAMILIES.name_of(type(self.family)), **to_mapping(self.family)}
-        if isinstance(self.inversion, Settings):
-            config["inversion"] = stored_settings(self.inversion)
-        return config
+        names = ("material", "element", "inversion")  # which a dataset's settings do not have
+        return to_mapping(self) | {name: to_mapping(getattr(self, name)) for name in names}

@@ -8,7 +8,7 @@ import pytest
 
 TINY = (
     "dataset.count=6", "dataset.shard=3", "dataset.reconstruct=false", "dataset.samples=1",
-    "dataset.sizes.relative_edge_length=0.3", "dataset.sizes.fine_relative=null",
+    "dataset.mesh.relative_edge_length=0.3", "dataset.mesh.fine_relative=null",
     "dataset.presses.steps=[1]", "workers=1",
 )  # fmt: skip
 
