@@ -59,11 +59,10 @@ def to_bytes(sample: Sample) -> bytes:
     def write(file: "h5py.File") -> None:
         write_recording(file, vars(sample.recording))
         write_attribute(file, "mesh_hash", sample.recording.mesh.content_hash())
-        write_attribute(file, "index", sample.index)
-        write_attribute(file, "object", sample.object)
-        write_attribute(file, "label", sample.label)
-        write_attribute(file, "facts", json.dumps(sample.facts))
-        write_attribute(file, "figures", json.dumps(sample.figures))
+        for name in ("index", "object", "label"):
+            write_attribute(file, name, getattr(sample, name))
+        for name in ("facts", "figures"):
+            write_attribute(file, name, json.dumps(getattr(sample, name)))
         if sample.reconstruction is not None:
             write_array(file, "reconstruction", sample.reconstruction)
 
@@ -77,8 +76,7 @@ def write_shard(path: Path, parts: Mapping[int, bytes], failed: Mapping[int, str
     def write(shard: "h5py.File") -> None:
         write_attribute(shard, "format", FORMAT)
         write_attribute(shard, "version", VERSION)
-        reasons = {str(index): failed[index] for index in sorted(failed)}
-        write_attribute(shard, "failed", json.dumps(reasons))
+        write_attribute(shard, "failed", json.dumps({str(i): failed[i] for i in sorted(failed)}))
         shard.create_group("samples")
         shard.create_group("meshes")
         for index in sorted(parts):

@@ -94,8 +94,7 @@ def assess(
         except UNCOMPUTABLE as error:
             reason = str(error) or "not enough memory"
             _log.warning("%s: no uncertainty: %s", run.name, reason)
-    fits = _uncorrected_fits(run, run.recording)
-    return Assessment(_find_lump(run), fits=fits, missing=reason)
+    return Assessment(_find_lump(run), fits=_uncorrected_fits(run, run.recording), missing=reason)
 
 
 def _find_lump(run: Run, posterior: GaussianPosterior | None = None) -> Lump | None:
@@ -122,8 +121,7 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     at_bound = youngs < (1 + _AT_BOUND) * bounds.lower
     at_bound |= youngs > (1 - _AT_BOUND) * bounds.upper
     at_bound |= low == high  # the whole interval is beyond a bound
-    kind = type(posterior).__name__
-    summary = UncertaintySummary(metric, low, high, resolution, at_bound, kind)
+    summary = UncertaintySummary(metric, low, high, resolution, at_bound, type(posterior).__name__)
     corrected = None if point.objective.problem.data.model_deviation is None else True
     fits = _corrected_fits(recording, point)
     return Assessment(_find_lump(run, posterior), summary, fits, corrected=corrected)
