@@ -19,13 +19,12 @@ from torch.nn import functional
 
 from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.networks import TrainOptions, check_data
-from tactorch.cli.outputs import write_json
 from tactorch.cli.resume import saved_options
 from tactorch.cli.settings import CommandOptions, run_folder
 from tactorch.cli.train import split_folder
 from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.files import require_folder
+from tactorch.files import require_folder, write_json
 from tactorch.findings.recognition import load_recognizer
 from tactorch.learning.recognizer import class_scores
 from tactorch.learning.surrogate.features import SHARED_CHANNELS

@@ -20,11 +20,10 @@ import numpy as np
 
 from tactorch.cli.console import Table, log, log_text, progress
 from tactorch.cli.networks import DATA_FILE, REMEDY, TrainOptions, check_data
-from tactorch.cli.outputs import write_json
 from tactorch.cli.settings import run_folder
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
-from tactorch.files import read_json
+from tactorch.files import read_json, write_json
 from tactorch.learning.training import EpochProgress, fit
 
 # State of an earlier run in the same folder.

@@ -12,7 +12,7 @@ from threading import Lock
 from typing import Any
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import checksum, read_json, write_file
+from tactorch.files import checksum, read_json, write_file, write_json
 from tactorch.generation.layout import (
     MANIFEST,
     MANIFEST_FORMAT,
@@ -126,7 +126,7 @@ class _Dataset:
                 raise ConfigError(
                     f"'{self.folder}' holds shards without a {RECIPE}; choose another folder."
                 )
-            _write_json(stored, config)
+            write_json(stored, config)
         self.partial.mkdir(exist_ok=True)
         for stray in [*self.folder.glob(".*.part.*"), *self.partial.glob(".*.part.*")]:
             stray.unlink()  # of a killed run
@@ -158,7 +158,7 @@ class _Dataset:
         path, failure = self._sample_files(index)
         if content is None:
             _log.warning("sample %d failed: %s", index, reason)
-            _write_json(failure, {"index": index, "reason": reason})
+            write_json(failure, {"index": index, "reason": reason})
             return
         write_file(path, content)
 
@@ -204,7 +204,7 @@ class _Dataset:
             "recipe": json.loads(json.dumps(self.recipe.to_config())),
             "versions": versions(),
         }
-        _write_json(self.folder / MANIFEST, {**manifest, "sha256": manifest_checksum(manifest)})
+        write_json(self.folder / MANIFEST, {**manifest, "sha256": manifest_checksum(manifest)})
         if not any(self.partial.iterdir()):
             self.partial.rmdir()
 
@@ -244,10 +244,6 @@ def _locked(folder: Path) -> Iterator[None]:
 def _reason(path: Path) -> str:
     remedy = "delete it and run the same `tactorch generate` again."
     return str(read_json(path, "record of a failed sample", remedy, "reason")["reason"])
-
-
-def _write_json(path: Path, content: Any) -> None:
-    write_file(path, json.dumps(content, indent=2) + "\n")
 
 
 def _make(recipe: Recipe, index: int) -> tuple[int, bytes | None, str]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import FileError, RecordingError
+from tactorch.errors import FileError, RecordingError, TactorchError
 from tactorch.files import checksum, read_json, require_file, require_folder
 from tactorch.generation.layout import (
     FORMAT,
@@ -199,18 +199,12 @@ def _open_shard(path: Path) -> Hdf5Reader:
 
     try:
         reader = Hdf5Reader(h5py.File(path, "r"), path, "shard", "tactorch generate")
-        kind = reader.attribute("/", "format", str)
-        version = reader.attribute("/", "version", int)
+        reader.check_format(FORMAT, VERSION, "generate it again")
+    except TactorchError:
+        raise
     # What h5py raises on a damaged file has no common base.
     except Exception as error:
         raise damaged(path, error) from error
-    if kind != FORMAT:
-        raise FileError(f"'{path}' is no shard of a dataset but {kind!r}; generate it again.")
-    if version > VERSION:
-        raise FileError(
-            f"shard '{path}' has version {version}, and this tactorch reads up to {VERSION};"
-            " upgrade tactorch."
-        )
     return reader
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from tactorch.errors import FileError, RecordingError
 from tactorch.files import write_file
-from tactorch.hdf5 import hdf5_image, write_attribute
+from tactorch.hdf5 import hdf5_image, write_attributes
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
 from tactorch.recording.schema import GROWING, PRESS_ARRAYS, PRESS_OPTIONAL, SAVED
@@ -153,9 +153,9 @@ def _whole_image(reader: RecordingReader, version: int, press: Press | None = No
                     part.copy(name, group)
         if press is not None:
             write_press(presses.create_group(f"{reader.count():04d}"), press)
-        write_attribute(presses, "count", reader.count() + (press is not None))
+        write_attributes(presses, count=reader.count() + (press is not None))
         # Without checksums in the file's structure its end is not known, and there is no tail.
-        write_attribute(file, "version", version if stored[8] in (2, 3) else SAVED)
+        write_attributes(file, version=version if stored[8] in (2, 3) else SAVED)
 
     return hdf5_image(change, stored)
 

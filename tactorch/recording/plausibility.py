@@ -43,13 +43,15 @@ def check_units(
     diagonal: float, presses: Sequence[Press], truth: Float[np.ndarray, " m"] | None
 ) -> None:
     """Refuse magnitudes that suggest a wrong unit; the limits are in the module's docstring."""
-    if not DIAGONAL_MM[0] <= diagonal <= DIAGONAL_MM[1]:
-        unit, remedy = "micrometres", "Divide points by 1000"
-        if diagonal < DIAGONAL_MM[0]:
-            unit, remedy = "metres", "Read it with unit='m', or multiply points by 1000"
+    if diagonal < DIAGONAL_MM[0]:
         raise RecordingError(
-            f"mesh: its diagonal is {diagonal:.3g} mm; {unit} given for millimetres? {remedy}. "
-            f"{_OPT_OUT}"
+            f"mesh: its diagonal is {diagonal:.3g} mm; metres given for millimetres? "
+            f"Read it with unit='m', or multiply points by 1000. {_OPT_OUT}"
+        )
+    if diagonal > DIAGONAL_MM[1]:
+        raise RecordingError(
+            f"mesh: its diagonal is {diagonal:.3g} mm; micrometres given for millimetres? "
+            f"Divide points by 1000. {_OPT_OUT}"
         )
     for press in presses:
         _check_press(press, diagonal)

@@ -90,7 +90,6 @@ class Press:
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Convert, complete and check every field."""
         self._convert("forces", (None, 3))
         shape = self.forces.shape
         for field, dtype in (("springs", float), ("prescribed", float), ("fixed", bool)):

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.config import Options, option
+from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
 from tactorch.files import read_arrays, write_arrays, write_file
 from tactorch.findings import find_lump
 from tactorch.inverse import IncrementalInversion, IncrementalResult, Settings, Start, StopReason
-from tactorch.inverse.settings import stored_settings
 from tactorch.inverse.starts import START_MPA
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
@@ -209,7 +208,7 @@ class SamplingLoop:
         self._suggester = suggester or Suggester(settings)
         self._restart, self._target_deviation = restart, target_deviation
         self._max_presses = self._options.max_presses or sys.maxsize
-        digest = _digest(stored_settings(replace(settings, max_seconds=None)))
+        digest = _digest(to_mapping(replace(settings, max_seconds=None)))
         self._store = None if folder is None else Store(folder, digest)
         self._waiting: list[Arrival] = []
         self._done: list[Arrival] = []

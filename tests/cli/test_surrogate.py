@@ -9,7 +9,7 @@ import pytest
 pytestmark = pytest.mark.slow  # tests/learning has the same without the command line
 TINY = (
     "dataset=warmstart", "dataset.count=8", "dataset.shard=4", "dataset.samples=1",
-    "dataset.sizes.relative_edge_length=0.3", "dataset.sizes.fine_relative=null",
+    "dataset.mesh.relative_edge_length=0.3", "dataset.mesh.fine_relative=null",
     "dataset.presses.steps=[1]", "workers=1",
 )  # fmt: skip
 SMALL = (

@@ -54,10 +54,10 @@ def test_a_writer_that_dies_leaves_what_was_there(
         append_press(path, second)
     content = path.read_bytes()
 
-    def die(*_: Any) -> None:
+    def die(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tactorch.recording.append.write_attribute", die)
+    monkeypatch.setattr("tactorch.recording.append.write_attributes", die)
     monkeypatch.setattr("tactorch.recording.append._write_at", die)
     with pytest.raises(KeyboardInterrupt):
         append_press(path, second)

@@ -235,11 +235,8 @@ def cross_validate(
 ) -> MapQuality:
     """Return the errors on presses that are left out of the fit, each once, pooled over the groups.
 
-    Args:
-        presses: Presses of the ball.
-        ball: Ball, and the size of a pixel.
-        options: Fit options; the seed also assigns the groups.
-        folds: Number of groups of presses.
+    Arguments are those of `fit_map`; the seed of the options also assigns presses to the `folds`
+    groups.
     """
     groups = validation_groups(presses, ball, options or FitOptions(), folds)
     return MapQuality.pool([evaluate_map(*group, ball) for group in groups])
@@ -254,12 +251,8 @@ def select_map(
 ) -> tuple[str, dict[str, MapQuality]]:
     """Select the map with the smallest error on left-out presses.
 
-    Args:
-        presses: Presses of the ball.
-        ball: Ball, and the size of a pixel.
-        options: Fit options; `map` is ignored.
-        folds: Number of groups of presses, see `cross_validate`.
-        progress: Callback with the number of evaluated maps and of all.
+    Arguments are those of `cross_validate`, and a callback with the number of evaluated maps and of
+    all. `map` of the options is ignored.
 
     Returns:
         The name of the map, and the errors of each by name.
