@@ -105,8 +105,6 @@ def generate(
 
 @dataclass(frozen=True)
 class _Dataset:
-    """Folder of a dataset that is being generated."""
-
     folder: Path
     recipe: Recipe
 
@@ -117,7 +115,6 @@ class _Dataset:
 
     @cached_property
     def shards(self) -> list[Path]:
-        """Paths of all shards."""
         return [self.folder / shard_name(shard) for shard in range(self.recipe.shards)]
 
     def prepare(self) -> None:
@@ -153,7 +150,6 @@ class _Dataset:
         return self.partial / f"{name}.h5", self.partial / f"{name}{_FAILED}"
 
     def is_done(self, index: int) -> bool:
-        """Whether a sample was made or failed."""
         files = (self.shards[index // self.recipe.shard], *self._sample_files(index))
         return any(path.is_file() for path in files)
 
@@ -181,7 +177,6 @@ class _Dataset:
                 path.unlink(missing_ok=True)
 
     def failures(self) -> dict[int, str]:
-        """Return the reason of each failed sample."""
         failures = {int(p.name[:6]): _reason(p) for p in self.partial.glob(f"*{_FAILED}")}
         for path in self.shards:
             failures |= read_failures(path) if path.is_file() else {}

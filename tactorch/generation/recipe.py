@@ -162,8 +162,7 @@ class Recipe(Options):
         if self.poisson is None:
             return self.material
         rng = np.random.default_rng([self.seed, 2, index // self.views])
-        low, high = map(float, self.poisson)
-        return replace(self.material, poisson=float(rng.uniform(low, high)))
+        return replace(self.material, poisson=float(rng.uniform(*self.poisson)))
 
     @property
     def shards(self) -> int:

@@ -246,7 +246,6 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _check_manifest(manifest: dict[str, Any]) -> None:
-    """Raise an error if a part is missing or of another type."""
     manifest["recipe"].items()
     for index in manifest["failed"]:
         int(index)

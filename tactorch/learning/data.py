@@ -65,8 +65,7 @@ class SplitData(lightning.LightningDataModule):
         sizes = dict(zip(PARTS, options.shares, strict=True))
         self.parts = split_objects(objects, labels, sizes, options.split)
         shards = [shard["sha256"] for shard in manifest["shards"]]
-        content = json.dumps([shards, *settings, self.parts])
-        self.fingerprint = sha256(content.encode()).hexdigest()
+        self.fingerprint = sha256(json.dumps([shards, *settings, self.parts]).encode()).hexdigest()
 
     @abstractmethod
     def sample(self, row: int, symmetry: Symmetry = IDENTITY, deviate: float = 0.0) -> Any:

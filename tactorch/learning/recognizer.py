@@ -98,7 +98,6 @@ def _log_map(sample: SampleMaps, source: str, grid: VoxelGrid) -> Tensor:
 
 
 def _common_symmetries(samples: Sequence[SampleMaps]) -> list[Symmetry]:
-    """Return the symmetries that keep the pressed sides of every sample."""
     if any(sample.pushes is None for sample in samples):
         return [IDENTITY]
     sets = [symmetries(sample.pushes) for sample in samples if sample.pushes is not None]
@@ -120,11 +119,8 @@ class FCN(nn.Module):
         for layer in range(layers):
             channels = 1 if layer == 0 else hidden
             stride = 2 if layer < 2 else 1
-            blocks += [
-                nn.Conv3d(channels, hidden, 3, stride=stride, padding=1, bias=False),
-                nn.BatchNorm3d(hidden),
-                nn.ReLU(),
-            ]
+            convolution = nn.Conv3d(channels, hidden, 3, stride=stride, padding=1, bias=False)
+            blocks += [convolution, nn.BatchNorm3d(hidden), nn.ReLU()]
         self.hidden = nn.Sequential(*blocks)
         self.drop = nn.Dropout3d(dropout)
         self.score = nn.Conv3d(hidden, classes, 1)
@@ -175,8 +171,7 @@ class Recognizer(Network):
         self.classes = list(classes)
         self.register_buffer("mean", torch.tensor(float(mean)))
         self.register_buffer("deviation", torch.tensor(float(deviation)))
-        sizes = settings.hidden, settings.layers, settings.dropout
-        self.network = FCN(len(classes), *sizes)
+        self.network = FCN(len(classes), settings.hidden, settings.layers, settings.dropout)
 
     def forward(self, log_youngs: Float[Tensor, "b 1 x y z"]) -> Float[Tensor, "b c"]:
         """Return the logits of each class for maps of log-modulus (MPa)."""

@@ -12,6 +12,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 from zipfile import ZipFile
@@ -218,12 +219,10 @@ def fit(
     validation = data.val_dataloader()
     has_validation = validation is not None and len(validation) > 0
     last, best = folder / LAST, folder / BEST
-    checkpoints = [ModelCheckpoint(folder, last.stem, enable_version_counter=False)]
+    make_checkpoint = partial(ModelCheckpoint, folder, enable_version_counter=False)
+    checkpoints = [make_checkpoint(filename=last.stem)]
     if has_validation:
-        checkpoint = ModelCheckpoint(
-            folder, best.stem, monitor="val/loss", enable_version_counter=False
-        )
-        checkpoints.append(checkpoint)
+        checkpoints.append(make_checkpoint(filename=best.stem, monitor="val/loss"))
     if options.patience is not None:
         if not has_validation:
             raise ConfigError(

@@ -73,8 +73,7 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     at_bound = youngs < (1 + _AT_BOUND) * bounds.lower
     at_bound |= youngs > (1 - _AT_BOUND) * bounds.upper
     at_bound |= low == high  # the whole interval is beyond a bound
-    kind = type(posterior).__name__
-    summary = UncertaintySummary(metric, low, high, resolution, at_bound, kind)
+    summary = UncertaintySummary(metric, low, high, resolution, at_bound, type(posterior).__name__)
     corrected = None if point.objective.problem.data.model_deviation is None else True
     fits = _corrected_fits(recording, point)
     return RunReport(run, _find_lump(run, posterior), summary, fits, corrected=corrected)

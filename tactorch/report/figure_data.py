@@ -75,8 +75,7 @@ def figure_data(reports: Sequence[RunReport], colours: str) -> dict[str, Any]:
 def _run_data(report: RunReport) -> dict[str, Any]:
     run, inclusion, uncertainty = report.run, report.inclusion, report.uncertainty
     mesh, recording = run.result.mesh, run.recording
-    empty = dict.fromkeys(("center", "level", "interval", "inclusion", "trueInclusion"))
-    data = empty | {
+    data = dict.fromkeys(("center", "level", "interval", "inclusion", "trueInclusion")) | {
         "name": run.name,
         "points": packed(mesh.points, "float32"),
         "tets": indices(mesh.tets, mesh.n_points),

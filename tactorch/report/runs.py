@@ -124,7 +124,6 @@ def _load_recording(path: str | Path, result: Reconstruction, check_units: bool)
 
 
 def _load_log(folder: Path) -> str:
-    """Return the last lines of the latest log of a run."""
     logs = sorted(folder.glob("*.log"), key=lambda path: path.stat().st_mtime)
     if not logs:
         return ""

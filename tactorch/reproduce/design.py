@@ -73,8 +73,7 @@ COLUMNS = {"amp20": "snr20", "amp10": "snr10"}
 
 def make_plan(cell: Cell) -> PressPlan:
     """Return the presses of one cell."""
-    faces = SIDES[: cell.sides]
-    return PressPlan(faces=faces, p_max_mpa=cell.p_max_kpa * _KPA, steps=cell.frames)
+    return PressPlan(faces=SIDES[: cell.sides], p_max_mpa=cell.p_max_kpa * _KPA, steps=cell.frames)
 
 
 def simulate_cell(

@@ -203,8 +203,7 @@ def _truncated_newton(
     max_seconds = settings["tnc_patience"] * reached.seconds
     if run.seconds >= max_seconds:
         return run
-    optimizer = TNC(max_evaluations=_UNLIMITED)
-    continued = replace(paper, optimizer=optimizer, max_seconds=max_seconds)
+    continued = replace(paper, optimizer=TNC(max_evaluations=_UNLIMITED), max_seconds=max_seconds)
     return run_with_trace(recording, continued, scratch)
 
 

@@ -91,8 +91,7 @@ def invert_blindly(
     recording: Recording, settings: Settings | None = None, start: Start = START_MPA
 ) -> Reconstruction:
     """Invert a recording without its truth, from the start of the paper by default."""
-    blind = replace(recording, truth=None)
-    return invert(blind, settings, start_mpa=start, show_progress=False)
+    return invert(replace(recording, truth=None), settings, start_mpa=start, show_progress=False)
 
 
 def lower_nodes(mesh: TetMesh) -> np.ndarray:

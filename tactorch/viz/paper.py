@@ -46,8 +46,7 @@ class Panel:
         (middle,) = cut(self.mesh, even_planes(self.mesh, self.axis), _PIXELS)
         middle.draw(axes, self.values, cmap="viridis", norm=Normalize(*self.limits))
         if self.marks_mm is not None:
-            marks = self.marks_mm[:, IN_PLANE[self.axis]]
-            for number, (x, y) in enumerate(marks, start=1):
+            for number, (x, y) in enumerate(self.marks_mm[:, IN_PLANE[self.axis]], start=1):
                 axes.text(x, y, str(number), color=VERMILION, fontsize=8, ha="center", va="center")
         axes.set(xticks=[], yticks=[])
         axes.set_title(self.title, fontsize=8)
@@ -127,7 +126,6 @@ def curves_figure(
     """
     require_curves("curves_figure", panels)
     rows = -(-len(panels) // columns)
-    size = 3.6 * columns, 2.9 * rows
-    figure, grid = new_grid(*size, rows, columns, sharex=True, sharey=True)
+    figure, grid = new_grid(3.6 * columns, 2.9 * rows, rows, columns, sharex=True, sharey=True)
     draw_depth_curves(grid, panels, ylabel)
     return figure

@@ -114,7 +114,6 @@ def slice_figure(
 
 
 def _check_values(name: str, values: np.ndarray, mesh: TetMesh) -> None:
-    """Raise `TactorchError` unless there is one finite number per element."""
     count = mesh.n_tets
     if values.shape != (count,):
         raise TactorchError(
@@ -139,7 +138,6 @@ def _window(mesh: TetMesh, patches: list[ContactPatch], arrow_mm: float) -> np.n
 
 
 def _panels(size: np.ndarray, n_slices: int, n_maps: int) -> tuple[Figure, np.ndarray]:
-    """Return the figure and its grid of panels, with rows as high as their slices."""
     width = _PANEL_INCHES
     widest = max(size[across] for across, _ in IN_PLANE)
     heights = [float(width * size[up] / widest) for _, up in IN_PLANE for _ in range(n_maps)]
@@ -204,7 +202,6 @@ def _label(
 def _add_colour_bar(
     figure: Figure, panels: np.ndarray, values: np.ndarray, norm: Normalize, label: str
 ) -> None:
-    """Add a colour bar, pointed at the ends that values exceed."""
     beyond_low, beyond_high = bool(values.min() < norm.vmin), bool(values.max() > norm.vmax)
     extend = ("neither", "min", "max", "both")[beyond_low + 2 * beyond_high]
     bar = figure.colorbar(
@@ -264,8 +261,7 @@ def live_figure(
                 x, y = inclusion_mm[list(IN_PLANE[piece.axis])]
                 axes.plot([x], [y], "+", color=_CENTRE, ms=9, mew=1.4, zorder=4)
             if next_mm is not None and inward is not None:
-                arrow_mm = _LIVE_ARROW * longest
-                _draw_next_press(axes, piece, next_mm, inward, radius_mm, arrow_mm)
+                _draw_next_press(axes, piece, next_mm, inward, radius_mm, _LIVE_ARROW * longest)
             _set_window(axes, piece, window_mm)
             _label(axes, piece, label if axes is axes_row[0] else "")
     _add_colour_bar(figure, panels, youngs, norm, MODULUS_LABEL)

@@ -156,7 +156,6 @@ def sampling_figure(
 
 
 def _draw_positions(axes: Axes, centers: np.ndarray, radius_mm: float) -> None:
-    """Draw the numbered positions of presses from above."""
     for k, (x, y, _) in enumerate(centers, start=1):
         axes.plot(*_circle(x, y, radius_mm), color="tab:blue", linewidth=0.6)
         axes.text(x, y, str(k), ha="center", va="center", fontsize=8)

@@ -48,8 +48,7 @@ def collate(rows: Sequence[Row]) -> list[Tensor]:
     for out, (presses, *_) in zip(padded, rows, strict=True):
         out[: len(presses)] = presses
     mask = torch.arange(largest)[None] < counts[:, None]
-    others = [torch.stack(parts) for parts in list(zip(*rows, strict=True))[1:]]
-    return [padded, mask, *others]
+    return [padded, mask, *(torch.stack(parts) for parts in list(zip(*rows, strict=True))[1:])]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,8 +89,7 @@ class SurrogateData(SplitData):
         features = load_features(folder, cells, frames)
         objects, labels = [f.object for f in features], [f.label for f in features]
         settings = (VERSION, cells, frames, [f.index for f in features])
-        manifest = SampleSet.open(folder).manifest
-        super().__init__(options, seed, manifest, objects, labels, settings)
+        super().__init__(options, seed, SampleSet.open(folder).manifest, objects, labels, settings)
         self.features, self.cells, self.frames = features, cells, frames
 
     @property

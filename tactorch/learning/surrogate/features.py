@@ -90,8 +90,7 @@ def select_strongest(recording: Recording, frames: int) -> list[int]:
     for i, press in enumerate(recording.presses):
         for group in groups:
             first = recording.presses[group[0]]
-            cosine = float(loads[i] @ loads[group[0]])
-            parallel = cosine >= _MIN_COSINE * norms[i] * norms[group[0]]
+            parallel = loads[i] @ loads[group[0]] >= _MIN_COSINE * norms[i] * norms[group[0]]
             if parallel and np.array_equal(press.held, first.held):
                 group.append(i)
                 break

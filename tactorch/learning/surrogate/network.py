@@ -80,8 +80,7 @@ class PressUNet(nn.Module):
         deep = self.middle(self.down(wide))
         back = self.up(functional.interpolate(deep, size=wide.shape[2:], mode="nearest"))
         wide = self.second(self.join(torch.cat([wide, back], dim=1)))
-        fine = _upsample(self.refine(wide))
-        return self.last(torch.cat([fine, _upsample(shared)], dim=1))
+        return self.last(torch.cat([_upsample(self.refine(wide)), _upsample(shared)], dim=1))
 
     def _pooled(self, presses: Tensor, mask: Tensor, shared: Tensor) -> Tensor:
         indices = mask.nonzero(as_tuple=True)
@@ -202,8 +201,7 @@ class Surrogate(Network):
 
     def predict_step(self, batch: Sequence[Tensor], index: int) -> tuple[Tensor, Tensor]:
         """Return mean and deviation."""
-        mean, deviation = self(*batch[:3])
-        return mean, deviation
+        return self(*batch[:3])
 
     def _log_likelihood(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Return negative log-likelihood (up to a constant) and deviation of the voxels inside."""
