@@ -85,6 +85,7 @@ def test_the_segmentation_has_no_lump_without_contrast(benchmark: ModuleType) ->
     assert contrast == pytest.approx(0.25)
 
 
+@pytest.mark.slow
 def test_refinement_conforms_and_follows_the_surface(benchmark: ModuleType) -> None:
     import true_meshes
 
@@ -237,6 +238,7 @@ def test_recordings_are_cached(
         true_cases.make_recording(case, tmp_path)
 
 
+@pytest.mark.slow
 def test_the_check_refines_the_truth_mesh(
     tiny: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

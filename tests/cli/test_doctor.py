@@ -155,19 +155,19 @@ def test_nothing_installed_by_pip_is_no_traceback(monkeypatch: pytest.MonkeyPatc
 
 
 def test_solver_that_fails_takes_down_itself_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tactorch.linalg import multigrid
+    from tactorch.linalg.iterative import MultigridSolver
 
     def wrong(self: Any, rhs: Any) -> Any:
         return rhs
 
-    monkeypatch.setattr(multigrid.MultigridSolver, "solve", wrong)
+    monkeypatch.setattr(MultigridSolver, "solve", wrong)
     found = findings("solvers")
     assert found["multigrid"].works is False
     assert "off by" in found["multigrid"].message
     assert found["multigrid"].remedy.startswith('pip install "pyamg')
     assert found["superlu"].works is True
     assert found["any of them"].works is True
-    monkeypatch.setattr(multigrid.MultigridSolver, "factor", lambda self, values: False)
+    monkeypatch.setattr(MultigridSolver, "factor", lambda self, values: False)
     assert "indefinite" in finding("multigrid").message
 
 
