@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import os
 import sys
 import uuid
@@ -58,6 +59,19 @@ def write_file(path: str | Path, content: str | bytes) -> None:
     """Write a file, whole or not at all; text is written in UTF-8."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+def write_json(path: str | Path, values: Mapping[str, Any]) -> None:
+    """Write strict JSON, NaN as null, whole or not at all."""
+    write_file(path, json.dumps(_strict(values), indent=2, allow_nan=False) + "\n")
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _strict(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def require_file(path: str | Path, what: str) -> Path:

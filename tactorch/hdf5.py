@@ -55,9 +55,10 @@ def write_hdf5(path: str | Path, write: Callable[["h5py.File"], None]) -> None:
     write_file(path, hdf5_image(write))
 
 
-def write_attribute(group: "h5py.Group", name: str, value: str | int | float) -> None:
-    """Set an attribute, text in fixed length."""
-    group.attrs[name] = fixed_text(value) if isinstance(value, str) else value
+def write_attributes(group: "h5py.Group", **values: str | int | float) -> None:
+    """Set attributes, text in fixed length."""
+    for name, value in values.items():
+        group.attrs[name] = fixed_text(value) if isinstance(value, str) else value
 
 
 def write_array(group: "h5py.Group", name: str, array: np.ndarray) -> None:
@@ -69,7 +70,7 @@ def write_json(group: "h5py.Group", name: str, value: Any) -> None:
     """Write plain values as JSON text, with a checksum: HDF5 has none for text."""
     text = json.dumps(value)
     group[name] = fixed_text(text)
-    write_attribute(group[name], "sha256", sha256(text.encode()).hexdigest())
+    write_attributes(group[name], sha256=sha256(text.encode()).hexdigest())
 
 
 def fixed_text(text: str) -> np.ndarray:
@@ -131,6 +132,23 @@ class Hdf5Reader:
     ) -> None:
         self.root, self.source = root, source
         self._what, self._writer, self._error_class = what, writer, error
+
+    def check_format(self, name: str, version: int, remedy: str) -> int:
+        """Return the version of the file; refuse another format, and versions that are later."""
+        kind = self.attribute("/", "format", str) if "format" in self.root.attrs else None
+        if kind != name:
+            raise self.error(
+                f"has format {kind!r} where {name!r} is expected; it is HDF5, but not a "
+                f"{self._what} of tactorch: {remedy}"
+            )
+        stored: int = self.attribute("/", "version", int)
+        if stored > version:
+            raise self.error(
+                f"has version {stored}, and this tactorch reads up to {version}; upgrade tactorch"
+            )
+        if stored < 1:
+            raise self.error(f"has version {stored}, which never existed; write it again")
+        return stored
 
     def has(self, name: str) -> bool:
         """Return whether the file holds a dataset or group."""

@@ -47,7 +47,7 @@ def arrays():
 def train():
     sys.path.insert(0, sys.argv[3])
     from test_training import Blobs
-    from tactorch.learning.recognizer.network import Recognizer
+    from tactorch.learning.recognizer import Recognizer
     from tactorch.learning.training import TrainerOptions, fit
     fit(Recognizer(["a", "b"], hidden=8, layers=2), Blobs(), folder, TrainerOptions(max_epochs=2))
 

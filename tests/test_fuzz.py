@@ -20,7 +20,7 @@ from tactorch.errors import TactorchError
 from tactorch.generation import MeshSizes, PressDraw, Recipe, SampleSet, generate
 from tactorch.importers import import_published
 from tactorch.inverse import Monitor, Reconstruction
-from tactorch.learning.recognizer.network import Recognizer
+from tactorch.learning.recognizer import Recognizer
 from tactorch.learning.training import read_checkpoint
 from tactorch.mesh import box_mesh, read_mesh, read_surface, write_mesh, write_surface
 from tactorch.recording import MaterialSpec, Press, Recording, append_press

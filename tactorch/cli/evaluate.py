@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactorch.cli.console import log, log_text
-from tactorch.cli.outputs import score_table, write_json
+from tactorch.cli.outputs import score_table
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
 from tactorch.errors import FileError, RecordingError
+from tactorch.files import write_json
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 

@@ -18,18 +18,18 @@ from scipy.special import ndtri
 from torch.nn import functional
 
 from tactorch.cli.console import Table, log, log_text
-from tactorch.cli.networks import TrainOptions, check_data, read_facts
-from tactorch.cli.outputs import write_json
+from tactorch.cli.networks import TrainOptions, check_data
 from tactorch.cli.resume import saved_options
 from tactorch.cli.settings import CommandOptions, run_folder
 from tactorch.cli.train import split_folder
 from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.files import require_folder
-from tactorch.learning.recognizer.network import class_scores
+from tactorch.files import require_folder, write_json
+from tactorch.findings.recognition import load_recognizer
+from tactorch.learning.recognizer import class_scores
 from tactorch.learning.surrogate.features import SHARED_CHANNELS
 from tactorch.learning.surrogate.network import correlation, load_surrogate
-from tactorch.learning.training import BEST, load_weights
+from tactorch.learning.training import BEST
 from tactorch.viz import save_figure
 from tactorch.viz.learning import (
     confusion_figure,
@@ -55,12 +55,11 @@ class EvaluateModelOptions(CommandOptions):
 
 
 class _Split(NamedTuple):
-    """A trained network, its data module, the part to evaluate on, and facts of its training."""
+    """A trained network, its data module, and the part to evaluate on."""
 
     model: Any
     data: Any
     part: str
-    facts: dict[str, Any]
 
 
 def run(options: EvaluateModelOptions) -> dict[str, Any]:
@@ -89,21 +88,17 @@ def _load_split(
         trained, part = replace(trained, data=data), "test"
     module = trained.make_data(number)
     own = split_folder(folder, number, trained.splits)
-    facts = read_facts(own)
     if options.folder is None:
         check_data(own, module)
     if not module.parts[part]:
         raise ConfigError(f"part={part} of the run's dataset is empty; choose another.")
-    if trained.model_name == "surrogate":  # refuses weights of an older version of its input
-        return _Split(load_surrogate(own / BEST), module, part, facts)
-    model = trained.make_model(module, facts)
-    load_weights(model, own / BEST)
-    return _Split(model.eval(), module, part, facts)
+    load = load_recognizer if trained.model_name == "recognizer" else load_surrogate
+    return _Split(load(own / BEST), module, part)
 
 
 def _evaluate_recognizer(splits: Sequence[_Split], out: Path) -> dict[str, Any]:
     """Return the scores over all splits; writes confusion.png, calibration.png, examples.png."""
-    classes = splits[0].facts["classes"]
+    classes = splits[0].model.classes
     results = [_classify(split) for split in splits]
     by_split = [class_scores(probabilities, truth).accuracy for probabilities, truth, _ in results]
     probabilities, truth, maps = map(np.concatenate, zip(*results, strict=True))
@@ -143,7 +138,7 @@ def _evaluate_recognizer(splits: Sequence[_Split], out: Path) -> dict[str, Any]:
 
 def _classify(split: _Split) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the probabilities that a network predicts, the true classes, and the maps."""
-    data, classes = split.data, split.facts["classes"]
+    data, classes = split.data, split.model.classes
     unknown = set(data.classes) - set(classes)
     if unknown:
         raise ConfigError(

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactorch.cli.console import log
-from tactorch.cli.outputs import write_json
 from tactorch.cli.report import with_settings
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
 from tactorch.errors import FileError
-from tactorch.files import write_file
+from tactorch.files import write_file, write_json
 from tactorch.findings import Finding, build_finding
 from tactorch.inverse import settings_from
 from tactorch.recording import Recording

@@ -1,6 +1,5 @@
 """Results of a run: files, pictures, numbers and a summary."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from jaxtyping import Float
 from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.resume import CHECKPOINT
 from tactorch.errors import FileError
-from tactorch.files import write_file
+from tactorch.files import write_file, write_json
 from tactorch.findings import find_lump
 from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import NuisanceEstimate, Reconstruction
@@ -41,19 +40,6 @@ def score_table(
     names = list(next(iter(values.values())))
     rows = [[name, *(f"{column[name]:.4g}" for column in values.values())] for name in names]
     return values, Table(["", *values], rows)
-
-
-def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write strict JSON, NaN as null, whole or not at all."""
-    write_file(path, json.dumps(_strict(values), indent=2, allow_nan=False) + "\n")
-
-
-def _strict(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(k): _strict(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_strict(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def remove_results(out: Path, resume: Path | None) -> None:
@@ -114,10 +100,8 @@ def summarise(
         "nuisance": {name: found.plain() for name, found in reconstruction.nuisance.items()},
     }
     if recording.truth is not None:
-        summary |= scores(recording.mesh, youngs, recording.truth)
-        if recording.reference is not None:
-            reference = scores(recording.mesh, recording.reference, recording.truth)
-            summary["reference"] = reference
+        values, _ = score_table(recording, {"reconstruction": youngs})
+        summary |= values.pop("reconstruction") | values
     return summary | {"config": reconstruction.config}
 
 

@@ -1,13 +1,17 @@
 """Settings as typed, KEY=VALUE: checked against the schema before Hydra composes them."""
 
-import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactorch.cli.presets import EXPERIMENT, Entry, leaves
 from tactorch.cli.schema import Schema
-from tactorch.config.registry import NO_VALUE, missing_setting, unknown_choice
+from tactorch.config.registry import (
+    NO_VALUE,
+    missing_setting,
+    unknown_choice,
+    unknown_setting,
+)
 from tactorch.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -15,15 +19,6 @@ if TYPE_CHECKING:
 
 #: Settings of which leading words without a key are values: of the first word, and of the others.
 POSITIONAL = {"find": ("run", ""), "report": ("run", "compare"), "reproduce": ("exhibit", "")}
-#: Names of settings up to version 0.1, and their names now.
-_RENAMED = {
-    "most": "max_lumps",
-    "start_mpa": "initialization.start_mpa",
-    "press.hold": "press.support",
-    "dataset.presses.hold": "dataset.presses.support",
-    "dataset.sizes": "dataset.mesh",
-    "material.parameters": "material",
-}
 
 
 def named(command: str, words: Sequence[str]) -> list[str]:
@@ -47,7 +42,6 @@ def check_overrides(
     schema: Schema, words: Sequence[str], *, multirun: bool = False, trusted: bool = True
 ) -> list[str]:
     """Return settings as Hydra takes them; Hydra's own settings only if they are trusted."""
-    words = [_renamed(word, schema) for word in words]
     overrides = [_parse(word, schema) for word in words]
     chosen = {o.key_or_group: _values(o) for o in overrides if o.key_or_group in schema.defaults}
     for group, options in chosen.items():
@@ -83,16 +77,6 @@ def check_required(schema: Schema, words: Sequence[str]) -> None:
 def key_of(word: str) -> str:
     """Return the name of the setting in a word."""
     return word.partition("=")[0].lstrip("+~")
-
-
-def _renamed(word: str, schema: Schema) -> str:
-    """Return a word with the present name of its setting."""
-    name = word.partition("=")[0].lstrip("+")
-    for old, new in _RENAMED.items():
-        is_known = new.split(".")[0] in schema.groups or new == "max_lumps"
-        if is_known and (name == old or name.startswith(f"{old}.")):
-            return word.replace(old, new, 1)
-    return word
 
 
 def _parse(word: str, schema: Schema) -> "Override":
@@ -165,22 +149,7 @@ def _table_of(key: str, entries: Mapping[str, Entry]) -> str:
 def _unknown_setting(
     key: str, schema: Schema, entries: Mapping[str, Entry], choices: Mapping[str, str | None]
 ) -> str:
-    """Return the message for an unknown setting, with the closest name."""
-    text, group = f"unknown setting '{key}'.", key.split(".")[0]
-    if match := _nearest(key, [*entries, *schema.defaults]):
-        text += f" Did you mean '{match}'?"
-    elif group in schema.groups and "." in key:
-        inside = [n.removeprefix(f"{group}.") for n in entries if n.startswith(f"{group}.")]
-        text += f" Settings of {group}={choices.get(group)}: {', '.join(inside) or 'none'}."
-    return f"{text} See tactorch {schema.command} --help."
-
-
-def _nearest(key: str, known: Sequence[str]) -> str | None:
-    """Return the known name that a key most likely means: its group left out, or misspelt."""
-    group, _, leaf = key.rpartition(".")
-    inside = [name for name in known if group and name.startswith(f"{group}.")]
-    # The last part of a name counts: in a group all names begin alike.
-    leaf_names = {name.rpartition(".")[2]: name for name in reversed(inside or known)}
-    cutoff = 0.6 if inside else 0.75
-    matches = difflib.get_close_matches(leaf, list(leaf_names), n=1, cutoff=cutoff)
-    return leaf_names[matches[0]] if matches else None
+    group, dot, _ = key.partition(".")
+    chosen = f"{group}={choices.get(group)}" if dot and group in schema.groups else ""
+    message = unknown_setting(key, [*entries, *schema.defaults], f"{group}.", chosen)
+    return f"{message} See tactorch {schema.command} --help."

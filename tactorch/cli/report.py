@@ -16,9 +16,9 @@ from typing import Literal
 from tactorch.cli.console import log, progress
 from tactorch.cli.resume import saved_options
 from tactorch.cli.settings import CommandOptions, UnitCheck, make_start
-from tactorch.config import option
+from tactorch.config import option, to_mapping
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.inverse.settings import has_all_settings, stored_settings
+from tactorch.inverse.settings import has_all_settings
 from tactorch.report import Run, load_run, run_names, write_report
 
 
@@ -87,7 +87,7 @@ def with_settings(run: Run) -> Run:
     except TactorchError as error:
         log.warning("%s: the settings in '%s' cannot be used (%s)", run.name, path, error)
         return run
-    prior = stored_settings(settings)["regularization"]
+    prior = to_mapping(settings)["regularization"]
     if prior != run.result.config["settings"]["regularization"]:
         log.warning("%s: the surrogate predicts another map than it did for this run", run.name)
         return run

@@ -20,8 +20,7 @@ from typing import Any, get_type_hints
 
 from tactorch.cli import presets
 from tactorch.cli.presets import EXPERIMENT, Entry, conf_folder
-from tactorch.config import REGISTRIES, Options, Registry, Setting, settings_of
-from tactorch.config.options import plain_value
+from tactorch.config import REGISTRIES, Options, Registry, Setting, settings_of, to_mapping
 from tactorch.config.registry import NO_VALUE
 from tactorch.config.values import leaf_types
 from tactorch.errors import ConfigError, FileError
@@ -153,7 +152,7 @@ def describe_command(command: str) -> dict[str, Any]:
     settings: list[Entry] = []
     groups: dict[str, Any] = {}
     for setting in sorted(settings_of(options), key=lambda s: _order(s, options)):
-        if setting.constraint.section in REGISTRIES or setting.constraint.preset:
+        if setting.registry is not None or setting.preset:
             groups[setting.name] = _describe_group(setting)
         else:
             settings += _describe(setting)
@@ -179,13 +178,13 @@ def _order(setting: Setting, options: type) -> tuple[bool, int]:
 
 
 def _describe_group(setting: Setting) -> dict[str, Any]:
-    registry = REGISTRIES.get(setting.constraint.section)
-    group: dict[str, Any] = {"help": setting.constraint.help, "settings": None, "options": {}}
+    registry = setting.registry
+    group: dict[str, Any] = {"help": setting.help, "settings": None, "options": {}}
     if registry is not None:
         group["options"] = {name: _describe_component(registry, name) for name in registry}
     elif setting.nested is not None:
         group["settings"] = describe_settings(setting.nested)
-    group["default"] = setting.constraint.preset or _default(setting)
+    group["default"] = setting.preset or _default(setting)
     presets.add_presets(conf_folder() / setting.name, group)
     return group
 
@@ -206,7 +205,7 @@ def describe_settings(options: type, prefix: str = "") -> list[Entry]:
 
 
 def _describe(setting: Setting, prefix: str = "") -> list[Entry]:
-    registry = REGISTRIES.get(setting.constraint.section)
+    registry = setting.registry
     if setting.nested is not None and registry is None:
         return describe_settings(setting.nested, f"{prefix}{setting.name}.")
     types, default = leaf_types(setting.annotation), _default(setting)
@@ -216,9 +215,9 @@ def _describe(setting: Setting, prefix: str = "") -> list[Entry]:
     entry = {
         "name": f"{prefix}{setting.name}",
         "default": {"name": default} if is_component else default,
-        "help": setting.constraint.help,
-        "unit": setting.constraint.unit,
-        "range": setting.constraint.describe(),
+        "help": setting.help,
+        "unit": setting.unit,
+        "range": setting.range,
         "expectation": setting.expectation if registry is None else " or ".join(names),
         "choices": [text_of(name) for name in names],
         "is_path": Path in types,
@@ -229,10 +228,9 @@ def _describe(setting: Setting, prefix: str = "") -> list[Entry]:
 
 def _default(setting: Setting) -> Any:
     """Return the default as a plain value: a component by its name, "???" where there is none."""
-    registry, default = REGISTRIES.get(setting.constraint.section), setting.default
-    if registry is not None and isinstance(default, Options):
-        return registry.name_of(type(default))
-    return NO_VALUE if setting.required else plain_value(default)
+    if setting.registry is not None and isinstance(setting.default, Options):
+        return setting.registry.name_of(type(setting.default))
+    return NO_VALUE if setting.required else to_mapping(setting.default)
 
 
 def text_of(value: Any) -> str:

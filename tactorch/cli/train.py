@@ -15,14 +15,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import lightning
 import numpy as np
 
 from tactorch.cli.console import Table, log, log_text, progress
 from tactorch.cli.networks import DATA_FILE, REMEDY, TrainOptions, check_data
-from tactorch.cli.outputs import write_json
 from tactorch.cli.settings import run_folder
 from tactorch.config import to_mapping
-from tactorch.files import read_json
+from tactorch.errors import ConfigError
+from tactorch.files import read_json, write_json
 from tactorch.learning.training import EpochProgress, fit
 
 # State of an earlier run in the same folder.
@@ -40,7 +41,6 @@ def run(options: TrainOptions) -> dict[str, Any]:
     if options.resume is None:
         for path in [path for pattern in _STATE for path in out.glob(pattern)]:
             path.unlink()
-    options.data_use()  # data that the network cannot use are reported at once
     rows = []
     for number in range(splits):
         rows.append(_train_split(options, number, split_folder(out, number, splits)))
@@ -77,11 +77,13 @@ def _train_split(options: TrainOptions, number: int, folder: Path) -> dict[str, 
     data = options.make_data(number)
     if options.resume is not None:
         check_data(folder, data)
-    facts = {name: getattr(data, name) for name in options.data_use().facts}
-    write_json(folder / DATA_FILE, {"fingerprint": data.fingerprint, **facts})
+    if not data.parts["train"]:
+        raise ConfigError("data.shares: no object to train on; give the first part a share.")
+    write_json(folder / DATA_FILE, {"fingerprint": data.fingerprint})
     label = f"split {number + 1}" if options.splits > 1 else "training"
     trainer = replace(options.trainer, seed=options.seed)
     with progress(label, "epochs") as update:
-        scores = fit(options.make_model(data), data, folder, trainer, [EpochProgress(update)])
+        lightning.seed_everything(options.seed, verbose=False)
+        scores = fit(options.model(data), data, folder, trainer, [EpochProgress(update)])
     write_json(done, {"settings": settings, "scores": scores})
     return scores

@@ -3,11 +3,9 @@
 - `Options`, `option`: a dataclass of settings and its fields.
 - `settings_of`: the settings of a class, for help, completion and documentation.
 - `Registry`: named components of one kind, built in or from installed packages.
-- `options_from_arguments`: settings that are the arguments of a function.
 - `to_mapping`: settings as a table of values; `Options.from_mapping` reads it.
 """
 
-from tactorch.config.arguments import options_from_arguments
 from tactorch.config.options import Options, Setting, option, settings_of, to_mapping
 from tactorch.config.registry import REGISTRIES, Registry
 
@@ -17,7 +15,6 @@ __all__ = [
     "Registry",
     "Setting",
     "option",
-    "options_from_arguments",
     "settings_of",
     "to_mapping",
 ]

@@ -12,60 +12,25 @@ error messages read the same fields (`settings_of`).
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cache
+from hashlib import sha256
+from types import FunctionType
 from typing import Any, ClassVar, get_args, get_type_hints
 
-from tactorch.config.registry import NO_VALUE, REGISTRIES, missing_setting, unknown_setting
+from tactorch.config.registry import (
+    NO_VALUE,
+    REGISTRIES,
+    Registry,
+    missing_setting,
+    unknown_setting,
+)
 from tactorch.config.values import INVALID, choices_of, convert, describe
 from tactorch.errors import ConfigError
 
 _KEY = "option"
 #: Factor from another unit, in which a number may be given by mistake, by unit of a setting.
 _OTHER_UNITS = {"mm": {"metres": 1e3}, "MPa": {"kPa": 1e-3, "Pa": 1e-6}}
-
-
-@dataclass(frozen=True)
-class Constraint:
-    """Range, unit and help of a setting: the arguments of `option`."""
-
-    help: str
-    unit: str
-    gt: float | None
-    ge: float | None
-    lt: float | None
-    le: float | None
-    section: str
-    preset: str
-
-    def holds(self, value: Any) -> bool:
-        """Return whether all numbers in a value are within the range."""
-        return all(
-            (self.gt is None or number > self.gt)
-            and (self.ge is None or number >= self.ge)
-            and (self.lt is None or number < self.lt)
-            and (self.le is None or number <= self.le)
-            for number in _numbers(value)
-        )
-
-    def unit_hint(self, value: Any) -> str:
-        """Return a question about the unit of a value out of range; empty if there is none."""
-        for unit, factor in _OTHER_UNITS.get(self.unit, {}).items():
-            converted = [factor * number for number in _numbers(value)]
-            if self.holds(converted):
-                shown = ", ".join(f"{number:g}" for number in converted)
-                return f" Is it in {unit}? Then give {shown}."
-        return ""
-
-    def describe(self) -> str:
-        """Return the range in words, such as "above 0, up to 1"; empty where there is none."""
-        if self.gt is None and self.ge is not None and self.le is not None:
-            return f"{self.ge:g} to {self.le:g}"
-        low = f"at least {self.ge:g}" if self.ge is not None else ""
-        low = f"above {self.gt:g}" if self.gt is not None else low
-        high = f"below {self.lt:g}" if self.lt is not None else ""
-        high = f"up to {self.le:g}" if self.le is not None else high
-        return ", ".join(part for part in (low, high) if part)
 
 
 def option(
@@ -80,6 +45,7 @@ def option(
     le: float | None = None,
     section: str = "",
     preset: str = "",
+    nonempty: bool = False,
 ) -> Any:
     """Declare a setting as a field of an `Options` dataclass.
 
@@ -95,11 +61,12 @@ def option(
         section: Registry that the value is chosen from by name.
         preset: Name of the preset in `conf/` that holds the defaults, for nested settings that the
             command line offers as a group of presets.
+        nonempty: Whether a list needs at least one item.
 
     Returns:
         A dataclass field.
     """
-    metadata = {_KEY: Constraint(help, unit, gt, ge, lt, le, section, preset)}
+    metadata = {_KEY: Setting(help, unit, gt, ge, lt, le, section, preset, nonempty, default)}
     if factory is not None:
         return field(default_factory=factory, metadata=metadata)
     return field(default=default, metadata=metadata)
@@ -113,18 +80,32 @@ class Setting:
         name: Name of the field.
         annotation: Type.
         default: Default value; `dataclasses.MISSING` where the setting is required.
-        constraint: Range, unit and help.
+
+    The other attributes are the arguments of `option`.
     """
 
-    name: str
-    annotation: Any
+    help: str
+    unit: str
+    gt: float | None
+    ge: float | None
+    lt: float | None
+    le: float | None
+    section: str
+    preset: str
+    nonempty: bool
     default: Any
-    constraint: Constraint
+    name: str = ""
+    annotation: Any = None
 
     @property
     def required(self) -> bool:
         """Whether there is no default."""
         return self.default is MISSING
+
+    @property
+    def registry(self) -> Registry | None:
+        """Components that the value is chosen from; None for other values."""
+        return REGISTRIES.get(self.section)
 
     @property
     def nested(self) -> "type[Options] | None":
@@ -139,12 +120,24 @@ class Setting:
         return choices_of(self.annotation)
 
     @property
+    def range(self) -> str:
+        """Range in words, such as "above 0, up to 1"; empty where there is none."""
+        if self.gt is None and self.ge is not None and self.le is not None:
+            return f"{self.ge:g} to {self.le:g}"
+        low = f"at least {self.ge:g}" if self.ge is not None else ""
+        low = f"above {self.gt:g}" if self.gt is not None else low
+        high = f"below {self.lt:g}" if self.lt is not None else ""
+        high = f"up to {self.le:g}" if self.le is not None else high
+        return ", ".join(part for part in (low, high) if part)
+
+    @property
     def expectation(self) -> str:
         """Description of valid values, such as "a number above 0, or null"."""
-        kind, limits = describe(self.annotation), self.constraint.describe()
+        kind, limits = describe(self.annotation), self.range
         separator = " " if limits.startswith(("above", "below")) else ", "
         or_null = ", or null" if convert(None, self.annotation) is None else ""
-        return f"{kind}{separator if limits else ''}{limits}{or_null}"
+        items = ", not empty" if self.nonempty else ""
+        return f"{kind}{separator if limits else ''}{limits}{items}{or_null}"
 
     def check(self, value: Any, prefix: str = "") -> Any:
         """Return the value converted to the setting's type.
@@ -153,20 +146,40 @@ class Setting:
         name the setting `prefix.name`.
         """
         name = f"{prefix}.{self.name}" if prefix else self.name
-        if self.constraint.section in REGISTRIES:
-            value = REGISTRIES[self.constraint.section].build(value, name)
+        if self.registry is not None:
+            value = self.registry.build(value, name)
         elif self.nested is not None and isinstance(value, Mapping):
             value = self.nested.from_mapping(value, name)
         converted = convert(value, self.annotation)
-        if converted is not INVALID and self.constraint.holds(converted):
+        is_missing = self.nonempty and converted == ()
+        if converted is not INVALID and not is_missing and self._in_range(converted):
             return converted
         text = repr(value)
         text = text if len(text) <= 60 else f"{text[:57]}..."
         if self.nested is not None:
             raise ConfigError(f"{name}={text}: several settings; give {name}.KEY=VALUE.")
         hint = " Put it in quotes." if self.annotation is str else ""
-        hint = hint if converted is INVALID else self.constraint.unit_hint(converted)
+        hint = hint if converted is INVALID else self._unit_hint(converted)
         raise ConfigError(f"{name}={text}: give {self.expectation}.{hint}")
+
+    def _in_range(self, value: Any) -> bool:
+        """Return whether all numbers in a value are within the range."""
+        return all(
+            (self.gt is None or number > self.gt)
+            and (self.ge is None or number >= self.ge)
+            and (self.lt is None or number < self.lt)
+            and (self.le is None or number <= self.le)
+            for number in _numbers(value)
+        )
+
+    def _unit_hint(self, value: Any) -> str:
+        """Return a question about the unit of a value out of range; empty if there is none."""
+        for unit, factor in _OTHER_UNITS.get(self.unit, {}).items():
+            converted = [factor * number for number in _numbers(value)]
+            if self._in_range(converted):
+                shown = ", ".join(f"{number:g}" for number in converted)
+                return f" Is it in {unit}? Then give {shown}."
+        return ""
 
 
 class Options:
@@ -202,7 +215,11 @@ class Options:
         prefix = f"{section}." if section else ""
         for name in values:
             if name not in settings:
-                raise ConfigError(unknown_setting(f"{prefix}{name}", settings, chosen or section))
+                known, chosen = (
+                    [f"{prefix}{s}" for s in settings],
+                    chosen or section or "this group",
+                )
+                raise ConfigError(unknown_setting(f"{prefix}{name}", known, prefix, chosen))
         for setting in settings.values():
             if setting.required and setting.name not in values:
                 raise ConfigError(missing_setting(f"{prefix}{setting.name}", setting.expectation))
@@ -223,31 +240,33 @@ def _settings(options: Any) -> tuple[Setting, ...]:
     for f in fields(options):
         if _KEY in f.metadata:
             default = f.default if f.default_factory is MISSING else f.default_factory()
-            settings.append(Setting(f.name, hints[f.name], default, f.metadata[_KEY]))
+            known = {"name": f.name, "annotation": hints[f.name], "default": default}
+            settings.append(replace(f.metadata[_KEY], **known))
     return tuple(settings)
 
 
-def to_mapping(options: Any) -> dict[str, Any]:
-    """Return settings as a table of plain values, the reverse of `Options.from_mapping`."""
-    values = {}
-    for setting in settings_of(type(options)):
-        value = getattr(options, setting.name)
-        registry = REGISTRIES.get(setting.constraint.section)
-        plain = plain_value(value)
-        if registry is not None and isinstance(value, Options):
-            plain = {"name": registry.name_of(type(value)), **plain}
-        values[setting.name] = plain
-    return values
+def to_mapping(value: Any, section: str = "") -> Any:
+    """Return settings as a table of plain values, the reverse of `Options.from_mapping`.
 
-
-def plain_value(value: Any) -> Any:
-    """Return a value as lists, tables, text, numbers, booleans or None."""
+    Values that are not plain are described, arrays by their checksum. `section` is the one of the
+    registry that the value is chosen from, if any.
+    """
     if isinstance(value, Options):
-        return to_mapping(value)
-    if isinstance(value, tuple | list):
-        return [plain_value(item) for item in value]
-    if isinstance(value, dict):
-        return {key: plain_value(item) for key, item in value.items()}
+        registry = REGISTRIES.get(section)
+        name = {} if registry is None else {"name": registry.name_of(type(value))}
+        settings = settings_of(type(value))
+        return name | {s.name: to_mapping(getattr(value, s.name), s.section) for s in settings}
+    if isinstance(value, dict):  # such as the parts of a prior
+        return {key: to_mapping(item, section) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_mapping(item) for item in value]
+    if isinstance(value, type | FunctionType):
+        return f"{value.__module__}.{value.__qualname__}"
+    if is_dataclass(value):
+        return {f.name: to_mapping(getattr(value, f.name)) for f in fields(value)}
+    if getattr(value, "shape", ()):  # of an array
+        digest = sha256(value.tobytes()).hexdigest()[:16]
+        return f"{value.dtype} array {list(value.shape)}, sha256 {digest}..."
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 

@@ -129,15 +129,21 @@ def unknown_choice(section: str, name: str, names: Iterable[str]) -> str:
     return f"{section}={name} is unknown; choose one of {', '.join(names)}.{hint}"
 
 
-def unknown_setting(name: str, known: Iterable[str], chosen: str = "") -> str:
-    """Return the message for a setting that does not exist, with the closest name."""
-    known, leaf = tuple(known), str(name).rpartition(".")[2]
-    prefix = name.removesuffix(leaf)
-    match = difflib.get_close_matches(leaf, known, n=1)
+def unknown_setting(name: str, known: Iterable[str], prefix: str = "", chosen: str = "") -> str:
+    """Return the message for a setting that does not exist, with the name that is likely meant.
+
+    `known` are full names. Without a similar one, those that begin with `prefix` are listed as the
+    settings of what is `chosen`, if anything is.
+    """
+    known, (group, dot, leaf) = tuple(known), name.rpartition(".")
+    inside = [other for other in known if dot and other.startswith(f"{group}.")]
+    # The last part of a name counts: in a group all names begin alike.
+    leaf_names = {other.rpartition(".")[2]: other for other in reversed(inside or known)}
+    match = difflib.get_close_matches(leaf, leaf_names, n=1, cutoff=0.6 if inside else 0.75)
     if match:
-        return f"unknown setting '{name}'. Did you mean '{prefix}{match[0]}'?"
-    listed = ", ".join(known) or "none"
-    return f"unknown setting '{name}'. Settings of {chosen or 'this group'}: {listed}."
+        return f"unknown setting '{name}'. Did you mean '{leaf_names[match[0]]}'?"
+    listed = ", ".join(k.removeprefix(prefix) for k in known if k.startswith(prefix)) or "none"
+    return f"unknown setting '{name}'." + (f" Settings of {chosen}: {listed}." if chosen else "")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

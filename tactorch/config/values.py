@@ -151,6 +151,8 @@ def _plural(annotation: Any) -> str:
         count = len(arguments)
         lists = f"lists of {_COUNTS.get(count, count)} {_plural(arguments[0])}"
         return "points" if arguments == (float, float, float) else lists
+    if origin is Literal:
+        return describe(annotation)
     if origin in (Union, types.UnionType):
         return _join([_plural(a) for a in arguments if a is not types.NoneType])
     return _PLURALS.get(annotation, "values")

@@ -106,11 +106,8 @@ class Lump:
     def plain(self) -> dict[str, Any]:
         """Return plain values: mm, MPa, mm^3."""
         inclusion, depth, confidence = self.inclusion, self.depth, self.confidence
-        values: dict[str, Any] = {
-            **inclusion.plain(),
-            "contrast": float(inclusion.contrast),
-            "size_mm": self.size_mm.tolist(),
-        }
+        values = inclusion.plain()
+        values |= {"contrast": float(inclusion.contrast), "size_mm": self.size_mm.tolist()}
         if depth is not None:
             values |= {
                 "depth_mm": depth.center_mm,

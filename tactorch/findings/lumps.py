@@ -79,7 +79,6 @@ def find_lump(mesh: TetMesh, youngs: Field) -> Inclusion | None:
 
 
 def _segment(mesh: TetMesh, youngs: Field, side: Side) -> Mask:
-    """Return the elements beyond the threshold on one side."""
     sign = 1.0 if side == "stiff" else -1.0
     values, volumes = sign * np.log(youngs), mesh.volumes
     background = weighted_median(values, volumes)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from tactorch.learning.recognizer.network import Recognizer
+from tactorch.learning.recognizer import Recognizer
 from tactorch.learning.training import BEST, load_network
 from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.metrics.segment import check_field

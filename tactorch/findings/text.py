@@ -40,8 +40,7 @@ def lump_facts(lump: Lump) -> list[Fact]:
     point, diameter = _point(inclusion.center_mm), 2 * inclusion.equivalent_radius_mm
     location = Fact("Location", point)
     if depth is not None:
-        note = f"below {depth.surface}; at {point}"
-        location = Fact("Depth", f"{depth.center_mm:.1f} mm", note)
+        location = Fact("Depth", f"{depth.center_mm:.1f} mm", f"below {depth.surface}; at {point}")
     volume = f"diameter of a ball of its volume, {inclusion.volume_mm3:.3g} mm³"
     background = f"mean; {format_modulus(inclusion.background_mpa)} in its surroundings"
     return [

@@ -25,8 +25,7 @@ def write_card(samples: SampleSet) -> Path:
 
 def card_samples(samples: SampleSet) -> list[Sample]:
     """Return the samples of the card's statistics, evenly spread over the dataset."""
-    count = min(len(samples), _MAX_CARD_SAMPLES)
-    places = np.linspace(0, len(samples) - 1, count).astype(int)
+    places = np.linspace(0, len(samples) - 1, min(len(samples), _MAX_CARD_SAMPLES)).astype(int)
     return [samples[samples.indices[place]] for place in places]
 
 
@@ -95,7 +94,6 @@ def _statistics(selected: Sequence[Sample]) -> list[str]:
 
 
 def _second_map(recipe: dict[str, Any]) -> str:
-    """Return the end of a sentence: the second map of a sample."""
     if recipe["inversion"] == LINEAR:
         return ", and its linear image from the presses, a stand-in for a reconstruction."
     return ", and a reconstruction from the presses alone." if recipe["inversion"] else "."

@@ -12,7 +12,7 @@ from threading import Lock
 from typing import Any
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import checksum, read_json, write_file
+from tactorch.files import checksum, read_json, write_file, write_json
 from tactorch.generation.layout import (
     MANIFEST,
     MANIFEST_FORMAT,
@@ -105,8 +105,6 @@ def generate(
 
 @dataclass(frozen=True)
 class _Dataset:
-    """Folder of a dataset that is being generated."""
-
     folder: Path
     recipe: Recipe
 
@@ -117,7 +115,6 @@ class _Dataset:
 
     @cached_property
     def shards(self) -> list[Path]:
-        """Paths of all shards."""
         return [self.folder / shard_name(shard) for shard in range(self.recipe.shards)]
 
     def prepare(self) -> None:
@@ -129,7 +126,7 @@ class _Dataset:
                 raise ConfigError(
                     f"'{self.folder}' holds shards without a {RECIPE}; choose another folder."
                 )
-            _write_json(stored, config)
+            write_json(stored, config)
         self.partial.mkdir(exist_ok=True)
         for stray in [*self.folder.glob(".*.part.*"), *self.partial.glob(".*.part.*")]:
             stray.unlink()  # of a killed run
@@ -153,7 +150,6 @@ class _Dataset:
         return self.partial / f"{name}.h5", self.partial / f"{name}{_FAILED}"
 
     def is_done(self, index: int) -> bool:
-        """Whether a sample was made or failed."""
         files = (self.shards[index // self.recipe.shard], *self._sample_files(index))
         return any(path.is_file() for path in files)
 
@@ -162,7 +158,7 @@ class _Dataset:
         path, failure = self._sample_files(index)
         if content is None:
             _log.warning("sample %d failed: %s", index, reason)
-            _write_json(failure, {"index": index, "reason": reason})
+            write_json(failure, {"index": index, "reason": reason})
             return
         write_file(path, content)
 
@@ -181,7 +177,6 @@ class _Dataset:
                 path.unlink(missing_ok=True)
 
     def failures(self) -> dict[int, str]:
-        """Return the reason of each failed sample."""
         failures = {int(p.name[:6]): _reason(p) for p in self.partial.glob(f"*{_FAILED}")}
         for path in self.shards:
             failures |= read_failures(path) if path.is_file() else {}
@@ -209,7 +204,7 @@ class _Dataset:
             "recipe": json.loads(json.dumps(self.recipe.to_config())),
             "versions": versions(),
         }
-        _write_json(self.folder / MANIFEST, {**manifest, "sha256": manifest_checksum(manifest)})
+        write_json(self.folder / MANIFEST, {**manifest, "sha256": manifest_checksum(manifest)})
         if not any(self.partial.iterdir()):
             self.partial.rmdir()
 
@@ -249,10 +244,6 @@ def _locked(folder: Path) -> Iterator[None]:
 def _reason(path: Path) -> str:
     remedy = "delete it and run the same `tactorch generate` again."
     return str(read_json(path, "record of a failed sample", remedy, "reason")["reason"])
-
-
-def _write_json(path: Path, content: Any) -> None:
-    write_file(path, json.dumps(content, indent=2) + "\n")
 
 
 def _make(recipe: Recipe, index: int) -> tuple[int, bytes | None, str]:

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 from tactorch.errors import FileError
 from tactorch.generation.sample import Sample
-from tactorch.hdf5 import hdf5_image, write_array, write_attribute, write_hdf5
+from tactorch.hdf5 import hdf5_image, write_array, write_attributes, write_hdf5
 from tactorch.recording.storage import write_recording
 
 if TYPE_CHECKING:
@@ -58,12 +58,9 @@ def to_bytes(sample: Sample) -> bytes:
 
     def write(file: "h5py.File") -> None:
         write_recording(file, vars(sample.recording))
-        write_attribute(file, "mesh_hash", sample.recording.mesh.content_hash())
-        write_attribute(file, "index", sample.index)
-        write_attribute(file, "object", sample.object)
-        write_attribute(file, "label", sample.label)
-        write_attribute(file, "facts", json.dumps(sample.facts))
-        write_attribute(file, "figures", json.dumps(sample.figures))
+        texts = {"facts": json.dumps(sample.facts), "figures": json.dumps(sample.figures)}
+        texts |= {"label": sample.label, "mesh_hash": sample.recording.mesh.content_hash()}
+        write_attributes(file, index=sample.index, object=sample.object, **texts)
         if sample.reconstruction is not None:
             write_array(file, "reconstruction", sample.reconstruction)
 
@@ -75,10 +72,8 @@ def write_shard(path: Path, parts: Mapping[int, bytes], failed: Mapping[int, str
     import h5py
 
     def write(shard: "h5py.File") -> None:
-        write_attribute(shard, "format", FORMAT)
-        write_attribute(shard, "version", VERSION)
         reasons = {str(index): failed[index] for index in sorted(failed)}
-        write_attribute(shard, "failed", json.dumps(reasons))
+        write_attributes(shard, format=FORMAT, version=VERSION, failed=json.dumps(reasons))
         shard.create_group("samples")
         shard.create_group("meshes")
         for index in sorted(parts):

@@ -12,11 +12,10 @@ from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, make_material
 from tactorch.inverse import Settings
-from tactorch.inverse.settings import stored_settings
 from tactorch.mesh import TetMesh
+from tactorch.mesh.tetmesh import FaceName
 from tactorch.phantoms import Phantom, RandomPhantom
-from tactorch.phantoms.families import FAMILIES, check_ranges
-from tactorch.plain import plain
+from tactorch.phantoms.families import check_ranges
 from tactorch.recording import MaterialSpec
 from tactorch.simulation import PressPlan
 
@@ -33,14 +32,16 @@ class PressDraw(Options):
     """
 
     section: ClassVar[str] = "dataset.presses"
-    faces: tuple[tuple[str, ...], ...] = option(
-        (("z+", "x+", "y+"),), "Sets of pressed faces, one of which is drawn"
+    faces: tuple[tuple[FaceName, ...], ...] = option(
+        (("z+", "x+", "y+"),), "Sets of pressed faces, one of which is drawn", nonempty=True
     )
     p_max_mpa: Range = option((0.02, 0.02), "Range of the highest pressure", unit="MPa", gt=0)
     load: Range | None = option(
         None, "Range of the highest pressure over the median modulus, in place of p_max_mpa", gt=0
     )
-    steps: tuple[int, ...] = option((4,), "Numbers of load steps, one of which is drawn", ge=1)
+    steps: tuple[int, ...] = option(
+        (4,), "Numbers of load steps, one of which is drawn", ge=1, nonempty=True
+    )
     patch_radius_mm: Range | None = option(
         None, "Range of the radius of pressed patches; null: whole faces", unit="mm", gt=0
     )
@@ -55,8 +56,6 @@ class PressDraw(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.faces or not self.steps:
-            raise ConfigError("dataset.presses: faces and steps need at least one choice each.")
         check_ranges(self, "p_max_mpa", "load", "patch_radius_mm", "patches")
         for faces, steps in product(self.faces, self.steps):  # refuse plans that cannot be made
             self._plan(p_max_mpa=self.p_max_mpa[0], steps=steps, faces=faces)
@@ -163,8 +162,7 @@ class Recipe(Options):
         if self.poisson is None:
             return self.material
         rng = np.random.default_rng([self.seed, 2, index // self.views])
-        low, high = map(float, self.poisson)
-        return replace(self.material, poisson=float(rng.uniform(low, high)))
+        return replace(self.material, poisson=float(rng.uniform(*self.poisson)))
 
     @property
     def shards(self) -> int:
@@ -177,9 +175,5 @@ class Recipe(Options):
 
     def to_config(self) -> dict[str, Any]:
         """Return all that determines the samples as plain values, to compare recipes by."""
-        config = plain(self)
-        assert isinstance(config, dict)
-        config["family"] = {"name": FAMILIES.name_of(type(self.family)), **to_mapping(self.family)}
-        if isinstance(self.inversion, Settings):
-            config["inversion"] = stored_settings(self.inversion)
-        return config
+        names = ("material", "element", "inversion")  # which a dataset's settings do not have
+        return to_mapping(self) | {name: to_mapping(getattr(self, name)) for name in names}

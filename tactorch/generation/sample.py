@@ -57,9 +57,7 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
     """
     drawn = recipe.drawn(index)
     rng = np.random.default_rng([recipe.seed, 1, index])
-    snr_db = None
-    if recipe.snr_db is not None:
-        snr_db = float(rng.uniform(float(recipe.snr_db[0]), float(recipe.snr_db[1])))
+    snr_db = None if recipe.snr_db is None else float(rng.uniform(*recipe.snr_db))
     mesh, fine = recipe.mesh.meshes(drawn.phantom)
     median = float(np.median(drawn.phantom.on_mesh(mesh, samples=recipe.samples)))
     recording = simulate(

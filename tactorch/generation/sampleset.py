@@ -6,12 +6,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import FileError, RecordingError
+from tactorch.errors import FileError, RecordingError, TactorchError
 from tactorch.files import checksum, read_json, require_file, require_folder
 from tactorch.generation.layout import (
     FORMAT,
@@ -27,10 +27,6 @@ from tactorch.hdf5 import Hdf5Reader
 from tactorch.mesh import TetMesh
 from tactorch.recording import Recording
 from tactorch.recording.storage import RecordingReader
-
-if TYPE_CHECKING:
-    import h5py
-
 
 _MAX_OPEN = 64  # shards
 _MAX_SAMPLES = 10**8
@@ -72,7 +68,7 @@ class SampleSet:
     folder: Path
     manifest: dict[str, Any]
     indices: tuple[int, ...]
-    _files: dict[str, "h5py.File"] = field(default_factory=dict, repr=False)
+    _shards: dict[str, Hdf5Reader] = field(default_factory=dict, repr=False)
     _meshes: dict[str, TetMesh] = field(default_factory=dict, repr=False)
     # Size and time of change of the shards whose checksum was compared.
     _verified: dict[str, tuple[int, int]] = field(default_factory=dict, repr=False)
@@ -156,9 +152,8 @@ class SampleSet:
         reason = self.manifest["failed"].get(str(index))
         if reason is not None:
             raise FileError(f"sample {index} of '{self.folder}' failed: {reason}")
-        file, path, name = self._file(shard), self.folder / shard["file"], sample_name(index)
+        samples, path, name = self._open(shard), self.folder / shard["file"], sample_name(index)
         try:
-            samples = Hdf5Reader(file, path, "shard", "tactorch generate")
             group = samples.group(f"samples/{name}")
             source = f"{path}, {group.name}"
             key = RecordingReader(group, source).attribute("/", "mesh_hash", str)
@@ -181,17 +176,17 @@ class SampleSet:
             self._verified[path.name] = state
         return path
 
-    def _file(self, shard: dict[str, Any]) -> "h5py.File":
+    def _open(self, shard: dict[str, Any]) -> Hdf5Reader:
         path = self._verified_path(shard)
-        if path.name not in self._files:
-            if len(self._files) >= _MAX_OPEN:
-                self._files.pop(next(iter(self._files))).close()
-            self._files[path.name] = _open_shard(path)
-        return self._files[path.name]
+        if path.name not in self._shards:
+            if len(self._shards) >= _MAX_OPEN:
+                self._shards.pop(next(iter(self._shards))).root.file.close()
+            self._shards[path.name] = _open_shard(path)
+        return self._shards[path.name]
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out open files: each worker process opens its files itself."""
-        return {**self.__dict__, "_files": {}}
+        return {**self.__dict__, "_shards": {}}
 
 
 def _reconstruction(reader: RecordingReader) -> Float[np.ndarray, " m"] | None:
@@ -199,32 +194,25 @@ def _reconstruction(reader: RecordingReader) -> Float[np.ndarray, " m"] | None:
     return reader.array(name, "f", (reader.mesh().n_tets,)) if reader.has(name) else None
 
 
-def _open_shard(path: Path) -> "h5py.File":
+def _open_shard(path: Path) -> Hdf5Reader:
     import h5py
 
     try:
-        file = h5py.File(path, "r")
-        reader = Hdf5Reader(file, path, "shard", "tactorch generate")
-        kind = reader.attribute("/", "format", str)
-        version = reader.attribute("/", "version", int)
+        reader = Hdf5Reader(h5py.File(path, "r"), path, "shard", "tactorch generate")
+        reader.check_format(FORMAT, VERSION, "generate it again")
+    except TactorchError:
+        raise
     # What h5py raises on a damaged file has no common base.
     except Exception as error:
         raise damaged(path, error) from error
-    if kind != FORMAT:
-        raise FileError(f"'{path}' is no shard of a dataset but {kind!r}; generate it again.")
-    if version > VERSION:
-        raise FileError(
-            f"shard '{path}' has version {version}, and this tactorch reads up to {VERSION};"
-            " upgrade tactorch."
-        )
-    return file
+    return reader
 
 
 def read_failures(path: Path) -> dict[int, str]:
     """Return the reason for each sample that a shard lacks, by number."""
-    with _open_shard(path) as file:
+    reader = _open_shard(path)
+    with reader.root.file:
         try:
-            reader = Hdf5Reader(file, path, "shard", "tactorch generate")
             reasons = reader.parse_json("failed", reader.attribute("/", "failed", str))
             return {int(index): str(reason) for index, reason in reasons.items()}
         except Exception as error:
@@ -258,7 +246,6 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _check_manifest(manifest: dict[str, Any]) -> None:
-    """Raise an error if a part is missing or of another type."""
     manifest["recipe"].items()
     for index in manifest["failed"]:
         int(index)

@@ -23,12 +23,14 @@ import math
 import re
 import warnings
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.config import Options, option
 from tactorch.errors import FileError, RecordingError
 from tactorch.files import require_file, require_folder
 from tactorch.mesh import TetMesh, read_mesh
@@ -50,28 +52,68 @@ _OPT_OUT = "If the numbers are right, pass check_units=False."
 _LEVEL_TOLERANCE = 1e-3
 
 
-def import_published(
-    folder: str | Path,
-    *,
-    poisson: float = 0.49,
-    lame_factor: float = 0.5,
-    round_rest_m: float | None = 1e-6,
-    relabel_truth: Mapping[float, float] | None = None,
-    noise_mm: float | None = None,
-    check_units: bool = True,
-) -> Recording:
+@dataclass(frozen=True, kw_only=True)
+class PublishedOptions(Options):
+    """Read a case in the published text format (see the module's docstring)."""
+
+    section: ClassVar[str] = "format"
+    poisson: float = option(0.49, "Poisson's ratio of the material")
+    lame_factor: float = option(
+        0.5, "Factor on Lame's first parameter; the published presses have 0.5"
+    )
+    round_rest_m: float | None = option(
+        1e-6,
+        "Round rest positions to multiples of this, m; None leaves them. Without it the published"
+        " cases have a constant pre-stress in every press",
+        gt=0,
+    )
+    relabel_truth: Mapping[float, float] | None = option(
+        None,
+        "Moduli of the truth to correct, from given to right value, MPa. The published box-torus"
+        " needs `{3.0: 1.5}`",
+    )
+    noise_mm: float | None = option(
+        None, "Standard deviation of the noise of the positions, mm, if known"
+    )
+    check_units: bool = option(
+        True, "Refuse magnitudes that suggest a wrong unit, as `Recording` does"
+    )
+
+    def __call__(self, *, folder: str | Path) -> Recording:
+        """Read the case in a folder; see `import_published`."""
+        root = require_folder(folder, "published case")
+        mesh = _read_rest(root / "mesh.msh", self.round_rest_m, self.check_units)
+        numbers = _press_files(require_folder(root / "presses", "presses of the published case"))
+        presses = [_read_press(n, files, mesh, self.noise_mm) for n, files in numbers.items()]
+        truth_file = root / "youngs_true.txt"
+        reference_file = root / "youngs_reference_result.txt"
+        truth = _read_moduli(truth_file, "true moduli", mesh, self.check_units)
+        relabel = self.relabel_truth or {}
+        provenance = {
+            "importer": "published",
+            "inverse_crime": True,  # the authors solved the presses on this very mesh
+            "case": root.resolve().name,
+            "presses": list(numbers),
+            "round_rest_m": self.round_rest_m,
+            "relabel_truth": [[old, new] for old, new in relabel.items()],
+        }
+        return Recording(
+            mesh,
+            tuple(_with_steps(presses)),
+            MaterialSpec("neo_hookean", self.poisson, {"lame_factor": self.lame_factor}),
+            truth=_relabelled(truth, relabel, truth_file),
+            reference=_read_moduli(reference_file, "reference moduli", mesh, self.check_units),
+            provenance=provenance,
+            check_units=self.check_units,
+        )
+
+
+def import_published(folder: str | Path, **options: Any) -> Recording:
     """Read a case in the published text format (see the module's docstring).
 
     Args:
         folder: The folder of the case.
-        poisson: Poisson's ratio of the material.
-        lame_factor: Factor on Lame's first parameter; the published presses have 0.5.
-        round_rest_m: Round rest positions to multiples of this, m; None leaves them. Without it
-            the published cases have a constant pre-stress in every press.
-        relabel_truth: Moduli of the truth to correct, from given to right value, MPa. The
-            published box-torus needs `{3.0: 1.5}`.
-        noise_mm: Standard deviation of the noise of the positions, mm, if known.
-        check_units: Refuse magnitudes that suggest a wrong unit, as `Recording` does.
+        options: Settings, see `PublishedOptions`.
 
     Returns:
         A recording with presses in order of their numbers, `direction` the unit vector of the
@@ -79,34 +121,12 @@ def import_published(
         supports.
 
     Raises:
+        ConfigError: A setting is not valid.
         FileError: A file is missing or malformed; names file, line where it can, and remedy.
         MeshError: The mesh cannot be used.
         RecordingError: The files are readable but do not make a valid recording.
     """
-    root = require_folder(folder, "published case")
-    mesh = _read_rest(root / "mesh.msh", round_rest_m, check_units)
-    numbers = _press_files(require_folder(root / "presses", "presses of the published case"))
-    presses = [_read_press(number, files, mesh, noise_mm) for number, files in numbers.items()]
-    truth_file, reference_file = root / "youngs_true.txt", root / "youngs_reference_result.txt"
-    truth = _read_moduli(truth_file, "true moduli", mesh, check_units)
-    relabel = relabel_truth or {}
-    provenance = {
-        "importer": "published",
-        "inverse_crime": True,  # the authors solved the presses on this very mesh
-        "case": root.resolve().name,
-        "presses": list(numbers),
-        "round_rest_m": round_rest_m,
-        "relabel_truth": [[old, new] for old, new in relabel.items()],
-    }
-    return Recording(
-        mesh,
-        tuple(_with_steps(presses)),
-        MaterialSpec("neo_hookean", poisson, {"lame_factor": lame_factor}),
-        truth=_relabelled(truth, relabel, truth_file),
-        reference=_read_moduli(reference_file, "reference moduli", mesh, check_units),
-        provenance=provenance,
-        check_units=check_units,
-    )
+    return PublishedOptions(**options)(folder=folder)
 
 
 def _read_rest(path: Path, round_rest_m: float | None, check_units: bool) -> TetMesh:
@@ -121,8 +141,6 @@ def _read_rest(path: Path, round_rest_m: float | None, check_units: bool) -> Tet
         )
     if round_rest_m is None:
         return mesh
-    if not round_rest_m > 0:
-        raise RecordingError(f"round_rest_m is {round_rest_m}; give a length in m, or None")
     # Dividing by a whole number of steps per metre keeps the decimals exact (0.005 m is 5 mm).
     steps_per_mm = 1 / (round_rest_m * _MM_PER_M)
     return TetMesh.create(np.round(mesh.points * steps_per_mm) / steps_per_mm, mesh.tets)

@@ -50,14 +50,11 @@ class NoiseModel(Options):
         """Deviation of each press before the floor, mm."""
         if self.mm is not None:
             return [self.mm] * len(recording.presses)
-        default = floor if recording.unloaded is None else _unloaded_noise(recording.unloaded)
+        default = floor
+        if recording.unloaded is not None:  # robust to a slow drift and to marker outliers
+            changes = np.abs(np.diff(recording.unloaded, axis=0))
+            default = float(np.nanmedian(changes)) / (NORMAL_MEDIAN * np.sqrt(2.0))
         return [default if p.noise_mm is None else p.noise_mm for p in recording.presses]
-
-
-def _unloaded_noise(frames: Float[np.ndarray, "frames n 3"]) -> float:
-    """Deviation (mm) in frames without contact; robust to a slow drift and to marker outliers."""
-    changes = np.abs(np.diff(frames, axis=0))
-    return float(np.nanmedian(changes)) / (NORMAL_MEDIAN * np.sqrt(2.0))
 
 
 def signal_rms(presses: tuple[Press, ...]) -> float:

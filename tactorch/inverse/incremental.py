@@ -47,8 +47,6 @@ class IncrementalResult(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """State between two updates."""
-
     presses: tuple[Press, ...] = ()
     errors: tuple[ModelError, ...] = ()  # of each press, or none
     youngs: Float[np.ndarray, " m"] | None = None  # MPa
@@ -177,11 +175,8 @@ class IncrementalInversion:
             ConvergenceError: the presses have no equilibrium at the map.
         """
         youngs, counts = state["youngs"], state["counts"].tolist()
-        m, problem, corrects = (
-            self._object.mesh.n_tets,
-            self._problem(presses),
-            self._builder.corrects,
-        )
+        m, corrects = self._object.mesh.n_tets, self._builder.corrects
+        problem = self._problem(presses)
         data = problem.data.counts if corrects else [0] * len(presses)
         if youngs.shape != (m,) or len(counts) != len(presses) or (corrects and counts != data):
             raise ConfigError(

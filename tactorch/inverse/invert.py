@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody
 from tactorch.inverse.data import ModelError, NoiseModel
@@ -20,9 +21,8 @@ from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.problem import InverseProblem, make_body
 from tactorch.inverse.reconstruction import Reconstruction
-from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings, stored_settings
+from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings
 from tactorch.inverse.starts import START_MPA, Start, start_map, uniform_fit
-from tactorch.plain import plain
 from tactorch.recording import Recording
 from tactorch.versions import versions
 
@@ -229,7 +229,7 @@ def _describe_model_error(recording: Recording, settings: Settings) -> str:
 
 def _task_digest(recording: Recording, settings: Settings) -> str:
     """Digest of everything but the start and the time limit that decides the result."""
-    digest = sha256(repr(stored_settings(replace(settings, max_seconds=None))).encode())
+    digest = sha256(repr(to_mapping(replace(settings, max_seconds=None))).encode())
     body = (recording.material, recording.density, tuple(recording.gravity))
     digest.update(repr((body, settings.noise.deviations(recording))).encode())
     for press in recording.presses:
@@ -265,9 +265,9 @@ def result_of(
         seconds=monitor.seconds,
         nuisance=point.nuisance_estimates(monitor.history[-1].get("weight", 0.0)),
         config={
-            "settings": stored_settings(settings),
-            "optimizer": stored_settings(optimizer, "optimizer"),
-            "material": plain(recording.material),
+            "settings": to_mapping(settings),
+            "optimizer": to_mapping(optimizer, "optimizer"),
+            "material": to_mapping(recording.material),
             "recording": recording.provenance,
             "versions": versions(),
         },

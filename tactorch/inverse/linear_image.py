@@ -72,5 +72,4 @@ def _prior_precision(count: int) -> Float[np.ndarray, "cells cells"]:
     axis = (np.arange(count) + 0.5) / count
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     distance = np.linalg.norm(cells[:, None] - cells[None], axis=-1)
-    covariance = _SPREAD**2 * np.exp(-distance / _LENGTH) + _SHIFT**2
-    return np.linalg.inv(covariance)
+    return np.linalg.inv(_SPREAD**2 * np.exp(-distance / _LENGTH) + _SHIFT**2)

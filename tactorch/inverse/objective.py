@@ -236,9 +236,8 @@ class Objective:
     @property
     def limits(self) -> tuple[Float[np.ndarray, " size"], Float[np.ndarray, " size"]]:
         """Bounds of x."""
-        ends = zip(
-            self.parameterization.limits, self.nuisance.limits(self.problem.assumed), strict=True
-        )
+        limits = self.parameterization.limits, self.nuisance.limits(self.problem.assumed)
+        ends = zip(*limits, strict=True)
         low, high = (np.concatenate([np.full(self.n_moduli, end), other]) for end, other in ends)
         return low, high
 

@@ -22,7 +22,6 @@ class Bounds(Options):
     upper: float = option(100.0, "Upper limit of Young's modulus", unit="MPa", gt=0)
 
     def __post_init__(self) -> None:
-        """Check the order."""
         super().__post_init__()
         if not self.lower < self.upper:
             raise ConfigError(
@@ -127,9 +126,8 @@ class Log(Parameterization):
     def expected_variance_reduction(self, mean: _Field, before: _Field, after: _Field) -> _Field:
         """See `Parameterization.expected_variance_reduction`; exact for a log-normal.
 
-        The new mean is m + N(0, v - v'), so E[e^(2 m' + v') (e^v' - 1)] is
-        e^(2 m + 2 v) (1 - e^-v'). Variances are limited to that of a uniform distribution over the
-        bounds.
+        The new mean is m + N(0, v - v'), so E[e^(2 m' + v') (e^v' - 1)] is e^(2 m + 2 v) (1 -
+        e^-v'). Variances are limited to that of a uniform distribution over the bounds.
         """
         low, high = self.limits
         share = np.minimum(1.0, (high - low) ** 2 / 12.0 / np.maximum(before, 1e-300))

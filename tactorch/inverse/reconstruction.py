@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import FileError, MeshError
+from tactorch.errors import MeshError
 from tactorch.hdf5 import (
     Hdf5Reader,
     open_hdf5,
     write_array,
-    write_attribute,
+    write_attributes,
     write_hdf5,
     write_json,
 )
@@ -94,10 +94,8 @@ class Reconstruction:
         return Path(path)
 
     def _write(self, file: "h5py.File") -> None:
-        write_attribute(file, "format", _FORMAT)
-        write_attribute(file, "version", _VERSION)
-        write_attribute(file, "stop_reason", self.stop_reason)
-        write_attribute(file, "seconds", float(self.seconds))
+        write_attributes(file, format=_FORMAT, version=_VERSION)
+        write_attributes(file, stop_reason=self.stop_reason, seconds=float(self.seconds))
         write_json(file, "config", self.config)
         write_json(file, "history", self.history)
         estimates = {name: estimate.plain() for name, estimate in self.nuisance.items()}
@@ -112,7 +110,7 @@ class Reconstruction:
         """Read from HDF5."""
         with open_hdf5(path, "reconstruction", _REMEDY) as file:
             reader = Hdf5Reader(file, path, "reconstruction", "Reconstruction.save")
-            _check_format(reader)
+            reader.check_format(_FORMAT, _VERSION, _REMEDY)
             points = reader.array("mesh/points", "f", (None, 3))
             try:
                 mesh = TetMesh.create(points, reader.array("mesh/tets", "i", (None, 4)))
@@ -139,16 +137,3 @@ class Reconstruction:
         points = {f"displacement_{i}_mm": u for i, u in enumerate(self.displacements)}
         write_mesh(path, self.mesh, cell_data=cells, point_data=points)
         return Path(path)
-
-
-def _check_format(reader: Hdf5Reader) -> None:
-    attributes = reader.root.attrs
-    kind = reader.attribute("/", "format", str) if "format" in attributes else "another HDF5 file"
-    if kind != _FORMAT:
-        raise FileError(f"'{reader.source}' is not a reconstruction but {kind}; {_REMEDY}")
-    version = reader.attribute("/", "version", int)
-    if version > _VERSION:
-        raise FileError(
-            f"reconstruction '{reader.source}' has version {version}; this tactorch reads up to "
-            f"{_VERSION}. Upgrade tactorch."
-        )

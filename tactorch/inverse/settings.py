@@ -1,10 +1,10 @@
-"""Settings of an inversion, and their form in stored results."""
+"""Settings of an inversion, and those that a stored result holds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from tactorch.config import REGISTRIES, Options, option, settings_of
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import NoiseModel
@@ -16,7 +16,6 @@ from tactorch.inverse.parameterization import Bounds, Log, Parameterization
 from tactorch.inverse.regularization.base import Prior
 from tactorch.inverse.regularization.sharp import TotalVariation
 from tactorch.linalg.solver import AutoSolver, SolverOptions
-from tactorch.plain import plain
 
 # What the correction for the mesh leaves of its error, measured with truth on cubes whose balls are
 # two to four elements across: 0.13 to 0.41. It is less where elements are small relative to the
@@ -60,34 +59,17 @@ class Settings(Options):
     max_seconds: float | None = option(None, "Time limit; null: none", unit="s", gt=0)
 
 
-def stored_settings(value: Any, section: str = "") -> Any:
-    """Return settings as plain values with the names of components; arrays by their checksum.
-
-    `section` is the one of the registry that the value is chosen from.
-    """
-    if isinstance(value, Options):
-        name = {"name": REGISTRIES[section].name_of(type(value))} if section in REGISTRIES else {}
-        return name | {
-            setting.name: stored_settings(getattr(value, setting.name), setting.constraint.section)
-            for setting in settings_of(type(value))
-        }
-    if isinstance(value, dict):  # parts of a prior
-        return {key: stored_settings(item, section) for key, item in value.items()}
-    return plain(value)
-
-
 def has_all_settings(config: Mapping[str, Any]) -> bool:
     """Whether the `config` of a reconstruction determines its settings.
 
     It does not for a prior about a map, of which only the checksum is stored.
     """
-    settings = config.get("settings", {})
-    prior = settings.get("prior", settings.get("regularization"))
+    prior = config.get("settings", {}).get("regularization")
     return not (isinstance(prior, Mapping) and isinstance(prior.get("mean_mpa"), str))
 
 
 def settings_from(config: Mapping[str, Any]) -> Settings:
-    """Return the settings of a reconstruction from its `config`, of this version or an older one.
+    """Return the settings of a reconstruction from its `config`.
 
     Raises:
         ConfigError: the settings are incomplete, unknown, or depend on a map that is not stored.
@@ -95,27 +77,7 @@ def settings_from(config: Mapping[str, Any]) -> Settings:
     if not has_all_settings(config):
         raise ConfigError("the mean of the prior is a map that the result does not store")
     try:
-        values = dict(config["settings"])
-        if "prior" in values:
-            values = _converted(values, dict(config["optimizer"]))
-        values["newton"] = NewtonOptions(**values["newton"])
-        settings: Settings = Settings.from_mapping(values)
+        settings: Settings = Settings.from_mapping(config["settings"])
         return settings
     except (KeyError, TypeError, ConfigError) as error:
         raise ConfigError(f"the settings of the result cannot be read ({error})") from error
-
-
-def _converted(values: dict[str, Any], optimizer: dict[str, Any]) -> dict[str, Any]:
-    """Convert settings as stored up to version 0.1: one flat table for all priors."""
-    name, options = values["regularization"], dict(values.pop("prior"))
-    weight, edge = optimizer.pop("weight", None), values.pop("edge")
-    options |= {} if edge is None else {"edge": edge}
-
-    def prior(name: str, weight: float | None) -> dict[str, Any]:
-        known = {setting.name for setting in settings_of(REGISTRIES["regularization"][name])}
-        return {k: v for k, v in options.items() if k in known} | {"weight": weight}
-
-    table = {"name": name, **prior(name, weight)}
-    if "parts" in table:
-        table["parts"] = {part: prior(part, share) for part, share in table["parts"].items()}
-    return {**values, "optimizer": optimizer, "regularization": table}

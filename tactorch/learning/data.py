@@ -3,9 +3,11 @@
 import json
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from hashlib import sha256
 from itertools import permutations, product
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import lightning
 import numpy as np
@@ -13,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 
 PARTS = ("train", "val", "test")
@@ -21,10 +24,25 @@ Symmetry = tuple[tuple[int, int, int], tuple[int, int, int]]
 IDENTITY: Symmetry = ((0, 1, 2), (1, 1, 1))
 
 
+@dataclass(frozen=True, kw_only=True)
+class DataOptions(Options):
+    """Settings of a data module; calling them with `seed=` makes it."""
+
+    section: ClassVar[str] = "data"
+    folder: Path = option(help="Dataset of `tactorch generate`")
+    batch: int = option(16, "Samples per batch", ge=1)
+    shares: tuple[float, float, float] = option(
+        (0.7, 0.1, 0.2), "Fractions of the objects in training, validation and test"
+    )
+    split: int = option(0, "Seed of the split", ge=0)
+    augment: bool = option(True, "Whether to rotate and mirror training samples with their presses")
+
+
 class SplitData(lightning.LightningDataModule):
     """Data module of a dataset whose samples are split by object.
 
-    `settings` are plain values that determine the samples besides the dataset and the parts. The
+    `objects` and `labels` are those of the samples. `settings` are plain values that determine the
+    samples besides the dataset and the parts. `seed` is that of order and augmentation. The
     attribute `fingerprint` identifies the data and the split.
     """
 
@@ -35,19 +53,19 @@ class SplitData(lightning.LightningDataModule):
 
     def __init__(
         self,
-        manifest: Mapping[str, Any],
-        parts: dict[str, list[int]],
-        settings: Sequence[Any] = (),
-        *,
-        batch: int,
-        augment: bool,
+        options: DataOptions,
         seed: int,
+        manifest: Mapping[str, Any],
+        objects: Sequence[int],
+        labels: Sequence[str],
+        settings: Sequence[Any] = (),
     ) -> None:
         super().__init__()
-        self.parts, self.batch, self.augment, self.seed = parts, batch, augment, seed
+        self.options, self.seed = options, seed
+        sizes = dict(zip(PARTS, options.shares, strict=True))
+        self.parts = split_objects(objects, labels, sizes, options.split)
         shards = [shard["sha256"] for shard in manifest["shards"]]
-        content = json.dumps([shards, *settings, parts])
-        self.fingerprint = sha256(content.encode()).hexdigest()
+        self.fingerprint = sha256(json.dumps([shards, *settings, self.parts]).encode()).hexdigest()
 
     @abstractmethod
     def sample(self, row: int, symmetry: Symmetry = IDENTITY, deviate: float = 0.0) -> Any:
@@ -58,14 +76,14 @@ class SplitData(lightning.LightningDataModule):
         rows = self.parts[part]
         order = [(0, position) for position in range(len(rows))]
         data = AugmentedSamples(self, rows, augment=False)
-        return DataLoader(data, self.batch, sampler=order, collate_fn=self.collate)
+        return DataLoader(data, self.options.batch, sampler=order, collate_fn=self.collate)
 
     def train_dataloader(self) -> DataLoader:
         """Return shuffled batches, augmented if this is set."""
-        rows = self.parts["train"]
-        order, drop = EpochSampler(len(rows), self.seed), len(rows) > self.batch
-        data = AugmentedSamples(self, rows, self.augment)
-        return DataLoader(data, self.batch, sampler=order, drop_last=drop, collate_fn=self.collate)
+        rows, batch = self.parts["train"], self.options.batch
+        order, drop = EpochSampler(len(rows), self.seed), len(rows) > batch
+        data = AugmentedSamples(self, rows, self.options.augment)
+        return DataLoader(data, batch, sampler=order, drop_last=drop, collate_fn=self.collate)
 
     def val_dataloader(self) -> DataLoader:
         """Return the validation batches."""
@@ -75,9 +93,7 @@ class SplitData(lightning.LightningDataModule):
         """Return the test batches."""
         return self.loader("test")
 
-    def predict_dataloader(self) -> DataLoader:
-        """Return the test batches."""
-        return self.loader("test")
+    predict_dataloader = test_dataloader
 
 
 class AugmentedSamples(Dataset[Any]):

@@ -12,15 +12,16 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 from zipfile import ZipFile
 
 import lightning
 import numpy as np
 import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
+from lightning.pytorch.callbacks import EarlyStopping, LambdaCallback, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from torch import Tensor
@@ -49,7 +50,6 @@ class TrainerOptions(Options):
     gradient_clip: float | None = option(1.0, "Largest norm of a gradient; null: any", gt=0)
     max_minutes: float | None = option(None, "Time limit; null: none", unit="min", gt=0)
     seed: int = 0
-    show_progress: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -116,17 +116,13 @@ class EpochProgress(lightning.Callback):
             self.report(trainer.current_epoch + 1, int(trainer.max_epochs or 0), "".join(losses))
 
 
-class SeededSteps(lightning.Callback):
-    """Seeds the random numbers of a network (such as dropout) at each step."""
+def seed_steps(seed: int) -> lightning.Callback:
+    """Return a callback that seeds the random numbers of a network (dropout) at each step."""
 
-    def __init__(self, seed: int = 0) -> None:
-        self.seed = seed
+    def seed_step(trainer: lightning.Trainer, *others: Any) -> None:
+        torch.manual_seed(derive_seed(seed, trainer.global_step))
 
-    def on_train_batch_start(
-        self, trainer: lightning.Trainer, module: lightning.LightningModule, *others: Any
-    ) -> None:
-        """Seed the step."""
-        torch.manual_seed(derive_seed(self.seed, trainer.global_step))
+    return LambdaCallback(on_train_batch_start=seed_step)
 
 
 def derive_seed(*numbers: int) -> int:
@@ -135,37 +131,27 @@ def derive_seed(*numbers: int) -> int:
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-class DataUse(NamedTuple):
-    """Use of data by a network.
+@dataclass(frozen=True, kw_only=True)
+class NetworkOptions(Options):
+    """Settings of a network; calling them with a data module makes it.
 
     Attributes:
-        data: Name of the data module.
-        arguments: Arguments of the network that are attributes of the data module.
-        facts: Those among them that a run stores with the fingerprint of the data.
+        data: Name of the data that it learns from.
     """
 
-    data: str
-    arguments: tuple[str, ...]
-    facts: tuple[str, ...] = ()
+    section: ClassVar[str] = "model"
+    data: ClassVar[str]
+    learning_rate: float = option(2e-3, "Largest learning rate of AdamW", gt=0)
+    weight_decay: float = option(1e-3, "Weight decay of AdamW", ge=0)
 
 
 class Network(lightning.LightningModule):
-    """Network that is trained by AdamW with a linear warm-up and cosine decay.
+    """Network that is trained by AdamW with a linear warm-up and cosine decay."""
 
-    `data_use` declares the data of `tactorch train`.
-
-    Args:
-        learning_rate: Largest learning rate.
-        weight_decay: Weight decay.
-    """
-
-    data_use: ClassVar[DataUse]
-
-    def __init__(self, learning_rate: float, weight_decay: float) -> None:
+    def __init__(self, options: NetworkOptions) -> None:
         super().__init__()
-        if not (learning_rate > 0 and weight_decay >= 0):
-            raise ConfigError("learning_rate must be above 0, and weight_decay not below.")
-        self.learning_rate, self.weight_decay = learning_rate, weight_decay
+        self.save_hyperparameters(vars(options))
+        self.options = options
 
     @abstractmethod
     def scores(self, batch: Sequence[Tensor]) -> dict[str, Tensor]:
@@ -185,9 +171,8 @@ class Network(lightning.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """Return the optimizer and its schedule."""
-        optimizer = torch.optim.AdamW(
-            self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay
-        )
+        rate, decay = self.options.learning_rate, self.options.weight_decay
+        optimizer = torch.optim.AdamW(self.parameters(), lr=rate, weight_decay=decay)
         factor = warmup_cosine(int(self.trainer.estimated_stepping_batches))
         schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, factor)
         return [optimizer], [{"scheduler": schedule, "interval": "step"}]
@@ -234,19 +219,17 @@ def fit(
     validation = data.val_dataloader()
     has_validation = validation is not None and len(validation) > 0
     last, best = folder / LAST, folder / BEST
-    checkpoints = [ModelCheckpoint(folder, last.stem, enable_version_counter=False)]
+    make_checkpoint = partial(ModelCheckpoint, folder, enable_version_counter=False)
+    checkpoints = [make_checkpoint(filename=last.stem)]
     if has_validation:
-        checkpoint = ModelCheckpoint(
-            folder, best.stem, monitor="val/loss", enable_version_counter=False
-        )
-        checkpoints.append(checkpoint)
+        checkpoints.append(make_checkpoint(filename=best.stem, monitor="val/loss"))
     if options.patience is not None:
         if not has_validation:
             raise ConfigError(
                 "trainer.patience needs a validation part; give it a share of the data."
             )
         callbacks = [EarlyStopping("val/loss", patience=options.patience), *callbacks]
-    own = [*checkpoints, LossHistory(folder / CURVE), SeededSteps(options.seed)]
+    own = [*checkpoints, LossHistory(folder / CURVE), seed_steps(options.seed)]
     trainer = _make_trainer(folder, options, [*own, *callbacks])
     if last.is_file():
         check_checkpoint(last, module)
@@ -265,7 +248,7 @@ def fit(
         ) from error
     if not has_validation:  # no loss to select an epoch by: take the last
         trainer.save_checkpoint(best)
-    load_weights(module, best)
+    module.load_state_dict(check_checkpoint(best, module)["state_dict"])
     scores = trainer.test(module, datamodule=data, verbose=False)
     return {name: float(value) for part in scores for name, value in part.items()}
 
@@ -285,7 +268,7 @@ def _make_trainer(
             gradient_clip_val=options.gradient_clip,
             callbacks=callbacks,
             logger=TensorBoardLogger(str(folder), name="", version="tensorboard"),
-            enable_progress_bar=options.show_progress,
+            enable_progress_bar=False,
             enable_model_summary=False,
             log_every_n_steps=1,
             num_sanity_val_steps=0,
@@ -361,8 +344,3 @@ def load_network(
         reason = " ".join(str(error).split())[:120]
         raise FileError(f"weights '{path}' are not a {kind}'s ({reason}); {advice}.") from error
     return network.eval()
-
-
-def load_weights(module: lightning.LightningModule, path: Path) -> None:
-    """Load the weights of a checkpoint into a network; see `check_checkpoint`."""
-    module.load_state_dict(check_checkpoint(path, module)["state_dict"])

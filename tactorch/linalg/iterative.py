@@ -76,8 +76,7 @@ class MultigridSolver(IterativeSolver):
     def _constrained_modes(self, modes: np.ndarray) -> np.ndarray:
         """Modes with the fixed unknowns (rows with a diagonal entry only) set to zero."""
         sums = np.asarray(abs(self._matrix).sum(axis=1)).ravel()
-        fixed = sums == np.abs(self._matrix.diagonal())
-        return np.where(fixed[:, None], 0.0, modes)
+        return np.where((sums == np.abs(self._matrix.diagonal()))[:, None], 0.0, modes)
 
     def _solve(self, rhs: np.ndarray) -> np.ndarray:
         if rhs.ndim > 1:

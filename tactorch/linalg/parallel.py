@@ -45,13 +45,10 @@ def single_threaded() -> Iterator[None]:
 
 
 def map_cases(work: Callable[[int], T], count: int) -> list[T]:
-    """Run `work(case)` for all cases in threads; kernels and solvers release the GIL.
+    """Run `work(case)` for all cases in threads, and return the results in order.
 
-    The threads inherit the caller's context. A call within a case shares the caller's threads:
-    all nested calls together use no more than `worker_count()` of them.
-
-    Returns:
-        The results, in the order of the cases.
+    Kernels and solvers release the GIL. The threads inherit the caller's context. A call within a
+    case shares the caller's threads: all nested calls together use `worker_count()` at most.
     """
     available = worker_count()
     workers = min(count, available)

@@ -67,8 +67,7 @@ class SymmetricPattern:
         upper = sp.csr_matrix(
             (np.arange(1, self.nnz + 1), self.indices, self.indptr), shape=(self.size,) * 2
         )
-        lower = sp.triu(upper, k=1, format="csr").T
-        full = (upper + lower).tocsr()
+        full = (upper + sp.triu(upper, k=1, format="csr").T).tocsr()
         full.sort_indices()
         return full.indptr, full.indices, full.data - 1
 
@@ -86,8 +85,7 @@ class SymmetricPattern:
             symmetric_product(self.indptr, self.indices, values, x, out)
             return out
         upper = sp.csr_matrix((values, self.indices, self.indptr), shape=(self.size,) * 2)
-        diagonal = values[self.diagonal]
-        return upper @ x + upper.T @ x - (diagonal * x.T).T
+        return upper @ x + upper.T @ x - (values[self.diagonal] * x.T).T
 
     def apply_dirichlet(
         self, values: Float[np.ndarray, " nnz"], fixed: Bool[np.ndarray, " size"]

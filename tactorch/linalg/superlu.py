@@ -53,8 +53,7 @@ def _definite_lu(matrix: sp.spmatrix | sp.sparray, order: str) -> spla.SuperLU |
     except RuntimeError:  # SciPy reports an exactly singular matrix so
         return None
     # Rows and columns differ in order if a pivot on the diagonal vanished.
-    definite = np.all(lu.U.diagonal() > 0) and np.array_equal(lu.perm_r, lu.perm_c)
-    return lu if definite else None
+    return lu if np.all(lu.U.diagonal() > 0) and np.array_equal(lu.perm_r, lu.perm_c) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -249,7 +249,6 @@ def _mm_per(unit: str) -> float:
 
 
 def _warn_of_unit(what: str, diagonal_mm: float, unit: str) -> None:
-    """Warn, naming the likely unit, where an object is implausibly small or large."""
     low, high = PLAUSIBLE_MM
     if low <= diagonal_mm <= high:
         return

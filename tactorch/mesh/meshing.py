@@ -267,7 +267,6 @@ def _validated(points: Points, tets: Tets) -> TetMesh:
 
 
 def _load_cached(path: Path) -> TetMesh | None:
-    """Return a stored mesh; None if it is missing or damaged."""
     if not path.is_file():
         return None
     try:
@@ -282,7 +281,6 @@ def _load_cached(path: Path) -> TetMesh | None:
 
 
 def _store_cached(path: Path, mesh: TetMesh) -> None:
-    """Store a mesh; failure to write is logged only."""
     arrays = {"points": mesh.points, "tets": mesh.tets, "content_hash": mesh.content_hash()}
     try:
         write_arrays(path, arrays, compressed=True)

@@ -56,8 +56,6 @@ class _Axial(CenteredShape):
 
 
 class _Revolved(_Axial):
-    """Solid of revolution with a profile."""
-
     @abstractmethod
     def _profile(self) -> Profile: ...
 
@@ -71,8 +69,7 @@ class _Revolved(_Axial):
         return np.array(self.center_mm) + np.stack((low, high))
 
     def surface(self, segments: int = 48) -> TriangleSurface:
-        profile = coarsen(self._profile(), segments)
-        return revolve(profile, self.center_mm, self.axis, segments)
+        return revolve(coarsen(self._profile(), segments), self.center_mm, self.axis, segments)
 
 
 @dataclass(frozen=True)

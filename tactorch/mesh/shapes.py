@@ -55,9 +55,8 @@ class Shape(Checked, ABC):
     def surface(self, segments: int = 48) -> TriangleSurface:
         """Return vertices (mm) and outward triangles of the closed surface.
 
-        Boxes are exact; round shapes are polyhedra with vertices on the surface; surfaces of
-        unions are computed by marching cubes with 64 cells along the longest side, which rounds
-        edges.
+        Boxes are exact; round shapes are polyhedra with vertices on the surface; surfaces of unions
+        are computed by marching cubes with 64 cells along the longest side, which rounds edges.
 
         Args:
             segments: Number of sides of round shapes; a multiple of 4.
@@ -89,8 +88,7 @@ class Sphere(CenteredShape):
         return self._box(np.full(3, self.radius_mm))
 
     def surface(self, segments: int = 48) -> TriangleSurface:
-        arc = self.radius_mm * half_circle(segments)
-        return revolve(arc, self.center_mm, UP, segments)
+        return revolve(self.radius_mm * half_circle(segments), self.center_mm, UP, segments)
 
 
 @dataclass(frozen=True)
@@ -108,8 +106,7 @@ class Box(CenteredShape):
 
     def surface(self, segments: int = 48) -> TriangleSurface:
         corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        vertices = self.bounds()[0] + corners * np.array(self.size_mm)
-        return vertices, np.array(_BOX_TRIANGLES)
+        return self.bounds()[0] + corners * np.array(self.size_mm), np.array(_BOX_TRIANGLES)
 
 
 @dataclass(frozen=True)

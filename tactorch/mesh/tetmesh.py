@@ -4,6 +4,7 @@ import hashlib
 import logging
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,8 +25,9 @@ from tactorch.mesh.values import Corners, Points, Real, Rows, Tets
 
 logger = logging.getLogger(__name__)
 
+FaceName = Literal["x-", "x+", "y-", "y+", "z-", "z+"]
 #: Sides of the bounding box.
-FACE_NAMES = ("x-", "x+", "y-", "y+", "z-", "z+")
+FACE_NAMES = get_args(FaceName)
 # A triangle belongs to a side if its normal deviates less than 45 degrees from the side's.
 _MIN_COSINE = np.sqrt(0.5)
 
@@ -71,7 +73,6 @@ class TetMesh:
         return cls(nodes, cells)
 
     def __repr__(self) -> str:
-        """Return a summary of the size."""
         return f"TetMesh({self.n_points} nodes, {self.n_tets} tets, {self.diagonal:.4g} mm across)"
 
     def __reduce__(self) -> tuple[type["TetMesh"], tuple[np.ndarray, np.ndarray]]:

@@ -141,12 +141,10 @@ def weighted_median(values: Field, weights: Field) -> float:
 def neighbourhood_mean(mesh: TetMesh, values: Field) -> Field:
     """Average over the volume of each element and those that share a face with it."""
     first, second = mesh.adjacency.pairs.T
-    moments = mesh.volumes * values
+    volumes, moments = mesh.volumes, mesh.volumes * values
     elements = np.concatenate([np.arange(mesh.n_tets), first, second])
     neighbours = np.concatenate([np.arange(mesh.n_tets), second, first])
-    return np.bincount(elements, moments[neighbours]) / np.bincount(
-        elements, mesh.volumes[neighbours]
-    )
+    return np.bincount(elements, moments[neighbours]) / np.bincount(elements, volumes[neighbours])
 
 
 def connected_parts(mesh: TetMesh, mask: Mask) -> list[Mask]:

@@ -3,9 +3,9 @@
 Lengths in mm, moduli in MPa; positions and sizes of inclusions in sides of the cube.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -22,6 +22,7 @@ Range = tuple[float, float]
 Rng = np.random.Generator
 Proposal = tuple[Shape, dict[str, Any]]  # a shape and its parameters
 _MAX_DRAWS = 200
+_Inclusion = Literal["ball", "box", "cylinder", "ellipsoid", "torus", "cone", "cake"]
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,8 @@ class RecognitionFamily(Options):
     """Cubes with one of the three hard inclusions of the recognition study (Section V-B)."""
 
     section = "family"
-    shapes: tuple[str, ...] = option(
-        ("cake", "torus", "cone"), "Shapes of the inclusion, equally likely: cake, torus, cone"
+    shapes: tuple[Literal["cake", "torus", "cone"], ...] = option(
+        ("cake", "torus", "cone"), "Shapes of the inclusion, equally likely", nonempty=True
     )
     side_mm: float = option(10.0, "Side of the cube", unit="mm", gt=0)
     size: Range = option((0.85, 1.15), "Range of the scale relative to Fig. 4(a) to (c)", gt=0)
@@ -50,9 +51,7 @@ class RecognitionFamily(Options):
     contrast: Range = option((4.0, 6.0), "Range of the ratio of the inclusion's modulus", gt=0)
 
     def __post_init__(self) -> None:
-        """Check the names and ranges."""
         super().__post_init__()
-        _check_names("shape", self.shapes, _RECOGNITION_SHAPES)
         check_ranges(self, "size", "depth", "youngs_mpa", "contrast")
 
     def draw(self, rng: Rng) -> RandomPhantom:
@@ -81,10 +80,10 @@ class InclusionsFamily(Options):
 
     section = "family"
     count: tuple[int, int] = option((1, 3), "Range of the number of inclusions", ge=0)
-    shapes: tuple[str, ...] = option(
-        ("ball", "box", "cylinder", "ellipsoid", "torus", "cone", "cake"),
-        "Shapes of the inclusions; repeat a name to make it more likely",
-    )
+    shapes: tuple[_Inclusion, ...] = option(
+        get_args(_Inclusion), "Shapes of the inclusions; repeat a name to make it more likely",
+        nonempty=True,
+    )  # fmt: skip
     side_mm: float = option(10.0, "Side of the cube", unit="mm", gt=0)
     size: Range = option((0.12, 0.28), "Range of the inclusions' half-widths, in sides", gt=0)
     youngs_mpa: Range = option(
@@ -94,17 +93,14 @@ class InclusionsFamily(Options):
         (0.2, 8.0), "Range of the ratio of an inclusion's modulus to the background's, log-uniform;"
         " ratios within a quarter of 1 are excluded", gt=0,
     )  # fmt: skip
-    backgrounds: tuple[str, ...] = option(
+    backgrounds: tuple[Literal["uniform", "gradient", "random"], ...] = option(
         ("uniform", "uniform", "gradient", "random"),
-        "Backgrounds; repeat a name to make it more likely",
-    )
+        "Backgrounds; repeat a name to make it more likely", nonempty=True,
+    )  # fmt: skip
     gap: float = option(0.03, "Minimum distance between inclusions, in sides", ge=0)
 
     def __post_init__(self) -> None:
-        """Check the names and ranges."""
         super().__post_init__()
-        _check_names("shape", self.shapes, _SHAPES)
-        _check_names("background", self.backgrounds, _BACKGROUNDS)
         check_ranges(self, "count", "size", "youngs_mpa", "contrast")
 
     def draw(self, rng: Rng) -> RandomPhantom:
@@ -158,7 +154,6 @@ def draw_phantom(family: str, rng: Rng, **options: Any) -> RandomPhantom:
     return FAMILIES.build({"name": family, **options}).draw(rng)
 
 
-_BACKGROUNDS = ("uniform", "gradient", "random")
 _RECOGNITION_SHAPES: dict[str, Callable[[np.ndarray, float, np.ndarray], Shape]] = {
     "cake": lambda center, scale, axis: two_tiers(center, 0.3 * scale, 0.4 * scale, axis),
     "torus": lambda center, scale, axis: Torus(center, 0.25 * scale, 0.1 * scale, axis),
@@ -212,14 +207,6 @@ def _draw_contrast(rng: Rng, limits: Range) -> float:
         if abs(np.log(ratio)) >= np.log(1.25):
             return ratio
     raise ConfigError(f"contrast={list(limits)} contains nothing that differs from 1 by a quarter.")
-
-
-def _check_names(what: str, names: Sequence[str], known: Iterable[str]) -> None:
-    for name in names:
-        if name not in known:
-            raise ConfigError(f"{what} {name!r} is unknown; choose from {', '.join(known)}.")
-    if not names:
-        raise ConfigError(f"no {what} is given; choose from {', '.join(known)}.")
 
 
 def check_ranges(options: Options, *names: str) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from tactorch.errors import FileError, RecordingError
 from tactorch.files import write_file
-from tactorch.hdf5 import hdf5_image, write_attribute
+from tactorch.hdf5 import hdf5_image, write_attributes
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
 from tactorch.recording.schema import GROWING, PRESS_ARRAYS, PRESS_OPTIONAL, SAVED
@@ -153,9 +153,9 @@ def _whole_image(reader: RecordingReader, version: int, press: Press | None = No
                     part.copy(name, group)
         if press is not None:
             write_press(presses.create_group(f"{reader.count():04d}"), press)
-        write_attribute(presses, "count", reader.count() + (press is not None))
+        write_attributes(presses, count=reader.count() + (press is not None))
         # Without checksums in the file's structure its end is not known, and there is no tail.
-        write_attribute(file, "version", version if stored[8] in (2, 3) else SAVED)
+        write_attributes(file, version=version if stored[8] in (2, 3) else SAVED)
 
     return hdf5_image(change, stored)
 
@@ -189,16 +189,12 @@ def _check_same(reader: RecordingReader, known: Recording) -> None:
             f"has {mesh.n_points} nodes and {mesh.n_tets} elements, theirs {known.mesh.n_points} "
             f"and {known.mesh.n_tets}, or others. Start another run for it."
         )
-    if material != known.material:
-        raise OtherObjectError(
-            f"recording '{reader.source}' has another material than the presses before: "
-            f"{material}, not {known.material}. Start another run for it."
-        )
     density = reader.density(), known.density
     gravity = reader.gravity().tolist(), known.gravity.tolist()
-    for name, (value, before) in {"density": density, "gravity": gravity}.items():
+    pairs = {"material": (material, known.material), "density": density, "gravity": gravity}
+    for name, (value, before) in pairs.items():
         if value != before:
             raise OtherObjectError(
-                f"recording '{reader.source}' has {name}={value}, the presses before {before}: "
-                "weight is the same for all presses of a run. Start another run for it."
+                f"recording '{reader.source}' has {name}={value}, the presses before {before}: it"
+                " is the same for all presses of a run. Start another run for it."
             )

@@ -23,7 +23,6 @@ class MaterialSpec:
     parameters: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the values and store them as floats."""
         if not self.name:
             raise RecordingError("material name is empty; give a law such as 'neo_hookean'")
         object.__setattr__(self, "poisson", _number("poisson", self.poisson))

@@ -90,7 +90,6 @@ class Press:
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Convert, complete and check every field."""
         self._convert("forces", (None, 3))
         shape = self.forces.shape
         for field, dtype in (("springs", float), ("prescribed", float), ("fixed", bool)):
@@ -111,6 +110,13 @@ class Press:
         if self.step < 0:
             raise self._error(f"step is {self.step}; count load steps from 0")
         self._check_observed()
+        fields = ("forces", "springs", "weights", "direction")
+        numbers = {field: getattr(self, field) for field in fields}
+        numbers["displacement (where observed)"] = np.where(self.observed, self.displacement, 0.0)
+        numbers["prescribed"] = np.where(self.fixed, self.prescribed, 0.0)
+        for name, values in numbers.items():
+            if values is not None:
+                require_finite(values, f"{self.label}: {name}")
         self._check_loads()
         self._check_weights_and_direction()
         self._set("displacement", np.where(self.observed, self.displacement, np.nan))
@@ -161,9 +167,6 @@ class Press:
         if value is not None or field in ("forces", "observed", "displacement"):
             self._set(field, make_array(value, shape, f"{self.label}: {field}", kinds))
 
-    def _require_finite(self, field: str, values: Float[np.ndarray, "..."]) -> None:
-        require_finite(values, f"{self.label}: {field}")
-
     def _check_observed(self) -> None:
         if not self.observed.any():
             raise self._error("observed is empty; mark what was measured")
@@ -172,18 +175,13 @@ class Press:
                 "observed names only degrees of freedom that are fixed, which carry no"
                 " information; observe some that may move"
             )
-        observed = np.where(self.observed, self.displacement, 0.0)
-        self._require_finite("displacement (where observed)", observed)
 
     def _check_loads(self) -> None:
-        self._require_finite("forces", self.forces)
-        self._require_finite("springs", self.springs)
         if (self.springs < 0).any():
             raise self._error(
                 f"springs has a negative stiffness ({self.springs.min():g} N/mm); stiffnesses are"
                 " at least 0"
             )
-        self._require_finite("prescribed", np.where(self.fixed, self.prescribed, 0.0))
         if (np.nan_to_num(self.prescribed)[~self.fixed] != 0).any():
             raise self._error(
                 "prescribed moves degrees of freedom that are not fixed; mark them in 'fixed' as"
@@ -191,15 +189,13 @@ class Press:
             )
 
     def _check_weights_and_direction(self) -> None:
-        if self.weights is not None:
-            self._require_finite("weights", self.weights)
-            if (self.weights < 0).any() or not (self.weights[self.data] > 0).any():
-                raise self._error(
-                    "weights must be at least 0, and above 0 for some observed degree of freedom"
-                    " that may move"
-                )
+        weights = self.weights
+        if weights is not None and ((weights < 0).any() or not (weights[self.data] > 0).any()):
+            raise self._error(
+                "weights must be at least 0, and above 0 for some observed degree of freedom that"
+                " may move"
+            )
         if self.direction is not None:
-            self._require_finite("direction", self.direction)
             length = float(np.linalg.norm(self.direction))
             if abs(length - 1.0) > 1e-6:
                 raise self._error(f"direction has length {length:g}; give a unit vector, or None")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactorch.errors import MeshError, RecordingError
-from tactorch.hdf5 import Hdf5Reader, open_hdf5, write_array, write_attribute, write_json
+from tactorch.hdf5 import Hdf5Reader, open_hdf5, write_array, write_attributes, write_json
 from tactorch.mesh import TetMesh
 from tactorch.recording import schema
 from tactorch.recording.material import MaterialSpec
@@ -54,20 +54,8 @@ class RecordingReader(Hdf5Reader):
 
     def _check_format(self) -> int:
         """Return the version of the file."""
-        kind = self.attribute("/", "format", str) if "format" in self.root.attrs else None
-        if kind != schema.FORMAT:
-            raise self.error(
-                f"has format {kind!r} where {schema.FORMAT!r} is expected; it is HDF5, but not a "
-                f"recording of tactorch: give the file that {_WRITER} wrote"
-            )
-        version: int = self.attribute("/", "version", int)
-        if version > schema.VERSION:
-            raise self.error(
-                f"has version {version}, and this tactorch reads up to {schema.VERSION}; "
-                "upgrade tactorch"
-            )
-        if version < 1:
-            raise self.error(f"has version {version}, which never existed; write it again")
+        remedy = f"give the file that {_WRITER} wrote"
+        version = self.check_format(schema.FORMAT, schema.VERSION, remedy)
         units = self.attribute("/", "units", str)
         if units != schema.UNITS:
             needed = schema.UNITS
@@ -161,34 +149,31 @@ def open_recording(path: str | Path) -> Iterator[RecordingReader]:
 
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:
     """Write the fields of a `Recording` into a file or group."""
-    write_attribute(group, "format", schema.FORMAT)
-    write_attribute(group, "version", schema.SAVED)
-    write_attribute(group, "units", schema.UNITS)
+    write_attributes(group, format=schema.FORMAT, version=schema.SAVED, units=schema.UNITS)
     if fields["density"] is not None:
-        write_attribute(group, "density", fields["density"])
+        write_attributes(group, density=fields["density"])
     write_array(group, "mesh/points", fields["mesh"].points.astype("<f8"))
     write_array(group, "mesh/tets", fields["mesh"].tets.astype("<i8"))
     material = group.create_group("material")
-    write_attribute(material, "name", fields["material"].name)
-    write_attribute(material, "poisson", fields["material"].poisson)
-    write_attribute(material, "parameters", json.dumps(fields["material"].parameters))
+    law: MaterialSpec = fields["material"]
+    parameters = json.dumps(law.parameters)
+    write_attributes(material, name=law.name, poisson=law.poisson, parameters=parameters)
     write_array(group, "gravity", fields["gravity"])
     write_json(group, "provenance", fields["provenance"])
     for name in ("truth", "reference", "unloaded"):
         if fields[name] is not None:
             write_array(group, name, fields[name])
     presses = group.create_group("presses")
-    write_attribute(presses, "count", len(fields["presses"]))
+    write_attributes(presses, count=len(fields["presses"]))
     for index, press in enumerate(fields["presses"]):
         write_press(presses.create_group(f"{index:04d}"), press)
 
 
 def write_press(group: "h5py.Group", press: Press) -> None:
     """Write a press into an empty group or file."""
-    write_attribute(group, "name", press.name)
-    write_attribute(group, "step", press.step)
+    write_attributes(group, name=press.name, step=press.step)
     if press.noise_mm is not None:
-        write_attribute(group, "noise_mm", press.noise_mm)
+        write_attributes(group, noise_mm=press.noise_mm)
     for field in schema.PRESS_ARRAYS:
         array = getattr(press, field)
         write_array(group, field, array.astype(np.uint8) if field in schema.PRESS_MASKS else array)

@@ -1,20 +1,19 @@
-"""Uncertainty of the map of a run and residuals of its presses."""
+"""Computation of the uncertainty of a run's map and the residuals of its presses."""
 
 import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from tactorch.errors import TactorchError
 from tactorch.findings import Lump, find_lump
 from tactorch.findings.finding import build_lump
-from tactorch.inverse import NoiseModel, Nuisance, Point, Settings, settings_from
+from tactorch.inverse import Nuisance, Point, settings_from
 from tactorch.inverse.invert import solution
 from tactorch.inverse.nuisance import PressModel
 from tactorch.recording import Recording
+from tactorch.report.content import PressFit, RunReport, UncertaintySummary
 from tactorch.report.runs import Run
 from tactorch.uncertainty import GaussianPosterior, credibility
 from tactorch.uncertainty.select import UNCOMPUTABLE, posterior_at
@@ -28,57 +27,9 @@ _AT_BOUND = 0.01  # relative distance below which a modulus is at a bound
 _log = logging.getLogger("tactorch")
 
 
-@dataclass(frozen=True, eq=False)
-class UncertaintySummary:
-    """Uncertainty of the modulus of each element."""
-
-    credibility: Float[np.ndarray, " m"]  # L of eq. (15) of the paper, mm/MPa
-    low: Float[np.ndarray, " m"]  # ends of the 95 % interval, MPa
-    high: Float[np.ndarray, " m"]
-    resolution: Float[np.ndarray, " m"]  # 1 if the data determine the modulus, 0 if the prior does
-    at_bound: Bool[np.ndarray, " m"]  # whether a bound of the moduli truncates the interval
-    kind: str  # class of the posterior
-
-    @property
-    def relative_half_width(self) -> Float[np.ndarray, " m"]:
-        """Relative half width of the interval (m,): 0.3 is a factor of 1.3; NaN at a bound."""
-        return np.where(self.at_bound, np.nan, np.sqrt(self.high / self.low) - 1.0)
-
-
-@dataclass(frozen=True, eq=False)
-class PressFit:
-    """Residual of one press: predicted less observed displacement; NaN if not observed."""
-
-    residual: Float[np.ndarray, "n 3"]  # mm
-    deviations: Float[np.ndarray, "n 3"]  # in standard deviations, weighted as in the inversion
-
-    @property
-    def rms_mm(self) -> float:
-        """Root mean square residual, mm."""
-        return float(np.sqrt(np.nanmean(self.residual**2)))
-
-    @property
-    def rms_deviations(self) -> float:
-        """Root mean square residual, standard deviations."""
-        return float(np.sqrt(np.nanmean(self.deviations**2)))
-
-
-@dataclass(frozen=True, eq=False)
-class Assessment:
-    """Uncertainty of a map, its most conspicuous lump and residuals of its presses."""
-
-    lump: Lump | None
-    uncertainty: UncertaintySummary | None = None
-    fits: Sequence[PressFit] = ()
-    missing: str = ""  # reason why something is missing
-    # Whether the discretisation error is removed from the residuals; None if the inversion does
-    # not correct it.
-    corrected: bool | None = False
-
-
 def assess(
     run: Run, *, uncertainty: bool = True, progress: ProgressCallback | None = None
-) -> Assessment:
+) -> RunReport:
     """Compute the uncertainty of the map of a run and the residuals of its presses.
 
     With `uncertainty` the presses are solved again for credibility and posterior, which takes about
@@ -86,7 +37,7 @@ def assess(
     and omitted. `progress` is called before each step.
     """
     if run.recording is None:
-        return Assessment(_find_lump(run), missing=run.missing)
+        return RunReport(run, _find_lump(run), missing=run.missing)
     reason = "switched off"
     if uncertainty:
         try:
@@ -95,7 +46,7 @@ def assess(
             reason = str(error) or "not enough memory"
             _log.warning("%s: no uncertainty: %s", run.name, reason)
     fits = _uncorrected_fits(run, run.recording)
-    return Assessment(_find_lump(run), fits=fits, missing=reason)
+    return RunReport(run, _find_lump(run), fits=fits, missing=reason)
 
 
 def _find_lump(run: Run, posterior: GaussianPosterior | None = None) -> Lump | None:
@@ -104,7 +55,7 @@ def _find_lump(run: Run, posterior: GaussianPosterior | None = None) -> Lump | N
     return None if inclusion is None else build_lump(mesh, presses, inclusion, posterior)
 
 
-def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallback) -> Assessment:
+def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallback) -> RunReport:
     def step(number: int) -> None:
         progress(_STEPS[number], number, len(_STEPS) - 1)
 
@@ -122,11 +73,10 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     at_bound = youngs < (1 + _AT_BOUND) * bounds.lower
     at_bound |= youngs > (1 - _AT_BOUND) * bounds.upper
     at_bound |= low == high  # the whole interval is beyond a bound
-    kind = type(posterior).__name__
-    summary = UncertaintySummary(metric, low, high, resolution, at_bound, kind)
+    summary = UncertaintySummary(metric, low, high, resolution, at_bound, type(posterior).__name__)
     corrected = None if point.objective.problem.data.model_deviation is None else True
     fits = _corrected_fits(recording, point)
-    return Assessment(_find_lump(run, posterior), summary, fits, corrected=corrected)
+    return RunReport(run, _find_lump(run, posterior), summary, fits, corrected=corrected)
 
 
 def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:
@@ -146,7 +96,7 @@ def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:
 def _uncorrected_fits(run: Run, recording: Recording) -> list[PressFit]:
     """Return residuals without the corrections that require solving the presses again."""
     values = _nuisance(run, recording)
-    deviations = noise_model(run).deviations(recording)
+    deviations = run.noise.deviations(recording)
     fits = []
     pairs = zip(recording.presses, run.result.displacements, strict=True)
     for i, (press, displacement) in enumerate(pairs):
@@ -164,14 +114,3 @@ def _nuisance(run: Run, recording: Recording) -> Nuisance:
     for name in {"poisson", "force_scale"} & values.keys():
         values[name] = float(values[name][0])
     return replace(Nuisance(recording.material.poisson), **values)
-
-
-def noise_model(run: Run) -> NoiseModel:
-    """Return the noise of the inversion; the default for a run of another version."""
-    if run.settings is not None:
-        return run.settings.noise
-    stored = run.result.config.get("settings", {}).get("noise", {})
-    try:
-        return NoiseModel(**stored)
-    except (TypeError, TactorchError):
-        return Settings().noise

@@ -1,4 +1,4 @@
-"""Texts of the page: finding, warnings, limitations and tables."""
+"""Content of the page about each run: figures, finding, limitations and tables."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import yaml
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from tactorch.findings import Lump
 from tactorch.findings.text import Fact, describe_lump, format_modulus, headline, lump_facts
 from tactorch.metrics import Inclusion, scores
 from tactorch.recording import Press
-from tactorch.report.assessment import Assessment, noise_model
 from tactorch.report.runs import Run
 from tactorch.text import one_line
 
@@ -48,16 +48,57 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False)
+class UncertaintySummary:
+    """Uncertainty of the modulus of each element."""
+
+    credibility: Float[np.ndarray, " m"]  # L of eq. (15) of the paper, mm/MPa
+    low: Float[np.ndarray, " m"]  # ends of the 95 % interval, MPa
+    high: Float[np.ndarray, " m"]
+    resolution: Float[np.ndarray, " m"]  # 1 if the data determine the modulus, 0 if the prior does
+    at_bound: Bool[np.ndarray, " m"]  # whether a bound of the moduli truncates the interval
+    kind: str  # class of the posterior
+
+    @property
+    def relative_half_width(self) -> Float[np.ndarray, " m"]:
+        """Relative half width of the interval (m,): 0.3 is a factor of 1.3; NaN at a bound."""
+        return np.where(self.at_bound, np.nan, np.sqrt(self.high / self.low) - 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PressFit:
+    """Residual of one press: predicted less observed displacement; NaN if not observed."""
+
+    residual: Float[np.ndarray, "n 3"]  # mm
+    deviations: Float[np.ndarray, "n 3"]  # in standard deviations, weighted as in the inversion
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square residual, mm."""
+        return float(np.sqrt(np.nanmean(self.residual**2)))
+
+    @property
+    def rms_deviations(self) -> float:
+        """Root mean square residual, standard deviations."""
+        return float(np.sqrt(np.nanmean(self.deviations**2)))
+
+
+@dataclass(frozen=True, eq=False)
 class RunReport:
-    """Texts of one run."""
+    """One run: its most conspicuous lump, uncertainty and residuals, and texts about them."""
 
     run: Run
-    assessment: Assessment
+    lump: Lump | None
+    uncertainty: UncertaintySummary | None = None
+    fits: Sequence[PressFit] = ()
+    missing: str = ""  # reason why something is missing
+    # Whether the discretisation error is removed from the residuals; None if the inversion does
+    # not correct it.
+    corrected: bool | None = False
 
     @property
     def inclusion(self) -> Inclusion | None:
         """Most conspicuous inclusion."""
-        return None if self.assessment.lump is None else self.assessment.lump.inclusion
+        return None if self.lump is None else self.lump.inclusion
 
     @property
     def headline(self) -> str:
@@ -67,8 +108,8 @@ class RunReport:
     @property
     def description(self) -> str:
         """The finding in one sentence."""
-        if self.assessment.lump is not None:
-            return describe_lump(self.assessment.lump)
+        if self.lump is not None:
+            return describe_lump(self.lump)
         modulus = format_modulus(float(np.median(self.run.result.youngs)))
         return f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
 
@@ -77,8 +118,8 @@ class RunReport:
         """Location, size, modulus, probability and fit."""
         modulus = format_modulus(float(np.median(self.run.result.youngs)))
         facts = [Fact("Young's modulus", modulus, "median")]
-        if self.assessment.lump is not None:
-            facts = lump_facts(self.assessment.lump)
+        if self.lump is not None:
+            facts = lump_facts(self.lump)
         note = "RMS residual over the noise of the displacements; a good fit is near 1 or below"
         return [*facts, Fact("Fit", f"{_fit(self.run):.2g} SD", note)]
 
@@ -87,16 +128,16 @@ class RunReport:
         """What the report omits and why, or empty."""
         if self.run.recording is None:
             parts = "truth, contact, presses and uncertainty, because the recording is missing"
-        elif self.assessment.uncertainty is None:
+        elif self.uncertainty is None:
             parts = "credibility and uncertainty"
         else:
             return ""
-        return f"Omitted: {parts} ({self.assessment.missing})."
+        return f"Omitted: {parts} ({self.missing})."
 
     @property
     def limitations(self) -> list[str]:
         """Further limitations of the map."""
-        run, uncertainty, lines = self.run, self.assessment.uncertainty, []
+        run, uncertainty, lines = self.run, self.uncertainty, []
         if _fit(run) > _MAX_FIT:
             lines.append(
                 f"The map does not explain the presses: the residual is {_fit(run):.2g} standard"
@@ -120,7 +161,7 @@ class RunReport:
                 " surroundings, so that the true contrast is often larger than shown and intervals"
                 " within the inclusion are too narrow."
             )
-        if run.recording is not None and noise_model(run).assumed(run.recording):
+        if run.recording is not None and run.noise.assumed(run.recording):
             lines.append(
                 "The noise of the displacements is an assumption; if it is larger, fine detail of"
                 " the map is noise and intervals are too narrow."
@@ -138,7 +179,7 @@ class RunReport:
         if self.run.recording is None:
             return None
         rows = []
-        pairs = zip(self.run.recording.presses, self.assessment.fits, strict=True)
+        pairs = zip(self.run.recording.presses, self.fits, strict=True)
         for number, (press, fit) in enumerate(pairs, start=1):
             size = float(np.sqrt(np.nanmean(press.displacement[press.data] ** 2)))
             force, displacement = f"{np.linalg.norm(press.total_force):.3g}", f"{1e3 * size:.4g}"

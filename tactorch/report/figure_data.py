@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from tactorch.mesh import TetMesh
 from tactorch.mesh.topology import LOCAL_FACES
 from tactorch.recording import Press
-from tactorch.report.assessment import PressFit, UncertaintySummary
-from tactorch.report.content import RunReport, press_label
+from tactorch.report.content import PressFit, RunReport, UncertaintySummary, press_label
 from tactorch.report.runs import Run
 from tactorch.viz.contact import contact_patches, total_forces
 from tactorch.viz.slicing import OUTLINE_LEVEL, colour_scale, departure_from_background
@@ -74,10 +73,9 @@ def figure_data(reports: Sequence[RunReport], colours: str) -> dict[str, Any]:
 
 
 def _run_data(report: RunReport) -> dict[str, Any]:
-    run, assessment, inclusion = report.run, report.assessment, report.inclusion
-    mesh, recording, uncertainty = run.result.mesh, run.recording, assessment.uncertainty
-    empty = dict.fromkeys(("center", "level", "interval", "inclusion", "trueInclusion"))
-    data = empty | {
+    run, inclusion, uncertainty = report.run, report.inclusion, report.uncertainty
+    mesh, recording = run.result.mesh, run.recording
+    data = dict.fromkeys(("center", "level", "interval", "inclusion", "trueInclusion")) | {
         "name": run.name,
         "points": packed(mesh.points, "float32"),
         "tets": indices(mesh.tets, mesh.n_points),
@@ -87,7 +85,7 @@ def _run_data(report: RunReport) -> dict[str, Any]:
         "posterior": "",
         "contact": [],
         "presses": [],
-        "corrected": assessment.corrected,
+        "corrected": report.corrected,
         "history": [
             {
                 "iteration": int(record["iteration"]),
@@ -116,7 +114,7 @@ def _run_data(report: RunReport) -> dict[str, Any]:
             {"triangles": indices(p.triangles, mesh.n_points), "direction": p.direction.tolist()}
             for p in (contact_patches(mesh, forces) if forces.any() else [])
         ]
-        pairs = enumerate(zip(recording.presses, assessment.fits, strict=True), start=1)
+        pairs = enumerate(zip(recording.presses, report.fits, strict=True), start=1)
         data["presses"] = [_press_data(number, press, fit) for number, (press, fit) in pairs]
     return data
 
@@ -173,7 +171,7 @@ def _limits(reports: Sequence[RunReport]) -> dict[str, list[float]]:
         maps["truth"] = np.concatenate(truths)
     norm = colour_scale(maps, "linear", None)
     limits = {name: [float(norm.vmin or 0.0), float(norm.vmax or 1.0)] for name in _MODULI}
-    uncertainties = [report.assessment.uncertainty for report in reports]
+    uncertainties = [report.uncertainty for report in reports]
     known = [summary for summary in uncertainties if summary is not None]
     if known:
         width = np.concatenate([100.0 * summary.relative_half_width for summary in known])

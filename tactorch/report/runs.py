@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactorch.errors import FileError, RecordingError
+from tactorch.errors import FileError, RecordingError, TactorchError
 from tactorch.files import read_json, require_file, require_folder
-from tactorch.inverse import Reconstruction, Settings
+from tactorch.inverse import NoiseModel, Reconstruction, Settings
 from tactorch.recording import Recording
 from tactorch.text import one_line
 
@@ -41,6 +41,17 @@ class Run:
     text: str
     log: str
     settings: Settings | None = None
+
+    @property
+    def noise(self) -> NoiseModel:
+        """Noise of the inversion; the default for a run of another version."""
+        if self.settings is not None:
+            return self.settings.noise
+        stored = self.result.config.get("settings", {}).get("noise", {})
+        try:
+            return NoiseModel(**stored)
+        except (TypeError, TactorchError):
+            return Settings().noise
 
 
 def load_run(
@@ -113,7 +124,6 @@ def _load_recording(path: str | Path, result: Reconstruction, check_units: bool)
 
 
 def _load_log(folder: Path) -> str:
-    """Return the last lines of the latest log of a run."""
     logs = sorted(folder.glob("*.log"), key=lambda path: path.stat().st_mtime)
     if not logs:
         return ""

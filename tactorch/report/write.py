@@ -53,8 +53,8 @@ def write_report(
         raise ConfigError("write_report: no run given; pass at least one.")
     if colours not in COLOURS:
         raise ConfigError(f"colours={colours} is unknown; choose one of {', '.join(COLOURS)}.")
-    assessments = (assess(run, uncertainty=uncertainty, progress=progress) for run in runs)
-    page = _render([RunReport(*pair) for pair in zip(runs, assessments, strict=True)], colours)
+    reports = [assess(run, uncertainty=uncertainty, progress=progress) for run in runs]
+    page = _render(reports, colours)
     write_file(out, page)
     if len(page) > _LARGE_BYTES:
         _log.warning("the report has %.0f MB because its meshes are large", len(page) / 1e6)

@@ -55,8 +55,7 @@ class CaseResult:
 
     def save(self, path: Path) -> None:
         """Write to one file atomically."""
-        content = {"figures": dict(self.figures), "versions": versions()}
-        text = np.array(json.dumps(content))
+        text = np.array(json.dumps({"figures": dict(self.figures), "versions": versions()}))
         write_arrays(path, {_FIGURES: text, **self.arrays}, compressed=True)
 
     @staticmethod
@@ -99,8 +98,7 @@ def run_cases(
         if reason:
             failed[name] = reason
         progress(stored + done, len(cases), f", {len(failed)} failed" if failed else "")
-    results = {name: CaseResult.load(path) for name, path in paths.items() if path.is_file()}
-    return results, failed
+    return {name: CaseResult.load(path) for name, path in paths.items() if path.is_file()}, failed
 
 
 def _file_name(name: str, settings: CaseSettings) -> str:

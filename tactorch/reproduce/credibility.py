@@ -36,8 +36,7 @@ def compute_metric(mesh: TetMesh, youngs_mpa: float, pressure_mpa: float) -> np.
         mesh=mesh,
         material=MATERIAL,
     )
-    evaluation = InverseProblem(recording).evaluate(np.full(mesh.n_tets, youngs_mpa))
-    return credibility(evaluation)
+    return credibility(InverseProblem(recording).evaluate(np.full(mesh.n_tets, youngs_mpa)))
 
 
 def layer_sums(mesh: TetMesh, values: np.ndarray, layers: int) -> np.ndarray:

@@ -57,11 +57,10 @@ def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     plan = PressPlan(**{key: settings[key] for key in ("p_max_mpa", "steps", "faces", "support")})
     recording = press_finely(phantom, plan, edge, snr_db=snr_db, seed=settings["noise_seed"])
     reconstruction = invert_blindly(recording, start=homogeneous)
-    lumps = find_lumps(recording.mesh, reconstruction.youngs, max_lumps=1, side="stiff")
     (ball, _), *_ = phantom.inclusions
     true = np.array(ball.bounds()).mean(axis=0)
     detected: dict[str, float | None] = {"depth_mm": None, "off_mm": None, "radius_mm": None}
-    for lump in lumps:
+    for lump in find_lumps(recording.mesh, reconstruction.youngs, max_lumps=1, side="stiff"):
         detected["depth_mm"] = float(SIDE_MM - lump.center_mm[2])
         detected["off_mm"] = float(np.linalg.norm(lump.center_mm - true))
         detected["radius_mm"] = lump.equivalent_radius_mm

@@ -73,8 +73,7 @@ COLUMNS = {"amp20": "snr20", "amp10": "snr10"}
 
 def make_plan(cell: Cell) -> PressPlan:
     """Return the presses of one cell."""
-    faces = SIDES[: cell.sides]
-    return PressPlan(faces=faces, p_max_mpa=cell.p_max_kpa * _KPA, steps=cell.frames)
+    return PressPlan(faces=SIDES[: cell.sides], p_max_mpa=cell.p_max_kpa * _KPA, steps=cell.frames)
 
 
 def simulate_cell(
@@ -153,9 +152,9 @@ def table2(results: Results, options: CaseSettings) -> Exhibit:
 
 def fig7(results: Results, options: CaseSettings) -> Exhibit:
     """Return Fig. 7: maps of all cells, starting with the truth."""
-    mesh, rows = options["meshes"][0], []
-    for model in MODELS:
-        line: list[Panel] = []
+    mesh = options["meshes"][0]
+    rows: dict[str, list[Panel]] = {model: [] for model in MODELS}
+    for model, line in rows.items():
         for name, cell in CELLS.items():
             result = results.get(_case_name(model, mesh, cell))
             if result is None or name in COLUMNS:
@@ -165,9 +164,8 @@ def fig7(results: Results, options: CaseSettings) -> Exhibit:
                 line.append(Panel(result.mesh, arrays["truth"], _LIMITS, title="truth"))
             caption = f"SSIM {result.figures['scores']['ssim']:.2f}"
             line.append(Panel(result.mesh, arrays["youngs"], _LIMITS, title=name, caption=caption))
-        rows.append(line)
     caption = f"Maps of all cells, {mesh} mesh, middle slices across y"
-    return Exhibit([], None, panels_figure(rows, list(MODELS)), caption)
+    return Exhibit([], None, panels_figure(rows), caption)
 
 
 def fig8(results: Results, options: CaseSettings) -> Exhibit:

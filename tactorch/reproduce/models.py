@@ -203,8 +203,7 @@ def _truncated_newton(
     max_seconds = settings["tnc_patience"] * reached.seconds
     if run.seconds >= max_seconds:
         return run
-    optimizer = TNC(max_evaluations=_UNLIMITED)
-    continued = replace(paper, optimizer=optimizer, max_seconds=max_seconds)
+    continued = replace(paper, optimizer=TNC(max_evaluations=_UNLIMITED), max_seconds=max_seconds)
     return run_with_trace(recording, continued, scratch)
 
 
@@ -291,7 +290,7 @@ def _maps(results: Results) -> Exhibit:
             table.add(name, label, *(scored[key] for key in _SCORES))
             caption = f"SSIM {scored['ssim']:.3f}"
             rows[label].append(Panel(mesh, arrays[method], limits, caption=caption))
-    figure = panels_figure(list(rows.values()), list(rows)) if results else None
+    figure = panels_figure(rows) if results else None
     return Exhibit([table.markdown()], table, figure, "Truth, this package and TNC, middle slices")
 
 

@@ -1,16 +1,20 @@
 """Sizes of the studies behind the exhibits; the defaults take minutes."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from tactorch.config import Options, option
 
-_EDGE = "Edge length as a fraction of the bounding box's diagonal"
 _MODELS = ("4a", "4b", "4c", "4d", "4e", "4f", "4g", "5a", "5b", "5c")
 
 
-def _edge() -> Any:
-    return option(0.14, _EDGE, gt=0)
+@dataclass(frozen=True)
+class MeshedSize(Options):
+    """Size of a study on meshes of its phantoms."""
+
+    relative_edge_length: float = option(
+        0.14, "Edge length as a fraction of the bounding box's diagonal", gt=0
+    )
 
 
 @dataclass(frozen=True)
@@ -22,11 +26,10 @@ class CredibilitySize(Options):
 
 
 @dataclass(frozen=True)
-class ModelsSize(Options):
+class ModelsSize(MeshedSize):
     """Table I, Fig. 4 and 5."""
 
     names: tuple[str, ...] = option(_MODELS, "Models, by their panels in the paper")
-    relative_edge_length: float = _edge()
     p_max_mpa: float = option(0.02, "Highest pressure, as in the paper", unit="MPa", gt=0)
     steps: int = option(2, "Load steps", ge=1)
     patches: int = option(12, "Patches on curved bodies", ge=1)
@@ -42,31 +45,28 @@ class ModelsSize(Options):
 
 
 @dataclass(frozen=True)
-class DesignSize(Options):
+class DesignSize(MeshedSize):
     """Table II, Fig. 7 and 8."""
 
     meshes: tuple[Literal["same", "other"], ...] = option(
         ("same",), "Meshes to invert on: that of the simulation, or another one"
     )
-    relative_edge_length: float = _edge()
     layers: int = option(8, "Layers of the curves", ge=1)
 
 
 @dataclass(frozen=True)
-class SizesSize(Options):
+class SizesSize(MeshedSize):
     """Fig. 9."""
 
-    relative_edge_length: float = _edge()
     steps: int = option(1, "Load steps", ge=1)
     snr_db: float = option(40.0, "Signal-to-noise ratio", unit="dB")
 
 
 @dataclass(frozen=True)
-class DepthsSize(Options):
+class DepthsSize(MeshedSize):
     """Fig. 10."""
 
     places: int = option(2, "Places of the ball at each depth", ge=1)
-    relative_edge_length: float = _edge()
     faces: tuple[str, ...] = option(("z+", "x+", "y+"), "Pressed faces")
     p_max_mpa: float = option(0.2, "Highest pressure", unit="MPa", gt=0)
     steps: int = option(1, "Load steps", ge=1)
@@ -76,10 +76,9 @@ class DepthsSize(Options):
 
 
 @dataclass(frozen=True)
-class RecognitionSize(Options):
+class RecognitionSize(MeshedSize):
     """Fig. 11."""
 
-    relative_edge_length: float = _edge()
     count: int = option(60, "Objects", ge=1)
     reconstruct: bool | Literal["linear"] = option(
         "linear", "Inversion of each object; linear: the linear image, for a tenth of the time"
@@ -89,10 +88,9 @@ class RecognitionSize(Options):
 
 
 @dataclass(frozen=True)
-class SamplingSize(Options):
+class SamplingSize(MeshedSize):
     """Fig. 12."""
 
-    relative_edge_length: float = _edge()
     load: float = option(0.05, "Pressure divided by the modulus of the background", gt=0)
     sensor_mm: float = option(3.0, "Radius of the sensor", unit="mm", gt=0)
     candidates: int = option(24, "Places that are compared", ge=1)

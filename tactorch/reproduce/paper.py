@@ -16,6 +16,7 @@ import yaml
 from tactorch.fem import SoftBody, make_material
 from tactorch.inverse import Reconstruction, Settings, Start, invert
 from tactorch.mesh import Box, TetMesh, face_nodes
+from tactorch.mesh.tetmesh import FaceName
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import MaterialSpec, Recording
 from tactorch.sampling import Patch, SimulatedPresser, candidate_patches
@@ -23,7 +24,7 @@ from tactorch.simulation import PressPlan, simulate
 
 POISSON = 0.45
 MATERIAL = MaterialSpec("neo_hookean", POISSON)
-SIDES = ("z+", "x+", "y+")
+SIDES: tuple[FaceName, ...] = ("z+", "x+", "y+")
 START_MPA = 0.2  # initial modulus in all studies of the paper
 
 
@@ -90,8 +91,7 @@ def invert_blindly(
     recording: Recording, settings: Settings | None = None, start: Start = START_MPA
 ) -> Reconstruction:
     """Invert a recording without its truth, from the start of the paper by default."""
-    blind = replace(recording, truth=None)
-    return invert(blind, settings, start_mpa=start, show_progress=False)
+    return invert(replace(recording, truth=None), settings, start_mpa=start, show_progress=False)
 
 
 def lower_nodes(mesh: TetMesh) -> np.ndarray:

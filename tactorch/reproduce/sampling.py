@@ -48,15 +48,10 @@ def run_case(settings: CaseSettings, scratch: Path) -> CaseResult:
     typical = float(np.sqrt(np.nanmean(first.displacement[first.observed] ** 2)))
     presser = make_presser(mesh, truth, pressure, _NOISE * typical)
     rule: Rule = LargestUncertainty() if settings["rule"] == "paper" else ExpectedError()
-    steps = sample(
-        presser,
-        mesh,
-        patches,
-        rule,
-        settings["presses"],
-        Settings(optimizer=GaussNewton(max_iterations=25, tolerance=1e-2), model_error="none"),
-        material=MATERIAL,
-    )
+    optimizer = GaussNewton(max_iterations=25, tolerance=1e-2)
+    inversion = Settings(optimizer=optimizer, model_error="none")
+    count = settings["presses"]
+    steps = sample(presser, mesh, patches, rule, count, inversion, material=MATERIAL)
     figures = {"steps": [_score(mesh, s, truth) for s in steps], "background_mpa": background}
     youngs = np.array([step.youngs for step in steps])
     centers = np.array([patches[step.place].center for step in steps])
@@ -91,10 +86,9 @@ def fig12(results: Results, options: CaseSettings) -> Exhibit:
         for count in sorted(counts):
             title = f"{count} press{'es' if count > 1 else ''}"
             caption = f"r {steps[count - 1]['pearson']:.2f}"
-            marks = arrays["centers"][:count]
-            youngs = arrays["youngs"][count - 1]
+            youngs, marks = arrays["youngs"][count - 1], arrays["centers"][:count]
             panels.append(Panel(mesh, youngs, limits, 1, title, caption, marks))
-    figure = panels_figure(list(rows.values()), list(rows))
+    figure = panels_figure(rows)
     return Exhibit([table.markdown()], table, figure, "Maps after increasing numbers of presses")
 
 

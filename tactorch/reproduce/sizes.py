@@ -109,8 +109,7 @@ def fig9(results: Results, options: CaseSettings) -> Exhibit:
         "In the paper an object that is assumed too large seems softer, and stiffer if assumed too"
         f" small. Median moduli here (true: 0.2 MPa): {'; '.join(medians)}."
     )
-    figure = panels_figure(list(rows.values()), list(rows))
-    return Exhibit([table.markdown(), text], table, figure, "Maps by assumed size")
+    return Exhibit([table.markdown(), text], table, panels_figure(rows), "Maps by assumed size")
 
 
 def _median(results: Results, size: str, method: str) -> str:

@@ -43,16 +43,14 @@ class Patch:
         mesh, distributed evenly over the sensor's face.
         """
         surface = mesh.surface
-        areas = surface.areas * self._cosines(mesh)
-        shares = (self._inside(mesh) @ _WEIGHTS) * areas[:, None]
+        shares = (self._inside(mesh) @ _WEIGHTS) * (surface.areas * self._cosines(mesh))[:, None]
         nodal = np.bincount(surface.triangles.ravel(), shares.ravel(), minlength=mesh.n_points)
         if not nodal.sum() > 0:
             raise ConfigError(
                 f"The mesh has no surface within {self.radius_mm:g} mm of the patch at "
                 f"{np.round(self.center, 4).tolist()} mm; enlarge the radius, or move the patch."
             )
-        scale = np.pi * self.radius_mm**2 / nodal.sum()
-        return scale * nodal[:, None] * self.inward
+        return np.pi * self.radius_mm**2 / nodal.sum() * nodal[:, None] * self.inward
 
     def facing(self, mesh: TetMesh) -> float:
         """Return the area-weighted mean cosine between the pressed surface and the sensor."""
@@ -199,8 +197,7 @@ def _plan(last: Press, patch: Patch, mesh: TetMesh, pressure_mpa: float) -> Pres
             "the presses have no net force, so the force of the next one is not known; choose "
             "suggest.rule=largest_uncertainty."
         )
-    unit = patch.forces(mesh)
-    zero = np.zeros_like(unit)
+    unit, zero = patch.forces(mesh), np.zeros((mesh.n_points, 3))
     observed = all_directions(np.any(unit != 0.0, axis=1))
     return replace(
         last, forces=pressure_mpa * unit, observed=observed, displacement=zero, prescribed=zero,

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.config import Options, option
+from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
 from tactorch.files import read_arrays, write_arrays, write_file
 from tactorch.findings import find_lump
 from tactorch.inverse import IncrementalInversion, IncrementalResult, Settings, Start, StopReason
-from tactorch.inverse.settings import stored_settings
 from tactorch.inverse.starts import START_MPA
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
@@ -209,7 +208,7 @@ class SamplingLoop:
         self._suggester = suggester or Suggester(settings)
         self._restart, self._target_deviation = restart, target_deviation
         self._max_presses = self._options.max_presses or sys.maxsize
-        digest = _digest(stored_settings(replace(settings, max_seconds=None)))
+        digest = _digest(to_mapping(replace(settings, max_seconds=None)))
         self._store = None if folder is None else Store(folder, digest)
         self._waiting: list[Arrival] = []
         self._done: list[Arrival] = []
@@ -307,8 +306,15 @@ class SamplingLoop:
         if not self._press_waits():
             self._refine()
         update = self._update
-        if update is not None and update.suggestion is None and not self._press_waits():
-            self._suggest(update)
+        if update is None or update.suggestion is not None or self._press_waits():
+            return
+        solution = update.solution
+        suggestion = self._suggester.suggest(solution.point, solution.weight, self._press_waits)
+        if suggestion is not None:
+            self._update = update.suggested(suggestion)
+            self._save()
+            for observer in self._observers:
+                observer.suggested(self._update)
 
     def _refine(self) -> None:
         """Continue an update that ended at its limit, until a press comes."""
@@ -346,16 +352,6 @@ class SamplingLoop:
         for observer in self._observers:
             observer.updated(self._update)
 
-    def _suggest(self, update: Update) -> None:
-        solution = update.solution
-        suggestion = self._suggester.suggest(solution.point, solution.weight, self._press_waits)
-        if suggestion is None:
-            return
-        self._update = update.suggested(suggestion)
-        self._save()
-        for observer in self._observers:
-            observer.suggested(self._update)
-
     def _save(self) -> None:
         if self._store is not None and self._inversion is not None:
             state = {**self._inversion.state(), "object": np.array(self._object_digest())}
@@ -368,7 +364,6 @@ class SamplingLoop:
         return _digest((about.mesh.content_hash(), about.material, weight))
 
     def _resume(self) -> None:
-        """Continue the run that the store holds."""
         saved = None if self._store is None else self._store.load()
         if saved is None:
             return

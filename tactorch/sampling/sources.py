@@ -133,8 +133,6 @@ class RecordingSource(PressSource):
 
 @dataclass(eq=False)
 class _File:
-    """Reading state of one file."""
-
     path: Path
     read_at: tuple[int, int, int] | None = None  # its time, size and inode at the last reading
     count: int = 0  # presses read, valid or not
@@ -143,7 +141,6 @@ class _File:
     reported: bool = False  # whether the failure was
 
     def press_name(self, index: int) -> str:
-        """Name of a press in messages and keys."""
         return f"{self.path.name}, press {index + 1}"
 
     def check(self, count: int, presses: Mapping[int, Press]) -> None:

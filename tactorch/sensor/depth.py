@@ -158,11 +158,9 @@ def _solve_shifted(rhs: np.ndarray, eigenvalues: np.ndarray, shift: float) -> np
 def fill_masked(
     values: Float[np.ndarray, "h w *c"], known: Bool[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w *c"]:
-    """Fill unknown pixels by the solution of Laplace's equation, with free image edges.
+    """Fill unknown pixels of fields by the solution of Laplace's equation, with free image edges.
 
-    Args:
-        values: One or several fields; their values at unknown pixels are ignored.
-        known: Pixels whose values are known.
+    Values at unknown pixels are ignored.
     """
     if values.shape[:2] != known.shape:
         raise ConfigError(f"values are {values.shape}, known is {known.shape}.")

@@ -174,14 +174,7 @@ def read_reference(source: Source, sensor: SensorDescription, frames: int = 1) -
 def detect_fault(
     image: Image, reference: Image, previous: Image | None, limits: FaultLimits | None = None
 ) -> str:
-    """Return a description of the fault of a rectified frame, or "".
-
-    Args:
-        image: Rectified frame.
-        reference: Image of the gel without contact.
-        previous: Previous frame, if any.
-        limits: Limits of the fault detection.
-    """
+    """Return a description of the fault of a rectified frame, or ""."""
     limits = limits or FaultLimits()
     brightness = float(image.mean()) / max(float(reference.mean()), 1e-9)
     if brightness < limits.dark:
@@ -262,9 +255,7 @@ def _rectification_steps(sensor: SensorDescription) -> list[Callable[[Image], Im
 def open_source(source: Source) -> Iterator[Frame]:
     """Yield the raw frames of a source in order.
 
-    Args:
-        source: Source of the frames. Files of a folder are sorted by name, with numbers in the
-            names compared as numbers.
+    Files of a folder are sorted by name, with numbers in the names compared as numbers.
     """
     if isinstance(source, int):
         return _open_camera(source)

@@ -204,10 +204,9 @@ class MarkerTracker:
         self._previous_image = self.reference
 
     def track(self, image: Image | None) -> Float[np.ndarray, "n 2"]:
-        """Return the markers in the next frame (column, row); NaN for markers that are not seen.
+        """Return the markers in the next rectified frame (column, row); NaN for those not seen.
 
-        Args:
-            image: Rectified frame; None for a missing one, in which no marker is seen.
+        No marker is seen in a missing frame, None.
         """
         if image is None:
             return np.full(self.reference_px.shape, np.nan)
@@ -306,16 +305,9 @@ def marker_displacements(
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """Return rest positions and displacements of markers on the outer face, sensor frame, mm.
 
-    The projection is orthographic along z, with a uniform pixel size.
-
-    Args:
-        sensor: Sensor description.
-        reference_px: Markers in the reference (column, row).
-        positions_px: The same markers in a frame; NaN for markers that are not seen.
-        height_mm: Displacement of the face along z, negative in contact; None for zero.
-
-    Returns:
-        Rest positions, and displacements with NaN for markers that are not seen.
+    The projection is orthographic along z, with a uniform pixel size. Markers that are not seen
+    have NaN as position in the frame and as displacement. `height_mm` is the displacement of the
+    face along z, negative in contact; None for zero.
     """
     rest, current = sensor.to_mm(reference_px), sensor.to_mm(positions_px)
     rest_height = sensor.gel.height_mm(rest)

@@ -122,9 +122,7 @@ def rotate_vectors(pose: Pose, vectors: _Vectors) -> _Vectors:
 def read_poses(path: str | Path, *, growing: bool = False) -> Poses:
     """Read poses from a CSV file with columns time_s, x_mm, y_mm, z_mm, qw, qx, qy, qz.
 
-    Args:
-        path: Path of the file.
-        growing: Whether lines are still appended; an unterminated last line is then ignored.
+    In a `growing` file, to which lines are still appended, an unterminated last line is ignored.
     """
     rows = list(read_rows(path, "table of poses", _COLUMNS, growing=growing))
     table = np.array([[row.number(name) for name in _COLUMNS] for row in rows])

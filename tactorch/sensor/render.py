@@ -51,12 +51,7 @@ class Lamps(Options):
     def illuminate(
         self, height_mm: Float[np.ndarray, "h w"], mm_per_px: tuple[float, float]
     ) -> Float[np.ndarray, "h w 3"]:
-        """Return the light from a matt face, gray values.
-
-        Args:
-            height_mm: Height of the face, z toward the object.
-            mm_per_px: Size of a pixel along x and y, mm.
-        """
+        """Return the light from a matt face by its height, z toward the object; gray values."""
         x, y = (positive("mm_per_px", size) for size in mm_per_px)
         slope_y, slope_x = np.gradient(height_mm, y, x)
         # The camera is inside the sensor: the visible normal points along -z.
@@ -122,12 +117,9 @@ def build_surface(
     points: Float[np.ndarray, "k 3"],
     displacement: Float[np.ndarray, "k 3"],
 ) -> GelSurface:
-    """Return the surface for displacements of the gel's nodes; it is at rest outside the nodes.
+    """Return the surface for displacements (mm) of the gel's nodes; it is at rest outside of them.
 
-    Args:
-        sensor: Sensor description.
-        points: Nodes of the gel's outer face at rest, mm, as `GelModel.points`.
-        displacement: Displacements of the nodes, mm.
+    `points` are the nodes of the gel's outer face at rest, mm, as `GelModel.points`.
     """
     deformed = points + displacement
     pixels = _pixel_positions(sensor)
@@ -154,14 +146,7 @@ def render(
     options: RenderOptions | None = None,
     seed: int | None = None,
 ) -> Image:
-    """Return the rendered image of a surface.
-
-    Args:
-        sensor: Sensor description.
-        surface: Deformed face of the gel.
-        options: Appearance.
-        seed: Seed of the camera noise; None for no noise.
-    """
+    """Return the rendered image of a surface; without a seed of the camera noise, free of noise."""
     options = options or RenderOptions()
     if surface.height_mm.shape != sensor.shape:
         raise ConfigError(f"heights are {surface.height_mm.shape}, images {sensor.shape}.")

@@ -39,7 +39,7 @@ def simulate(
     seed: int = 0,
     density: Real | None = None,
     gravity: Vector = STANDARD_GRAVITY,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Recording:
     """Simulate a recording of presses on a phantom.
 
@@ -97,8 +97,7 @@ def simulate(
 
     def on_solved() -> None:
         with lock:
-            if progress is not None:
-                progress(next(solved), len(sites) * len(plan.pressures))
+            progress(next(solved), len(sites) * len(plan.pressures))
 
     displacements = map_cases(lambda i: simulator.solve(sites[i], on_solved), len(sites))
     presses: list[Press] = []

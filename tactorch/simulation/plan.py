@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.mesh import FACE_NAMES
+from tactorch.mesh.tetmesh import FaceName
 
 Point = tuple[float, float, float]
 
@@ -58,18 +58,20 @@ class PressPlan(Options):
     """
 
     section = "press"
-    faces: tuple[str, ...] = option(("z+",), f"Pressed faces, of {', '.join(FACE_NAMES)}")
+    faces: tuple[FaceName, ...] = option(("z+",), "Pressed faces", nonempty=True)
     pressures_mpa: tuple[float, ...] | None = option(
-        None, "Increasing pressure of each step; null: equal steps to p_max_mpa", unit="MPa", gt=0
-    )
+        None, "Increasing pressure of each step; null: equal steps to p_max_mpa",
+        unit="MPa", gt=0, nonempty=True,
+    )  # fmt: skip
     p_max_mpa: float = option(0.02, "Pressure of the last load step", unit="MPa", gt=0)
     steps: int = option(4, "Number of equal load steps (t in the paper)", ge=1)
     patch_radius_mm: float | None = option(
         None, "Radius of a circular pressed patch; null: the whole face", unit="mm", gt=0
     )
     patch_centers_mm: tuple[Point, ...] | None = option(
-        None, "Points projected onto each face as centres of patches; null: the middle", unit="mm"
-    )
+        None, "Points projected onto each face as centres of patches; null: the middle",
+        unit="mm", nonempty=True,
+    )  # fmt: skip
     support: Literal["springs", "fixed", "roller"] = option(
         "springs",
         "Support of the opposite face; springs: each node on zero-length springs along all axes "
@@ -80,36 +82,22 @@ class PressPlan(Options):
     )
 
     def __post_init__(self) -> None:
-        """Check the values, and complete the load steps."""
         faces: Any = self.faces
         if isinstance(faces, str):
             object.__setattr__(self, "faces", (faces,))
         super().__post_init__()
-        if not self.faces:
-            raise ConfigError(f"press.faces is empty; choose from {', '.join(FACE_NAMES)}.")
-        for face in self.faces:
-            if face not in FACE_NAMES:
-                raise ConfigError(
-                    f"press.faces: unknown face '{face}'; choose from {', '.join(FACE_NAMES)}."
-                )
         if len(set(self.faces)) < len(self.faces):
             raise ConfigError(f"press.faces={list(self.faces)} repeats a face; name each once.")
         if self.pressures_mpa is None:
             ramp = tuple(self.p_max_mpa * i / self.steps for i in range(1, self.steps + 1))
             object.__setattr__(self, "pressures_mpa", ramp)
-        if not self.pressures_mpa:
-            raise ConfigError("press.pressures_mpa is empty; give at least one pressure in MPa.")
-        if any(later <= former for former, later in pairwise(self.pressures_mpa)):
-            raise ConfigError(f"press.pressures_mpa={list(self.pressures_mpa)} must increase.")
-        object.__setattr__(self, "p_max_mpa", self.pressures_mpa[-1])
-        object.__setattr__(self, "steps", len(self.pressures_mpa))
+        if any(later <= former for former, later in pairwise(self.pressures)):
+            raise ConfigError(f"press.pressures_mpa={list(self.pressures)} must increase.")
+        object.__setattr__(self, "p_max_mpa", self.pressures[-1])
+        object.__setattr__(self, "steps", len(self.pressures))
         if self.patch_centers_mm is not None and self.patch_radius_mm is None:
             raise ConfigError(
                 "press.patch_centers_mm is given without press.patch_radius_mm; give both."
-            )
-        if self.patch_centers_mm == ():
-            raise ConfigError(
-                "press.patch_centers_mm is empty; give a point, or null for the middle."
             )
 
     @property

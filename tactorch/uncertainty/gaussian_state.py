@@ -62,8 +62,7 @@ class GaussianState:
             )
         lower, cross = self._factor(jacobian)
         half_gain = sl.solve_triangular(lower, cross, lower=True)
-        whitened = sl.solve_triangular(lower, innovation, lower=True)
-        mean = self.mean + half_gain.T @ whitened
+        mean = self.mean + half_gain.T @ sl.solve_triangular(lower, innovation, lower=True)
         return GaussianState(mean, self.covariance - half_gain.T @ half_gain)
 
     def information_gain(self, jacobian: Float[np.ndarray, "data m"]) -> float:

@@ -104,7 +104,6 @@ def arrow_positions(
 
 
 def _loaded_triangles(mesh: TetMesh, forces: np.ndarray) -> np.ndarray:
-    """Return the indices of the surface triangles under load."""
     if forces.shape != mesh.points.shape:
         raise TactorchError(
             f"pressed: forces of shape {forces.shape} for a mesh of {mesh.n_points} nodes; "
@@ -120,14 +119,12 @@ def _loaded_triangles(mesh: TetMesh, forces: np.ndarray) -> np.ndarray:
 
 
 def _pushed_inward(mesh: TetMesh, part: np.ndarray, forces: np.ndarray) -> bool:
-    """Return whether the force on some triangles points into the body."""
     push = forces[np.unique(mesh.surface.triangles[part])].sum(axis=0)
     inward = -mesh.surface.normals[part].mean(axis=0)
     return float(push @ inward) > _MIN_IN_PLANE * float(np.linalg.norm(push))
 
 
 def _median_direction(mesh: TetMesh, part: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Return the direction of the median force on the nodes of some triangles."""
     nodes = np.unique(mesh.surface.triangles[part])
     # The median is robust to nodes shared with a patch that is pushed in another direction.
     push = np.median(forces[nodes], axis=0)

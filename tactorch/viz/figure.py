@@ -1,8 +1,9 @@
 """Figures without a display: creation, text from files, styles and atomic saving."""
 
 from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,6 +22,7 @@ BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, "#E69F00", "#56B4E9", "#000000")
 #: Colour of contact: differs from every colour of viridis and cividis.
 CONTACT = VERMILION
+_LINES = ((BLUE, "-"), (VERMILION, "--"), (GREEN, "-."), ("black", ":"))
 MODULUS_LABEL = "Young's modulus (MPa)"
 
 
@@ -49,6 +51,14 @@ def new_figure(width: float, height: float) -> Figure:
     figure = PlainTextFigure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def new_grid(
+    width: float, height: float, rows: int, columns: int, **options: Any
+) -> tuple[Figure, np.ndarray]:
+    """Return a figure of a size in inches, and its grid of axes; options are of `subplots`."""
+    figure = new_figure(width, height)
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
 def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
@@ -90,6 +100,21 @@ def draw_diagonal(axes: Axes) -> None:
     axes.set(xlim=(0, 1), ylim=(0, 1))
 
 
-def layer_depths(count: int) -> np.ndarray:
-    """Return the relative depth of the centre of each of `count` equal layers."""
-    return (np.arange(count) + 0.5) / count
+def draw_depth_curves(
+    grid: np.ndarray,
+    panels: Mapping[str, Mapping[str, np.ndarray]],
+    ylabel: str,
+    yscale: Literal["linear", "log"] = "linear",
+) -> None:
+    """Draw panels, by title, of values of equal layers by label, the top layer first."""
+    for axes, (title, curves) in zip(grid.ravel(), panels.items(), strict=False):
+        for (name, values), (colour, style) in zip(curves.items(), cycle(_LINES), strict=False):
+            depths = (np.arange(len(values)) + 0.5) / len(values)
+            axes.plot(depths, values, style, color=colour, marker="o", markersize=3, label=name)
+        axes.set_yscale(yscale)
+        axes.set_title(title, fontsize=9)
+        add_legend(axes)
+    for axes in grid[-1]:
+        axes.set_xlabel("depth (fraction of the height)", fontsize=9)
+    for line in grid:
+        line[0].set_ylabel(ylabel, fontsize=9)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from tactorch.errors import ConfigError
 from tactorch.generation import Sample
 from tactorch.text import one_line
-from tactorch.viz.figure import BLUE, VERMILION, draw_diagonal, new_axes, new_figure
+from tactorch.viz.figure import BLUE, VERMILION, draw_diagonal, new_axes, new_grid
 from tactorch.viz.slicing import cut, even_planes
 
 _MAX_SAMPLES = 6
@@ -25,8 +25,8 @@ def samples_figure(samples: Sequence[Sample]) -> Figure:
     shown = samples[:: max(1, len(samples) // _MAX_SAMPLES)][:_MAX_SAMPLES]
     reconstructed = any(sample.reconstruction is not None for sample in shown)
     names = ("truth", "reconstruction") if reconstructed else ("truth",)
-    figure = new_figure(2.0 * _MAX_SAMPLES, 2.2 * (len(names) + 1))
-    grid = figure.subplots(len(names) + 1, _MAX_SAMPLES, squeeze=False)
+    rows = len(names) + 1
+    figure, grid = new_grid(2.0 * _MAX_SAMPLES, 2.2 * rows, rows, _MAX_SAMPLES)
     for column, sample in enumerate(shown):
         mesh = sample.recording.mesh
         (middle,) = cut(mesh, even_planes(mesh, 1), _PIXELS)
@@ -122,8 +122,7 @@ def examples_figure(
     order = sorted(range(len(titles)), key=lambda i: bool(correct[i]))[:12]
     columns = min(6, len(order))
     rows = -(-len(order) // columns)
-    figure = new_figure(1.7 * columns, 2.0 * rows)
-    grid = figure.subplots(rows, columns, squeeze=False)
+    figure, grid = new_grid(1.7 * columns, 2.0 * rows, rows, columns)
     for axes, i in zip(grid.ravel(), order, strict=False):
         axes.imshow(maps[i][:, maps.shape[2] // 2].T, origin="lower", cmap="viridis")
         title = one_line(titles[i], 2 * _MAX_NAME)
@@ -155,8 +154,7 @@ def predictions_figure(
         "prediction": ("mean", -top, top, "coolwarm"),
         "standard deviation": ("deviation", 0.0, 0.5 * top, "viridis"),
     }
-    figure = new_figure(1.7 * len(selected) + 1.6, 7.0)
-    grid = figure.subplots(4, len(selected), squeeze=False)
+    figure, grid = new_grid(1.7 * len(selected) + 1.6, 7.0, len(rows), len(selected))
     for line, (label, (name, low, high, cmap)) in zip(grid, rows.items(), strict=True):
         for axes, field, level in zip(line, shown[name], levels, strict=True):
             drawn = axes.imshow(field[:, level].T, origin="lower", cmap=cmap, vmin=low, vmax=high)

@@ -13,20 +13,17 @@ from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
 from tactorch.viz.figure import (
     BLUE,
-    GREEN,
     MODULUS_LABEL,
     VERMILION,
-    add_legend,
-    layer_depths,
+    draw_depth_curves,
     new_axes,
-    new_figure,
+    new_grid,
     require_curves,
 )
 from tactorch.viz.learning import draw_matrix
 from tactorch.viz.slicing import IN_PLANE, cut, even_planes
 
 _PIXELS, _INCHES = 90, 1.55
-_LINES = ((BLUE, "-"), (VERMILION, "--"), (GREEN, "-."), ("black", ":"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,30 +46,29 @@ class Panel:
         (middle,) = cut(self.mesh, even_planes(self.mesh, self.axis), _PIXELS)
         middle.draw(axes, self.values, cmap="viridis", norm=Normalize(*self.limits))
         if self.marks_mm is not None:
-            marks = self.marks_mm[:, IN_PLANE[self.axis]]
-            for number, (x, y) in enumerate(marks, start=1):
+            for number, (x, y) in enumerate(self.marks_mm[:, IN_PLANE[self.axis]], start=1):
                 axes.text(x, y, str(number), color=VERMILION, fontsize=8, ha="center", va="center")
         axes.set(xticks=[], yticks=[])
         axes.set_title(self.title, fontsize=8)
         axes.set_xlabel(self.caption, fontsize=7)
 
 
-def panels_figure(rows: Sequence[Sequence[Panel]], names: Sequence[str]) -> Figure:
+def panels_figure(rows: Mapping[str, Sequence[Panel]]) -> Figure:
     """Return a figure of named rows of slices, with a colour bar if all have the same limits."""
-    if not rows or not all(rows):
+    if not rows or not all(rows.values()):
         raise ConfigError("panels_figure: a row is empty; give each at least one panel.")
-    columns = max(len(row) for row in rows)
-    figure = new_figure(_INCHES * columns + 1.3, _INCHES * len(rows) * 1.25 + 0.3)
-    grid = figure.subplots(len(rows), columns, squeeze=False)
+    columns = max(len(row) for row in rows.values())
+    size = _INCHES * columns + 1.3, _INCHES * len(rows) * 1.25 + 0.3
+    figure, grid = new_grid(*size, len(rows), columns)
     used = []
-    for row, name, line in zip(rows, names, grid, strict=True):
+    for (name, row), line in zip(rows.items(), grid, strict=True):
         for panel, axes in zip(row, line, strict=False):
             panel.draw(axes)
             used.append(axes)
         for axes in line[len(row) :]:
             axes.remove()
         line[0].set_ylabel(name, fontsize=9)
-    if len({panel.limits for row in rows for panel in row}) == 1:
+    if len({panel.limits for row in rows.values() for panel in row}) == 1:
         figure.colorbar(used[0].images[0], ax=used, label=MODULUS_LABEL, aspect=40, pad=0.02)
     return figure
 
@@ -111,9 +107,8 @@ def matrices_figure(
     """
     if not matrices:
         raise ConfigError("matrices_figure: no matrix given.")
-    figure = new_figure(3.4 * len(matrices), 3.4)
-    panels = figure.subplots(1, len(matrices), squeeze=False)[0]
-    for axes, (title, (values, names)) in zip(panels, matrices.items(), strict=True):
+    figure, grid = new_grid(3.4 * len(matrices), 3.4, 1, len(matrices))
+    for axes, (title, (values, names)) in zip(grid[0], matrices.items(), strict=True):
         draw_matrix(axes, values, names, (f"{value:.2f}" for value in values.ravel()), fontsize=9)
         axes.tick_params(labelsize=8)
         for label in axes.get_yticklabels():
@@ -131,19 +126,6 @@ def curves_figure(
     """
     require_curves("curves_figure", panels)
     rows = -(-len(panels) // columns)
-    figure = new_figure(3.6 * columns, 2.9 * rows)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    for axes, (title, curves) in zip(grid.ravel(), panels.items(), strict=False):
-        for i, (name, values) in enumerate(curves.items()):
-            colour, style = _LINES[i % len(_LINES)]
-            axes.plot(
-                layer_depths(len(values)), values, style, color=colour, marker="o", markersize=2.5,
-                label=name,
-            )  # fmt: skip
-        axes.set_title(title, fontsize=9)
-        add_legend(axes, 7)
-    for axes in grid[-1]:
-        axes.set_xlabel("depth (fraction of the height)", fontsize=9)
-    for line in grid:
-        line[0].set_ylabel(ylabel, fontsize=9)
+    figure, grid = new_grid(3.6 * columns, 2.9 * rows, rows, columns, sharex=True, sharey=True)
+    draw_depth_curves(grid, panels, ylabel)
     return figure

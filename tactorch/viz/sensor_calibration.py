@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from tactorch.sensor.calibration import Ball, BallPress
 from tactorch.sensor.frames import Image
 from tactorch.text import one_line
-from tactorch.viz.figure import BLUE, VERMILION, new_figure
+from tactorch.viz.figure import BLUE, VERMILION, new_grid
 from tactorch.viz.sensor_frames import EDGE
 
 _MAX_PRESSES = 8
@@ -77,11 +77,10 @@ def ball_press_figure(presses: Sequence[PlottedPress], title: str) -> Figure:
     """
     count = min(_MAX_PRESSES, len(presses))
     selected = [presses[k] for k in np.linspace(0, len(presses) - 1, count).round().astype(int)]
-    figure = new_figure(13.0, 2.45 * count + 0.6)
+    figure, grid = new_grid(13.0, 2.45 * count + 0.6, count, len(_COLUMNS))
     figure.suptitle(
         f"{title}\ncontacts as labelled or detected (dotted) and fitted (solid)", fontsize=10
     )
-    grid = figure.subplots(count, len(_COLUMNS), squeeze=False)
     deepest = max(float(np.nanmax(press.true_depth_mm[press.inside])) for press in selected)
     max_error = max(float(np.nanmax(np.abs(press.error_mm))) for press in selected)
     for line, press in zip(grid, selected, strict=True):

@@ -12,7 +12,7 @@ from tactorch.recording import Press, Recording
 from tactorch.sensor.chain import Measurement
 from tactorch.sensor.recorder import ContactInterval
 from tactorch.text import one_line
-from tactorch.viz.figure import BLUE, COLOURS, GREEN, VERMILION, new_figure
+from tactorch.viz.figure import BLUE, COLOURS, GREEN, VERMILION, new_grid
 from tactorch.viz.slicing import AXES
 
 _MAX_PRESSES = 6
@@ -33,10 +33,9 @@ def over_time_figure(
     """
     count = len(next(iter(next(iter(panels.values())).values())))
     across = np.arange(count, dtype=float) if time_s is None else time_s
-    figure = new_figure(8.0, 0.8 + 2.1 * len(panels))
-    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    figure, grid = new_grid(8.0, 0.8 + 2.1 * len(panels), len(panels), 1, sharex=True)
     marker = "." if count <= 60 else None
-    for axes, (label, lines) in zip(grid, panels.items(), strict=True):
+    for axes, (label, lines) in zip(grid[:, 0], panels.items(), strict=True):
         for colour, (name, values) in zip(COLOURS, lines.items(), strict=False):
             axes.plot(across, values, color=colour, label=name, marker=marker, lw=1.4)
         _mark_faulty(axes, across[list(faulty)])
@@ -67,8 +66,8 @@ def session_figure(
     across = np.array(times if timed else range(len(frames)), dtype=float)
     position = {frame.name: across[i] for i, frame in enumerate(frames)}
     presses = [position[row["frame"]] for row in rows]
-    figure = new_figure(8.0, 5.0)
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    figure, grid = new_grid(8.0, 5.0, 2, 1, sharex=True)
+    upper, lower = grid[:, 0]
     depths = [measurement.depth_mm for measurement in measurements]
     upper.plot(across, depths, color=BLUE, marker=".", lw=1.4, label="depth")
     upper.plot(
@@ -105,8 +104,7 @@ def presses_figure(recording: Recording, max_presses: int = _MAX_PRESSES) -> Fig
     if max_presses < 1:
         raise ConfigError(f"max_presses={max_presses} must be at least 1.")
     presses = _select(recording, max_presses)
-    figure = new_figure(_WIDTH * len(presses) + 0.8, _HEIGHT)
-    grid = figure.subplots(2, len(presses), squeeze=False)
+    figure, grid = new_grid(_WIDTH * len(presses) + 0.8, _HEIGHT, 2, len(presses))
     displacements = [np.where(p.observed, p.displacement, np.nan) for p in presses]
     forces = [p.forces for p in presses]
     rows = (

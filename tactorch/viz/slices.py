@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.mesh import TetMesh
 from tactorch.viz.contact import ContactPatch, arrow_positions, contact_patches, cut_triangles
-from tactorch.viz.figure import CONTACT, MODULUS_LABEL, new_figure
+from tactorch.viz.figure import CONTACT, MODULUS_LABEL, new_grid
 from tactorch.viz.slicing import (
     AXES,
     IN_PLANE,
@@ -92,38 +92,28 @@ def slice_figure(
     figure, panels = _panels(np.ptp(window_mm, axis=0), n_slices, len(maps))
     slices = slice_body(mesh, n_slices, pixels)
     for row, axes_row in enumerate(panels):
-        name, values = list(maps.items())[row % len(maps)]
-        for piece, axes in zip(slices[row // len(maps)], axes_row, strict=True):
+        part, kind = divmod(row, len(maps))
+        name, values = list(maps.items())[kind]
+        for piece, axes in zip(slices[part], axes_row, strict=True):
             piece.draw(axes, values, cmap=cmap, norm=norm)
-            draw_body(axes, mesh, piece)
             if departure is not None:
                 draw_outline(axes, mesh, piece, departure)
-            for patch in patches:
-                draw_contact(axes, mesh, patch, piece, arrow_mm)
+            _draw_body(axes, mesh, piece, patches, arrow_mm)
             _set_window(axes, piece, window_mm)
-        _label(axes_row, slices[row // len(maps)], name if len(maps) > 1 else "", row, len(maps))
+            left, bottom = axes is axes_row[0], kind == len(maps) - 1
+            _label(axes, piece, name if len(maps) > 1 else "", left, kind == 0, bottom)
     _add_colour_bar(figure, panels, np.concatenate(list(maps.values())), norm, label)
-    handles: list[Any] = []
-    labels = []
+    legend: dict[str, Any] = {}
     if patches:
-        handles.append(Line2D([], [], color=CONTACT, linewidth=2.5))
-        labels.append("contact (arrows: direction of the force)")
+        legend["contact (arrows: direction of the force)"] = _contact_line()
     if departure is not None:
         lines = [Line2D([], [], color=c, linewidth=w, linestyle=s) for c, w, s in OUTLINE_STYLES]
-        handles.append(tuple(lines))
-        labels.append("true inclusion")
-    if handles:
-        figure.legend(
-            handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9,
-            handlelength=3,
-        )  # fmt: skip
-    if title:
-        figure.suptitle(title, fontsize=12)
+        legend["true inclusion"] = tuple(lines)
+    _add_legend(figure, legend, title)
     return figure
 
 
 def _check_values(name: str, values: np.ndarray, mesh: TetMesh) -> None:
-    """Raise `TactorchError` unless there is one finite number per element."""
     count = mesh.n_tets
     if values.shape != (count,):
         raise TactorchError(
@@ -148,37 +138,38 @@ def _window(mesh: TetMesh, patches: list[ContactPatch], arrow_mm: float) -> np.n
 
 
 def _panels(size: np.ndarray, n_slices: int, n_maps: int) -> tuple[Figure, np.ndarray]:
-    """Return the figure and its grid of panels, with rows as high as their slices."""
     width = _PANEL_INCHES
     widest = max(size[across] for across, _ in IN_PLANE)
     heights = [float(width * size[up] / widest) for _, up in IN_PLANE for _ in range(n_maps)]
     # Inches of titles, axis labels and legend.
     labels = 3 * (0.75 + 0.2 * (n_maps - 1)) + 0.7
-    figure = new_figure((width + 0.12) * n_slices + 1.7, sum(heights) + labels)
-    ratios = {"height_ratios": heights}
-    return figure, figure.subplots(len(heights), n_slices, squeeze=False, gridspec_kw=ratios)
+    inches = (width + 0.12) * n_slices + 1.7, sum(heights) + labels
+    return new_grid(*inches, len(heights), n_slices, gridspec_kw={"height_ratios": heights})
 
 
-def draw_body(axes: Axes, mesh: TetMesh, piece: Slice) -> None:
-    """Draw the outline of the body in a slice."""
-    segments = cut_triangles(mesh.points, mesh.surface.triangles, piece.axis, piece.position_mm)
-    axes.add_collection(LineCollection(list(segments), colors="0.4", linewidths=0.6))
-
-
-def draw_contact(
-    axes: Axes, mesh: TetMesh, patch: ContactPatch, piece: Slice, arrow_mm: float | None = None
+def _draw_body(
+    axes: Axes,
+    mesh: TetMesh,
+    piece: Slice,
+    patches: Sequence[ContactPatch],
+    arrow_mm: float | None = None,
 ) -> None:
-    """Draw a contact patch as thick lines, with arrows along the force if their length is given."""
-    segments = cut_triangles(mesh.points, patch.triangles, piece.axis, piece.position_mm)
-    axes.add_collection(LineCollection(list(segments), colors=CONTACT, linewidths=2.5, zorder=3))
-    if arrow_mm is None:
-        return
-    tips, along = arrow_positions(segments, patch.direction, piece.axis, count=3)
+    """Draw the outline of the body and its contacts, with arrows if their length is given."""
+    plane = piece.axis, piece.position_mm
+    outline = list(cut_triangles(mesh.points, mesh.surface.triangles, *plane))
+    axes.add_collection(LineCollection(outline, colors="0.4", linewidths=0.6))
     style = {"arrowstyle": "-|>", "color": CONTACT, "linewidth": 1.1, "shrinkA": 0, "shrinkB": 1}
-    for tip in tips:
-        start = tuple(tip - arrow_mm * along)
-        arrow = axes.annotate("", xy=tuple(tip), xytext=start, arrowprops=style)
-        arrow.set_in_layout(False)  # within the panel; computing each extent takes seconds
+    for patch in patches:
+        segments = cut_triangles(mesh.points, patch.triangles, *plane)
+        lines = LineCollection(list(segments), colors=CONTACT, linewidths=2.5, zorder=3)
+        axes.add_collection(lines)
+        if arrow_mm is None:
+            continue
+        tips, along = arrow_positions(segments, patch.direction, piece.axis, count=3)
+        for tip in tips:
+            start = tuple(tip - arrow_mm * along)
+            arrow = axes.annotate("", xy=tuple(tip), xytext=start, arrowprops=style)
+            arrow.set_in_layout(False)  # within the panel; computing each extent takes seconds
 
 
 def _set_window(axes: Axes, piece: Slice, window_mm: np.ndarray) -> None:
@@ -191,26 +182,26 @@ def _set_window(axes: Axes, piece: Slice, window_mm: np.ndarray) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _label(axes_row: np.ndarray, slices: Sequence[Slice], name: str, row: int, n_maps: int) -> None:
-    """Label the first row of each axis with positions, the left and lower panels with axes."""
-    across, up = (AXES[a] for a in IN_PLANE[slices[0].axis])
-    first, last = row % n_maps == 0, row % n_maps == n_maps - 1
-    for column, (axes, piece) in enumerate(zip(axes_row, slices, strict=True)):
-        axes.tick_params(labelsize=8, labelbottom=last, labelleft=column == 0)
-        axes.xaxis.set_major_locator(MaxNLocator(4))
-        axes.yaxis.set_major_locator(MaxNLocator(4))
-        if first:
-            position = round(piece.position_mm, 6) + 0.0  # no -0, no 1e-16
-            axes.set_title(f"{AXES[piece.axis]} = {position:.4g} mm", fontsize=9)
-        if last:
-            axes.set_xlabel(f"{across} (mm)", fontsize=9)
-    axes_row[0].set_ylabel(f"{name}\n{up} (mm)" if name else f"{up} (mm)", fontsize=9)
+def _label(
+    axes: Axes, piece: Slice, name: str, left: bool = True, top: bool = True, bottom: bool = True
+) -> None:
+    """Label a panel at some of its sides: the name of the map, the position and the axes."""
+    across, up = (AXES[a] for a in IN_PLANE[piece.axis])
+    axes.tick_params(labelsize=8, labelbottom=bottom, labelleft=left)
+    axes.xaxis.set_major_locator(MaxNLocator(4))
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    if top:
+        position = round(piece.position_mm, 6) + 0.0  # no -0, no 1e-16
+        axes.set_title(f"{AXES[piece.axis]} = {position:.4g} mm", fontsize=9)
+    if bottom:
+        axes.set_xlabel(f"{across} (mm)", fontsize=9)
+    if left:
+        axes.set_ylabel(f"{name}\n{up} (mm)" if name else f"{up} (mm)", fontsize=9)
 
 
 def _add_colour_bar(
     figure: Figure, panels: np.ndarray, values: np.ndarray, norm: Normalize, label: str
 ) -> None:
-    """Add a colour bar, pointed at the ends that values exceed."""
     beyond_low, beyond_high = bool(values.min() < norm.vmin), bool(values.max() > norm.vmax)
     extend = ("neither", "min", "max", "both")[beyond_low + 2 * beyond_high]
     bar = figure.colorbar(
@@ -220,6 +211,20 @@ def _add_colour_bar(
         bar.ax.yaxis.set_major_formatter(ScalarFormatter())
         bar.ax.yaxis.set_minor_formatter(ScalarFormatter())
         bar.ax.tick_params(which="minor", labelsize=7)
+
+
+def _contact_line() -> Line2D:
+    return Line2D([], [], color=CONTACT, linewidth=2.5)
+
+
+def _add_legend(figure: Figure, legend: dict[str, Any], title: str) -> None:
+    if legend:
+        figure.legend(
+            list(legend.values()), list(legend), loc="outside lower center", ncols=3,
+            frameon=False, fontsize=9, handlelength=3,
+        )  # fmt: skip
+    if title:
+        figure.suptitle(title, fontsize=12)
 
 
 def live_figure(
@@ -243,57 +248,40 @@ def live_figure(
     rows = [(f"through {name}", mesh.bounds.mean(axis=0) if inclusion_mm is None else inclusion_mm)]
     if next_mm is not None and inward is not None:
         rows.append(("through the next press", next_mm + 0.5 * radius_mm * inward))
-    figure = new_figure(10.0, 3.1 * len(rows) + 0.9)
-    panels = figure.subplots(len(rows), 3, squeeze=False)
+    figure, panels = new_grid(10.0, 3.1 * len(rows) + 0.9, len(rows), 3)
     norm = colour_scale({"reconstruction": youngs}, "linear", None)
-    patches = contact_patches(mesh, pressed)
+    patches, longest = contact_patches(mesh, pressed), float(np.ptp(mesh.bounds, axis=0).max())
+    half = (0.5 + _LIVE_ARROW + 0.06) * longest  # with a margin for the arrow
+    window_mm = mesh.bounds.mean(axis=0) + np.array([[-half], [half]])
     for axes_row, (label, point) in zip(panels, rows, strict=True):
         for axes, piece in zip(axes_row, slices_at(mesh, point, _LIVE_PIXELS), strict=True):
             piece.draw(axes, youngs, cmap="viridis", norm=norm)
-            draw_body(axes, mesh, piece)
-            for patch in patches:
-                draw_contact(axes, mesh, patch, piece)
+            _draw_body(axes, mesh, piece, patches)
             if inclusion_mm is not None and point is inclusion_mm:
                 x, y = inclusion_mm[list(IN_PLANE[piece.axis])]
                 axes.plot([x], [y], "+", color=_CENTRE, ms=9, mew=1.4, zorder=4)
             if next_mm is not None and inward is not None:
-                _draw_next_press(axes, mesh, piece, next_mm, inward, radius_mm)
-            _label_live(axes, mesh, piece)
-        axes_row[0].set_ylabel(f"{label}\n{axes_row[0].get_ylabel()}", fontsize=9)
-    figure.colorbar(panels[0, 0].images[0], ax=panels, label=MODULUS_LABEL, aspect=30, pad=0.02)
-    handles = [Line2D([], [], color=CONTACT, linewidth=2.5, label="contact of the presses so far")]
+                _draw_next_press(axes, piece, next_mm, inward, radius_mm, _LIVE_ARROW * longest)
+            _set_window(axes, piece, window_mm)
+            _label(axes, piece, label if axes is axes_row[0] else "")
+    _add_colour_bar(figure, panels, youngs, norm, MODULUS_LABEL)
+    legend = {"contact of the presses so far": _contact_line()}
     if inclusion_mm is not None:
         cross = Line2D([], [], color=_CENTRE, marker="P", ls="", mec="0.3", markersize=8)
-        cross.set_label("centre of the inclusion")
-        handles.append(cross)
+        legend["centre of the inclusion"] = cross
     if len(rows) > 1:
-        handles.append(Line2D([], [], color=_NEXT, linewidth=2.4, marker=">", label="next press"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    if title:
-        figure.suptitle(title, fontsize=11)
+        legend["next press"] = Line2D([], [], color=_NEXT, linewidth=2.4, marker=">")
+    _add_legend(figure, legend, title)
     return figure
-
-
-def _label_live(axes: Axes, mesh: TetMesh, piece: Slice) -> None:
-    """Label a panel and give all panels the same size in mm, with a margin for the arrow."""
-    across, up = (AXES[a] for a in IN_PLANE[piece.axis])
-    axes.set_title(f"{AXES[piece.axis]} = {piece.position_mm:.3g} mm", fontsize=9)
-    axes.set_xlabel(f"{across} (mm)", fontsize=9)
-    axes.set_ylabel(f"{up} (mm)", fontsize=9)
-    axes.tick_params(labelsize=8)
-    axes.spines[["top", "right"]].set_visible(False)
-    half = (0.5 + _LIVE_ARROW + 0.06) * float(np.ptp(mesh.bounds, axis=0).max())
-    x, y = mesh.bounds.mean(axis=0)[list(IN_PLANE[piece.axis])]
-    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
 
 
 def _draw_next_press(
     axes: Axes,
-    mesh: TetMesh,
     piece: Slice,
     next_mm: np.ndarray,
     inward: np.ndarray,
     radius_mm: float,
+    arrow_mm: float,
 ) -> None:
     """Draw an arrow, or a ring if seen from above, in slices that cross the contact."""
     if abs(piece.position_mm - next_mm[piece.axis]) > radius_mm:
@@ -306,7 +294,6 @@ def _draw_next_press(
         axes.plot(*ring, color=_NEXT, lw=2)
         axes.plot([tip[0]], [tip[1]], "o", color=_NEXT, markersize=4)
         return
-    length = _LIVE_ARROW * float(np.ptp(mesh.bounds, axis=0).max())
-    start = tuple(tip - length * along / np.linalg.norm(along))
+    start = tuple(tip - arrow_mm * along / np.linalg.norm(along))
     style = {"arrowstyle": "-|>", "color": _NEXT, "linewidth": 2.4, "mutation_scale": 16}
     axes.annotate("", xy=tuple(tip), xytext=start, arrowprops=style, zorder=5)

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure, SubFigure
 from tactorch.mesh import Sphere, TetMesh
 from tactorch.viz.figure import (
     add_legend,
+    draw_depth_curves,
     draw_diagonal,
-    layer_depths,
     new_axes,
     new_figure,
     require_curves,
@@ -64,15 +64,8 @@ def depth_figure(
     figure = new_figure(3.2 * max(len(groups), 3), 6.6)
     grid = figure.add_gridspec(2, 1, height_ratios=[1.25, 1.0])
     upper, lower = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
-    panels = upper.subplots(1, len(groups), sharey=True, squeeze=False)[0]
-    for axes, (title, curves) in zip(panels, groups.items(), strict=True):
-        for name, sums in curves.items():
-            axes.semilogy(layer_depths(len(sums)), sums, marker="o", markersize=3, label=name)
-        axes.set_title(title, fontsize=10)
-        axes.set_xlabel("depth (fraction of the height)")
-        axes.grid(True, which="both", alpha=0.25)
-        axes.legend(frameon=False, fontsize=8)
-    panels[0].set_ylabel("sum of L over the layer (mm/MPa)")
+    panels = upper.subplots(1, len(groups), sharey=True, squeeze=False)
+    draw_depth_curves(panels, groups, "sum of L over the layer (mm/MPa)", "log")
     _draw_layers(lower, mesh, values)
     lower.suptitle(f"Slices, {slices_of}" if slices_of else "Slices", fontsize=10)
     return figure
@@ -163,7 +156,6 @@ def sampling_figure(
 
 
 def _draw_positions(axes: Axes, centers: np.ndarray, radius_mm: float) -> None:
-    """Draw the numbered positions of presses from above."""
     for k, (x, y, _) in enumerate(centers, start=1):
         axes.plot(*_circle(x, y, radius_mm), color="tab:blue", linewidth=0.6)
         axes.text(x, y, str(k), ha="center", va="center", fontsize=8)

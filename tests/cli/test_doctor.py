@@ -3,14 +3,14 @@
 import importlib
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tactorch.cli import doctor, installation
-from tactorch.cli.installation import Finding, check
+from tactorch.cli import doctor
+from tactorch.cli.doctor import Check, Finding
 
 CORE = ("torch", "numpy", "scipy", "numba", "h5py", "hydra-core")
 TOLD = (
@@ -39,8 +39,14 @@ def without(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return forget
 
 
-def by_name(findings: Iterator[Finding]) -> dict[str, Finding]:
-    return {one.name: one for one in findings}
+def findings(part: str) -> dict[str, Finding]:
+    """Return the findings of the checks of one part, by name."""
+    return {check.name: check.run() for check in doctor.CHECKS if check.part == part}
+
+
+def finding(name: str) -> Finding:
+    """Return the finding of one check."""
+    return next(check for check in doctor.CHECKS if check.name == name).run()
 
 
 @pytest.mark.slow
@@ -59,7 +65,7 @@ def test_all_is_told_and_the_core_works_here(tactorch: Any) -> None:
 
 def told_of(monkeypatch: pytest.MonkeyPatch, *findings: Finding) -> None:
     """Let the doctor find these alone."""
-    monkeypatch.setattr(doctor, "check_all", lambda: iter(findings))
+    monkeypatch.setattr(doctor, "check_all", lambda: findings)
 
 
 def test_text_is_aligned_and_names_what_to_do(
@@ -105,7 +111,7 @@ def test_unknown_setting_is_refused(tactorch: Any) -> None:
 
 def test_missing_package_is_told_with_its_command(without: Callable[..., None]) -> None:
     without("pyamg", "distributed", "cv2")
-    found = by_name(installation.check_packages())
+    found = findings("packages")
     for name, module in (("pyamg", "pyamg"), ("opencv-python-headless", "cv2")):
         assert found[name].works is False
         assert f"No module named '{module}'" in found[name].message
@@ -120,7 +126,7 @@ def test_missing_package_is_told_with_its_command(without: Callable[..., None]) 
 )
 def test_broken_package_is_no_traceback(without: Callable[..., None], error: Exception) -> None:
     without("numba", error=error)
-    found = by_name(installation.check_packages())["numba"]
+    found = finding("numba")
     assert found.works is False
     assert found.core
     assert type(error).__name__ in found.message
@@ -128,50 +134,50 @@ def test_broken_package_is_no_traceback(without: Callable[..., None], error: Exc
 
 
 def test_version_out_of_range_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(installation, "version", lambda name: "0.0.1")
-    found = by_name(installation.check_packages())["numpy"]
+    monkeypatch.setattr(doctor, "version", lambda name: "0.0.1")
+    found = finding("numpy")
     assert found.works is False
     assert "0.0.1 is installed, and tactorch needs >=" in found.message
 
 
 def test_nothing_installed_by_pip_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     def absent(name: str) -> str:
-        raise installation.PackageNotFoundError(name)
+        raise doctor.PackageNotFoundError(name)
 
-    monkeypatch.setattr(installation, "version", absent)
-    monkeypatch.setattr(installation, "requires", absent)
-    installation._ranges.cache_clear()
-    found = by_name(installation.check_packages())
-    installation._ranges.cache_clear()
+    monkeypatch.setattr(doctor, "version", absent)
+    monkeypatch.setattr(doctor, "requires", absent)
+    doctor._specifiers.cache_clear()
+    found = findings("packages")
+    doctor._specifiers.cache_clear()
     assert "not installed" in found["tactorch"].message
     assert found["numpy"].works is True
     assert found["numpy"].message == importlib.import_module("numpy").__version__
 
 
 def test_solver_that_fails_takes_down_itself_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tactorch.linalg import multigrid
+    from tactorch.linalg.iterative import MultigridSolver
 
     def wrong(self: Any, rhs: Any) -> Any:
         return rhs
 
-    monkeypatch.setattr(multigrid.MultigridSolver, "solve", wrong)
-    found = by_name(installation.check_solvers())
+    monkeypatch.setattr(MultigridSolver, "solve", wrong)
+    found = findings("solvers")
     assert found["multigrid"].works is False
     assert "off by" in found["multigrid"].message
     assert found["multigrid"].remedy.startswith('pip install "pyamg')
     assert found["superlu"].works is True
     assert found["any of them"].works is True
-    monkeypatch.setattr(multigrid.MultigridSolver, "factor", lambda self, values: False)
-    assert "indefinite" in by_name(installation.check_solvers())["multigrid"].message
+    monkeypatch.setattr(MultigridSolver, "factor", lambda self, values: False)
+    assert "indefinite" in finding("multigrid").message
 
 
 def test_no_solver_at_all_is_a_core_that_does_not_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(name: str) -> str:
+    def fail(*_: Any, **__: Any) -> Any:
         raise OSError("libmkl_rt.so.2 is damaged")
 
-    monkeypatch.setattr(installation, "_solve", fail)
-    monkeypatch.setattr(installation, "_press", lambda: fail(""))
-    found = by_name(installation.check_solvers())
+    monkeypatch.setattr("tactorch.linalg.analyse", fail)
+    monkeypatch.setattr("tactorch.fem.SoftBody", fail)
+    found = findings("solvers")
     for name in ("any of them", "a pressed block"):
         assert found[name].works is False
         assert found[name].core
@@ -180,31 +186,31 @@ def test_no_solver_at_all_is_a_core_that_does_not_work(monkeypatch: pytest.Monke
 def test_folders_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("TACTORCH_CACHE", str(tmp_path / "file"))
-    found = check(installation.FILES, "cache", installation._cache, remedy="set TACTORCH_CACHE")
+    found = finding("cache of meshes")
     assert found.works is False
     assert str(tmp_path / "file") in found.message
-    assert found.remedy == "set TACTORCH_CACHE"
+    assert found.remedy.startswith("set TACTORCH_CACHE")
 
 
 def test_shared_data(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("TACTORCH_SHARED", str(tmp_path))
-    found = installation._shared_data()
+    found = finding("shared data")
     assert found.works is False
     assert str(tmp_path / "data") in found.message
     (tmp_path / "data").mkdir()
-    assert installation._shared_data().works is True
+    assert finding("shared data").works is True
     monkeypatch.delenv("TACTORCH_SHARED")
-    assert installation._shared_data().works is not False  # nothing was asked for
+    assert finding("shared data").works is not False  # nothing was asked for
 
 
 def test_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     import torch
 
-    found = by_name(installation.check_machine())
+    found = findings("machine")
     assert "usable of" in found["cores"].message
     assert "GiB" in found["memory"].message
     monkeypatch.setattr(torch.version, "cuda", None)
-    assert "built without CUDA" in installation._gpu().message
+    assert "built without CUDA" in finding("GPU").message
     monkeypatch.setattr(torch.version, "cuda", "12.8")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
 
@@ -212,18 +218,18 @@ def test_machine(monkeypatch: pytest.MonkeyPatch) -> None:
         raise RuntimeError("Found no NVIDIA driver on your system.")
 
     monkeypatch.setattr(torch.cuda, "init", no_driver)
-    gpu = installation._gpu()
+    gpu = finding("GPU")
     assert gpu.works is None
     assert "no NVIDIA driver" in gpu.message
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     monkeypatch.setattr(torch, "ones", lambda *a, **k: no_driver())
-    assert installation._gpu().works is False
+    assert finding("GPU").works is False
 
 
 def test_no_browser_is_told_and_not_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(installation.shutil, "which", lambda name: None)
-    found = installation._browser()
+    monkeypatch.setattr(doctor.shutil, "which", lambda name: None)
+    found = finding("headless browser")
     assert found.works is None
     assert "no Chromium" in found.message
 
@@ -231,12 +237,11 @@ def test_no_browser_is_told_and_not_missed(monkeypatch: pytest.MonkeyPatch) -> N
 def test_what_packages_print_does_not_spoil_the_json(
     tactorch: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def talkative() -> Iterator[Finding]:
+    def talkative() -> str:
         print("hello from a package")
-        yield Finding("packages", "x", True, "1")
+        return "1"
 
-    for part in ("packages", "solvers", "machine", "places"):
-        monkeypatch.setattr(installation, f"check_{part}", talkative)
+    monkeypatch.setattr(doctor, "CHECKS", [Check("packages", name, talkative) for name in "wxyz"])
     done = tactorch("doctor", "json=true")
     assert len(json.loads(done.out)["findings"]) == 4
     assert "hello" in done.err

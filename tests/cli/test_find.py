@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from tactorch.learning.recognizer.network import Recognizer
+from tactorch.learning.recognizer import Recognizer
 
 
 def test_lumps_are_told_with_how_sure_they_are(tactorch: Any, finished_run: Path) -> None:

@@ -88,7 +88,7 @@ def test_a_map_at_its_bounds_is_told(
     """The body has 0.2 MPa, so that a bound above it holds nearly all of the map."""
     done = tactorch(
         "invert", f"recording={recording}", f"run_dir={tmp_path}", f"bounds.lower={lower}",
-        "start_mpa=0.4", "optimizer.max_iterations=5", "plots=false",
+        "initialization.start_mpa=0.4", "optimizer.max_iterations=5", "plots=false",
     )  # fmt: skip
     assert done.status == 0, done.err
     content = (tmp_path / "summary.txt").read_text()
@@ -99,7 +99,8 @@ def test_a_map_at_its_bounds_is_told(
 
 def test_run_folder_tells_how_it_came_about(tactorch: Any, recording: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    tactorch("invert", f"recording={recording}", f"run_dir={folder}", "start_mpa=0.25", *QUICK)
+    start = "initialization.start_mpa=0.25"
+    tactorch("invert", f"recording={recording}", f"run_dir={folder}", start, *QUICK)
     config = (folder / ".hydra" / "config.yaml").read_text()
     assert "start_mpa: 0.25" in config
     assert "max_trials: 12" in config  # what was not typed too

@@ -8,7 +8,7 @@ import pytest
 
 TINY = (
     "dataset.count=6", "dataset.shard=3", "dataset.reconstruct=false", "dataset.samples=1",
-    "dataset.sizes.relative_edge_length=0.3", "dataset.sizes.fine_relative=null",
+    "dataset.mesh.relative_edge_length=0.3", "dataset.mesh.fine_relative=null",
     "dataset.presses.steps=[1]", "workers=1",
 )  # fmt: skip
 
@@ -40,7 +40,13 @@ def test_generate_writes_a_dataset_with_its_card(tactorch: Any, folder: Path) ->
         (("dataset.seed=9",), ("another recipe", "seed is 0 there and 9 here")),
         (("+dataset.family.sise=1",), ("dataset.family.sise", "'dataset.family.size'")),
         (("dataset.family.name=cats",), ("dataset.family=cats is unknown",)),
-        (("dataset.presses.faces=[[top]]",), ("unknown face 'top'",)),
+        (
+            ("dataset.presses.faces=[[top]]",),
+            (
+                "dataset.presses.faces=[['top']]",
+                "x-, x+",
+            ),
+        ),
         (("dataset.presses.p_max_mpa=0.02",), ("dataset.presses.p_max_mpa=0.02", "two numbers")),
         (("executor=dask",), ("needs scheduler",)),
         (("max_seconds=3", "dataset.reconstruct=true"), ("max_seconds",)),
@@ -94,7 +100,6 @@ def test_train_learns_and_resumes(tactorch: Any, folder: Path, tmp_path: Path) -
     assert "is damaged or no checkpoint" in broken.err
     for name, content in (
         ("data.json", "{"), ("data.json", "[]"), ("data.json", "{}"),
-        ("data.json", '{"fingerprint": 0, "classes": 3}'),
         (".hydra/config.yaml", "model: [\n"), (".hydra/config.yaml", "model: {name: recognizer}\n"),
         (".hydra/config.yaml", "\0\1"),
     ):  # fmt: skip
@@ -121,10 +126,11 @@ def test_train_learns_and_resumes(tactorch: Any, folder: Path, tmp_path: Path) -
     ("arguments", "words"),
     [
         (("data.folder=nowhere",), ("dataset not found: 'nowhere'",)),
-        (("model.hidden=0",), ("must be at least 1",)),
+        (("model.hidden=0",), ("model.hidden=0", "at least 1")),
         (("trainer=gpu",), ("trainer=gpu needs a CUDA device",)),
         (("trainer.max_epochs=0",), ("max_epochs=0",)),
         (("data.shares=[0.5,0.5]",), ("data.shares", "three numbers")),
+        (("data.shares=[0,0.5,0.5]",), ("data.shares: no object to train on",)),
         (("splits=0",), ("splits=0",)),
     ],
 )

@@ -1,5 +1,6 @@
 """Networks of other packages in `tactorch train` and `tactorch evaluate-model`."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -7,26 +8,27 @@ from typing import Any
 import pytest
 
 from tactorch.cli.networks import MODELS, TrainOptions
-from tactorch.config import Options, options_from_arguments
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.learning.recognizer.network import Recognizer
-from tactorch.learning.training import DataUse
+from tactorch.learning.recognizer import Recognizer
+from tactorch.learning.training import NetworkOptions
 
 
-class Deep(Recognizer):
+@dataclass(frozen=True, kw_only=True)
+class Deep(NetworkOptions):
     """Recognizer with eight hidden layers."""
 
-    data_use = DataUse("recognition", ("classes",))
+    data = "recognition"
+    hidden: int = option(32, "Channels of the hidden layers", ge=1)
 
-    def __init__(self, classes: list[str], hidden: int = 32) -> None:
-        super().__init__(classes, hidden=hidden, layers=8)
+    def __call__(self, data: Any) -> Recognizer:
+        return Recognizer(data.classes, layers=8, **vars(self))
 
 
 @pytest.fixture
 def deep(monkeypatch: pytest.MonkeyPatch) -> type[Options]:
-    options = options_from_arguments(Deep, "model", without=Deep.data_use.arguments)
-    monkeypatch.setattr(MODELS, "_added", {**MODELS._added, "deep": options})
-    return options
+    monkeypatch.setattr(MODELS, "_added", {**MODELS._added, "deep": Deep})
+    return Deep
 
 
 def train_options(model: Options, data: str = "recognition") -> TrainOptions:
@@ -36,16 +38,16 @@ def train_options(model: Options, data: str = "recognition") -> TrainOptions:
 
 def test_a_network_declares_its_data(deep: type[Options]) -> None:
     options = train_options(deep(hidden=8))
-    network = options.make_model(SimpleNamespace(classes=["ball", "cube"], mean=0.3))
-    assert isinstance(network, Deep)
+    network = options.model(SimpleNamespace(classes=["ball", "cube"]))
     assert network.classes == ["ball", "cube"]
+    assert network.options.hidden == 8
     with pytest.raises(ConfigError, match="model=deep learns from data=recognition, not from data"):
-        train_options(deep(), data="warmstart").data_use()
+        train_options(deep(), data="warmstart").make_data(0)
 
 
 def test_a_network_without_declared_data_is_refused() -> None:
     with pytest.raises(ConfigError, match="does not declare its data"):
-        train_options(Options()).data_use()
+        train_options(Options()).make_data(0)
 
 
 def test_other_networks_have_no_evaluation(tactorch: Any, deep: type[Options]) -> None:

@@ -9,7 +9,7 @@ import pytest
 pytestmark = pytest.mark.slow  # tests/learning has the same without the command line
 TINY = (
     "dataset=warmstart", "dataset.count=8", "dataset.shard=4", "dataset.samples=1",
-    "dataset.sizes.relative_edge_length=0.3", "dataset.sizes.fine_relative=null",
+    "dataset.mesh.relative_edge_length=0.3", "dataset.mesh.fine_relative=null",
     "dataset.presses.steps=[1]", "workers=1",
 )  # fmt: skip
 SMALL = (
@@ -93,8 +93,8 @@ def test_an_inversion_uses_it(
         (("model=surrogate", "data=recognition"), ("learns from data=warmstart",)),
         (("model=recognizer", "data=warmstart"), ("learns from data=recognition",)),
         ((*SMALL, "data.folder=nowhere"), ("dataset not found: 'nowhere'",)),
-        ((*SMALL, "data.cells=3"), ("cells=3", "even")),
-        ((*SMALL, "model.width=3"), ("width=3",)),
+        ((*SMALL, "data.cells=3"), ("cells=3", "at least 4")),
+        ((*SMALL, "model.width=3"), ("width=3", "even")),
         ((*SMALL, "data.folder=null"), ("data.folder",)),
     ],
 )

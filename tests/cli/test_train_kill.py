@@ -12,7 +12,7 @@ import pytest
 
 DATA = (
     "dataset.count=24", "dataset.shard=12", "dataset.samples=1", "dataset.reconstruct=false",
-    "dataset.sizes.relative_edge_length=0.25", "dataset.sizes.fine_relative=null",
+    "dataset.mesh.relative_edge_length=0.25", "dataset.mesh.fine_relative=null",
     "dataset.presses.steps=[1]",
 )  # fmt: skip
 EPOCHS = 60

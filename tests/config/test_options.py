@@ -88,7 +88,7 @@ def test_python_and_tables_share_the_checks() -> None:
 def test_settings_carry_help_unit_and_choices() -> None:
     settings = {setting.name: setting for setting in settings_of(Whole)}
     assert settings["recording"].required
-    assert settings["start_mpa"].constraint.unit == "MPa"
+    assert settings["start_mpa"].unit == "MPa"
     assert settings["flag"].choices == (True, False, "auto")
     assert settings["start_mpa"].choices == ("homogeneous",)
 

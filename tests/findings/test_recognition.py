@@ -6,7 +6,7 @@ import torch
 
 from tactorch.errors import FileError, MeshError
 from tactorch.findings.recognition import load_recognizer, recognise
-from tactorch.learning.recognizer.network import Recognizer
+from tactorch.learning.recognizer import Recognizer
 from tactorch.mesh import box_mesh
 
 MESH = box_mesh(10.0, 4)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactorch.errors import FileError, MeshError, RecordingError, TactorchError
+from tactorch.errors import ConfigError, FileError, MeshError, RecordingError, TactorchError
 from tactorch.importers import import_published
 from tactorch.mesh import box_mesh
 
@@ -106,7 +106,7 @@ def test_rounding_is_an_option(case: Path) -> None:
     np.testing.assert_allclose(rest.mesh.points[0], [3e-4] * 3)
     seen = rest.presses[0].displacement[rest.presses[0].observed].reshape(-1, 3)
     np.testing.assert_allclose(seen, [[-3e-4, -3e-4, -0.2003]] * 4)
-    with pytest.raises(RecordingError, match="round_rest_m is 0"):
+    with pytest.raises(ConfigError, match=r"round_rest_m=0\.0: give a number above 0, or null"):
         import_published(case, round_rest_m=0.0)
 
 

@@ -1,14 +1,13 @@
 from pathlib import Path
+from typing import Any
 
 import lightning
 import pytest
 import torch
 
-from tactorch.cli.networks import RecognitionDataOptions
 from tactorch.errors import ConfigError
 from tactorch.generation import MeshSizes, PressDraw, Recipe, generate
-from tactorch.learning.recognizer.data import RecognitionData
-from tactorch.learning.recognizer.network import FCN, Recognizer
+from tactorch.learning.recognizer import FCN, RecognitionData, RecognitionOptions, Recognizer
 
 
 @pytest.mark.parametrize("size", [(4, 4, 4), (9, 16, 7), (24, 24, 24)])
@@ -43,6 +42,10 @@ def shapes(count: int, folder: Path) -> Path:
     return generate(recipe, folder / "shapes", workers=1).folder
 
 
+def recognition(folder: Path, **options: Any) -> RecognitionData:
+    return RecognitionData(RecognitionOptions(folder=folder, **options))
+
+
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return shapes(9, tmp_path_factory.mktemp("shapes"))
@@ -53,7 +56,7 @@ def test_it_learns_the_shapes(tmp_path: Path) -> None:
     """A small network tells true maps apart after a few epochs; chance is a third."""
     dataset = shapes(36, tmp_path)
     lightning.seed_everything(0, workers=True)
-    data = RecognitionData(dataset, voxels=12, source="truth", shares=(0.7, 0.0, 0.3), batch=8)
+    data = recognition(dataset, voxels=12, source="truth", shares=(0.7, 0.0, 0.3), batch=8)
     assert data.classes == ["cake", "cone", "torus"]
     model = Recognizer(data.classes, data.mean, data.deviation, hidden=16, learning_rate=1e-2)
     trainer = lightning.Trainer(
@@ -71,11 +74,10 @@ def test_it_learns_the_shapes(tmp_path: Path) -> None:
 
 def test_what_a_dataset_lacks_is_said(dataset: Path) -> None:
     with pytest.raises(ConfigError, match="no reconstructions"):
-        RecognitionData(dataset, voxels=8)
-    for data in (RecognitionDataOptions, RecognitionData):
-        with pytest.raises(ConfigError, match="source='map'"):
-            data(folder=dataset, source="map")
+        recognition(dataset, voxels=8)
+    with pytest.raises(ConfigError, match="source='map'"):
+        recognition(dataset, source="map")
 
 
 def test_presses_on_three_sides_allow_six_symmetries(dataset: Path) -> None:
-    assert len(RecognitionData(dataset, voxels=4, source="truth").allowed) == 6
+    assert len(recognition(dataset, voxels=4, source="truth").allowed) == 6

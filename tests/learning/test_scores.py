@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.learning.recognizer.network import class_scores
+from tactorch.learning.recognizer import class_scores
 
 
 def test_scores_of_a_worked_example() -> None:

@@ -14,8 +14,7 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.learning.data import AugmentedSamples, EpochSampler, SplitData, symmetries
-from tactorch.learning.recognizer.data import RecognitionData
-from tactorch.learning.recognizer.network import Recognizer
+from tactorch.learning.recognizer import RecognitionData, RecognitionOptions, Recognizer
 from tactorch.learning.training import (
     BEST,
     CURVE,
@@ -33,7 +32,8 @@ class Blobs(RecognitionData):
     """Two classes of random maps that differ in their mean."""
 
     def __init__(self) -> None:
-        SplitData.__init__(self, {"shards": []}, {}, batch=5, augment=True, seed=3)
+        options = RecognitionOptions(folder="blobs", batch=5)
+        SplitData.__init__(self, options, 3, {"shards": []}, range(24), ["blob"] * 24)
         self.brightness = 0.1
         rng = torch.Generator().manual_seed(0)
         self.labels = torch.arange(24) % 2

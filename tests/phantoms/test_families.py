@@ -54,7 +54,8 @@ def test_contrast_can_be_told() -> None:
     ("family", "options", "message"),
     [
         ("cats", {}, "family=cats is unknown; choose one of recognition"),
-        ("recognition", {"shapes": ["cube"]}, "'cube' is unknown"),
+        ("recognition", {"shapes": ["cube"]}, "shapes=.*cube.*cake, torus or cone"),
+        ("recognition", {"shapes": []}, "shapes=.*not empty"),
         ("recognition", {"sise": 1}, "sise"),
         ("recognition", {"size": (3.0, 4.0)}, "No inclusion fits"),
         (
@@ -62,8 +63,12 @@ def test_contrast_can_be_told() -> None:
             {"size": (2.0, 1.0)},
             r"family.size=\[2.0, 1.0\]: give the lower end first",
         ),
-        ("inclusions", {"shapes": ["cube"]}, "'cube' is unknown"),
-        ("inclusions", {"backgrounds": ["blue"]}, "'blue' is unknown"),
+        ("inclusions", {"shapes": ["cube"]}, "shapes=.*cube.*ball, box"),
+        (
+            "inclusions",
+            {"backgrounds": ["blue"]},
+            "blue.*: give a list of uniform, gradient or random",
+        ),
         ("inclusions", {"contrast": (0.9, 1.1)}, "differs from 1"),
         ("inclusions", {"youngs_mpa": (0.0, 1.0)}, "youngs_mpa"),
     ],

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.findings.text import Fact
 from tactorch.inverse import (
@@ -24,11 +25,10 @@ from tactorch.inverse import (
     settings_from,
 )
 from tactorch.inverse.misfit import Huber
-from tactorch.inverse.settings import stored_settings
 from tactorch.recording import Recording
 from tactorch.report import Run, load_run, run_names, write_report
 from tactorch.report.assessment import assess
-from tactorch.report.content import RunReport, score_table
+from tactorch.report.content import score_table
 
 
 def page_of(run: Any, out: Path, **options: Any) -> str:
@@ -67,8 +67,7 @@ def test_a_thousand_elements_take_some_tens_of_kilobytes(run_folder: Path, tmp_p
 
 def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
     run = load_run(run_folder)
-    assessment = assess(run)
-    told = RunReport(run, assessment)
+    told = assess(run)
     assert told.inclusion is not None
     assert told.headline.startswith("A stiff inclusion, ")
     assert f"{told.inclusion.contrast:.2g} times" in told.headline
@@ -80,8 +79,8 @@ def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
         f"below the pressed side {'x+' if x > z else 'z+'}; at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
     )
     sure = next(fact for fact in told.facts if fact.label == "Probability")
-    assert assessment.lump is not None
-    stated = assessment.lump.confidence
+    assert told.lump is not None
+    stated = told.lump.confidence
     assert stated is not None
     assert sure.value == "over 99.9 %" or sure.value == f"{100 * stated.probability:.3g} %"
     assert f"at least {stated.contrast[0]:.2g} times" in sure.note
@@ -156,7 +155,7 @@ def test_no_uncertainty_is_told_at_a_bound(make_run: Any, tmp_path: Path) -> Non
     ).all()
     volumes = run.result.mesh.volumes
     share = volumes[assessment.uncertainty.at_bound].sum() / volumes.sum()
-    told = [line for line in RunReport(run, assessment).limitations if "factor of two" in line]
+    told = [line for line in assessment.limitations if "factor of two" in line]
     assert f"{100 * share:.0f} %" in told[0]
     page_of(run, tmp_path)
 
@@ -205,9 +204,8 @@ def test_a_nuisance_whose_deviation_was_not_computed_is_not_said_to_be_unknown(
     for deviation, words in ((np.nan, "was not computed"), (0.02, "hardly determine"), (0.001, "")):
         estimate = NuisanceEstimate(np.array([0.4]), np.array([deviation]), 0.02)
         found = dataclasses.replace(run.result, nuisance={"poisson": estimate})
-        told = RunReport(
-            dataclasses.replace(run, result=found), assess(run, uncertainty=False)
-        ).limitations
+        report = assess(run, uncertainty=False)
+        told = dataclasses.replace(report, run=dataclasses.replace(run, result=found)).limitations
         named = [line for line in told if "poisson" in line]
         assert [words in line for line in named] == [True] * bool(words)
 
@@ -304,33 +302,12 @@ def test_names_are_short_and_differ() -> None:
     ],
 )
 def test_settings_come_back_from_a_result(settings: Settings) -> None:
-    config = json.loads(json.dumps({"settings": stored_settings(settings)}))
+    config = json.loads(json.dumps({"settings": to_mapping(settings)}))
     assert settings_from(config) == settings
 
 
-def test_settings_come_back_from_a_result_of_version_0_1() -> None:
-    prior = {
-        "level_mpa": None, "levels_mpa": None, "length_mm": 3.0, "deviation": 0.4,
-        "parts": {"matern": 1.0, "log_jumps": 0.5}, "mean_mpa": None, "mean_deviation": None,
-        "mean_share": 1.0,
-    }  # fmt: skip
-    old = stored_settings(Settings()) | {
-        "regularization": "composite", "edge": 0.2, "prior": prior, "misfit": "huber",
-        "optimizer": "", "parameterization": "log",
-    }  # fmt: skip
-    optimizer = {"name": "gauss_newton", "max_iterations": 9, "weight": 3.0}
-    assert settings_from({"settings": old, "optimizer": optimizer}) == Settings(
-        optimizer=GaussNewton(max_iterations=9),
-        regularization=Composite(
-            parts={"matern": {"deviation": 0.4}, "log_jumps": {"edge": 0.2, "weight": 0.5}},
-            weight=3.0,
-        ),
-        misfit=Huber(),
-    )
-
-
 def test_settings_that_are_not_all_told_are_refused() -> None:
-    config = {"settings": stored_settings(Settings())}
+    config = {"settings": to_mapping(Settings())}
     settings_from(config)
     config["settings"]["regularization"]["mean_mpa"] = "float64 array [5], sha256 abc..."
     with pytest.raises(ConfigError, match="a map that the result does not store"):

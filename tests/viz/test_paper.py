@@ -27,7 +27,7 @@ def is_drawn(figure: Figure, folder: Path) -> bool:
 def test_panels_of_unlike_rows_are_drawn(tmp_path):
     one = Panel(MESH, np.full(MESH.n_tets, 0.2), (0.0, 1.0), title="t", caption="c")
     marked = Panel(MESH, np.full(MESH.n_tets, 1.0), (0.0, 1.0), 2, marks_mm=np.full((2, 3), 5.0))
-    assert is_drawn(panels_figure([[one, marked], [one]], ["a", "b"]), tmp_path)
+    assert is_drawn(panels_figure({"a": [one, marked], "b": [one]}), tmp_path)
 
 
 def test_boxes_curves_and_matrices_are_drawn(tmp_path):
@@ -41,7 +41,7 @@ def test_boxes_curves_and_matrices_are_drawn(tmp_path):
 
 def test_nothing_to_draw_is_refused():
     for draw in (
-        lambda: panels_figure([[]], ["a"]),
+        lambda: panels_figure({"a": []}),
         lambda: boxes_figure({2.0: []}),
         lambda: matrices_figure({}),
         lambda: curves_figure({"a": {}}, columns=1, ylabel=""),

@@ -13,11 +13,10 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.inputs import FrameSequence
 from tactorch.cli.sensor.options import PictureSettings
 from tactorch.cli.settings import run_folder
-from tactorch.files import atomic_path, write_arrays, write_file
+from tactorch.files import atomic_path, write_arrays, write_file, write_json
 from tactorch.sensor.frames import Frame
 from tactorch.text import one_line
 from tactorch.viz.figure import save_figure

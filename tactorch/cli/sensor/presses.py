@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from tactorch.cli.console import Table, log, log_text
-from tactorch.cli.outputs import write_json
 from tactorch.cli.sensor.frames import write_table
 from tactorch.cli.sensor.options import BallSettings
 from tactorch.cli.settings import run_folder
 from tactorch.errors import FileError
-from tactorch.files import write_file
+from tactorch.files import write_file, write_json
 from tactorch.sensor.calibration import (
     Ball,
     BallPress,

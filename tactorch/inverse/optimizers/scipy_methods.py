@@ -91,7 +91,6 @@ class _BoundedRun:
         self._latest, self._monitor, self._weight = point, monitor, weight
 
     def run(self, method: str, options: dict[str, Any]) -> Any:
-        """Minimise from the point; return SciPy's result."""
         limits, start = self.point.objective.limits, self.point.x
         if not self._monitor.history:
             self._report()

@@ -113,8 +113,7 @@ def l_curve_weight(spectrum: Spectrum) -> float:
     across, up = np.log(spectrum.misfits(weights)), np.log(spectrum.penalties(weights))
     dx, dy = np.gradient(across), np.gradient(up)
     ddx, ddy = np.gradient(dx), np.gradient(dy)
-    speed = np.maximum((dx * dx + dy * dy) ** 1.5, 1e-30)
-    curvature = (dy * ddx - dx * ddy) / speed
+    curvature = (dy * ddx - dx * ddy) / np.maximum((dx * dx + dy * dy) ** 1.5, 1e-30)
     # Where the curve hardly moves, its curvature is round-off; the ends have none.
     curvature[dx * dx + dy * dy < 1e-6] = -np.inf
     inner = slice(2, -2)

@@ -28,7 +28,6 @@ class Composite(Prior):
     )
 
     def __post_init__(self) -> None:
-        """Make the parts."""
         super().__post_init__()
         if not self.parts:
             raise ConfigError("regularization.parts is empty; give {NAME: SHARE, ...}.")
@@ -84,7 +83,6 @@ class ShiftedPrior(Prior):
     share: float = option(1.0, "Share of the prior that is about the map", gt=0, le=1)
 
     def __post_init__(self) -> None:
-        """Copy and check the map."""
         for name in ("mean_mpa", "deviation"):
             if getattr(self, name) is not None:
                 values = np.array(getattr(self, name), dtype=np.float64)

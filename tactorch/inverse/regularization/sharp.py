@@ -139,7 +139,6 @@ class BinaryWell(Prior):
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        """Check the levels."""
         super().__post_init__()
         if self.levels_mpa is not None and self.levels_mpa[0] == self.levels_mpa[1]:
             raise ConfigError(

@@ -4,16 +4,20 @@ Its network is a 3-D U-Net (Ronneberger et al., 2015) with a shared encoder of t
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from tactorch.config import option
 from tactorch.errors import ConfigError, FileError
+from tactorch.learning.surrogate.data import SurrogateData
 from tactorch.learning.surrogate.features import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
-from tactorch.learning.training import DataUse, Network, load_network, save_atomically
+from tactorch.learning.training import Network, NetworkOptions, load_network, save_atomically
 
 #: Weights of tactorch; surrogate.json states the data and settings of their training.
 INCLUDED_WEIGHTS = Path(__file__).with_name("surrogate.pt")
@@ -41,10 +45,6 @@ class PressUNet(nn.Module):
         encoded: int = 24,
     ) -> None:
         super().__init__()
-        if min(width, encoded) < 2 or width % 2:
-            raise ConfigError(
-                f"width={width} must be even, and width and encoded={encoded} at least 2."
-            )
         fine = width // 2
         self.encoder = nn.Sequential(
             nn.Conv3d(press_channels + shared_channels, encoded, 3, padding=1),
@@ -80,8 +80,7 @@ class PressUNet(nn.Module):
         deep = self.middle(self.down(wide))
         back = self.up(functional.interpolate(deep, size=wide.shape[2:], mode="nearest"))
         wide = self.second(self.join(torch.cat([wide, back], dim=1)))
-        fine = _upsample(self.refine(wide))
-        return self.last(torch.cat([fine, _upsample(shared)], dim=1))
+        return self.last(torch.cat([_upsample(self.refine(wide)), _upsample(shared)], dim=1))
 
     def _pooled(self, presses: Tensor, mask: Tensor, shared: Tensor) -> Tensor:
         indices = mask.nonzero(as_tuple=True)
@@ -116,6 +115,25 @@ def _upsample(field: Tensor) -> Tensor:
     return functional.interpolate(field, scale_factor=2, mode="trilinear", align_corners=False)
 
 
+@dataclass(frozen=True, kw_only=True)
+class SurrogateOptions(NetworkOptions):
+    """Predicts a normal distribution of log-modulus per voxel, relative to the best uniform one."""
+
+    data: ClassVar[str] = "warmstart"
+    width: int = option(48, "Channels of the widest layers of full resolution, even", ge=2)
+    encoded: int = option(24, "Channels of an encoded press", ge=2)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.width % 2:
+            raise ConfigError(f"model.width={self.width}: give an even number.")
+
+    def __call__(self, data: SurrogateData) -> "Surrogate":
+        """Return the network for some data."""
+        scales = data.press_scale, data.shared_scale
+        return Surrogate(*scales, cells=data.cells, frames=data.frames, **vars(self))
+
+
 class Surrogate(Network):
     """Predicts a normal distribution of log-modulus per voxel, relative to the best uniform one.
 
@@ -126,16 +144,12 @@ class Surrogate(Network):
     Args:
         press_scale: Scale of each channel of a press; a buffer of the module.
         shared_scale: Scale of each channel of the object; a buffer of the module.
-        width: Channels of the widest layers of full resolution.
-        encoded: Channels of an encoded press.
-        learning_rate: Largest learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
         cells: Cells of the input in each direction; stored with the weights.
         frames: Load steps per press location in the input; stored with the weights.
         version: Version of the input; stored with the weights.
+        options: Settings, see `SurrogateOptions`.
     """
 
-    data_use = DataUse("warmstart", ("press_scale", "shared_scale", "cells", "frames"))
     press_scale: Tensor
     shared_scale: Tensor
 
@@ -143,25 +157,24 @@ class Surrogate(Network):
         self,
         press_scale: Sequence[float] = (1.0,) * len(PRESS_CHANNELS),
         shared_scale: Sequence[float] = (1.0,) * len(SHARED_CHANNELS),
-        width: int = 48,
-        encoded: int = 24,
-        learning_rate: float = 2e-3,
-        weight_decay: float = 1e-3,
         cells: int = 8,
         frames: int = 1,
         version: int = VERSION,
+        **options: Any,
     ) -> None:
-        super().__init__(learning_rate, weight_decay)
         if version != VERSION:
             raise ConfigError(
                 f"the weights are for version {version} of the input, and this tactorch has version"
                 f" {VERSION}; train again."
             )
+        settings = SurrogateOptions(**options)
+        super().__init__(settings)
         self.save_hyperparameters()
         self.cells, self.frames = cells, frames
         self.register_buffer("press_scale", torch.tensor(list(press_scale)))
         self.register_buffer("shared_scale", torch.tensor(list(shared_scale)))
-        self.network = PressUNet(len(PRESS_CHANNELS), len(SHARED_CHANNELS), 2, width, encoded)
+        channels = len(PRESS_CHANNELS), len(SHARED_CHANNELS), 2
+        self.network = PressUNet(*channels, settings.width, settings.encoded)
 
     def forward(
         self,
@@ -188,8 +201,7 @@ class Surrogate(Network):
 
     def predict_step(self, batch: Sequence[Tensor], index: int) -> tuple[Tensor, Tensor]:
         """Return mean and deviation."""
-        mean, deviation = self(*batch[:3])
-        return mean, deviation
+        return self(*batch[:3])
 
     def _log_likelihood(self, batch: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Return negative log-likelihood (up to a constant) and deviation of the voxels inside."""

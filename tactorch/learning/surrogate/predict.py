@@ -2,9 +2,9 @@
 
 import logging
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -84,28 +84,7 @@ class SurrogateStart(Options):
             ConvergenceError: The presses have an equilibrium with no uniform modulus.
             FileError: The weights are missing, damaged or of another model.
         """
-        key, last = (noise, bounds), self._last
-        if last and last[0] is recording and last[1] == key:
-            prediction: Prediction = last[2]
-            return prediction
-        cells, frames = self.network.cells, self.network.frames
-        features = compute_features(recording, cells, frames, noise=noise, bounds=bounds)
-        presses = torch.from_numpy(features.presses).float()[None]
-        shared = torch.from_numpy(features.shared).float()[None]
-        with torch.inference_mode():
-            fields = self.network(presses, torch.ones(presses.shape[:2], dtype=torch.bool), shared)
-        mean, deviation = (field[0].double().numpy() for field in fields)
-        grid, limits = VoxelGrid(recording.mesh, 2 * cells), bounds or Bounds()
-        youngs = features.youngs_mpa * np.exp(grid.at_elements(mean))
-        spread = np.exp(grid.at_elements(np.log(deviation)))
-        prediction = Prediction(np.clip(youngs, limits.lower, limits.upper), spread)
-        self._last[:] = [recording, key, prediction]
-        return prediction
-
-    @cached_property
-    def _last(self) -> list[Any]:
-        """Recording, noise with bounds, and prediction of the last call."""
-        return []
+        return _predict(self.network, recording, noise, bounds)
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
         """Return the predicted map, or the best uniform one if that fits better, MPa."""
@@ -155,3 +134,20 @@ class SurrogateStart(Options):
         _log.info("The surrogate's map is the mean of the prior")
         shifted = ShiftedPrior(prior=prior, mean_mpa=predicted, share=self.prior_share)
         return replace(settings, regularization=shifted)
+
+
+@lru_cache(maxsize=1)  # an inversion needs the same prediction for its start and for its prior
+def _predict(
+    network: Surrogate, recording: Recording, noise: NoiseModel | None, bounds: Bounds | None
+) -> Prediction:
+    cells, frames = network.cells, network.frames
+    features = compute_features(recording, cells, frames, noise=noise, bounds=bounds)
+    presses = torch.from_numpy(features.presses).float()[None]
+    shared = torch.from_numpy(features.shared).float()[None]
+    with torch.inference_mode():
+        fields = network(presses, torch.ones(presses.shape[:2], dtype=torch.bool), shared)
+    mean, deviation = (field[0].double().numpy() for field in fields)
+    grid, limits = VoxelGrid(recording.mesh, 2 * cells), bounds or Bounds()
+    youngs = features.youngs_mpa * np.exp(grid.at_elements(mean))
+    spread = np.exp(grid.at_elements(np.log(deviation)))
+    return Prediction(np.clip(youngs, limits.lower, limits.upper), spread)

@@ -158,10 +158,8 @@ def read_labels(path: str | Path) -> Mapping[str, Circle]:
 def find_circle(change: Float[np.ndarray, "h w 3"], ball: Ball, name: str = "image") -> Circle:
     """Return an approximate contact: center and size of the region of largest color gradient.
 
-    Args:
-        change: Change of the colors against the reference, see `image_change`.
-        ball: Ball, and the size of a pixel.
-        name: Name of the image, for messages.
+    `change` is that of the colors against the reference, see `image_change`; messages contain the
+    `name` of the image.
 
     Raises:
         ConfigError: There is no round change.

@@ -51,7 +51,7 @@ def fit_map(
     presses: Sequence[BallPress],
     ball: Ball,
     options: FitOptions | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[SlopeMap, list[BallPress]]:
     """Fit the map from colors to slopes together with the contacts.
 
@@ -74,8 +74,7 @@ def fit_map(
         _fit_map_to_contacts(slope_map, fitted, ball, options.seed + number)
         if number < options.rounds:
             fitted = [fit_contact(press, slope_map, ball) for press in fitted]
-        if progress is not None:
-            progress(number + 1, options.rounds + 1)
+        progress(number + 1, options.rounds + 1)
     return slope_map, fitted
 
 
@@ -95,7 +94,6 @@ def fit_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
         raise ConfigError(
             f"{press.name}: fewer than 20 pixels of the contact are not markers; leave it out."
         )
-
     measured = slopes[inside]
 
     def misfit(center: np.ndarray) -> float:
@@ -237,11 +235,8 @@ def cross_validate(
 ) -> MapQuality:
     """Return the errors on presses that are left out of the fit, each once, pooled over the groups.
 
-    Args:
-        presses: Presses of the ball.
-        ball: Ball, and the size of a pixel.
-        options: Fit options; the seed also assigns the groups.
-        folds: Number of groups of presses.
+    Arguments are those of `fit_map`; the seed of the options also assigns presses to the `folds`
+    groups.
     """
     groups = validation_groups(presses, ball, options or FitOptions(), folds)
     return MapQuality.pool([evaluate_map(*group, ball) for group in groups])
@@ -252,16 +247,12 @@ def select_map(
     ball: Ball,
     options: FitOptions | None = None,
     folds: int = 3,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[str, dict[str, MapQuality]]:
     """Select the map with the smallest error on left-out presses.
 
-    Args:
-        presses: Presses of the ball.
-        ball: Ball, and the size of a pixel.
-        options: Fit options; `map` is ignored.
-        folds: Number of groups of presses, see `cross_validate`.
-        progress: Callback with the number of evaluated maps and of all.
+    Arguments are those of `cross_validate`, and a callback with the number of evaluated maps and of
+    all. `map` of the options is ignored.
 
     Returns:
         The name of the map, and the errors of each by name.
@@ -271,6 +262,5 @@ def select_map(
     for number, name in enumerate(names):
         candidate = replace(options, map=SENSOR_MAPS.build(name))
         quality[name] = cross_validate(presses, ball, candidate, folds)
-        if progress is not None:
-            progress(number + 1, len(names))
+        progress(number + 1, len(names))
     return min(quality, key=lambda name: sum(quality[name].mae)), quality

@@ -48,11 +48,9 @@ class Calibration:
         return SENSOR_MAPS.name_of(type(self.map.options))
 
     def slopes(self, image: Image, reference: Image | None = None) -> Float[np.ndarray, "h w 2"]:
-        """Return dz/dx and dz/dy of the gel's face in an image.
+        """Return dz/dx and dz/dy of the gel's face in a rectified image.
 
-        Args:
-            image: Rectified image.
-            reference: Image of the gel without contact on that day; None for the calibration's.
+        `reference` shows the gel without contact on that day; None for the calibration's.
         """
         if image.shape != self.reference.shape:
             raise ConfigError(

@@ -101,9 +101,7 @@ class VirtualCube(Options):
     def mesh_under(self, first_pose: Pose, center_mm: Float[np.ndarray, "2"]) -> TetMesh:
         """Return the mesh in the object frame, its pressed face at the gel's highest point.
 
-        Args:
-            first_pose: T_object_sensor at first contact.
-            center_mm: Center of the contact, x and y in the sensor frame.
+        `center_mm` is the center of the contact, x and y in the sensor frame.
         """
         check_pose(first_pose, "pose of first contact")
         counts = [max(2, round(size / self.edge_mm)) for size in self._sizes_mm]

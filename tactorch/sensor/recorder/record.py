@@ -113,20 +113,9 @@ def record_streaming(
     """Yield the presses of each contact as a recording as soon as the contact has ended.
 
     The presses equal those of `record`, except that the noise is estimated from the frames so far.
-    Faulty frames and contacts that yield no press are logged and skipped.
-
-    Args:
-        frames: Frames as they are captured, with times.
-        chain: Calibrated sensor.
-        read_poses: Function that returns T_object_sensor on the same clock, as far as known.
-        target: Object at rest in the object frame, mm; or a virtual cube.
-        material: Material of the object, without Young's modulus.
-        options: Conversion options.
-        provenance: Additional facts to store.
-        poses_timeout_s: Time to wait for late poses.
-
-    Yields:
-        A recording of each contact.
+    Faulty frames and contacts that yield no press are logged and skipped. Arguments are those of
+    `record`, except that `frames` come as they are captured, `read_poses` returns T_object_sensor
+    on the same clock as far as known, and `poses_timeout_s` is the time to wait for late poses.
 
     Raises:
         ConfigError: A frame has no time, or another size than the reference.

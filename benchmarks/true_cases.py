@@ -1,0 +1,627 @@
+"""Objects, presses and recordings of `true_objects.py`; lengths in mm, moduli in MPa.
+
+The presses are solved with quadratic elements on a mesh that follows the object's interfaces and is
+refined at them and under the contact (`true_meshes.py`); the recording is on a coarser mesh of the
+body that knows nothing of its inside. It carries neither truth nor provenance.
+"""
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from true_meshes import LabelledMesh, Sizing, labels_at, make_truth_mesh, refine_everywhere
+
+from tactorch.fem import ELEMENTS, Discretisation, NewtonOptions, SoftBody, Supports, make_material
+from tactorch.fem.boundary import pressure_forces
+from tactorch.files import atomic_path, cache_folder
+from tactorch.mesh import (
+    Box,
+    Cone,
+    Ellipsoid,
+    Hemisphere,
+    Lathe,
+    Rotated,
+    Shape,
+    Sphere,
+    TetMesh,
+    face_nodes,
+)
+from tactorch.phantoms import Gradient, Phantom, RandomField, make_phantom
+from tactorch.recording import MaterialSpec, Press, Recording
+from tactorch.simulation import noise_level
+from tactorch.simulation.patch import nodes_within, patch_forces
+from tactorch.simulation.plan import PressSite
+from tactorch.simulation.transfer import Transfer
+
+FORMAT = 1  # of the cached recordings; raised when their computation changes
+VOXELS = 36
+MATERIAL = MaterialSpec("neo_hookean", 0.45)
+SPRING_N_PER_MM = 1.0  # of each supported node of the recording's mesh
+FORCE_ERROR, MISPLACEMENT_MM = 0.05, 0.3
+Point = tuple[float, float, float]
+_FLANK = 0.5  # smallest cosine between a finger's push and the surface under it
+_FINGER_POINTS = 8  # along the edge of a triangle, for the pressure of a finger
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Location of a press.
+
+    Attributes:
+        kind: "side" (uniform pressure on a whole face), "patch" (the same on a disc of a face) or
+            "finger" (pressure p (1 - r^2 / R^2) at distance r from an axis).
+        face: Face of the bounding box, for sides and patches.
+        center_mm: Centre of a patch or finger on the surface.
+        inward: Direction of a finger's push.
+        radius_mm: Radius R of the patch or finger.
+    """
+
+    kind: str
+    face: str = ""
+    center_mm: Point | None = None
+    inward: Point | None = None
+    radius_mm: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the press."""
+        where = "" if self.center_mm is None else f" at {np.round(self.center_mm, 2).tolist()} mm"
+        return f"{self.kind} {self.face}".strip() + where
+
+    @property
+    def site(self) -> PressSite:
+        """Face and centre, of sides and patches."""
+        return PressSite(self.face, self.center_mm)
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector of the push."""
+        return self.site.direction if self.inward is None else np.array(self.inward)
+
+    def shifted(self, shift: np.ndarray) -> "Contact":
+        """Return the contact at another place."""
+        return replace(self, center_mm=_point(np.array(self.center_mm) + shift))
+
+    def unit_forces(self, discretisation: Discretisation) -> np.ndarray:
+        """Return the consistent nodal forces of 1 MPa, (nodes, 3), N."""
+        if self.kind == "side":
+            return np.asarray(pressure_forces(discretisation, self.face, 1.0).numpy())
+        assert self.radius_mm is not None
+        if self.kind == "patch":
+            return patch_forces(discretisation, self.site, self.radius_mm)
+        return self._finger_forces(discretisation, self.radius_mm)
+
+    def observed(self, mesh: TetMesh) -> np.ndarray:
+        """Return the observed nodes: those of the face, or within the radius of the centre."""
+        if self.kind == "finger":
+            nodes = np.unique(mesh.surface.triangles[self._under(mesh)])
+            return nodes[self._distances(mesh.points[nodes]) <= self.radius_mm]
+        nodes = face_nodes(mesh, self.face)
+        if self.radius_mm is None:
+            return nodes
+        return nodes_within(mesh, nodes, self.site, self.radius_mm)
+
+    def _under(self, mesh: TetMesh) -> np.ndarray:
+        """Surface triangles that face a finger and have a vertex under it, or near."""
+        facing = mesh.surface.normals @ self.direction < -_FLANK
+        corners = mesh.points[mesh.surface.triangles]
+        offsets = corners - np.array(self.center_mm)
+        size = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        near = np.linalg.norm(offsets, axis=2).min(axis=1) < 1.5 * (self.radius_mm or 0.0) + size
+        return np.flatnonzero(facing & near)
+
+    def _distances(self, points: np.ndarray) -> np.ndarray:
+        """Distances from a finger's axis."""
+        offsets = points - np.array(self.center_mm)
+        across = offsets - (offsets @ self.direction)[..., None] * self.direction
+        return np.asarray(np.linalg.norm(across, axis=-1))
+
+    def _finger_forces(self, discretisation: Discretisation, radius: float) -> np.ndarray:
+        """Integrate the pressure over the surface with the element's shape functions.
+
+        The total is the exact one, pi R^2 / 2 along the push, on any mesh.
+        """
+        mesh, n = discretisation.mesh, _FINGER_POINTS
+        under = self._under(mesh)
+        triangles = mesh.surface.triangles[under]
+        projected = -mesh.surface.areas[under] * (mesh.surface.normals[under] @ self.direction)
+        thirds = [(i + k, j + k, n) for k, m in ((1 / 3, n), (2 / 3, n - 1))
+                  for i in range(m) for j in range(m - i)]  # fmt: skip
+        forces = np.zeros(discretisation.n_nodes)
+        for i, j, _ in thirds:
+            L = np.array([1.0 - (i + j) / n, i / n, j / n])
+            distances = self._distances(np.einsum("c,tcd->td", L, mesh.points[triangles]))
+            load = np.maximum(1.0 - (distances / radius) ** 2, 0.0) * projected / len(thirds)
+            quadratic = discretisation.element.quadratic
+            at_vertices = L * (2.0 * L - 1.0) if quadratic else L
+            for c in range(3):
+                np.add.at(forces, triangles[:, c], at_vertices[c] * load)
+                if quadratic:
+                    d = (c + 1) % 3
+                    midsides = discretisation.midside(triangles[:, c], triangles[:, d])
+                    np.add.at(forces, midsides, 4.0 * L[c] * L[d] * load)
+        return np.outer(forces * (0.5 * np.pi * radius**2 / forces.sum()), self.direction)
+
+
+@dataclass(frozen=True)
+class Presses:
+    """Contacts and their pressures, MPa; with springs on the opposite side, or one side held."""
+
+    name: str
+    contacts: tuple[Contact, ...]
+    pressures: tuple[float, ...]
+    held_face: str | None = None  # None: springs
+    refined_mm: float | None = None  # edge length of the truth mesh under the contacts
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """An object and its meshes.
+
+    Attributes:
+        phantom: Body and inclusions.
+        lumps: Inclusions to be found; the others are part of the background.
+        edge_mm: Edge length of the recording's mesh.
+        truth_edge_mm: Edge length of the truth mesh.
+        interface_mm: Edge length of the truth mesh at interfaces.
+    """
+
+    phantom: Phantom
+    lumps: tuple[int, ...]
+    edge_mm: float = 1.4
+    truth_edge_mm: float = 0.9
+    interface_mm: float = 0.9
+
+    def lump_labels(self, points: np.ndarray) -> np.ndarray:
+        """Return the lump at points (mm): 0 for none, k for the k-th lump."""
+        labels = labels_at(self.phantom, points)
+        out = np.zeros(len(points), dtype=np.int64)
+        for k, index in enumerate(self.lumps, start=1):
+            out[labels == index + 1] = k
+        return out
+
+    def mesh(self) -> TetMesh:
+        """Return the recording's mesh, which does not depend on the inclusions."""
+        return Phantom(self.phantom.body).mesh(self.edge_mm)
+
+    def sizing(self, presses: Presses) -> Sizing:
+        """Return the edge length of the truth mesh: small at interfaces and under contacts."""
+        shapes = [shape for shape, _ in self.phantom.inclusions]
+
+        def sizes(points: np.ndarray) -> np.ndarray:
+            out = np.full(len(points), 1.6 * self.truth_edge_mm)
+            for shape in shapes:
+                near = self.interface_mm + 0.4 * np.abs(shape.signed_distance(points))
+                out = np.minimum(out, near)
+            if presses.refined_mm is not None:
+                for contact in presses.contacts:
+                    offsets = points - np.array(contact.center_mm)
+                    depth = offsets @ contact.direction
+                    across = np.linalg.norm(offsets - np.outer(depth, contact.direction), axis=1)
+                    beyond = np.maximum(across - float(contact.radius_mm or 0.0), 0.0)
+                    distance = np.hypot(beyond, depth)
+                    out = np.minimum(out, presses.refined_mm + 0.5 * distance)
+            return out
+
+        return sizes
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording to invert.
+
+    Attributes:
+        object: Key of `OBJECTS`.
+        presses: Key of `PRESSES`.
+        snr_db: Signal-to-noise ratio of each press.
+        fault: "forces" (each press' forces wrong by a random factor), "places" (presses misplaced)
+            or "".
+        held_out: Whether the case belongs to the set that is run at the end only.
+        seed: Seed of noise and fault.
+    """
+
+    object: str
+    presses: str
+    snr_db: float
+    fault: str = ""
+    held_out: bool = False
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        """Name in tables and on the command line."""
+        parts = [self.object, self.presses, f"{self.snr_db:g}db", self.fault]
+        seed = f"s{self.seed}" if self.seed else ""
+        return "-".join(part for part in (*parts, seed) if part)
+
+    @property
+    def body(self) -> Body:
+        """The object."""
+        return OBJECTS[self.object]()
+
+    @property
+    def solution(self) -> "Solution":
+        """What is solved for this case: independent of noise and of wrong forces."""
+        misplaced = MISPLACEMENT_MM if self.fault == "places" else 0.0
+        return Solution(self.object, self.presses, misplaced)
+
+
+def _point(values: np.ndarray) -> Point:
+    """Coordinates as numbers, rounded so that the hash of a definition is reproducible."""
+    x, y, z = (round(float(value), 6) for value in values)
+    return x, y, z
+
+
+def _patches(radius: float, places: tuple[float, ...]) -> tuple[Contact, ...]:
+    return tuple(
+        Contact("patch", "z+", (x, y, 10.0), radius_mm=radius) for x in places for y in places
+    )
+
+
+def _fingers(
+    shape: Shape, radius: float, rings: tuple[tuple[float, int], ...]
+) -> tuple[Contact, ...]:
+    """Fingers along the normals of a body that stands on z = 0, at rings of polar angles."""
+    contacts, reach = [], 2.0 * float(np.abs(shape.bounds()).max())
+    for polar, count in rings:
+        for k in range(count):
+            turn = 2.0 * np.pi * k / count
+            ray = np.array([
+                np.sin(np.deg2rad(polar)) * np.cos(turn),
+                np.sin(np.deg2rad(polar)) * np.sin(turn),
+                np.cos(np.deg2rad(polar)),
+            ])  # fmt: skip
+            low, high = 0.0, reach
+            while high - low > 1e-9 * reach:
+                middle = (low + high) / 2
+                inside = bool(shape.contains(middle * ray[None])[0])
+                low, high = (middle, high) if inside else (low, middle)
+            point, step = low * ray, 1e-4
+            around = np.concatenate((point + step * np.eye(3), point - step * np.eye(3)))
+            normal = np.subtract(*shape.signed_distance(around).reshape(2, 3))
+            inward = -normal / np.linalg.norm(normal)
+            contacts.append(Contact("finger", "", _point(point), _point(inward), radius))
+    return tuple(contacts)
+
+
+_CUBE = Box((5.0,) * 3, (10.0,) * 3)
+_DOME = Hemisphere((0.0, 0.0, 0.0), 10.0)
+
+
+def _breast_outline() -> np.ndarray:
+    """Profile of a flattened dome of 30 mm radius and 24 mm height on its flat side."""
+    angles = np.linspace(0.0, np.pi / 2, 33)
+    radius, height = 30.0 * np.cos(angles) ** 0.8, 24.0 * np.sin(angles)
+    return np.concatenate(([(0.0, 0.0)], np.column_stack((radius, height))[:-1], [(0.0, 24.0)]))
+
+
+_BREAST = Lathe((0.0, 0.0, 0.0), _breast_outline())
+
+
+def _cube(*inclusions: tuple[Shape, float], youngs: Any = 0.2, **settings: Any) -> Body:
+    lumps = settings.pop("lumps", tuple(range(len(inclusions))))
+    return Body(Phantom(_CUBE, inclusions, youngs), lumps, **settings)
+
+
+def _layered() -> Body:
+    """A stiff layer below and a soft one above, 0.4 mm from the sides, with a ball between."""
+    # fTetWild leaves gaps between layers that end on the sides.
+    layers = [
+        (Box((5.0, 5.0, 1.6), (9.2, 9.2, 2.4)), 0.4),
+        (Box((5.0, 5.0, 8.9), (9.2, 9.2, 1.4)), 0.12),
+    ]
+    lump = (Sphere((4.2, 5.6, 5.5), 1.7), 1.0)
+    return _cube(*layers, lump, lumps=(2,))
+
+
+def _breast(*lesions: tuple[Shape, float]) -> Body:
+    """Fat with a random field of moduli, a gland, and lesions: an anatomy of 60 mm."""
+    gland = (Ellipsoid((0.0, 0.0, 9.5), (17.0, 15.0, 9.0)), 0.05)
+    fat = RandomField(0.02, 0.15, 12.0, 3)
+    lumps = tuple(range(1, 1 + len(lesions)))
+    phantom = Phantom(_BREAST, (gland, *lesions), fat)
+    return Body(phantom, lumps, edge_mm=5.0, truth_edge_mm=3.0, interface_mm=3.0)
+
+
+def _dome(*inclusions: tuple[Shape, float]) -> Body:
+    phantom = Phantom(_DOME, inclusions, 0.1)
+    return Body(phantom, tuple(range(len(inclusions))), 2.0, truth_edge_mm=1.3, interface_mm=1.3)
+
+
+OBJECTS: dict[str, Callable[[], Body]] = {
+    "ball": lambda: Body(make_phantom("cube_sphere", depth=0.4, radius=0.2), (0,)),
+    "deep_ball": lambda: Body(make_phantom("cube_deep_sphere"), (0,)),
+    "small_ball": lambda: _cube((Sphere((6.0, 4.5, 7.2), 1.2), 1.0)),
+    "soft_ball": lambda: _cube((Sphere((5.0, 5.0, 6.2), 2.0), 0.05)),
+    "faint_ball": lambda: _cube((Sphere((4.4, 5.4, 6.0), 2.5), 0.4)),
+    "cone": lambda: _cube((Cone((5.0, 5.0, 5.5), 2.6, 4.5), 1.0)),
+    "two_balls": lambda: _cube(
+        (Sphere((3.2, 5.0, 6.6), 1.4), 1.0), (Sphere((6.7, 5.3, 6.6), 1.4), 0.8)
+    ),
+    "ellipsoid": lambda: _cube(
+        (Rotated(Ellipsoid((5.3, 4.6, 5.6), (2.6, 1.5, 1.3)), (20.0, 0.0, 35.0)), 2.0)
+    ),
+    "layers_ball": _layered,
+    "dome": lambda: _dome((Ellipsoid((2.5, 1.0, 5.6), (2.4, 2.0, 1.7)), 0.5)),
+    "breast": lambda: _breast((Sphere((7.0, 4.0, 12.0), 6.0), 0.25)),
+    "uniform": lambda: _cube(),
+    "gradient": lambda: _cube(youngs=Gradient((0.0, 0.0, 0.0), (0.0, 10.0, 10.0), 0.13, 0.3)),
+    "uniform_dome": lambda: _dome(),
+    "fat_gland": lambda: _breast(),
+}
+
+_SIDES = tuple(Contact("side", face) for face in ("z+", "x+", "y+"))
+_PATCHES = _patches(2.0, (2.5, 5.0, 7.5))
+_FINGERS = _fingers(_DOME, 3.0, ((0.0, 1), (32.0, 5), (60.0, 6)))
+_PALPATION = _fingers(_BREAST, 8.0, ((0.0, 1), (38.0, 5), (65.0, 6)))
+PRESSES: dict[str, Presses] = {
+    presses.name: presses
+    for presses in (
+        Presses("sides4", _SIDES, (0.005, 0.01, 0.015, 0.02)),
+        Presses("sides", _SIDES, (0.01, 0.02)),
+        Presses("patches", _PATCHES, (0.02,), refined_mm=0.35),
+        Presses("fingers", _FINGERS, (0.012,), "z-", refined_mm=0.6),
+        Presses("palpation", _PALPATION, (0.004,), "z-", refined_mm=1.6),
+    )
+}
+
+CASES: tuple[Case, ...] = (
+    Case("ball", "sides4", 40.0),
+    Case("ball", "sides4", 30.0),
+    Case("ball", "sides4", 40.0, "forces"),
+    Case("ball", "patches", 40.0),
+    Case("deep_ball", "sides4", 40.0),
+    Case("small_ball", "patches", 40.0),
+    Case("soft_ball", "sides", 40.0),
+    Case("faint_ball", "sides", 30.0),
+    Case("two_balls", "sides", 40.0),
+    Case("layers_ball", "sides", 40.0),
+    Case("dome", "fingers", 40.0),
+    Case("breast", "palpation", 40.0),
+    Case("uniform", "sides", 30.0),
+    Case("uniform_dome", "fingers", 40.0),
+    Case("ball", "sides4", 20.0, held_out=True),
+    Case("ball", "patches", 40.0, "places", held_out=True),
+    Case("deep_ball", "sides4", 30.0, held_out=True),
+    Case("small_ball", "sides", 40.0, held_out=True),
+    Case("soft_ball", "sides", 30.0, held_out=True),
+    Case("faint_ball", "patches", 40.0, held_out=True),
+    Case("cone", "sides", 40.0, held_out=True),
+    Case("ellipsoid", "sides", 40.0, held_out=True),
+    Case("two_balls", "patches", 40.0, held_out=True),
+    Case("layers_ball", "sides", 30.0, "forces", held_out=True),
+    Case("dome", "fingers", 40.0, "places", held_out=True),
+    Case("breast", "palpation", 30.0, held_out=True),
+    Case("uniform", "patches", 40.0, held_out=True),
+    Case("gradient", "sides", 40.0, held_out=True),
+)
+# Forty bodies without inclusion, of four truth solutions.
+EMPTY_CASES: tuple[Case, ...] = tuple(
+    Case(name, presses, snr_db, seed=100 + seed)
+    for name, presses in (
+        ("uniform", "sides"),
+        ("uniform", "patches"),
+        ("gradient", "sides"),
+        ("uniform_dome", "fingers"),
+    )
+    for snr_db, count in ((40.0, 3), (30.0, 4), (20.0, 3))
+    for seed in range(count)
+)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Presses on an object as they are, without noise; cached under a hash of their definition."""
+
+    object: str
+    presses: str
+    misplaced_mm: float = 0.0
+
+    def key(self) -> str:
+        """Return the hash of the definition and of the format."""
+        body, presses = OBJECTS[self.object](), PRESSES[self.presses]
+        definition = {
+            "format": FORMAT,
+            "phantom": body.phantom.to_config(),
+            "meshes": [body.edge_mm, body.truth_edge_mm, body.interface_mm],
+            "presses": asdict(presses),
+            "misplaced": self.misplaced_mm,
+            "material": [MATERIAL.name, MATERIAL.poisson, SPRING_N_PER_MM],
+        }
+        text = json.dumps(definition, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+    def recording(self, cache: Path | None = None) -> Recording:
+        """Return the noise-free recording, from the cache where it is there."""
+        folder = cache_folder() / "true_objects" if cache is None else cache
+        path = folder / f"{self.object}-{self.presses}-{self.key()}.h5"
+        if not path.is_file():
+            _log(f"{self.object}, {self.presses}: solving the presses (once; cached)")
+            recording = self.solve()
+            with atomic_path(path) as temporary:
+                recording.save(temporary)
+        return Recording.load(path)
+
+    def solve(self) -> Recording:
+        """Solve the presses on the truth mesh."""
+        body, presses = OBJECTS[self.object](), PRESSES[self.presses]
+        mesh = body.mesh()
+        truth = make_truth_mesh(body.phantom, body.truth_edge_mm, body.sizing(presses))
+        motions = self._motions(body, presses, mesh, truth, presses.pressures)
+        recorded = []
+        discretisation = Discretisation(mesh, ELEMENTS["tet4"])
+        for contact, motion in zip(presses.contacts, motions, strict=True):
+            given = vars(_supports(presses, contact, discretisation, mesh)).items()
+            supports = {name: values for name, values in given if values is not None}
+            forces = contact.unit_forces(discretisation)
+            observed = np.zeros((mesh.n_points, 3), dtype=bool)
+            observed[contact.observed(mesh)] = True
+            for step, (pressure, displacement) in enumerate(
+                zip(presses.pressures, motion, strict=True)
+            ):
+                press = Press(
+                    pressure * forces,
+                    observed,
+                    displacement,
+                    **supports,
+                    step=step,
+                    direction=contact.direction,
+                    name=f"{contact.name}, {1e3 * pressure:g} kPa",
+                )
+                recorded.append(press)
+        return Recording(mesh, tuple(recorded), MATERIAL)
+
+    def check(self, cache: Path | None = None) -> dict[str, Any]:
+        """Refine the truth mesh once more; return the change relative to the signal.
+
+        The change is the root mean square, over the observed degrees of freedom, of the difference
+        of the displacements of the highest pressure, over that of the displacements; the largest
+        of all contacts.
+        """
+        body, presses = OBJECTS[self.object](), PRESSES[self.presses]
+        recording = self.recording(cache)
+        truth = make_truth_mesh(body.phantom, body.truth_edge_mm, body.sizing(presses))
+        finer = refine_everywhere(body.phantom, truth)
+        top = presses.pressures[-1:]
+        motions = self._motions(body, presses, recording.mesh, finer, top)
+        steps, changes = len(presses.pressures), []
+        for k, motion in enumerate(motions):
+            press = recording.presses[(k + 1) * steps - 1]
+            before = press.displacement[press.observed]
+            change = motion[0][press.observed] - before
+            changes.append(float(np.sqrt(np.mean(change**2) / np.mean(before**2))))
+        return {
+            "elements": truth.mesh.n_tets,
+            "refined_elements": finer.mesh.n_tets,
+            "change": max(changes),
+            "median_change": float(np.median(changes)),
+        }
+
+    def _motions(
+        self,
+        body: Body,
+        presses: Presses,
+        mesh: TetMesh,
+        truth: LabelledMesh,
+        pressures: tuple[float, ...],
+    ) -> list[list[np.ndarray]]:
+        """Displacement of the recording's observed nodes, by contact and pressure; NaN elsewhere.
+
+        A misplaced press acts beside its reported place, and the sensor reports what it sees there.
+        """
+        law = make_material(MATERIAL.name, MATERIAL.poisson)
+        soft = SoftBody(truth.mesh, law, element="tet10", newton=NewtonOptions(rtol=1e-7))
+        youngs, began = truth.youngs(body.phantom), time.perf_counter()
+        coarse, out, search = Discretisation(mesh, ELEMENTS["tet4"]), [], None
+        for i, contact in enumerate(presses.contacts):
+            actual, shift = contact, np.zeros(3)
+            if self.misplaced_mm:
+                shift = _shift(contact, i, self.misplaced_mm)
+                actual = contact.shifted(shift)
+            if presses.held_face is None and i and contact.face != presses.contacts[i - 1].face:
+                search = None  # other supports: the factorisation is of no use
+            forces = actual.unit_forces(soft.discretisation)
+            total = float((contact.unit_forces(coarse) @ contact.direction).sum())
+            forces *= total / float((forces @ contact.direction).sum())
+            supports = _supports(presses, contact, soft.discretisation, mesh)
+            nodes = contact.observed(mesh)
+            transfer = Transfer.between(soft.discretisation, mesh.points[nodes] + shift)
+            displacement, motions = None, []
+            for pressure in pressures:
+                search = soft.search(youngs, pressure * forces, supports, after=search)
+                displacement = search.run(displacement).require().displacement
+                motion = np.full((mesh.n_points, 3), np.nan)
+                motion[nodes] = transfer(displacement)
+                motions.append(motion)
+            out.append(motions)
+            seconds = time.perf_counter() - began
+            _log(f"    {truth.mesh.n_tets} elements, {contact.name}: {seconds:.0f} s")
+        return out
+
+
+def _supports(
+    presses: Presses, contact: Contact, discretisation: Discretisation, recorded: TetMesh
+) -> Supports:
+    """Springs distributed evenly over the opposite side, or one side held.
+
+    The total stiffness of the springs is that of one spring for each supported node of the
+    recording's mesh.
+    """
+    if presses.held_face is not None:
+        fixed = np.zeros((discretisation.mesh.n_points, 3), dtype=bool)
+        fixed[face_nodes(discretisation.mesh, presses.held_face)] = True
+        return Supports(fixed=fixed)
+    site = contact.site
+    reaction = pressure_forces(discretisation, site.opposite, 1.0).numpy() @ site.direction
+    total = SPRING_N_PER_MM * len(face_nodes(recorded, site.opposite))
+    springs = total * np.abs(reaction) / np.abs(reaction).sum()
+    return Supports(springs=np.repeat(springs[:, None], 3, axis=1))
+
+
+def _shift(contact: Contact, index: int, distance: float) -> np.ndarray:
+    """Shift of a misplaced press across its push, in a random direction."""
+    direction = np.random.default_rng([index, 31]).standard_normal(3)
+    direction -= (direction @ contact.direction) * contact.direction
+    return np.asarray(distance * direction / np.linalg.norm(direction))
+
+
+def make_recording(case: Case, cache: Path | None = None) -> Recording:
+    """Return the recording of a case: noisy, perhaps with wrong forces, without any truth."""
+    exact = case.solution.recording(cache)
+    factors = np.ones(len(exact.presses))
+    if case.fault == "forces":
+        rng = np.random.default_rng([case.seed, 1, 51])
+        factors += FORCE_ERROR * rng.standard_normal(len(factors))
+    presses = []
+    for i, press in enumerate(exact.presses):
+        rng = np.random.default_rng([case.seed, i])
+        displacement = press.displacement.copy()
+        sigma = noise_level(displacement[press.observed], case.snr_db)
+        displacement[press.observed] += sigma * rng.standard_normal(int(press.observed.sum()))
+        forces = factors[i] * press.forces
+        presses.append(replace(press, forces=forces, displacement=displacement, noise_mm=sigma))
+    return replace(exact, presses=tuple(presses), truth=None, reference=None, provenance={})
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The analytic object on voxels of the body's bounding box, those outside it excluded.
+
+    Attributes:
+        points: Centres of the n voxels within the body, (n, 3), mm.
+        index: Their indices in the grid, (n, 3).
+        size_mm: Edge lengths of a voxel.
+        youngs: Young's modulus, (n,), MPa.
+        lumps: Lump of each voxel, (n,): 0 for none, k for the k-th.
+        count: Voxels along each axis.
+    """
+
+    points: np.ndarray
+    index: np.ndarray
+    size_mm: np.ndarray
+    youngs: np.ndarray
+    lumps: np.ndarray
+    count: int = field(default=VOXELS)
+
+    @staticmethod
+    def of(body: Body, count: int = VOXELS) -> "Truth":
+        """Sample an object."""
+        low, high = body.phantom.body.bounds()
+        size = (high - low) / count
+        index = np.indices((count,) * 3).reshape(3, -1).T
+        points = low + (index + 0.5) * size
+        inside = body.phantom.body.contains(points)
+        points, index = points[inside], index[inside]
+        return Truth(
+            points, index, size, body.phantom.youngs_at(points), body.lump_labels(points), count
+        )
+
+
+def _log(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,476 @@
+"""Maps against analytic objects whose presses were solved on other, finer meshes.
+
+    python benchmarks/true_objects.py [--set open|held_out|empty|all] [--only NAME...]
+        [--method default|map] [--settings KEY=VALUE...] [--check] [--cache FOLDER] [--out FOLDER]
+
+Each case is an object (balls of several depths, sizes and contrasts, a cone, an ellipsoid, two
+balls close together, a lump in layers, a dome and a breast with a lesion, bodies without
+inclusion), its presses (whole sides, round patches, fingers), a noise level and perhaps a fault:
+forces of each press wrong by 5 %, or presses misplaced by 0.3 mm. See `true_cases.py`. The
+recording that a method inverts has neither truth nor provenance, and its mesh is made from the
+outline alone. Settings are the same for all cases.
+
+The map is compared with the analytic object on 36^3 voxels of the bounding box, those outside the
+body excluded. Half of the cases are held out, to be run once with `--set held_out`; `--set empty`
+has forty bodies without inclusion. `--check` refines each truth mesh once more and compares the
+change of the displacements with the noise. Noise-free recordings are cached.
+
+The last line printed is one JSON object.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from machine import OtherWork, write_results
+from scipy.ndimage import label
+from scipy.spatial import cKDTree
+from scipy.special import ndtri
+from true_cases import CASES, EMPTY_CASES, Case, Truth, make_recording
+
+from tactorch.errors import TactorchError
+from tactorch.findings import find_lumps
+from tactorch.inverse import Settings, invert, make_objective
+from tactorch.mesh import TetMesh, locate
+from tactorch.recording import Recording
+from tactorch.uncertainty import variational_posterior
+
+PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
+MAX_CHANGE = 0.1  # of the noise, by refinement of the truth mesh
+EXTREME = 0.003  # fraction of the body beyond the level of a lump
+MIN_LOG_CONTRAST = np.log(1.02)  # of a segmented lump
+MIN_VOXELS = 10  # of a segmented lump
+FieldAt = Callable[[np.ndarray], np.ndarray]  # points (k, 3), mm -> values (k,)
+
+
+@dataclass(frozen=True)
+class FoundLump:
+    """A lump that a method reports.
+
+    Attributes:
+        center_mm: Centre.
+        radius_mm: Radius of the ball of its volume.
+        youngs_mpa: Mean modulus.
+        probability: Probability that it exists; None if not stated.
+    """
+
+    center_mm: tuple[float, float, float]
+    radius_mm: float
+    youngs_mpa: float
+    probability: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Result of a method for one recording.
+
+    Attributes:
+        youngs_at: Young's modulus at points of the body, MPa.
+        seconds: Elapsed time.
+        log_deviation_at: Standard deviation of log E at points; None if not stated.
+        lumps: Reported lumps, none of them being an answer too; None if the method reports none.
+        notes: Further figures for the JSON line, such as chi2.
+    """
+
+    youngs_at: FieldAt
+    seconds: float
+    log_deviation_at: FieldAt | None = None
+    lumps: tuple[FoundLump, ...] | None = None
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+
+Method = Callable[[Recording, Settings], Answer]
+
+
+def invert_by_default(recording: Recording, settings: Settings) -> Answer:
+    """One modulus per element, its deviation by the variational posterior, and `find_lumps`.
+
+    The time of the posterior is not counted.
+    """
+    return _invert(recording, settings, with_deviation=True)
+
+
+def invert_without_deviation(recording: Recording, settings: Settings) -> Answer:
+    """As `invert_by_default`, without the posterior."""
+    return _invert(recording, settings, with_deviation=False)
+
+
+def _invert(recording: Recording, settings: Settings, *, with_deviation: bool) -> Answer:
+    began = time.perf_counter()
+    result = invert(recording, settings, show_progress=False)
+    seconds = time.perf_counter() - began
+    mesh = recording.mesh
+    lumps = tuple(
+        FoundLump(
+            (float(lump.center_mm[0]), float(lump.center_mm[1]), float(lump.center_mm[2])),
+            lump.equivalent_radius_mm,
+            lump.mean_mpa,
+        )
+        for lump in find_lumps(mesh, result.youngs)
+    )
+    last = result.history[-1]
+    notes = {"chi2": last["chi2"], "stop_reason": str(result.stop_reason)}
+    deviation: FieldAt | None = None
+    if not with_deviation:
+        return Answer(values_at(mesh, result.youngs), seconds, deviation, lumps, notes)
+    print(f"    map after {seconds:.0f} s, now its posterior", file=sys.stderr, flush=True)
+    try:
+        objective = make_objective(recording, settings)
+        point = objective.at(objective.start(result.youngs))
+        posterior = variational_posterior(point, last["weight"])
+        deviation = values_at(mesh, posterior.deviation())
+    except TactorchError as error:
+        notes["posterior"] = str(error)
+    return Answer(values_at(mesh, result.youngs), seconds, deviation, lumps, notes)
+
+
+METHODS: dict[str, Method] = {
+    "default": invert_by_default,
+    "map": invert_without_deviation,
+}
+
+
+def values_at(mesh: TetMesh, values: np.ndarray) -> FieldAt:
+    """Return the field of element values: the containing element's, or outside the nearest's."""
+
+    def at(points: np.ndarray) -> np.ndarray:
+        elements = locate(mesh, points)
+        outside = elements < 0
+        if outside.any():
+            elements[outside] = cKDTree(mesh.centroids).query(points[outside])[1]
+        return np.asarray(values[elements])
+
+    return at
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the cases, and print the table and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--set", choices=("open", "held_out", "empty", "all"), default="open")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="cases of any set by name")
+    parser.add_argument("--method", choices=list(METHODS), default="default")
+    parser.add_argument("--settings", nargs="+", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--check", action="store_true", help="check the truth meshes instead")
+    parser.add_argument("--list", action="store_true", help="list the cases and stop")
+    parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
+    parser.add_argument("--out", type=Path, help="folder for true_objects.json and .md")
+    options = parser.parse_args(arguments)
+    cases = choose_cases(options.set, options.only)
+    if options.list:
+        print("\n".join(case.name for case in cases))
+        return
+    if options.check:
+        check(cases, options.cache)
+        return
+    settings = Settings.from_mapping(parse_settings(options.settings))
+    method, meter, results, lines = METHODS[options.method], OtherWork(), {}, [_HEADER]
+    print(_HEADER, flush=True)
+    try:
+        for case in cases:
+            print(f"{case.name} ...", file=sys.stderr, flush=True)
+            results[case.name] = run(case, method, settings, options.cache)
+            lines.append(_row(case.name, results[case.name]))
+            print(lines[-1], flush=True)
+    except KeyboardInterrupt:
+        print("Interrupted; the result has the cases up to here.", file=sys.stderr)
+    summary = summarize(results)
+    lines += ["", *_describe(summary)]
+    print("\n".join(lines[-len(summary) - 1 :]))
+    load = meter.share()
+    result = {
+        "cases": results,
+        **summary,
+        "method": options.method,
+        "settings": options.settings,
+        "set": options.set,
+        "other_work": load,
+    }
+    if options.out is not None:
+        write_results(options.out, "true_objects", lines, result, PACKAGES)
+    print(json.dumps(result))
+
+
+def choose_cases(chosen_set: str, only: Sequence[str] | None) -> list[Case]:
+    """Return the cases of a set, or those named."""
+    every = [*CASES, *EMPTY_CASES]
+    if only:
+        known = {case.name: case for case in every}
+        unknown = [name for name in only if name not in known]
+        if unknown:
+            raise SystemExit(f"unknown case {unknown[0]}; choose from {', '.join(known)}.")
+        return [known[name] for name in only]
+    if chosen_set == "empty":
+        return list(EMPTY_CASES)
+    return [
+        case for case in CASES if chosen_set == "all" or case.held_out == (chosen_set == "held_out")
+    ]
+
+
+def parse_settings(assignments: Sequence[str]) -> dict[str, Any]:
+    """Return KEY=VALUE assignments (a dotted key is nested, a value JSON or text) as a table."""
+    table: dict[str, Any] = {}
+    for assignment in assignments:
+        key, equals, text = assignment.partition("=")
+        if not equals:
+            raise SystemExit(f"--settings {assignment}: give KEY=VALUE.")
+        try:
+            value: Any = json.loads(text)
+        except ValueError:
+            value = text
+        *groups, name = key.split(".")
+        inner = table
+        for group in groups:
+            inner = inner.setdefault(group, {})
+        inner[name] = value
+    return table
+
+
+def run(case: Case, method: Method, settings: Settings, cache: Path | None) -> dict[str, Any]:
+    """Invert a case's recording and score the answer; a failure is recorded as such."""
+    recording = make_recording(case, cache)
+    began = time.perf_counter()
+    try:
+        answer = method(recording, settings)
+    except TactorchError as error:
+        return {"error": str(error), "seconds": time.perf_counter() - began}
+    return score(Truth.of(case.body), answer)
+
+
+def score(truth: Truth, answer: Answer) -> dict[str, Any]:
+    """Return the scores of an answer; None where a score does not apply.
+
+    - `r`: Pearson correlation of the moduli over the voxels.
+    - `rmse_log`: root mean square error of the natural logarithm of the modulus.
+    - `contrast`: mean modulus inside the lumps less the median outside, over the same of the truth.
+    - `modulus_inside_mpa`: mean estimate inside the true lumps; `true_modulus_inside_mpa`.
+    - `dice`: overlap of the segmented voxels with the true lumps, 2 |A n B| / (|A| + |B|). The
+      segmentation (`segment`) uses no truth.
+    - `position_mm`: distance of each true lump's centroid to that of the nearest segmented part;
+      mean over the lumps.
+    - `size_ratio`: cube root of the volume of those parts over that of the true lumps.
+    - `covered_50_inside`, `covered_90_outside`, ...: fraction of the voxels whose true log-modulus
+      is within the stated central interval of 50 or 90 %, inside and outside the lumps.
+    - `segmented_contrast`: level of the segmented lump over the background, in the map.
+    - `lumps_reported`: number of lumps in the answer; `reported_position_mm`: as `position_mm`, of
+      the reported centres.
+    - `seconds`, and the method's own notes.
+    """
+    youngs = np.asarray(answer.youngs_at(truth.points), dtype=float)
+    log_error = np.log(youngs) - np.log(truth.youngs)
+    inside = truth.lumps > 0
+    mask, segmented_contrast = segment(youngs)
+    scores: dict[str, Any] = {
+        "r": _pearson(youngs, truth.youngs),
+        "rmse_log": float(np.sqrt(np.mean(log_error**2))),
+        "contrast": None,
+        "modulus_inside_mpa": None,
+        "true_modulus_inside_mpa": None,
+        "dice": None,
+        "position_mm": None,
+        "size_ratio": None,
+        "segmented_contrast": segmented_contrast,
+        "seconds": float(answer.seconds),
+        "lumps_reported": None if answer.lumps is None else len(answer.lumps),
+        "reported_position_mm": None,
+        **_coverage(truth, answer, log_error, inside),
+        **answer.notes,
+    }
+    if not inside.any():
+        return scores
+    centers = np.array([truth.points[truth.lumps == k].mean(axis=0)
+                        for k in range(1, truth.lumps.max() + 1)])  # fmt: skip
+    differences = [
+        float(values[inside].mean() - np.median(values[~inside]))
+        for values in (youngs, truth.youngs)
+    ]
+    scores["contrast"] = differences[0] / differences[1]
+    scores["modulus_inside_mpa"] = float(youngs[inside].mean())
+    scores["true_modulus_inside_mpa"] = float(truth.youngs[inside].mean())
+    scores["dice"] = float(2 * (mask & inside).sum() / (mask.sum() + inside.sum()))
+    parts = _parts(truth, mask)
+    if parts:
+        part_centers = np.array([truth.points[part].mean(axis=0) for part in parts])
+        distances, nearest = cKDTree(part_centers).query(centers)
+        volume = sum(int(parts[k].sum()) for k in set(nearest.tolist()))
+        scores["position_mm"] = float(distances.mean())
+        scores["size_ratio"] = float(np.cbrt(volume / inside.sum()))
+    if answer.lumps:
+        reported = cKDTree(np.array([lump.center_mm for lump in answer.lumps]))
+        scores["reported_position_mm"] = float(reported.query(centers)[0].mean())
+    return scores
+
+
+def segment(youngs: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the voxels of the lumps of a map, and the lumps' level over the background.
+
+    In log E, the background is the median, and a lump's level the value that 0.3 % of the voxels
+    exceed, on the side where it is farther from the background. The lumps are the voxels past half
+    way; none where the level is within 2 % of the background.
+    """
+    values = np.log(youngs)
+    background = float(np.median(values))
+    low, high = np.quantile(values, [EXTREME, 1.0 - EXTREME])
+    stiff = high - background >= background - low
+    level = float(high if stiff else low)
+    contrast = float(np.exp(level - background))
+    if abs(level - background) < MIN_LOG_CONTRAST:
+        return np.zeros(len(values), dtype=bool), contrast
+    half_way = (background + level) / 2
+    return (values > half_way) if stiff else (values < half_way), contrast
+
+
+def _parts(truth: Truth, mask: np.ndarray) -> list[np.ndarray]:
+    """Masks of the face-connected parts, without those of few voxels."""
+    grid = np.zeros((truth.count,) * 3, dtype=bool)
+    grid[tuple(truth.index[mask].T)] = True
+    labels, count = label(grid)
+    own = labels[tuple(truth.index.T)]
+    parts = [own == k for k in range(1, count + 1)]
+    return [part for part in parts if part.sum() >= MIN_VOXELS]
+
+
+def _coverage(
+    truth: Truth, answer: Answer, log_error: np.ndarray, inside: np.ndarray
+) -> dict[str, float | None]:
+    """Fractions of the voxels whose truth is within the stated intervals."""
+    names = [(level, where) for level in (50, 90) for where in ("inside", "outside")]
+    if answer.log_deviation_at is None:
+        return {f"covered_{level}_{where}": None for level, where in names}
+    deviation = np.asarray(answer.log_deviation_at(truth.points))
+    covered = {}
+    for level, where in names:
+        within = np.abs(log_error) <= ndtri(0.5 + level / 200.0) * deviation
+        chosen = within[inside if where == "inside" else ~inside]
+        covered[f"covered_{level}_{where}"] = float(chosen.mean()) if len(chosen) else None
+    return covered
+
+
+def _pearson(first: np.ndarray, second: np.ndarray) -> float | None:
+    """Correlation; None where one of the fields is uniform."""
+    if min(np.ptp(first) / np.abs(first).max(), np.ptp(second) / np.abs(second).max()) < 1e-9:
+        return None
+    return float(np.corrcoef(first, second)[0, 1])
+
+
+_SUMMARIZED = (
+    "r", "rmse_log", "contrast", "dice", "position_mm", "size_ratio", "covered_50_inside",
+    "covered_90_inside", "covered_50_outside", "covered_90_outside", "seconds",
+)  # fmt: skip
+
+
+def summarize(results: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return medians over the cases with lumps, by noise level too, and the false lumps.
+
+    A score that is missing in a case (nothing segmented) is left out of its median; `missed` counts
+    the cases in which nothing was segmented, and `failed` those without an answer.
+    """
+    answered = {name: scores for name, scores in results.items() if "error" not in scores}
+    lumpy = {n: s for n, s in answered.items() if s["true_modulus_inside_mpa"] is not None}
+    empty = [s for n, s in answered.items() if n not in lumpy]
+    levels = sorted({_level(name) for name in lumpy})
+    return {
+        "median": _medians(lumpy.values()),
+        "median_by_noise": {
+            level: _medians([s for n, s in lumpy.items() if _level(n) == level]) for level in levels
+        },
+        "missed": sum(scores["position_mm"] is None for scores in lumpy.values()),
+        "empty_bodies": len(empty),
+        "empty_bodies_with_lump": sum(bool(scores["lumps_reported"]) for scores in empty),
+        "failed": len(results) - len(answered),
+    }
+
+
+def _level(name: str) -> str:
+    return next(part for part in name.split("-") if part.endswith("db"))
+
+
+def _medians(scores: Any) -> dict[str, float | None]:
+    rows, medians = list(scores), {}
+    for key in _SUMMARIZED:
+        values = [row[key] for row in rows if row[key] is not None]
+        medians[key] = float(np.median(values)) if values else None
+    return medians
+
+
+_COLUMNS = {
+    "r": "r",
+    "rmse_log": "RMSE log E",
+    "contrast": "contrast",
+    "modulus_inside_mpa": "E inside",
+    "true_modulus_inside_mpa": "true",
+    "dice": "Dice",
+    "position_mm": "position mm",
+    "size_ratio": "size",
+    "covered_50_inside": "50 % in",
+    "covered_90_inside": "90 % in",
+    "covered_50_outside": "50 % out",
+    "covered_90_outside": "90 % out",
+    "lumps_reported": "lumps",
+    "chi2": "chi2",
+    "seconds": "s",
+}
+_HEADER = f"| case | {' | '.join(_COLUMNS.values())} |\n|{'---|' * (len(_COLUMNS) + 1)}"
+
+
+def _row(name: str, scores: Mapping[str, Any]) -> str:
+    if "error" in scores:
+        return f"| {name} | failed: {scores['error']} |"
+    cells = [_format(scores.get(key)) for key in _COLUMNS]
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def _format(value: Any) -> str:
+    if value is None:
+        return "-"
+    return str(value) if isinstance(value, int) else f"{value:.3g}"
+
+
+def _describe(summary: Mapping[str, Any]) -> list[str]:
+    """Lines of the summary, one for each of its entries."""
+    lines = []
+    for key, value in summary.items():
+        if key == "median_by_noise":
+            cells = [f"{noise}: " + _list(medians) for noise, medians in value.items()]
+            lines.append("Medians by noise: " + "; ".join(cells))
+        else:
+            text = _list(value) if isinstance(value, dict) else str(value)
+            lines.append(f"{key.replace('_', ' ').capitalize()}: {text}")
+    return lines
+
+
+def _list(medians: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} {_format(value)}" for key, value in medians.items())
+
+
+def check(cases: Sequence[Case], cache: Path | None) -> None:
+    """Refine the truth mesh of each case once more; print the change relative to the noise."""
+    columns = ("case", "elements", "refined", "change / signal", "change / noise", "")
+    print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
+    changes: dict[Any, dict[str, Any]] = {}
+    report = {}
+    try:
+        for case in cases:
+            if case.solution not in changes:
+                changes[case.solution] = case.solution.check(cache)
+            change = changes[case.solution]
+            ratio = change["change"] * 10.0 ** (case.snr_db / 20.0)
+            report[case.name] = {**change, "over_noise": ratio, "fine": ratio < MAX_CHANGE}
+            verdict = "" if ratio < MAX_CHANGE else "above a tenth"
+            print(
+                f"| {case.name} | {change['elements']} | {change['refined_elements']} |"
+                f" {change['change']:.2e} | {ratio:.3f} | {verdict} |",
+                flush=True,
+            )
+    except KeyboardInterrupt:
+        print("Interrupted; the result has the cases up to here.", file=sys.stderr)
+    print(json.dumps({"cases": report}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,261 @@
+"""The benchmark of analytic objects: scores of known answers, truth meshes, and a tiny case."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactorch.fem import ELEMENTS, Discretisation
+from tactorch.inverse import Settings
+from tactorch.mesh import Box, Sphere, tetrahedralize
+from tactorch.phantoms import Phantom, make_phantom
+from tactorch.recording import Recording
+
+NAME = "true_objects"
+
+
+def _score(benchmark: ModuleType, name: str, youngs_at: Callable[..., Any], **answer: Any) -> Any:
+    import true_cases
+
+    body = true_cases.OBJECTS[name]()
+    truth = benchmark.Truth.of(body)
+    return benchmark.score(truth, benchmark.Answer(youngs_at, 1.0, **answer)), body
+
+
+@pytest.mark.parametrize("name", ["ball", "soft_ball", "two_balls", "layers_ball", "dome"])
+def test_the_object_itself_scores_as_perfect(benchmark: ModuleType, name: str) -> None:
+    import true_cases
+
+    phantom = true_cases.OBJECTS[name]().phantom
+    scores, _ = _score(benchmark, name, phantom.youngs_at)
+    assert scores["r"] == pytest.approx(1.0)
+    assert scores["contrast"] == pytest.approx(1.0)
+    assert scores["rmse_log"] == 0.0
+    assert scores["dice"] == 1.0
+    assert scores["position_mm"] == pytest.approx(0.0, abs=1e-9)
+    assert scores["size_ratio"] == pytest.approx(1.0)
+    assert scores["covered_90_inside"] is None
+
+
+def test_a_uniform_map_has_no_contrast(benchmark: ModuleType) -> None:
+    scores, _ = _score(benchmark, "ball", lambda points: np.full(len(points), 0.3), lumps=())
+    assert scores["r"] is None
+    assert scores["contrast"] == pytest.approx(0.0, abs=1e-12)
+    assert scores["dice"] == 0.0
+    assert scores["position_mm"] is None
+    assert scores["size_ratio"] is None
+    assert scores["lumps_reported"] == 0
+
+
+def test_scores_of_a_ball_at_the_wrong_place(benchmark: ModuleType) -> None:
+    """0.5 mm off, 1.5 times the radius, half of the contrast; intervals are those of a normal."""
+
+    def youngs(points: np.ndarray) -> np.ndarray:
+        inside = Sphere((5.5, 5.0, 6.0), 3.0).contains(points)
+        return np.where(inside, 0.6, 0.2)
+
+    def deviation(points: np.ndarray) -> np.ndarray:
+        return np.full(len(points), np.log(1.0 / 0.6) / 1.0)
+
+    lump = benchmark.FoundLump((5.0, 5.0, 6.7), 2.0, 1.0)
+    scores, _ = _score(benchmark, "ball", youngs, log_deviation_at=deviation, lumps=(lump,))
+    assert scores["contrast"] == pytest.approx(0.5)
+    assert scores["modulus_inside_mpa"] == pytest.approx(0.6)
+    assert scores["position_mm"] == pytest.approx(0.5, abs=0.02)
+    assert scores["reported_position_mm"] == pytest.approx(0.7, abs=0.02)
+    assert scores["size_ratio"] == pytest.approx(1.5, rel=0.01)
+    assert scores["covered_50_inside"] == 0.0  # one deviation off; the interval has 0.67
+    assert scores["covered_90_inside"] == 1.0
+    assert scores["covered_90_outside"] < 1.0
+
+
+def test_the_segmentation_has_no_lump_without_contrast(benchmark: ModuleType) -> None:
+    values = np.full(10_000, 0.2)
+    values[:20] = 50.0  # too few to be a lump
+    mask, contrast = benchmark.segment(values)
+    assert not mask.any()
+    assert contrast == 1.0
+    values[:100] = 0.05
+    mask, contrast = benchmark.segment(values)
+    assert mask.sum() == 100
+    assert contrast == pytest.approx(0.25)
+
+
+@pytest.mark.slow
+def test_refinement_conforms_and_follows_the_surface(benchmark: ModuleType) -> None:
+    import true_meshes
+
+    phantom = make_phantom("cube_sphere", depth=0.4, radius=0.2)
+    ball = phantom.inclusions[0].shape
+    coarse = tetrahedralize(*phantom.body.surface(), 5.0, inner=[ball.surface(12)])
+    mesh = true_meshes.refine(phantom, coarse, lambda p: np.where(p[:, 2] > 8.5, 1.2, 9.0))
+    finer = true_meshes.refine_everywhere(phantom, mesh)
+    exact = 4.0 / 3.0 * np.pi * 8.0
+    for one in (mesh, finer):
+        assert one.mesh.volumes.min() > 0
+        # A mesh that did not conform would have more faces of one element only.
+        assert one.mesh.surface.areas.sum() == pytest.approx(600.0, rel=1e-3)
+        assert one.mesh.volumes.sum() == pytest.approx(1000.0, rel=1e-3)
+        first, second = one.mesh.adjacency.pairs.T
+        between = one.labels[first] != one.labels[second]
+        shared = [
+            np.intersect1d(one.mesh.tets[i], one.mesh.tets[j])
+            for i, j in one.mesh.adjacency.pairs[between]
+        ]
+        nodes = np.unique(np.concatenate(shared))
+        distances = np.abs(ball.signed_distance(one.mesh.points[nodes]))
+        assert np.quantile(distances, 0.9) < 0.02
+    lacking = [1.0 - one.mesh.volumes[one.labels == 1].sum() / exact for one in (mesh, finer)]
+    assert 0.0 < lacking[1] < 0.7 * lacking[0] < 0.1
+    assert finer.mesh.n_tets > 2 * mesh.mesh.n_tets
+    high = mesh.mesh.centroids[:, 2] > 8.5
+    ends = mesh.mesh.points[mesh.mesh.edges[mesh.mesh.tet_edges[high]]]
+    assert np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2).max() <= 1.2 + 1e-12
+
+
+@pytest.mark.parametrize("element", ["tet4", "tet10"])
+def test_a_finger_has_its_total_and_its_moment_on_any_element(
+    benchmark: ModuleType, element: str
+) -> None:
+    import true_cases
+
+    mesh = make_phantom("uniform_cube").mesh(1.6)
+    contact = true_cases.Contact("finger", "", (4.0, 5.0, 10.0), (0.0, 0.0, -1.0), 3.0)
+    discretisation = Discretisation(mesh, ELEMENTS[element])
+    forces = contact.unit_forces(discretisation)
+    np.testing.assert_allclose(forces.sum(axis=0), [0.0, 0.0, -4.5 * np.pi], atol=1e-9)
+    center = forces[:, 2] @ discretisation.positions / forces[:, 2].sum()
+    np.testing.assert_allclose(center, [4.0, 5.0, 10.0], atol=0.02)
+    observed = mesh.points[contact.observed(mesh)]
+    assert (np.abs(observed[:, 2] - 10.0) < 1e-9).all()
+    assert np.linalg.norm(observed[:, :2] - [4.0, 5.0], axis=1).max() <= 3.0
+
+
+@pytest.fixture
+def tiny(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The benchmark with a coarse object, and a patch and a finger on it."""
+    import true_cases
+
+    phantom = Phantom(Box((5.0,) * 3, (10.0,) * 3), [(Box((5.0, 5.0, 6.0), (4.0,) * 3), 1.0)])
+    body = true_cases.Body(phantom, (0,), 5.0, truth_edge_mm=5.0, interface_mm=5.0)
+    place = (5.0, 5.0, 10.0)
+    sites = (
+        true_cases.Contact("side", "x+"),
+        true_cases.Contact("patch", "z+", place, radius_mm=3.0),
+    )
+    finger = true_cases.Contact("finger", "", place, (0.0, 0.0, -1.0), 4.0)
+    presses = {
+        "both": true_cases.Presses("both", sites, (0.01, 0.02)),
+        "patch": true_cases.Presses("patch", sites[1:], (0.02,)),
+        "finger": true_cases.Presses("finger", (finger,), (0.02,), "z-", refined_mm=3.0),
+    }
+    monkeypatch.setattr(true_cases, "OBJECTS", {"tiny": lambda: body})
+    monkeypatch.setattr(true_cases, "PRESSES", presses)
+    cases = (
+        true_cases.Case("tiny", "both", 40.0),
+        true_cases.Case("tiny", "both", 30.0, "forces", held_out=True),
+        true_cases.Case("tiny", "patch", 40.0),
+        true_cases.Case("tiny", "patch", 40.0, "places", held_out=True),
+        true_cases.Case("tiny", "finger", 40.0, held_out=True),
+    )
+    monkeypatch.setattr(benchmark, "CASES", cases)
+    monkeypatch.setattr(benchmark, "EMPTY_CASES", ())
+    return benchmark
+
+
+def test_a_tiny_case_from_end_to_end(
+    tiny: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--cache", str(tmp_path), "--only", "tiny-both-40db"]
+    tiny.main([*arguments, "--settings", "noise.relative=0.02", "element=tet4"])
+    result = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    scores = result["cases"]["tiny-both-40db"]
+    for key in ("r", "contrast", "dice", "covered_90_inside", "seconds", "chi2"):
+        assert np.isfinite(scores[key])
+    assert result["median"]["contrast"] == scores["contrast"]
+    assert result["failed"] == 0
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_no_truth_reaches_a_method_and_noise_is_as_stated(
+    tiny: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    received: list[Recording] = []
+
+    def method(recording: Recording, settings: Settings) -> Any:
+        received.append(recording)
+        return tiny.Answer(lambda points: np.full(len(points), 0.2), 0.0)
+
+    monkeypatch.setitem(tiny.METHODS, "default", method)
+    tiny.main(["--set", "all", "--cache", str(tmp_path)])
+    exact = [case.solution.recording(tmp_path) for case in tiny.CASES]
+    assert len(received) == len(tiny.CASES)
+    for case, recording, clean in zip(tiny.CASES, received, exact, strict=True):
+        assert recording.truth is None
+        assert recording.reference is None
+        assert recording.provenance == {}
+        for noisy, press in zip(recording.presses, clean.presses, strict=True):
+            errors = (noisy.displacement - press.displacement)[press.observed]
+            signal = np.sqrt(np.mean(press.displacement[press.observed] ** 2))
+            assert noisy.noise_mm == pytest.approx(signal * 10 ** (-case.snr_db / 20))
+            assert np.std(errors) == pytest.approx(noisy.noise_mm, rel=0.7)
+    totals = [
+        np.array([press.forces.sum() for press in recording.presses])
+        for recording in (*received[:2], exact[0])
+    ]
+    np.testing.assert_array_equal(totals[0], totals[2])
+    assert 0.01 < np.std(totals[1] / totals[2]) < 0.15
+    right, wrong = received[2].presses[0], received[3].presses[0]
+    np.testing.assert_array_equal(right.forces, wrong.forces)
+    np.testing.assert_array_equal(right.observed, wrong.observed)
+    change = (exact[3].presses[0].displacement - exact[2].presses[0].displacement)[right.observed]
+    size = np.sqrt(np.mean(right.displacement[right.observed] ** 2))
+    assert 1e-4 < np.sqrt(np.mean(change**2)) / size < 0.3
+    # Where the fingers act, the object stands on its held side.
+    assert received[4].presses[0].fixed.any()
+
+
+def test_recordings_are_cached(
+    tiny: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import true_cases
+
+    case = tiny.CASES[0]
+    first = true_cases.make_recording(case, tmp_path)
+
+    def refuse(self: Any) -> None:
+        raise AssertionError("solved again")
+
+    monkeypatch.setattr(true_cases.Solution, "solve", refuse)
+    second = true_cases.make_recording(case, tmp_path)
+    np.testing.assert_array_equal(first.presses[-1].displacement, second.presses[-1].displacement)
+    monkeypatch.setattr(true_cases, "FORMAT", true_cases.FORMAT + 1)
+    with pytest.raises(AssertionError, match="solved again"):
+        true_cases.make_recording(case, tmp_path)
+
+
+@pytest.mark.slow
+def test_the_check_refines_the_truth_mesh(
+    tiny: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny.main(["--check", "--cache", str(tmp_path), "--only", "tiny-patch-40db"])
+    report = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    change = report["cases"]["tiny-patch-40db"]
+    assert change["refined_elements"] > 2 * change["elements"]
+    assert 0.0 < change["change"] < 0.1
+    assert change["over_noise"] == pytest.approx(100 * change["change"])
+
+
+def test_half_of_the_cases_are_held_out(benchmark: ModuleType) -> None:
+    cases = benchmark.choose_cases("all", None)
+    held_out = benchmark.choose_cases("held_out", None)
+    names = {case.name for case in cases}
+    assert len(names) == len(cases) >= 24
+    assert len(held_out) * 2 == len(cases)
+    assert len({case.object for case in cases}) >= 10
+    assert len(benchmark.choose_cases("empty", None)) == 40
+    assert all(not case.body.lumps for case in benchmark.choose_cases("empty", None))
