@@ -21,6 +21,7 @@ from tactorch.inverse import (
     invert,
     make_objective,
 )
+from tactorch.inverse.fields import ElementField
 from tactorch.linalg.superlu import SparseFactor
 from tactorch.mesh import Box, Shape, Sphere, TetMesh, box_mesh
 from tactorch.phantoms import Phantom, make_phantom
@@ -148,7 +149,7 @@ def judge_gaussian(divisions: int, seed: int, index: int) -> Outcome:
         noisy = exact + sigma * rng.standard_normal(exact.shape)
         presses.append(replace(press, displacement=noisy, noise_mm=sigma))
     problem = InverseProblem(replace(blank, presses=tuple(presses), truth=None))
-    objective = Objective(problem, Log(), prior, weight=1.0)
+    objective = Objective(problem, ElementField(Log(), prior, problem.n_elements), weight=1.0)
     monitor = Monitor()
     start = objective.start(np.full(mesh.n_tets, 0.2))
     GaussNewton(tolerance=1e-6).minimize(objective, start, monitor)

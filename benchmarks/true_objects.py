@@ -1,7 +1,7 @@
 """Maps against analytic objects whose presses were solved on other, finer meshes.
 
     python benchmarks/true_objects.py [--set open|held_out|empty|all] [--only NAME...]
-        [--method default|map] [--settings KEY=VALUE...] [--check] [--cache FOLDER] [--out FOLDER]
+        [--method default|map|shapes] [--settings KEY=VALUE...] [--check] [--cache FOLDER] [--out FOLDER]
 
 Each case is an object (balls of several depths, sizes and contrasts, a cone, an ellipsoid, two
 balls close together, a lump in layers, a dome and a breast with a lesion, bodies without
@@ -37,6 +37,8 @@ from true_cases import CASES, EMPTY_CASES, Case, Truth, make_recording
 from tactorch.errors import TactorchError
 from tactorch.findings import find_lumps
 from tactorch.inverse import Settings, invert, make_objective
+from tactorch.inverse.shapes import find_shapes
+from tactorch.inverse.shapes.field import Sites
 from tactorch.mesh import TetMesh, locate
 from tactorch.recording import Recording
 from tactorch.uncertainty import variational_posterior
@@ -46,6 +48,7 @@ MAX_CHANGE = 0.1  # of the noise, by refinement of the truth mesh
 EXTREME = 0.003  # fraction of the body beyond the level of a lump
 MIN_LOG_CONTRAST = np.log(1.02)  # of a segmented lump
 MIN_VOXELS = 10  # of a segmented lump
+_DRAWS = 200  # of the posterior of shapes
 FieldAt = Callable[[np.ndarray], np.ndarray]  # points (k, 3), mm -> values (k,)
 
 
@@ -130,7 +133,34 @@ def _invert(recording: Recording, settings: Settings, *, with_deviation: bool) -
     return Answer(values_at(mesh, result.youngs), seconds, deviation, lumps, notes)
 
 
+def invert_by_shapes(recording: Recording, settings: Settings) -> Answer:
+    """Shapes in a smooth background, with their posterior."""
+    began = time.perf_counter()
+    search = find_shapes(recording, settings)
+    seconds = time.perf_counter() - began
+    fit = search.best
+    lumps = tuple(
+        FoundLump(s.center_mm, s.radius_mm, fit.background_mpa * s.contrast, search.probability)
+        for s in fit.shapes
+    )
+    draws = fit.sample(_DRAWS)
+
+    def deviation(points: np.ndarray) -> np.ndarray:
+        sites = Sites.at(points)
+        return np.std([fit.field.log_youngs(z, sites) for z in draws], axis=0)
+
+    notes = {
+        "chi2": fit.chi2,
+        "inflation": search.inflation,
+        "log_evidence_empty": search.log_evidence_empty,
+        "shapes": [vars(s) for s in fit.shapes],
+        "background_mpa": fit.background_mpa,
+    }
+    return Answer(fit.youngs_at, seconds, deviation, lumps, notes)
+
+
 METHODS: dict[str, Method] = {
+    "shapes": invert_by_shapes,
     "default": invert_by_default,
     "map": invert_without_deviation,
 }

@@ -16,10 +16,12 @@ from jaxtyping import Bool, Float, Int
 from tactorch.errors import ConvergenceError
 from tactorch.fem import kernels, reference
 from tactorch.fem.assembly import Assembly, Response
+from tactorch.linalg import SymmetricPattern, conjugate_gradients
 from tactorch.linalg.pool import Lease
 from tactorch.linalg.solver import IndefiniteError
 
 _MAX_COLUMNS = 256  # right-hand sides solved at once; bounds the memory on large meshes
+_MAX_ITERATIONS = 12  # of conjugate gradients
 _UNSTABLE = (
     "The equilibrium is unstable (its tangent is not positive definite), so no derivative exists "
     "there; lower the load."
@@ -36,7 +38,11 @@ class Linearization:
     response: Response  # at the displacement
     tangent: Float[np.ndarray, " nnz"]  # K, with the rows of fixed unknowns reduced to the diagonal
     fixed: Bool[np.ndarray, " size"]
+    pattern: SymmetricPattern  # of the tangent
     lease: Lease  # solver that factors K
+    # Where positive: solutions are iterative, to this relative residual, preconditioned by the
+    # factorisation of a nearby tangent that the lease has.
+    rtol: float = 0.0
 
     def factor(self) -> None:
         """Factor K, unless this is done; ConvergenceError if it is found not positive definite.
@@ -48,14 +54,28 @@ class Linearization:
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
         """Return the solution of K x = rhs, with x = 0 at fixed unknowns; see `factor`."""
-        self.factor()
         if self.fixed.any():
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
+        if self.rtol > 0.0 and (solution := self._iterate(rhs)) is not None:
+            return solution
+        self.factor()
         try:
             return self.lease.solve(rhs)
         except IndefiniteError as error:
             raise ConvergenceError(_UNSTABLE) from error
+
+    def _iterate(
+        self, rhs: Float[np.ndarray, "size *k"]
+    ) -> Float[np.ndarray, "size *k"] | None:
+        """Solve by conjugate gradients; None where a factorisation of K is better."""
+        if self.lease.factored is None or not self.lease.direct:
+            return None
+        result = conjugate_gradients(
+            lambda x: self.pattern.product(self.tangent, x), self.lease.solve, rhs,
+            rtol=self.rtol, max_iterations=_MAX_ITERATIONS,
+        )  # fmt: skip
+        return result.solution if result.converged else None
 
     def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "moduli k"]:
         """Return the transpose of dR/de (eq. 11) times nodal fields."""
@@ -71,6 +91,13 @@ class Linearization:
         """Return du/de times a change of the moduli (MPa), mm."""
         forces = self.assembly.internal_force(self.response, change)
         return -self.solve(forces.ravel()).reshape(-1, 3)
+
+    def displacement_changes(
+        self, changes: Float[np.ndarray, "k moduli"]
+    ) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return du/de times several changes of the moduli (MPa), mm, by one solve."""
+        forces = [self.assembly.internal_force(self.response, change) for change in changes]
+        return [-field for field in self.force_response(np.array(forces))]
 
     def force_response(self, forces: Float[np.ndarray, "k nodes 3"]) -> list[np.ndarray]:
         """Return the displacement (nodes, 3) due to each of k changes of the forces (N), mm."""

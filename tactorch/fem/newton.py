@@ -119,14 +119,19 @@ class Newton:
         except ConvergenceError as error:  # of the linear solver: smaller steps do not help
             return EquilibriumResult(start, False, str(error))
 
-    def linearize(self, result: EquilibriumResult) -> Linearization:
-        """Return the linearisation at an equilibrium, which shares the search's solver."""
+    def linearize(self, result: EquilibriumResult, rtol: float = 0.0) -> Linearization:
+        """Return the linearisation at an equilibrium, which shares the search's solver.
+
+        With a positive `rtol` its solutions have this relative residual, which is cheaper than a
+        factorisation for a few of them.
+        """
         assert result.response is not None
-        self._use_double_precision()
+        if not rtol:
+            self._use_double_precision()
         tangent = self.assembly.tangent(result.response, self.youngs, self.supports.springs)
         values = self.pattern.apply_dirichlet(tangent, self._fixed)
         state = (self.assembly, self.youngs, result.displacement, result.response)
-        return Linearization(*state, values, self._fixed, self._lease)
+        return Linearization(*state, values, self._fixed, self.pattern, self._lease, rtol)
 
     def _load_stepping(self, iterations: int) -> EquilibriumResult:
         """Increase the load in steps: halved after a failure, doubled after fast convergence."""

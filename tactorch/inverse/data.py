@@ -156,6 +156,12 @@ class DataModel:
             correlated = correlated.widened(np.repeat(factors, self.counts))
         return replace(self, observations=observations, correlated=correlated)
 
+    def shifted(self, offsets: Sequence[Float[np.ndarray, " p"]]) -> "DataModel":
+        """Return the data with offsets (mm) added to the observed displacements of each press."""
+        pairs = zip(self.observations, offsets, strict=True)
+        observations = tuple(replace(o, displacement=o.displacement + x) for o, x in pairs)
+        return replace(self, observations=observations)
+
     def corrected(
         self, errors: Sequence[ModelError], points: Float[np.ndarray, "n 3"]
     ) -> "DataModel":

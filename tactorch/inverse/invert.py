@@ -13,6 +13,7 @@ from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody
 from tactorch.inverse.data import ModelError, NoiseModel
+from tactorch.inverse.fields import ElementField
 from tactorch.inverse.misfit import MISFITS, Adaptive, Squares
 from tactorch.inverse.model_error import discretisation_error, resolve_model_error
 from tactorch.inverse.monitor import Monitor, progress
@@ -72,7 +73,7 @@ def invert(
         on_iteration=on_iteration,
         identity={
             "mesh": recording.mesh.content_hash()[:12],
-            "parameterization": str(objective.parameterization),
+            "parameterization": str(objective.elements.parameterization),
             "model error": _describe_model_error(recording, settings),
             "nuisance": str(settings.nuisance),
             "misfit": MISFITS.name_of(type(settings.misfit)),
@@ -144,8 +145,11 @@ class ObjectiveBuilder:
             problem = problem.with_data(problem.data.corrected(errors, mesh.points))
         objective = Objective(
             problem,
-            replace(settings.parameterization, bounds=settings.bounds),
-            settings.regularization.on(mesh),
+            ElementField(
+                replace(settings.parameterization, bounds=settings.bounds),
+                settings.regularization.on(mesh),
+                mesh.n_tets,
+            ),
             settings.nuisance,
             settings.regularization.weight,
         )
@@ -161,7 +165,7 @@ def _adapt(objective: Objective) -> Objective:
     be as good as they state. A `Press` is one frame, so a bad frame of a good series is separate.
     """
     problem = objective.problem
-    fit = uniform_fit(problem, objective.parameterization.bounds, objective.nuisance)
+    fit = uniform_fit(problem, objective.elements.parameterization.bounds, objective.nuisance)
     monitor = Monitor()
     start = objective.start(np.full(problem.n_elements, fit.youngs_mpa))
     GaussNewton(max_iterations=_ADAPT_ITERATIONS).minimize(
@@ -190,18 +194,6 @@ def make_objective(recording: Recording, settings: Settings) -> Objective:
     builder = ObjectiveBuilder(recording, settings)
     problem = builder.problem(recording)
     return builder.objective(problem, builder.model_errors(problem))
-
-
-def corrected_problem(recording: Recording, settings: Settings) -> InverseProblem:
-    """Return the inverse problem with the correction of its settings for the model's error."""
-    builder = ObjectiveBuilder(recording, settings)
-    problem = builder.problem(recording)
-    errors = builder.model_errors(problem)
-    return (
-        problem.with_data(problem.data.corrected(errors, recording.mesh.points))
-        if errors
-        else problem
-    )
 
 
 def solution(recording: Recording, result: Reconstruction, settings: Settings) -> Point:

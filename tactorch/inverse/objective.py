@@ -1,17 +1,18 @@
 """The objective: half the sum of squared residuals plus a weighted prior."""
 
-from dataclasses import dataclass, field
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from tactorch.errors import ConvergenceError, TactorchError
+from tactorch.errors import ConfigError, ConvergenceError, TactorchError
+from tactorch.inverse.fields import ElementField, FieldPoint, ModulusField
 from tactorch.inverse.nuisance import NuisanceEstimate, NuisancePrior
-from tactorch.inverse.parameterization import Parameterization
 from tactorch.inverse.problem import Evaluation, InverseProblem
-from tactorch.inverse.regularization.base import Regularizer
 from tactorch.linalg import DenseCholesky
 
 _MAX_NUISANCE_STEP = 3.0  # prior standard deviations per step
@@ -23,61 +24,47 @@ class Point:
     """The terms of the objective at one vector of parameters x.
 
     Attributes:
-        x: Parameters: one per element (or group of elements), then z of the nuisance parameters.
+        x: Parameters: the coefficients of the field, then z of the nuisance parameters.
+        field: The field at its coefficients.
         evaluation: Predictions.
         objective: The objective.
     """
 
     x: Float[np.ndarray, " size"]
+    field: FieldPoint
     evaluation: Evaluation
     objective: "Objective"
 
     @property
-    def youngs(self) -> Float[np.ndarray, " m"]:
-        """The map, MPa."""
+    def youngs(self) -> Float[np.ndarray, "m *q"]:
+        """The map, MPa, by element, or by quadrature point of each element."""
         return self.evaluation.youngs
 
     @property
-    def elements(self) -> Float[np.ndarray, " m"]:
-        """The elements' part of x."""
-        return self.x[: self.objective.n_moduli]
+    def coefficients(self) -> Float[np.ndarray, " m"]:
+        """The field's part of x."""
+        return self.x[: self.objective.field.size]
 
     @property
     def z(self) -> Float[np.ndarray, " k"]:
         """The nuisance parameters' part of x, in prior standard deviations."""
-        return self.x[self.objective.n_moduli :]
+        return self.x[self.objective.field.size :]
 
-    @cached_property
-    def _moduli(self) -> Float[np.ndarray, " m"]:
-        """Young's modulus by each parameter of the map, MPa."""
-        return self.objective.moduli(self.elements)
-
-    @cached_property
-    def _field(self) -> Float[np.ndarray, " m"]:
-        return np.log(self._moduli)
-
-    @cached_property
-    def _slope(self) -> Float[np.ndarray, " m"]:
-        return self.objective.parameterization.slope(self.elements)
-
-    @cached_property
+    @property
     def penalty(self) -> float:
         """The prior on the map, without its weight."""
-        return self.objective.prior.value(self._field)
+        return self.field.penalty
 
     @cached_property
     def penalty_gradient(self) -> Float[np.ndarray, " size"]:
         """Gradient of the prior on the map with respect to x, without its weight."""
-        inner = self._slope / self._moduli * self.objective.prior.gradient(self._field)
-        return np.concatenate([inner, np.zeros(len(self.z))])
+        return np.concatenate([self.field.penalty_gradient, np.zeros(len(self.z))])
 
     @cached_property
     def penalty_curvature(self) -> sp.csr_matrix:
         """Curvature of the prior on the map with respect to x, without its weight."""
-        chain = sp.diags(self._slope / self._moduli)
-        inner = chain @ self.objective.prior.curvature(self._field) @ chain
-        k = len(self.z)
-        return sp.block_diag((inner, sp.csr_matrix((k, k))), format="csr") if k else inner.tocsr()
+        inner, k = self.field.penalty_curvature, len(self.z)
+        return sp.block_diag((inner, sp.csr_matrix((k, k))), format="csr") if k else inner
 
     def prior_value(self, weight: float) -> float:
         """Return the objective without the misfit: the weighted penalty and the prior of z."""
@@ -87,13 +74,13 @@ class Point:
         """Return the gradient of `prior_value`."""
         # A prior without weight may have an infinite gradient.
         gradient = weight * self.penalty_gradient if weight else np.zeros_like(self.x)
-        gradient[self.objective.n_moduli :] += self.z
+        gradient[self.objective.field.size :] += self.z
         return gradient
 
     def prior_curvature(self, weight: float) -> sp.csr_matrix:
         """Return the curvature of `prior_value`."""
         curvature = weight * self.penalty_curvature
-        normal = np.arange(len(self.x)) >= self.objective.n_moduli
+        normal = np.arange(len(self.x)) >= self.objective.field.size
         return (curvature + sp.diags(1.0 * normal)).tocsr() if len(self.z) else curvature
 
     @cached_property
@@ -103,41 +90,43 @@ class Point:
 
     @cached_property
     def jacobian(self) -> Float[np.ndarray, "data size"]:
-        """D residuals / d x, by one solve per datum, or per group of elements and press."""
-        groups = self.objective.groups
-        if groups is None:
-            elements = self.evaluation.jacobian() * self._slope
-        else:
-            changes = (np.where(groups == g, slope, 0.0) for g, slope in enumerate(self._slope))
-            elements = np.column_stack([self.evaluation.jacobian_times(c) for c in changes])
-        return np.hstack([elements, self._nuisance_jacobian]) if len(self.z) else elements
+        """D residuals / d x."""
+        inner = self.field.jacobian(self.evaluation)
+        return np.hstack([inner, self._nuisance_jacobian]) if len(self.z) else inner
 
     @cached_property
     def data_gradient(self) -> Float[np.ndarray, " size"]:
         """Gradient of half the sum of squared residuals with respect to x, by adjoints."""
-        return self.transpose_times(self.evaluation.residuals)
+        inner = self.field.transpose_times(self._youngs_gradient)
+        if not len(self.z):
+            return inner
+        return np.concatenate([inner, self._nuisance_jacobian.T @ self.evaluation.residuals])
+
+    @cached_property
+    def _youngs_gradient(self) -> Float[np.ndarray, "m *q"]:
+        return self.evaluation.gradient()
 
     def jacobian_times(self, change: Float[np.ndarray, " size"]) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of x, by one solve per press."""
-        m = self.objective.n_moduli
-        elements = self.evaluation.jacobian_times(self.objective.expand(self._slope * change[:m]))
-        return elements + self._nuisance_jacobian @ change[m:] if len(self.z) else elements
+        m = self.objective.field.size
+        inner = self.evaluation.jacobian_times(self.field.youngs_change(change[:m]))
+        return inner + self._nuisance_jacobian @ change[m:] if len(self.z) else inner
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " size"]:
         """Return the Jacobian's transpose times `weights`, by one solve per press."""
-        elements = self._slope * self.objective.collect(self.evaluation.transpose_times(weights))
+        inner = self.field.transpose_times(self.evaluation.transpose_times(weights))
         if not len(self.z):
-            return elements
-        return np.concatenate([elements, self._nuisance_jacobian.T @ weights])
+            return inner
+        return np.concatenate([inner, self._nuisance_jacobian.T @ weights])
 
     def second_order_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return the part of the misfit's Hessian that Gauss-Newton omits times a change of x.
 
-        It needs a parameter for each element, and no nuisance parameters.
+        It needs a coefficient for each element, and no nuisance parameters.
         """
-        second = self.objective.parameterization.second_derivative(self.x)
-        inner = self._slope * self.evaluation.second_order_times(self._slope * change)
-        return inner + self.data_gradient / self._slope * second * change
+        by_youngs = self.evaluation.second_order_times(self.field.youngs_change(change))
+        inner = self.field.transpose_times(by_youngs)
+        return inner + self.field.second_derivative_times(self._youngs_gradient, change)
 
     def value(self, weight: float) -> float:
         """Return the objective with this weight of the prior."""
@@ -182,70 +171,57 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Data, parameterisation and prior.
+    """Data, field and prior.
 
     Attributes:
         problem: The data.
-        parameterization: Relation between the elements' part of x and Young's modulus.
-        prior: The penalty on log-moduli.
-        weight: Weight of the prior; None where the optimizer chooses it.
+        field: The family of maps, with its prior.
         nuisance: Nuisance parameters that are estimated too.
-        groups: Group of each element, where all elements of a group share one modulus; the prior
-            then acts on the groups. None where each element has its own.
+        weight: Weight of the prior; None where the optimizer chooses it.
         stable_only: Whether points without derivatives count as points without equilibrium.
+        starts: Displacements from which equilibria start where no evaluation is near, mm.
     """
 
     problem: InverseProblem
-    parameterization: Parameterization
-    prior: Regularizer
-    nuisance: NuisancePrior = field(default_factory=NuisancePrior)
+    field: ModulusField
+    nuisance: NuisancePrior = dataclasses.field(default_factory=NuisancePrior)
     weight: float | None = None
-    groups: Int[np.ndarray, " elements"] | None = None
     stable_only: bool = False
-
-    @cached_property
-    def n_moduli(self) -> int:
-        """Number of parameters of the map."""
-        return self.problem.n_elements if self.groups is None else int(self.groups.max()) + 1
+    starts: Sequence[np.ndarray] | None = None
 
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return self.n_moduli + self.nuisance.size
+        return self.field.size + self.nuisance.size
 
-    def moduli(self, x: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Return the moduli of the map's parameters within the bounds, MPa."""
-        bounds = self.parameterization.bounds
-        return np.clip(self.parameterization.youngs(x), bounds.lower, bounds.upper)
+    @property
+    def elements(self) -> ElementField:
+        """The field, where it has one modulus per element.
 
-    def expand(self, values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " elements"]:
-        """Return values by element from values by parameter of the map."""
-        return values if self.groups is None else values[self.groups]
-
-    def collect(self, values: Float[np.ndarray, " elements"]) -> Float[np.ndarray, " m"]:
-        """Return the transpose of `expand`: sums over the elements of each parameter."""
-        if self.groups is None:
-            return values
-        return np.bincount(self.groups, values, minlength=self.n_moduli)
+        Raises:
+            ConfigError: it is another.
+        """
+        if not isinstance(self.field, ElementField):
+            raise ConfigError("this needs a map with one modulus per element.")
+        return self.field
 
     def start(self, youngs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " size"]:
-        """Return the parameters of a map (MPa), nuisance parameters as assumed."""
-        x = self.parameterization.parameters(youngs)
+        """Return the parameters of a map by element (MPa), nuisance parameters as assumed."""
+        x = self.elements.parameterization.parameters(youngs)
         return np.concatenate([x, np.zeros(self.nuisance.size)])
 
     @property
     def limits(self) -> tuple[Float[np.ndarray, " size"], Float[np.ndarray, " size"]]:
         """Bounds of x."""
-        limits = self.parameterization.limits, self.nuisance.limits(self.problem.assumed)
-        ends = zip(*limits, strict=True)
-        low, high = (np.concatenate([np.full(self.n_moduli, end), other]) for end, other in ends)
+        limits = self.field.limits, self.nuisance.limits(self.problem.assumed)
+        low, high = (np.concatenate(ends) for ends in zip(*limits, strict=True))
         return low, high
 
     @property
     def max_step(self) -> Float[np.ndarray, " size"]:
         """Largest change of each parameter in one damped Newton step."""
-        sizes = [self.n_moduli, self.nuisance.size]
-        return np.repeat([self.parameterization.max_step, _MAX_NUISANCE_STEP], sizes)
+        steps = [self.field.max_step, np.full(self.nuisance.size, _MAX_NUISANCE_STEP)]
+        return np.concatenate(steps)
 
     def at(
         self, x: Float[np.ndarray, " size"], near: Point | None = None, *, take_over: bool = False
@@ -257,12 +233,14 @@ class Objective:
         Raises:
             ConvergenceError: a press has no equilibrium at these moduli.
         """
-        m = self.n_moduli
-        youngs = self.expand(self.moduli(x[:m]))
+        m = self.field.size
+        field = self.field.at(x[:m])
         nuisance = self.nuisance.nuisance(x[m:], self.problem.assumed)
         before = None if near is None else near.evaluation
-        evaluation = self.problem.evaluate(youngs, before, nuisance, take_over)
+        evaluation = self.problem.evaluate(
+            field.youngs, before, nuisance, take_over, starts=self.starts if near is None else None
+        )
         if self.stable_only:
             for sensitivity in evaluation.sensitivities:
                 sensitivity.linearization.factor()
-        return Point(x, evaluation, self)
+        return Point(x, field, evaluation, self)

@@ -1,5 +1,6 @@
 """The forward problem of all presses: equilibria, predictions and their derivatives (eq. 7)."""
 
+from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
 from typing import NamedTuple
@@ -44,7 +45,7 @@ class Evaluation:
     """All presses at one map of moduli; derivatives are computed on demand.
 
     Attributes:
-        youngs: Young's modulus of each element, MPa.
+        youngs: Young's modulus of each element, or of each of its quadrature points, MPa.
         nuisance: Nuisance values.
         residuals: Half their square is minimised: predicted minus observed of all presses, in
             standard deviations, transformed by the misfit.
@@ -54,12 +55,14 @@ class Evaluation:
 
     def __init__(
         self,
-        youngs: Float[np.ndarray, " m"],
+        youngs: Float[np.ndarray, "m *q"],
         nuisance: Nuisance,
         weight: Float[np.ndarray, "nodes 3"],
         presses: list[_PressSolution],
         data: DataModel,
+        derivative_rtol: float = 0.0,
     ) -> None:
+        self.derivative_rtol = derivative_rtol
         self.youngs, self.nuisance = youngs, nuisance
         self._weight, self._presses = weight, presses
         self.data, self._misfit, self._begins = data, data.misfit, data.begins
@@ -102,7 +105,8 @@ class Evaluation:
 
         def work(i: int) -> Sensitivity:
             press, observation = self._presses[i], self.data.observations[i]
-            return Sensitivity(press.newton.linearize(press.equilibrium), observation.index, frame)
+            linearization = press.newton.linearize(press.equilibrium, self.derivative_rtol)
+            return Sensitivity(linearization, observation.index, frame)
 
         return map_cases(work, len(self._presses))
 
@@ -142,17 +146,29 @@ class Evaluation:
 
         return self._join(map_cases(work, len(cases)))
 
-    def jacobian_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " data"]:
+    def jacobian_times(self, change: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""
         cases, data = self.sensitivities, self.data.observations
         return self._join(map_cases(lambda i: cases[i].times(change) * data[i].scale, len(cases)))
 
-    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " m"]:
+    def jacobian_times_each(
+        self, changes: Float[np.ndarray, "k moduli"]
+    ) -> Float[np.ndarray, "data k"]:
+        """Return the change of the residuals by each of several changes of the moduli (MPa)."""
+        cases, data = self.sensitivities, self.data.observations
+
+        def work(i: int) -> np.ndarray:
+            fields = cases[i].linearization.displacement_changes(changes)
+            return np.column_stack([cases[i].observe(u) * data[i].scale for u in fields])
+
+        return self._join(map_cases(work, len(cases)))
+
+    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, "m *q"]:
         """Return the transpose of d residuals / d youngs times `weights`."""
         parts, cases = self._split(weights), self.sensitivities
         return np.sum(map_cases(lambda i: cases[i].transpose_times(parts[i]), len(parts)), axis=0)
 
-    def gradient(self) -> Float[np.ndarray, " m"]:
+    def gradient(self) -> Float[np.ndarray, "m *q"]:
         """Return the gradient of half the sum of squared residuals, by one adjoint solve per press.
 
         This is eq. (9) to (13), without the paper's second minus.
@@ -165,7 +181,7 @@ class Evaluation:
         parts, cases = self._split(self.residuals), self.sensitivities
         return map_cases(lambda i: cases[i].adjoint(parts[i]), len(parts))
 
-    def second_order_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def second_order_times(self, change: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, "m *q"]:
         """Return the part of the misfit's Hessian that Gauss-Newton omits times a change (MPa).
 
         It takes one solve per press more than the two of Gauss-Newton; see
@@ -185,10 +201,14 @@ class Evaluation:
         parts = zip(np.split(white, self._begins[1:]), self.data.observations, strict=True)
         return [part * observation.scale for part, observation in parts]
 
-    def predict(self, youngs: Float[np.ndarray, " m"]) -> list[Float[np.ndarray, "nodes 3"]]:
-        """Predict the displacements at other moduli, to first order where the change is small."""
+    def predict(self, youngs: Float[np.ndarray, "m *q"]) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Predict the displacements at other moduli.
+
+        To first order where the change is small and the presses are linearised already.
+        """
         change = youngs - self.youngs
-        if np.abs(change / self.youngs).max() > _MAX_RELATIVE_CHANGE:
+        large = np.abs(change / self.youngs).max() > _MAX_RELATIVE_CHANGE
+        if large or "sensitivities" not in vars(self):
             return self.displacements
         sensitivities = self.sensitivities
 
@@ -212,6 +232,8 @@ class InverseProblem:
         misfit: Cost of the residuals; squares by default.
         nuisance: Nuisance parameters that are estimated together with the map, for starts.
         body: Body of this mesh, material, element and solver, where it exists already.
+        derivative_rtol: Relative residual of the solves for derivatives; zero factors the tangent
+            of each press, which is better for more than some tens of solves.
 
     Attributes:
         data: Observations and the statistics of their errors.
@@ -230,7 +252,9 @@ class InverseProblem:
         misfit: Misfit | None = None,
         nuisance: NuisancePrior | None = None,
         body: SoftBody | None = None,
+        derivative_rtol: float = 0.0,
     ) -> None:
+        self.derivative_rtol = derivative_rtol
         self.recording = recording
         self.body = body or make_body(recording, element, solver, newton)
         self.noise = noise or NoiseModel()
@@ -263,22 +287,24 @@ class InverseProblem:
 
     def evaluate(
         self,
-        youngs: Float[np.ndarray, " m"],
+        youngs: Float[np.ndarray, "m *q"],
         near: Evaluation | None = None,
         nuisance: Nuisance | None = None,
         take_over: bool = False,
         chained: bool = False,
+        starts: Sequence[Float[np.ndarray, "nodes 3"]] | None = None,
     ) -> Evaluation:
         """Solve all presses at these moduli, in parallel.
 
         Args:
-            youngs: Young's modulus of each element, MPa.
+            youngs: Young's modulus of each element, or of each of its quadrature points, MPa.
             near: Evaluation at similar moduli to start from.
             nuisance: Nuisance values; by default those that the recording states.
             take_over: Whether to take over the factorisations of `near`, which must then factor
                 again for its derivatives. It saves time and half the memory.
             chained: Whether to solve the presses one after the other, each with the factorisation
                 of the one before. It needs the memory of one press, but gives no derivatives.
+            starts: Displacement to start from, each press, mm; by default those of `near`.
 
         Raises:
             ConvergenceError: a press has no equilibrium; names the press.
@@ -287,7 +313,8 @@ class InverseProblem:
         values, mesh = nuisance or self.assumed, self.recording.mesh
         assembly = self.body.with_parameters(values.poisson, mesh.points * values.rest_scale)
         weight = self._weight * values.rest_scale.prod()
-        starts = None if near is None else near.predict(youngs)
+        if starts is None and near is not None:
+            starts = near.predict(youngs)
 
         def work(i: int, after: Newton | None = None) -> _PressSolution:
             press = self.recording.presses[i]
@@ -310,7 +337,7 @@ class InverseProblem:
                 solutions.append(work(i, solutions[-1].newton))
         else:
             solutions = map_cases(work, count)
-        return Evaluation(youngs, values, weight, solutions, self.data)
+        return Evaluation(youngs, values, weight, solutions, self.data, self.derivative_rtol)
 
 
 def make_body(

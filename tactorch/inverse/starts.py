@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse.fields import ElementField
 from tactorch.inverse.monitor import Monitor, StopCondition, StopOptimization, StopReason
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior
 from tactorch.inverse.objective import Objective
@@ -89,9 +90,8 @@ def uniform_fit(
     """
     bounds = bounds or Bounds()
     prior, groups = Quadratic(sp.csr_matrix((1, 1))), np.zeros(problem.n_elements, dtype=np.int64)
-    objective = Objective(
-        problem, Log(bounds), prior, nuisance or NuisancePrior(), 0.0, groups, stable_only=True
-    )
+    field = ElementField(Log(bounds), prior, problem.n_elements, groups)
+    objective = Objective(problem, field, nuisance or NuisancePrior(), 0.0, stable_only=True)
     first = _first_mpa(problem) if first_mpa is None else first_mpa
     x, upper = np.zeros(objective.size), np.log(bounds.upper)
     x[0] = np.clip(np.log(first), np.log(bounds.lower), upper)
@@ -185,7 +185,8 @@ class CoarseStart(Options):
         count = int(labels.max()) + 1
         graph = sp.csr_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
         prior = Quadratic(laplacian(graph + graph.T).tocsr() / _JUMP**2)
-        objective = Objective(problem, Log(bounds), prior, weight=1.0, groups=labels)
+        field = ElementField(Log(bounds), prior, mesh.n_tets, labels)
+        objective = Objective(problem, field, weight=1.0)
         stop_condition = _stop_condition(_COARSE_STEP_TOLERANCE, fitted_chi2=1.0)
         monitor = Monitor(stop_condition=stop_condition, log=False)
         first = np.log(uniform_fit(problem, bounds).youngs_mpa)

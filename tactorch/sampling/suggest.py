@@ -132,7 +132,8 @@ class Suggester:
             return _predict(presses, point, self._settings)
 
         patches, pressed, _ = candidates
-        parameterization, credibility = point.objective.parameterization, _credibility(point)
+        parameterization = point.objective.elements.parameterization
+        credibility = _credibility(point)
         return SamplingState(
             mesh, patches, pressed, parameterization, credibility, jacobians, gaussian
         )
@@ -148,7 +149,7 @@ class _WarmStartedPosterior:
         if not has_variational_posterior(point, weight):
             return LaplacePosterior.at(point, weight)
         previous, sizes = self._previous, None
-        if previous is not None and len(previous.mean) == len(point.elements):
+        if previous is not None and len(previous.mean) == len(point.coefficients):
             weight, sizes = previous.weight, previous.sizes
         self._previous = variational_posterior(
             point, weight, sizes=sizes, tolerance=_TOLERANCE, max_iterations=_MAX_ITERATIONS
@@ -179,7 +180,7 @@ def _predict(presses: Sequence[Press], point: Point, settings: Settings) -> list
     # Planned displacements are no measurements, so their magnitude is not checked.
     recording = replace(current.recording, presses=planned, check_units=False)
     problem = InverseProblem(recording, newton=settings.newton, body=current.body)
-    slope = point.objective.parameterization.slope(point.elements)
+    slope = point.objective.elements.parameterization.slope(point.coefficients)
     try:
         jacobian = problem.evaluate(point.youngs).jacobian() * slope
     except ConvergenceError:

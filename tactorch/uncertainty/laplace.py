@@ -100,8 +100,9 @@ class LaplacePosterior(GaussianPosterior):
             ConfigError: the weight is negative, or data and prior leave moduli undetermined.
         """
         check_weight(weight)
-        prior, parameterization = point.prior_curvature(weight), point.objective.parameterization
-        return LaplacePosterior.of(point.elements, point.jacobian, prior, parameterization)
+        prior = point.prior_curvature(weight)
+        parameterization = point.objective.elements.parameterization
+        return LaplacePosterior.of(point.coefficients, point.jacobian, prior, parameterization)
 
     @staticmethod
     def of(

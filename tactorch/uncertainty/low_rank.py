@@ -68,14 +68,14 @@ class LowRankPosterior(GaussianPosterior):
                 undetermined (as with weight 0).
         """
         check_weight(weight)
-        slope = point.objective.parameterization.slope(point.elements) / point.youngs
+        slope = point.objective.elements.parameterization.slope(point.coefficients) / point.youngs
         mean_prior = np.zeros(len(point.x))
         mean_prior[: len(slope)] = slope**2 / (len(slope) * MEAN_DEVIATION**2)
         return LowRankPosterior.of(
-            point.elements,
+            point.coefficients,
             lambda v: point.transpose_times(point.jacobian_times(v)),
             sp.csr_matrix(point.prior_curvature(weight) + sp.diags(mean_prior)),
-            point.objective.parameterization,
+            point.objective.elements.parameterization,
             rank,
             seed=seed,
         )

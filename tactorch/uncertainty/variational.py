@@ -67,7 +67,7 @@ class _Jumps:
     def at(point: Point) -> "_Jumps":
         mesh = point.objective.problem.recording.mesh
         difference = jumps(mesh)
-        chain = point.objective.parameterization.slope(point.elements) / point.youngs
+        chain = point.objective.elements.parameterization.slope(point.coefficients) / point.youngs
         nuisance = sp.csr_matrix((difference.shape[0], len(point.z)))
         parts, _ = connected_components(difference.T @ difference, directed=False)
         return _Jumps(
@@ -89,7 +89,7 @@ class _Jumps:
 
 def has_variational_posterior(point: Point, weight: float) -> bool:
     """Whether `variational_posterior` applies: total variation without a mean, of some weight."""
-    return weight > 0 and point.objective.prior.variation_edge is not None
+    return weight > 0 and point.objective.elements.prior.variation_edge is not None
 
 
 def variational_posterior(
@@ -115,7 +115,7 @@ def variational_posterior(
         ConfigError: the prior is not total variation, the weight is not positive, or data and
             prior leave moduli undetermined.
     """
-    edge = point.objective.prior.variation_edge
+    edge = point.objective.elements.prior.variation_edge
     if edge is None:
         raise ConfigError(
             "the variational posterior is that of total variation without a mean; use "
@@ -138,8 +138,8 @@ def variational_posterior(
         if max(change, abs(np.log(weight / old_weight))) < tolerance:
             break
     factor, step = _solve(point, jump_model, hessian, weight * jump_model.areas / sizes)
-    mean = point.elements + step[: len(point.elements)]
-    state = (mean, point.jacobian, factor, point.objective.parameterization)
+    mean = point.coefficients + step[: len(point.coefficients)]
+    state = (mean, point.jacobian, factor, point.objective.elements.parameterization)
     return VariationalPosterior(*state, weight, sizes, iterations)
 
 

@@ -17,6 +17,7 @@ from tactorch.inverse import (
     Settings,
     invert,
 )
+from tactorch.inverse.fields import ElementField
 from tactorch.inverse.starts import CoarseStart, clusters
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import Recording
@@ -50,7 +51,9 @@ def test_the_grouped_jacobian_is_the_sum_of_columns(
     labels = clusters(recording.mesh, 5)
     shared = np.array([moduli[labels == k].mean() for k in range(5)])
     zero = Quadratic(sp.csr_matrix((5, 5)))
-    objective = Objective(InverseProblem(recording), Log(), zero, groups=labels)
+    objective = Objective(
+        InverseProblem(recording), ElementField(Log(), zero, recording.mesh.n_tets, labels)
+    )
     point = objective.at(np.log(shared))
     np.testing.assert_allclose(point.youngs, shared[labels])
     columns = point.evaluation.jacobian() * point.youngs

@@ -177,7 +177,7 @@ def test_time_is_watched_within_an_iteration(
         return evaluate(self, *args, **others)
 
     monkeypatch.setattr(InverseProblem, "evaluate", age)
-    start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
+    start = objective.elements.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
     with pytest.raises(StopOptimization):
         OPTIMIZERS.build(name).minimize(objective, start, monitor)
     assert monitor._earlier_seconds == 6e5
@@ -192,7 +192,7 @@ def test_time_is_watched_at_every_iteration(noisy: Recording, name: str) -> None
         monitor._earlier_seconds += 3e5
 
     monitor.on_record = age
-    start = objective.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
+    start = objective.elements.parameterization.parameters(np.full(noisy.mesh.n_tets, 0.2))
     with pytest.raises(StopOptimization):
         OPTIMIZERS.build(name).minimize(objective, start, monitor)
     assert 3 <= monitor.iteration <= 4

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from tactorch.inverse import PARAMETERIZATIONS, PRIORS, Bounds, InverseProblem, Objective
+from tactorch.inverse.fields import ElementField
 from tactorch.recording import Recording
 
 WEIGHT = 50.0
@@ -10,8 +11,11 @@ WEIGHT = 50.0
 def make(recording: Recording, parameterization: str, prior: str) -> Objective:
     return Objective(
         InverseProblem(recording),
-        PARAMETERIZATIONS[parameterization](Bounds(0.01, 2.0)),
-        PRIORS.build(prior).on(recording.mesh),
+        ElementField(
+            PARAMETERIZATIONS[parameterization](Bounds(0.01, 2.0)),
+            PRIORS.build(prior).on(recording.mesh),
+            recording.mesh.n_tets,
+        ),
     )
 
 
@@ -21,7 +25,7 @@ def test_gradient_is_the_finite_difference_of_the_value(
     recording: Recording, moduli: np.ndarray, parameterization: str, prior: str
 ) -> None:
     objective = make(recording, parameterization, prior)
-    x = objective.parameterization.parameters(moduli)
+    x = objective.elements.parameterization.parameters(moduli)
     point = objective.at(x)
     gradient = point.data_gradient + WEIGHT * point.penalty_gradient
     direction = np.random.default_rng(0).standard_normal(len(x))

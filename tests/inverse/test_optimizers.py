@@ -162,7 +162,7 @@ def test_the_end_is_a_constrained_minimum(recording: Recording, optimizer: Optim
 
     def size(p: Any) -> float:
         gradient = p.data_gradient + 10.0 * p.penalty_gradient
-        limits = objective.parameterization.limits
+        limits = objective.elements.parameterization.limits
         return float(np.abs(projected_gradient(p.x, gradient, limits)).max())
 
     assert size(point) < 1e-3 * size(start)
@@ -249,7 +249,7 @@ def test_parameters_stay_in_their_limits(recording: Recording, name: str) -> Non
     monitor = Monitor()
     start = np.full(recording.mesh.n_tets, np.log(0.25))
     OPTIMIZERS.build({"name": name, **SHORT[name]}).minimize(objective, start, monitor)
-    low, high = objective.parameterization.limits
+    low, high = objective.elements.parameterization.limits
     assert monitor.best is not None
     assert low <= monitor.best.min() < monitor.best.max() == high
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import scipy.integrate
 
+from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes import find_shapes
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
-from tactorch.inverse.shapes.fit import ShapeObjective, fit_shapes
+from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate
@@ -81,7 +82,9 @@ def test_an_ellipsoid_is_where_its_axes_say():
 
 def test_residuals_follow_the_parameters(problem):
     field = ShapeField(PRIOR, (True,))
-    objective = ShapeObjective(problem, field, Sites.of(problem.body.assembly))
+    objective = Objective(
+        problem, ShapesOnSites(field, Sites.of(problem.body.assembly)), weight=1.0
+    )
     z = field.standard(np.array(VALUES[True]))
     point = objective.at(z)
     for k in (0, 2, 4, 5, 7):
@@ -96,7 +99,10 @@ def test_the_evidence_is_the_integral_of_the_likelihood(problem):
     field = ShapeField(ShapePrior.of(MESH, 0.22), ())
     sites = Sites.of(problem.body.assembly)
     fit = fit_shapes(problem, field, np.zeros(1), sites=sites, tolerance=1e-10)
-    objective, deviation = ShapeObjective(problem, field, sites), np.sqrt(fit.covariance[0, 0])
+    objective, deviation = (
+        Objective(problem, ShapesOnSites(field, sites), weight=1.0),
+        np.sqrt(fit.covariance[0, 0]),
+    )
     z = fit.z[0] + deviation * np.linspace(-5.0, 5.0, 21)
     least = objective.at(fit.z).value(1.0)
     heights = [np.exp(least - objective.at(np.array([x])).value(1.0)) for x in z]

@@ -12,6 +12,7 @@ from tactorch.inverse import (
     NuisancePrior,
     Objective,
 )
+from tactorch.inverse.fields import ElementField
 from tactorch.uncertainty import LaplacePosterior, calibration_error, coverage
 from tactorch.uncertainty.laplace import check_weight
 
@@ -96,7 +97,7 @@ def test_at_a_point_of_the_objective(
 ) -> None:
     problem = make_problem()
     prior = PRIORS.build("total_variation").on(problem.recording.mesh)
-    point = Objective(problem, LOG, prior).at(np.log(moduli))
+    point = Objective(problem, ElementField(LOG, prior, problem.n_elements)).at(np.log(moduli))
     found = LaplacePosterior.at(point, 3.0)
     precision = point.jacobian.T @ point.jacobian + 3.0 * point.penalty_curvature.toarray()
     np.testing.assert_allclose(found.variance(), np.linalg.inv(precision).diagonal(), rtol=1e-4)
@@ -107,7 +108,9 @@ def test_global_unknowns_count_with_their_own_prior(
 ) -> None:
     problem = make_problem()
     prior = PRIORS.build("total_variation").on(problem.recording.mesh)
-    objective = Objective(problem, LOG, prior, NuisancePrior(force_scale=0.2))
+    objective = Objective(
+        problem, ElementField(LOG, prior, problem.n_elements), NuisancePrior(force_scale=0.2)
+    )
     point = objective.at(objective.start(moduli))
     found = LaplacePosterior.at(point, 3.0)
     precision = point.jacobian.T @ point.jacobian + 3.0 * point.penalty_curvature.toarray()

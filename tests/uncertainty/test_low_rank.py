@@ -15,6 +15,7 @@ from tactorch.inverse import (
     NuisancePrior,
     Objective,
 )
+from tactorch.inverse.fields import ElementField
 from tactorch.linalg.superlu import SparseFactor
 from tactorch.uncertainty import LaplacePosterior, LowRankPosterior
 
@@ -108,7 +109,7 @@ def test_at_a_point_equals_the_dense_posterior(
     recording = make_problem(faces=("z+", "x-")).recording
     problem = InverseProblem(recording, noise=NoiseModel(relative=0.1))
     prior = PRIORS.build(name).on(problem.recording.mesh)
-    objective = Objective(problem, LOG, prior, unknowns)
+    objective = Objective(problem, ElementField(LOG, prior, problem.n_elements), unknowns)
     x = objective.start(moduli)
     point = objective.at(x)
     found = LowRankPosterior.at(point, 5.0, rank=len(x) - 1)
@@ -127,8 +128,9 @@ def test_refusals(make_problem: Callable[..., InverseProblem], moduli: np.ndarra
     with pytest.raises(ConfigError, match="not positive definite"):
         low_rank(jacobian, sp.csr_matrix((M, M)), 3)
     problem = make_problem()
-    point = Objective(problem, LOG, PRIORS.build("none").on(problem.recording.mesh)).at(
-        np.log(moduli)
-    )
+    point = Objective(
+        problem,
+        ElementField(LOG, PRIORS.build("none").on(problem.recording.mesh), problem.n_elements),
+    ).at(np.log(moduli))
     with pytest.raises(ConfigError, match="weight=-1"):
         LowRankPosterior.at(point, -1.0)

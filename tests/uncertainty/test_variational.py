@@ -16,6 +16,7 @@ from tactorch.inverse import (
     Point,
     Scaled,
 )
+from tactorch.inverse.fields import ElementField
 from tactorch.inverse.regularization.base import jumps, relative
 from tactorch.uncertainty import variational_posterior
 
@@ -31,7 +32,9 @@ def point(make_problem: Callable[..., InverseProblem]) -> Point:
     truth = problem.recording.truth
     assert truth is not None
     found = truth * np.exp(0.05 * np.random.default_rng(2).normal(size=mesh.n_tets))
-    return Objective(problem, LOG, PRIORS.build("total_variation").on(mesh)).at(np.log(found))
+    return Objective(
+        problem, ElementField(LOG, PRIORS.build("total_variation").on(mesh), mesh.n_tets)
+    ).at(np.log(found))
 
 
 def gibbs(point: Point, sweeps: int = 3000) -> np.ndarray:

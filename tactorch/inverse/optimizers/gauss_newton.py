@@ -29,11 +29,12 @@ class GaussNewton(DampedNewton):
     )
 
     def step_solver(self, point: Point, state: dict[str, float]) -> StepSolver:
-        return _DenseSteps(self)
+        return _DenseSteps(self, takes_over=point.evaluation.derivative_rtol > 0.0)
 
 
 class _DenseSteps(StepSolver):
-    def __init__(self, settings: GaussNewton) -> None:
+    def __init__(self, settings: GaussNewton, takes_over: bool) -> None:
+        self.takes_over = takes_over
         self._space, self.weight_rule = settings.space, settings.weight_rule
 
     def linearize(

@@ -1,4 +1,4 @@
-"""Ellipsoids in a uniform background as a field of Young's modulus.
+"""Ellipsoids in a smooth background as a field of Young's modulus.
 
 The logarithm of the modulus at a quadrature point is that of the background plus, for each
 inclusion, its log-contrast times the fraction of the point's volume inside the inclusion: the
@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from tactorch.fem.assembly import Assembly
 from tactorch.mesh import TetMesh
@@ -21,6 +22,9 @@ from tactorch.mesh.quadrature import lattice
 
 _SAMPLES = 6  # points of the lattice along an edge of an element
 _WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
+_VARIANCE = np.pi**2 / 12.0  # of the logistic distribution whose density is a boundary of width one
+# Wave numbers of the modes of a smooth background along x, y and z.
+_MODES = np.array([k for k in np.ndindex(3, 3, 3) if 1 <= sum(k) <= 2], dtype=np.float64)
 # Orthonormal basis of symmetric matrices: the size, then five distortions of the same volume.
 _DIAGONALS = (
     np.eye(3) / np.sqrt(3.0),
@@ -60,6 +64,11 @@ class Sites:
         shape = assembly.weights.shape
         width = _WIDTH * np.cbrt(np.repeat(assembly.volumes, shape[1]))
         return Sites(points.reshape(shape[0] * shape[1], -1, 3), width, shape)
+
+    @cached_property
+    def centers(self) -> Float[np.ndarray, "volumes 3"]:
+        """Centre of each volume, mm."""
+        return self.points.mean(axis=1)
 
     @staticmethod
     def at(points: Float[np.ndarray, "n 3"]) -> "Sites":
@@ -103,6 +112,7 @@ class ShapePrior:
     log_background: float
 
     background: float = 1.0
+    mode: float = 0.4
     log_radius: float = 0.6
     distortion: float = 0.35
     log_contrast: float = 1.5
@@ -113,6 +123,17 @@ class ShapePrior:
         low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
         return ShapePrior(low, high, float(np.cbrt(mesh.volumes.sum())), np.log(background_mpa))
 
+    def mode_deviations(self) -> Float[np.ndarray, " modes"]:
+        """Return the deviation of the amplitude of each mode of a smooth background."""
+        return self.mode / np.linalg.norm(_MODES, axis=1)
+
+    def modes_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n modes"]:
+        """Return the modes of a smooth background at points: cosines in the bounding box."""
+        relative = (points - self.low_mm) / (self.high_mm - self.low_mm)
+        waves = np.cos(np.pi * _MODES * relative[:, None, :])
+        modes: np.ndarray = waves.prod(axis=2)
+        return modes
+
     def ball(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and deviation of centre (mm), log-radius and log-contrast."""
         mean = [*(0.5 * (self.low_mm + self.high_mm)), np.log(0.15 * self.size_mm), 0.0]
@@ -122,23 +143,29 @@ class ShapePrior:
 
 @dataclass(frozen=True, eq=False)
 class ShapeField:
-    """A number of inclusions in a uniform background.
+    """A number of inclusions in a uniform or smooth background.
 
-    The parameters are in standard deviations of the prior: the log-modulus of the background; for
-    each inclusion its centre, log-radius and log-contrast, and for an ellipsoid five distortions.
+    The parameters are in standard deviations of the prior: the log-modulus of the background, and
+    the amplitudes of its modes; for each inclusion its centre, log-radius and log-contrast, and for
+    an ellipsoid five distortions.
 
     Attributes:
         prior: Prior of the parameters.
         distorted: For each inclusion, whether it is an ellipsoid rather than a ball.
+        smooth: Whether the background varies smoothly.
     """
 
     prior: ShapePrior
-    distorted: tuple[bool, ...]
+    distorted: tuple[bool, ...] = ()
+    smooth: bool = False
 
     @cached_property
     def _scale(self) -> tuple[np.ndarray, np.ndarray]:
         ball, spread = self.prior.ball()
         mean, deviation = [self.prior.log_background], [self.prior.background]
+        if self.smooth:
+            mean += [0.0] * len(_MODES)
+            deviation += self.prior.mode_deviations().tolist()
         for distorted in self.distorted:
             mean += [*ball, *[0.0] * (5 * distorted)]
             deviation += [*spread, *[self.prior.distortion] * (5 * distorted)]
@@ -150,9 +177,14 @@ class ShapeField:
         return len(self._scale[0])
 
     @property
+    def n_background(self) -> int:
+        """Number of parameters of the background."""
+        return 1 + self.smooth * len(_MODES)
+
+    @property
     def parts(self) -> list[slice]:
         """Parameters of each inclusion."""
-        ends = np.cumsum([1, *(10 if distorted else 5 for distorted in self.distorted)])
+        ends = np.cumsum([self.n_background, *(10 if distorted else 5 for distorted in self.distorted)])
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     def physical(self, z: Float[np.ndarray, "*k size"]) -> Float[np.ndarray, "*k size"]:
@@ -179,10 +211,15 @@ class ShapeField:
                 float(np.exp(values[part][4])),
             )
 
+    def _background(self, sites: Sites) -> Float[np.ndarray, "volumes k"]:
+        """Derivative of the background's log-modulus by its parameters."""
+        one = np.ones((len(sites.points), 1))
+        return np.hstack([one, self.prior.modes_at(sites.centers)]) if self.smooth else one
+
     def log_youngs(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
         """Return the log-modulus of each volume, log MPa."""
         values = self.physical(z)
-        out = np.full(len(sites.points), values[0])
+        out = self._background(sites) @ values[: self.n_background]
         for part in self.parts:
             inclusion = torch.from_numpy(values[part])
             near = _near(values[part], sites)
@@ -194,13 +231,15 @@ class ShapeField:
         """Return the derivative of `log_youngs` by the parameters, (volumes, size)."""
         values, deviation = self.physical(z), self._scale[1]
         out = np.zeros((len(sites.points), self.size))
-        out[:, 0] = 1.0
+        out[:, : self.n_background] = self._background(sites)
         for part in self.parts:
             inclusion, near = torch.from_numpy(values[part]), _near(values[part], sites)
-            points, width = _tensors(sites, near)
-            out[near, part] = torch.func.jacfwd(
-                lambda x, points=points, width=width: x[4] * _fraction(x, points, width)
-            )(inclusion).numpy()
+            tensors = _tensors(sites, near)
+            with forward_ad.dual_level():
+                for k, direction in enumerate(torch.eye(len(inclusion), dtype=torch.float64)):
+                    x = forward_ad.make_dual(inclusion, direction)
+                    excess = forward_ad.unpack_dual(x[4] * _fraction(x, *tensors))
+                    out[near, part.start + k] = excess.tangent.numpy()
         return out * deviation
 
 
@@ -238,4 +277,6 @@ def _fraction(inclusion: Tensor, points: Tensor, width: Tensor) -> Tensor:
         distance = (level - 1.0) * level / slope
     if float(width.max() if len(width) else 0.0) == 0.0:
         return (distance < 0).to(torch.float64).mean(-1)
+    # A smooth boundary would enlarge the volume of a ball, by its curvature.
+    distance = distance + (_VARIANCE * width * width / torch.exp(inclusion[3]))[:, None]
     return torch.sigmoid(-2.0 * distance / width[:, None]).mean(-1)
