@@ -1,7 +1,8 @@
 """Maps against analytic objects whose presses were solved on other, finer meshes.
 
     python benchmarks/true_objects.py [--set open|held_out|empty|all] [--only NAME...]
-        [--method default|map|shapes] [--settings KEY=VALUE...] [--check] [--cache FOLDER] [--out FOLDER]
+        [--method default|map|shapes] [--settings KEY=VALUE...] [--check] [--cache FOLDER]
+        [--out FOLDER]
 
 Each case is an object (balls of several depths, sizes and contrasts, a cone, an ellipsoid, two
 balls close together, a lump in layers, a dome and a breast with a lesion, bodies without
@@ -38,7 +39,6 @@ from tactorch.errors import TactorchError
 from tactorch.findings import find_lumps
 from tactorch.inverse import Settings, invert, make_objective
 from tactorch.inverse.shapes import find_shapes
-from tactorch.inverse.shapes.field import Sites
 from tactorch.mesh import TetMesh, locate
 from tactorch.recording import Recording
 from tactorch.uncertainty import variational_posterior
@@ -48,7 +48,6 @@ MAX_CHANGE = 0.1  # of the noise, by refinement of the truth mesh
 EXTREME = 0.003  # fraction of the body beyond the level of a lump
 MIN_LOG_CONTRAST = np.log(1.02)  # of a segmented lump
 MIN_VOXELS = 10  # of a segmented lump
-_DRAWS = 200  # of the posterior of shapes
 FieldAt = Callable[[np.ndarray], np.ndarray]  # points (k, 3), mm -> values (k,)
 
 
@@ -136,27 +135,20 @@ def _invert(recording: Recording, settings: Settings, *, with_deviation: bool) -
 def invert_by_shapes(recording: Recording, settings: Settings) -> Answer:
     """Shapes in a smooth background, with their posterior."""
     began = time.perf_counter()
-    search = find_shapes(recording, settings)
+    result = find_shapes(recording, settings)
     seconds = time.perf_counter() - began
-    fit = search.best
     lumps = tuple(
-        FoundLump(s.center_mm, s.radius_mm, fit.background_mpa * s.contrast, search.probability)
-        for s in fit.shapes
+        FoundLump(i.shape.center_mm, i.shape.radius_mm, i.youngs_mpa, i.probability)
+        for i in result.inclusions
     )
-    draws = fit.sample(_DRAWS)
-
-    def deviation(points: np.ndarray) -> np.ndarray:
-        sites = Sites.at(points)
-        return np.std([fit.field.log_youngs(z, sites) for z in draws], axis=0)
-
     notes = {
-        "chi2": fit.chi2,
-        "inflation": search.inflation,
-        "log_evidence_empty": search.log_evidence_empty,
-        "shapes": [vars(s) for s in fit.shapes],
-        "background_mpa": fit.background_mpa,
+        "chi2": result.chi2,
+        "inclusions": [vars(i) | {"shape": vars(i.shape)} for i in result.inclusions],
+        "force_deviation": result.force_deviation,
+        "degree": result.field.degree,
+        "history": result.history,
     }
-    return Answer(fit.youngs_at, seconds, deviation, lumps, notes)
+    return Answer(result.youngs_at, seconds, result.log_deviation_at, lumps, notes)
 
 
 METHODS: dict[str, Method] = {

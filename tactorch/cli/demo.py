@@ -4,14 +4,15 @@
                                                    finer mesh and with noise, then inverted
     tactorch demo source=published path=FOLDER     a published case
 
-The run folder gets recording.h5 and the same files as that of `tactorch invert`.
+The run folder gets recording.h5 and the same files as those of `tactorch invert` and `tactorch
+find`.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tactorch.cli import invert
+from tactorch.cli import find, invert
 from tactorch.cli.console import log
 from tactorch.cli.settings import CommandOptions, run_folder, select
 from tactorch.cli.simulate import SimulationOptions, simulate_recording
@@ -28,6 +29,7 @@ class DemoOptions(SimulationOptions, invert.InversionOptions, CommandOptions):
     source: Literal["simulated", "published"] = option("simulated", "Source of the recording")
     path: Path | None = option(None, "Folder of the published case, for source=published")
     format: Any = option("published", "Format of the published case", section="format")
+    find: bool = option(True, "Fit inclusions to the presses after the inversion")
     run_dir: str = option("outputs/demo", "Folder of the results and the log")
 
 
@@ -43,4 +45,8 @@ def run(options: DemoOptions) -> Reconstruction:
     path = run_folder() / "recording.h5"
     recording.save(path)
     log.info("%s\n", recording.summary())
-    return invert.run(select(options, invert.InvertOptions, recording=path, check_units=False))
+    result = invert.run(select(options, invert.InvertOptions, recording=path, check_units=False))
+    if options.find:
+        log.info("")
+        find.run(select(options, find.FindOptions, run=run_folder(), check_units=False))
+    return result

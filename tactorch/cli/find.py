@@ -1,11 +1,13 @@
-"""`tactorch find`: lumps in a map: depth, size, confidence and shape.
+"""`tactorch find`: lumps under the presses of a run: depth, size, modulus and probability.
 
     tactorch find runs/gauss_newton
-    tactorch find run=runs/gauss_newton uncertainty=false
+    tactorch find run=runs/gauss_newton shapes=false uncertainty=false
     tactorch find runs/gauss_newton recognizer=runs/recognizer
 
-The text is printed, and written with its numbers to finding.txt and finding.json in the run's
-folder.
+Inclusions with sharp boundaries are fitted to the presses, as many as their evidence supports. With
+shapes=false the lumps are regions of the run's map. The text is printed, and written with its
+numbers to finding.txt and finding.json in the run's folder; the shapes are written to shapes.json,
+which `tactorch report` reads.
 """
 
 from dataclasses import dataclass
@@ -15,12 +17,12 @@ from tactorch.cli.console import log
 from tactorch.cli.report import with_settings
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
-from tactorch.errors import FileError
+from tactorch.errors import ConfigError, ConvergenceError, FileError
 from tactorch.files import write_file, write_json
-from tactorch.findings import Finding, build_finding
-from tactorch.inverse import settings_from
+from tactorch.findings import Finding, build_finding, build_shape_finding
+from tactorch.inverse import find_shapes, settings_from
 from tactorch.recording import Recording
-from tactorch.report import Run, load_run
+from tactorch.report import SHAPES, Run, load_run
 from tactorch.uncertainty import GaussianPosterior, compute_posterior
 from tactorch.uncertainty.select import UNCOMPUTABLE
 
@@ -36,7 +38,12 @@ class FindOptions(UnitCheck, CommandOptions):
     recognizer: Path | None = option(
         None, "Run of tactorch train experiment=recognizer, to name the shape"
     )
-    uncertainty: bool = option(True, "Compute the confidence in lumps: solves the presses again")
+    shapes: bool = option(
+        True, "Fit inclusions with sharp boundaries; false: lumps are regions of the map"
+    )
+    uncertainty: bool = option(
+        True, "Compute the confidence in regions of the map: solves the presses again"
+    )
     max_lumps: int = option(5, "Largest number of lumps", ge=1)
     out: Path | None = option(None, "Folder of finding.txt and finding.json; null: the run's")
 
@@ -49,9 +56,10 @@ def run(options: FindOptions) -> Finding:
         raise FileError(
             f"{inverted.missing} Give recording=FILE.h5: depths are measured from its presses."
         )
-    youngs = inverted.result.youngs
-    posterior = _posterior(inverted, inverted.recording) if options.uncertainty else None
-    finding = build_finding(inverted.recording, youngs, posterior, max_lumps=options.max_lumps)
+    out, youngs = options.out or folder, inverted.result.youngs
+    finding = _find_shapes(inverted, inverted.recording, options, out) if options.shapes else None
+    if finding is None:
+        finding = _find_regions(inverted, inverted.recording, options)
     values, text = finding.plain(), finding.text()
     if options.recognizer is not None:
         from tactorch.findings.recognition import load_recognizer, recognise
@@ -61,11 +69,31 @@ def run(options: FindOptions) -> Finding:
         values["shapes"] = probabilities
         shapes = ", ".join(f"{name} {share:.0%}" for name, share in probabilities.items())
         text += f"\nOf the shapes that the recognizer knows it looks like: {shapes}."
-    out = options.out or folder
     write_json(out / "finding.json", values)
     write_file(out / "finding.txt", f"{text}\n")
     log.info("%s", text)
     return finding
+
+
+def _find_shapes(run: Run, recording: Recording, options: FindOptions, out: Path) -> Finding | None:
+    """Fit shapes to the presses; None, with the reason in the log, where this fails."""
+    log.info("Fitting inclusions to the presses ...")
+    try:
+        settings = with_settings(run).settings or settings_from(run.result.config)
+        shapes = find_shapes(recording, settings, max_shapes=options.max_lumps)
+    except (ConfigError, ConvergenceError) as error:
+        log.warning("no shapes can be fitted, lumps are regions of the map: %s", error)
+        return None
+    write_json(out / SHAPES, shapes.plain())
+    return build_shape_finding(recording, shapes)
+
+
+def _find_regions(run: Run, recording: Recording, options: FindOptions) -> Finding:
+    posterior = _posterior(run, recording) if options.uncertainty else None
+    return build_finding(
+        recording, run.result.youngs, posterior,
+        max_lumps=options.max_lumps, reasons=run.result.warnings,
+    )  # fmt: skip
 
 
 def _posterior(run: Run, recording: Recording) -> GaussianPosterior | None:

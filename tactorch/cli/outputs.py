@@ -17,13 +17,14 @@ from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import NuisanceEstimate, Reconstruction
 from tactorch.metrics import Inclusion, scores
 from tactorch.recording import Recording
+from tactorch.report.runs import SHAPES
 
 History = Sequence[Mapping[str, Any]]
 
 # Results in the folder of an inversion: its own, and those of other commands.
 _RESULTS = (
     *("reconstruction.h5", "reconstruction.vtu", "slices.png", "convergence.png", "summary.json"),
-    *("summary.txt", CHECKPOINT, "finding.txt", "finding.json", "report.html"),
+    *("summary.txt", CHECKPOINT, "finding.txt", "finding.json", SHAPES, "report.html"),
 )
 
 

@@ -65,9 +65,7 @@ class Linearization:
         except IndefiniteError as error:
             raise ConvergenceError(_UNSTABLE) from error
 
-    def _iterate(
-        self, rhs: Float[np.ndarray, "size *k"]
-    ) -> Float[np.ndarray, "size *k"] | None:
+    def _iterate(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"] | None:
         """Solve by conjugate gradients; None where a factorisation of K is better."""
         if self.lease.factored is None or not self.lease.direct:
             return None

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -62,14 +63,27 @@ class Confidence:
     contrast is taken as normally distributed about that of the map, `Inclusion.contrast`.
 
     Attributes:
-        probability: Probability that the lump is stiffer (or softer) than its surroundings.
+        probability: Probability that the lump is stiffer (or softer) than its surroundings; of a
+            shape, that it exists.
         contrast: 90 % interval of the contrast.
         center_deviation_mm: Standard deviation of the centre along x, y and z, (3,), mm.
+        radius_mm: 90 % interval of the radius of the ball of its volume, mm; None for regions of a
+            map, whose size has no posterior.
+        youngs_mpa: 90 % interval of Young's modulus, MPa; None for regions of a map.
     """
 
     probability: float
     contrast: tuple[float, float]
     center_deviation_mm: Float[np.ndarray, "3"]
+    radius_mm: tuple[float, float] | None = None
+    youngs_mpa: tuple[float, float] | None = None
+
+    @property
+    def percent(self) -> str:
+        """The probability in words."""
+        if self.probability > 0.999:
+            return "more than 99.9 %"
+        return f"{100 * self.probability:.3g} %"
 
     def at_least(self, side: Side) -> float:
         """Return the 95 % lower bound of the factor by which the lump is stiffer (or softer).
@@ -120,6 +134,11 @@ class Lump:
                 "contrast_90": list(confidence.contrast),
                 "center_deviation_mm": confidence.center_deviation_mm.tolist(),
             }
+            if confidence.radius_mm is not None and confidence.youngs_mpa is not None:
+                values |= {
+                    "equivalent_radius_90_mm": list(confidence.radius_mm),
+                    "mean_90_mpa": list(confidence.youngs_mpa),
+                }
         return values
 
     def text(self) -> str:
@@ -136,40 +155,74 @@ class Lump:
         )
         if self.confidence is None:
             return text
-        probability = self.confidence.probability
-        percent = "more than 99.9 %" if probability > 0.999 else f"{100 * probability:.3g} %"
+        probability, percent = self.confidence.probability, self.confidence.percent
         deviation = float(np.linalg.norm(self.confidence.center_deviation_mm))
+        bounds = self.confidence.bound_text(side)
+        if self.confidence.radius_mm is not None and self.confidence.youngs_mpa is not None:
+            radius, youngs = self.confidence.radius_mm, self.confidence.youngs_mpa
+            bounds = (
+                f"90 % intervals are {radius[0]:.3g} to {radius[1]:.3g} mm for that radius and "
+                f"{youngs[0]:.2g} to {youngs[1]:.2g} MPa for its modulus"
+            )
         text += (
-            f" Given noise and prior, its probability is {percent}, "
-            f"{self.confidence.bound_text(side)}, and the standard deviation of its centre is "
-            f"{deviation:.2g} mm."
+            f" Given noise and prior, its probability is {percent}, {bounds}, and the standard "
+            f"deviation of its centre is {deviation:.2g} mm."
         )
         if probability < _DOUBTFUL:
             return f"{text} Do not rely on it without more presses."
         return text if probability >= _CERTAIN else f"{text} More presses can confirm it."
 
 
+class Status(StrEnum):
+    """Outcome of a search for lumps."""
+
+    FOUND = "found"
+    NOTHING = "nothing found"
+    UNKNOWN = "cannot tell"
+
+
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """All lumps of a map.
+    """The outcome of a search for lumps.
 
     Attributes:
-        lumps: Lumps, the most conspicuous first.
-        background_mpa: Median modulus over the elements, MPa.
+        lumps: Lumps, the most conspicuous first; none if the status is not `FOUND`.
+        background_mpa: Young's modulus of the background, MPa.
+        reasons: Reasons for which the presses cannot tell, as sentences; usually none.
+        probability: Probability that there is any lump; None where it was not computed.
     """
 
     lumps: tuple[Lump, ...]
     background_mpa: float
+    reasons: tuple[str, ...] = ()
+    probability: float | None = None
+
+    @property
+    def status(self) -> Status:
+        """Whether lumps were found, nothing was found, or the presses cannot tell."""
+        if self.reasons:
+            return Status.UNKNOWN
+        return Status.FOUND if self.lumps else Status.NOTHING
 
     def plain(self) -> dict[str, Any]:
         """Return plain values."""
-        lumps = [lump.plain() for lump in self.lumps]
-        return {"background_mpa": self.background_mpa, "lumps": lumps}
+        return {
+            "status": str(self.status),
+            "reasons": list(self.reasons),
+            "probability": self.probability,
+            "background_mpa": self.background_mpa,
+            "lumps": [lump.plain() for lump in self.lumps],
+        }
 
     def text(self) -> str:
-        """Return the finding as text, one line per lump."""
-        if not self.lumps:
-            return f"No lump stands out; Young's modulus is {self.background_mpa:.3g} MPa."
+        """Return the finding as text, one line per lump or reason."""
+        if self.status is Status.UNKNOWN:
+            return "\n".join(f"Cannot tell whether there is a lump: {r}" for r in self.reasons)
+        if self.status is Status.NOTHING:
+            return (
+                "Nothing found: no lump stands out; Young's modulus is "
+                f"{self.background_mpa:.3g} MPa."
+            )
         return "\n".join(lump.text() for lump in self.lumps)
 
 
@@ -179,6 +232,7 @@ def build_finding(
     posterior: GaussianPosterior | None = None,
     *,
     max_lumps: int = 5,
+    reasons: Sequence[str] = (),
 ) -> Finding:
     """Return the lumps of a map with their depth and confidence, and the background.
 
@@ -187,8 +241,11 @@ def build_finding(
         youngs: Map, (m,), MPa.
         posterior: Posterior of the same map; without it the lumps have no confidence.
         max_lumps: Largest number of lumps.
+        reasons: Reasons not to trust the map, such as `Reconstruction.warnings`.
     """
     mesh = recording.mesh
+    if reasons:
+        return Finding((), float(np.median(youngs)), tuple(reasons))
     lumps = (
         build_lump(mesh, recording.presses, inclusion, posterior)
         for inclusion in find_lumps(mesh, youngs, max_lumps=max_lumps)

@@ -26,6 +26,7 @@ from tactorch.inverse.regularization.combined import Composite, CompositePenalty
 from tactorch.inverse.regularization.gaussian import Matern, Smoothness, Tikhonov
 from tactorch.inverse.regularization.sharp import BinaryWell, LogJumps, Sparsity, TotalVariation
 from tactorch.inverse.settings import Settings, settings_from
+from tactorch.inverse.shapes import ShapeInclusion, ShapeReconstruction, find_shapes
 from tactorch.inverse.starts import INITIALIZATIONS, Start, best_uniform, homogeneous, monte_carlo
 
 __all__ = [
@@ -67,6 +68,8 @@ __all__ = [
     "Regularizer",
     "Scaled",
     "Settings",
+    "ShapeInclusion",
+    "ShapeReconstruction",
     "ShiftedPrior",
     "Smoothness",
     "Sparsity",
@@ -75,6 +78,7 @@ __all__ = [
     "Tikhonov",
     "TotalVariation",
     "best_uniform",
+    "find_shapes",
     "homogeneous",
     "invert",
     "make_objective",

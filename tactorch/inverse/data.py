@@ -78,9 +78,19 @@ class CorrelatedNoise:
         self._basis, self._sizes, _ = np.linalg.svd(patterns, full_matrices=False)
         self._loss = 1.0 - 1.0 / np.sqrt(1.0 + self._sizes**2)
 
+    @property
+    def patterns(self) -> Float[np.ndarray, "data k"]:
+        """Orthogonal patterns of the same covariance."""
+        return self._basis * self._sizes
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the covariance of the residuals."""
+        return float(np.log1p(self._sizes**2).sum())
+
     def widened(self, factors: Float[np.ndarray, " data"]) -> "CorrelatedNoise":
         """Return the same errors relative to white noise that is `factors` times as large."""
-        return CorrelatedNoise(self._basis * self._sizes / factors[:, None])
+        return CorrelatedNoise(self.patterns / factors[:, None])
 
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
         """Return whitened residuals or their derivatives; the operator is symmetric."""
@@ -155,6 +165,20 @@ class DataModel:
         if correlated is not None:  # the error of the model remains as large
             correlated = correlated.widened(np.repeat(factors, self.counts))
         return replace(self, observations=observations, correlated=correlated)
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the covariance, relative to that of white noise."""
+        return 0.0 if self.correlated is None else self.correlated.log_determinant
+
+    def with_errors(self, patterns: Float[np.ndarray, "data k"]) -> "DataModel":
+        """Return the data with further errors that they have in common.
+
+        Each column is the pattern of an error of unit standard deviation, in standard deviations
+        of the white noise.
+        """
+        known = [] if self.correlated is None else [self.correlated.patterns]
+        return replace(self, correlated=CorrelatedNoise(np.hstack([*known, patterns])))
 
     def shifted(self, offsets: Sequence[Float[np.ndarray, " p"]]) -> "DataModel":
         """Return the data with offsets (mm) added to the observed displacements of each press."""

@@ -144,7 +144,7 @@ class _ElementPoint(FieldPoint):
         return self._slope / self._moduli * self.field.prior.gradient(np.log(self._moduli))
 
     @cached_property
-    def penalty_curvature(self) -> sp.csr_matrix:  # type: ignore[override]
+    def penalty_curvature(self) -> sp.csr_matrix:
         """Its curvature with respect to x."""
         chain = sp.diags(self._slope / self._moduli)
         return (chain @ self.field.prior.curvature(np.log(self._moduli)) @ chain).tocsr()

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 import torch
 from jaxtyping import Float
 
@@ -26,6 +27,7 @@ from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModel
 from tactorch.linalg import SolverOptions, map_cases
 from tactorch.recording import Recording
 
+_MIN_MOMENT = 0.01  # of the loaded points along an axis, over the largest
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
 
@@ -93,6 +95,14 @@ class Evaluation:
     def reported(self) -> list[Float[np.ndarray, "n 3"]]:
         """Predicted displacement that the sensor reports, each press, mm."""
         return [press.reported for press in self._presses]
+
+    def with_data(self, data: DataModel) -> "Evaluation":
+        """Return the same equilibria with other statistics of the same data."""
+        state = (self.youngs, self.nuisance, self._weight, self._presses, data)
+        other = Evaluation(*state, self.derivative_rtol)
+        if "sensitivities" in vars(self):
+            other.sensitivities = self.sensitivities
+        return other
 
     def search(self, i: int) -> Newton:
         """Return the equilibrium search of press i."""
@@ -163,6 +173,28 @@ class Evaluation:
 
         return self._join(map_cases(work, len(cases)))
 
+    def force_patterns(self) -> Float[np.ndarray, "data k"]:
+        """Return the changes of the data by smooth relative errors of the forces of each press.
+
+        For each press, they are those of its forces as a whole, and of gradients of unit root mean
+        square along the principal axes of its loaded nodes. The unit is the standard deviation of
+        the white noise.
+        """
+        cases, data = self.sensitivities, self.data.observations
+        points = self._presses[0].newton.assembly.points
+
+        def work(i: int) -> np.ndarray:
+            press = self._presses[i]
+            loads = press.newton.assembly.discretisation.consistent_loads
+            forces = press.model.forces
+            fields = [forces * shape[:, None] for shape in _gradients(points, forces)]
+            changes = np.array([loads(field) for field in fields])
+            moved = cases[i].linearization.force_response(changes)
+            return np.column_stack([cases[i].observe(u) * data[i].scale for u in moved])
+
+        blocks = map_cases(work, len(cases))
+        return sp.block_diag(blocks).toarray()
+
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, "m *q"]:
         """Return the transpose of d residuals / d youngs times `weights`."""
         parts, cases = self._split(weights), self.sensitivities
@@ -218,6 +250,20 @@ class Evaluation:
             return guess if self.search(i).assembly.respond(guess) is not None else before
 
         return map_cases(work, len(self._presses))
+
+
+def _gradients(
+    points: Float[np.ndarray, "n 3"], forces: Float[np.ndarray, "n 3"]
+) -> list[Float[np.ndarray, " n"]]:
+    """Return unity, and linear functions of unit mean square over the loaded points."""
+    sizes = np.linalg.norm(forces, axis=1)
+    weights = sizes / sizes.sum()
+    offsets = points - weights @ points
+    moments, axes = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)
+    # A flat contact has two axes; a single loaded point has none.
+    wide = moments > _MIN_MOMENT * moments[-1]
+    wide &= moments > 0.0
+    return [np.ones(len(points)), *(offsets @ axes[:, wide] / np.sqrt(moments[wide])).T]
 
 
 class InverseProblem:

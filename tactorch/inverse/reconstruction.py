@@ -77,16 +77,17 @@ class Reconstruction:
         return float(volumes[(self.youngs < low) | (self.youngs > high)].sum() / volumes.sum())
 
     @property
-    def warnings(self) -> list[str]:
+    def warnings(self) -> tuple[str, ...]:
         """Reasons not to trust the map at all, as sentences about it; usually none."""
         at_bounds = self.volume_at_bounds
         if not at_bounds > _MAX_AT_BOUNDS:
-            return []
-        return [
-            f"{at_bounds:.0%} of it is at a bound of Young's modulus. If the bounds are right, "
-            "presses or model are off by more than the noise that is stated: give noise.mm larger, "
-            "or estimate what is wrong (nuisance)."
-        ]
+            return ()
+        warning = (
+            f"{at_bounds:.0%} of the map is at a bound of Young's modulus. If the bounds are "
+            "right, presses or model are off by more than the noise that is stated: give noise.mm "
+            "larger, or estimate what is wrong (nuisance)."
+        )
+        return (warning,)
 
     def save(self, path: str | Path) -> Path:
         """Write to HDF5 atomically."""

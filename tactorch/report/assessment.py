@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.findings import Lump, find_lump
+from tactorch.findings import Finding, build_finding, build_shape_finding, find_lump
 from tactorch.findings.finding import build_lump
 from tactorch.inverse import Nuisance, Point, settings_from
 from tactorch.inverse.invert import solution
@@ -37,7 +37,7 @@ def assess(
     and omitted. `progress` is called before each step.
     """
     if run.recording is None:
-        return RunReport(run, _find_lump(run), missing=run.missing)
+        return RunReport(run, _find(run), missing=run.missing)
     reason = "switched off"
     if uncertainty:
         try:
@@ -46,13 +46,20 @@ def assess(
             reason = str(error) or "not enough memory"
             _log.warning("%s: no uncertainty: %s", run.name, reason)
     fits = _uncorrected_fits(run, run.recording)
-    return RunReport(run, _find_lump(run), fits=fits, missing=reason)
+    return RunReport(run, _find(run), fits=fits, missing=reason)
 
 
-def _find_lump(run: Run, posterior: GaussianPosterior | None = None) -> Lump | None:
-    mesh, inclusion = run.result.mesh, find_lump(run.result.mesh, run.result.youngs)
-    presses = () if run.recording is None else run.recording.presses
-    return None if inclusion is None else build_lump(mesh, presses, inclusion, posterior)
+def _find(run: Run, posterior: GaussianPosterior | None = None) -> Finding:
+    """Return the lumps of the shapes that were fitted to the presses, else those of the map."""
+    mesh, youngs = run.result.mesh, run.result.youngs
+    if run.recording is None:
+        inclusion = find_lump(mesh, youngs)
+        lumps = () if inclusion is None else (build_lump(mesh, (), inclusion, None),)
+        return Finding(lumps, float(np.median(youngs)), run.result.warnings)
+    if run.shapes is not None:
+        return build_shape_finding(run.recording, run.shapes)
+    reasons = run.result.warnings
+    return build_finding(run.recording, youngs, posterior, max_lumps=1, reasons=reasons)
 
 
 def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallback) -> RunReport:
@@ -76,7 +83,7 @@ def _assess_uncertainty(run: Run, recording: Recording, progress: ProgressCallba
     summary = UncertaintySummary(metric, low, high, resolution, at_bound, type(posterior).__name__)
     corrected = None if point.objective.problem.data.model_deviation is None else True
     fits = _corrected_fits(recording, point)
-    return RunReport(run, _find_lump(run, posterior), summary, fits, corrected=corrected)
+    return RunReport(run, _find(run, posterior), summary, fits, corrected=corrected)
 
 
 def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from jaxtyping import Bool, Float
 
-from tactorch.findings import Lump
+from tactorch.findings import Finding, Lump, Status
 from tactorch.findings.text import Fact, describe_lump, format_modulus, headline, lump_facts
 from tactorch.metrics import Inclusion, scores
 from tactorch.recording import Press
@@ -84,16 +84,21 @@ class PressFit:
 
 @dataclass(frozen=True, eq=False)
 class RunReport:
-    """One run: its most conspicuous lump, uncertainty and residuals, and texts about them."""
+    """One run: its finding, uncertainty and residuals, and texts about them."""
 
     run: Run
-    lump: Lump | None
+    finding: Finding
     uncertainty: UncertaintySummary | None = None
     fits: Sequence[PressFit] = ()
     missing: str = ""  # reason why something is missing
     # Whether the discretisation error is removed from the residuals; None if the inversion does
     # not correct it.
     corrected: bool | None = False
+
+    @property
+    def lump(self) -> Lump | None:
+        """Most conspicuous lump."""
+        return next(iter(self.finding.lumps), None)
 
     @property
     def inclusion(self) -> Inclusion | None:
@@ -103,6 +108,8 @@ class RunReport:
     @property
     def headline(self) -> str:
         """The finding in one line."""
+        if self.finding.status is Status.UNKNOWN:
+            return "The presses cannot tell whether there is an inclusion"
         return headline(self.inclusion)
 
     @property
@@ -110,6 +117,8 @@ class RunReport:
         """The finding in one sentence."""
         if self.lump is not None:
             return describe_lump(self.lump)
+        if self.finding.status is Status.UNKNOWN:
+            return " ".join(reason[0].upper() + reason[1:] for reason in self.finding.reasons)
         modulus = format_modulus(float(np.median(self.run.result.youngs)))
         return f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
 

@@ -7,10 +7,11 @@ from typing import Any
 
 from tactorch.errors import FileError, RecordingError, TactorchError
 from tactorch.files import read_json, require_file, require_folder
-from tactorch.inverse import NoiseModel, Reconstruction, Settings
+from tactorch.inverse import NoiseModel, Reconstruction, Settings, ShapeReconstruction
 from tactorch.recording import Recording
 from tactorch.text import one_line
 
+SHAPES = "shapes.json"  # the shapes that `tactorch find` fitted to the presses of a run
 _FILES = ("reconstruction.h5", "summary.json")  # of a finished inversion
 _LOG_LINES = 200
 _MAX_NAME_LENGTH = 255
@@ -30,6 +31,7 @@ class Run:
         text: Content of `summary.txt`.
         log: Last lines of the log.
         settings: Settings of the inversion if the result does not contain all of them.
+        shapes: Shapes that were fitted to the presses, if there are any.
     """
 
     folder: Path
@@ -41,6 +43,7 @@ class Run:
     text: str
     log: str
     settings: Settings | None = None
+    shapes: ShapeReconstruction | None = None
 
     @property
     def noise(self) -> NoiseModel:
@@ -98,6 +101,7 @@ def load_run(
         summary=summary,
         text=text.read_text(encoding="utf-8", errors="replace") if text.is_file() else "",
         log=_load_log(path),
+        shapes=_load_shapes(path),
     )
 
 
@@ -121,6 +125,17 @@ def _load_recording(path: str | Path, result: Reconstruction, check_units: bool)
             f" {len(result.displacements)}."
         )
     return recording
+
+
+def _load_shapes(folder: Path) -> ShapeReconstruction | None:
+    if not (folder / SHAPES).is_file():
+        return None
+    remedy = "run `tactorch find` again."
+    values = read_json(folder / SHAPES, "shapes", remedy)
+    try:
+        return ShapeReconstruction.of(values)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileError(f"'{folder / SHAPES}' has no valid shapes ({error}); {remedy}") from error
 
 
 def _load_log(folder: Path) -> str:

@@ -5,14 +5,15 @@ inclusion, its log-contrast times the fraction of the point's volume inside the 
 geometric mean. An arithmetic mean is too stiff where a boundary crosses an element.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.autograd import forward_ad
 
@@ -23,8 +24,6 @@ from tactorch.mesh.quadrature import lattice
 _SAMPLES = 6  # points of the lattice along an edge of an element
 _WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
 _VARIANCE = np.pi**2 / 12.0  # of the logistic distribution whose density is a boundary of width one
-# Wave numbers of the modes of a smooth background along x, y and z.
-_MODES = np.array([k for k in np.ndindex(3, 3, 3) if 1 <= sum(k) <= 2], dtype=np.float64)
 # Orthonormal basis of symmetric matrices: the size, then five distortions of the same volume.
 _DIAGONALS = (
     np.eye(3) / np.sqrt(3.0),
@@ -92,6 +91,11 @@ class Ellipsoid:
     axes: tuple[tuple[float, float, float], ...]
     contrast: float
 
+    def contains(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Return whether points (mm) are inside."""
+        relative = (points - self.center_mm) @ np.array(self.axes).T / np.array(self.semi_axes_mm)
+        return (relative * relative).sum(axis=1) <= 1.0
+
     @property
     def radius_mm(self) -> float:
         """Radius of the ball of the same volume."""
@@ -123,14 +127,27 @@ class ShapePrior:
         low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
         return ShapePrior(low, high, float(np.cbrt(mesh.volumes.sum())), np.log(background_mpa))
 
-    def mode_deviations(self) -> Float[np.ndarray, " modes"]:
-        """Return the deviation of the amplitude of each mode of a smooth background."""
-        return self.mode / np.linalg.norm(_MODES, axis=1)
+    def plain(self) -> dict[str, Any]:
+        """Return plain JSON values; the inverse of `of_plain`."""
+        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
 
-    def modes_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n modes"]:
+    @staticmethod
+    def of_plain(plain: Mapping[str, Any]) -> "ShapePrior":
+        """Return the prior from plain JSON values."""
+        values: dict[str, Any] = dict(plain)
+        low, high = (np.array(values.pop(name)) for name in ("low_mm", "high_mm"))
+        return ShapePrior(low, high, **values)
+
+    def mode_deviations(self, degree: int) -> Float[np.ndarray, " modes"]:
+        """Return the deviation of the amplitude of each mode of a smooth background."""
+        return self.mode / np.linalg.norm(_wave_numbers(degree), axis=1)
+
+    def modes_at(
+        self, points: Float[np.ndarray, "n 3"], degree: int
+    ) -> Float[np.ndarray, "n modes"]:
         """Return the modes of a smooth background at points: cosines in the bounding box."""
         relative = (points - self.low_mm) / (self.high_mm - self.low_mm)
-        waves = np.cos(np.pi * _MODES * relative[:, None, :])
+        waves = np.cos(np.pi * _wave_numbers(degree) * relative[:, None, :])
         modes: np.ndarray = waves.prod(axis=2)
         return modes
 
@@ -152,20 +169,19 @@ class ShapeField:
     Attributes:
         prior: Prior of the parameters.
         distorted: For each inclusion, whether it is an ellipsoid rather than a ball.
-        smooth: Whether the background varies smoothly.
+        degree: Largest sum of the wave numbers of a mode of the background; 0 if it is uniform.
     """
 
     prior: ShapePrior
     distorted: tuple[bool, ...] = ()
-    smooth: bool = False
+    degree: int = 0
 
     @cached_property
     def _scale(self) -> tuple[np.ndarray, np.ndarray]:
         ball, spread = self.prior.ball()
         mean, deviation = [self.prior.log_background], [self.prior.background]
-        if self.smooth:
-            mean += [0.0] * len(_MODES)
-            deviation += self.prior.mode_deviations().tolist()
+        modes = self.prior.mode_deviations(self.degree).tolist()
+        mean, deviation = mean + [0.0] * len(modes), deviation + modes
         for distorted in self.distorted:
             mean += [*ball, *[0.0] * (5 * distorted)]
             deviation += [*spread, *[self.prior.distortion] * (5 * distorted)]
@@ -179,12 +195,14 @@ class ShapeField:
     @property
     def n_background(self) -> int:
         """Number of parameters of the background."""
-        return 1 + self.smooth * len(_MODES)
+        return 1 + len(_wave_numbers(self.degree))
 
     @property
     def parts(self) -> list[slice]:
         """Parameters of each inclusion."""
-        ends = np.cumsum([self.n_background, *(10 if distorted else 5 for distorted in self.distorted)])
+        ends = np.cumsum(
+            [self.n_background, *(10 if distorted else 5 for distorted in self.distorted)]
+        )
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     def physical(self, z: Float[np.ndarray, "*k size"]) -> Float[np.ndarray, "*k size"]:
@@ -211,10 +229,20 @@ class ShapeField:
                 float(np.exp(values[part][4])),
             )
 
+    def log_background(
+        self, values: Float[np.ndarray, "k size"], points: Float[np.ndarray, "k 3"]
+    ) -> Float[np.ndarray, " k"]:
+        """Return the log-modulus of the background of each of k fields at one point (mm) each.
+
+        `values` are in mm and logarithms; see `physical`.
+        """
+        modes = self.prior.modes_at(points, self.degree)
+        return values[:, 0] + (modes * values[:, 1 : self.n_background]).sum(axis=1)
+
     def _background(self, sites: Sites) -> Float[np.ndarray, "volumes k"]:
         """Derivative of the background's log-modulus by its parameters."""
         one = np.ones((len(sites.points), 1))
-        return np.hstack([one, self.prior.modes_at(sites.centers)]) if self.smooth else one
+        return np.hstack([one, self.prior.modes_at(sites.centers, self.degree)])
 
     def log_youngs(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
         """Return the log-modulus of each volume, log MPa."""
@@ -241,6 +269,13 @@ class ShapeField:
                     excess = forward_ad.unpack_dual(x[4] * _fraction(x, *tensors))
                     out[near, part.start + k] = excess.tangent.numpy()
         return out * deviation
+
+
+@cache
+def _wave_numbers(degree: int) -> Float[np.ndarray, "modes 3"]:
+    """Wave numbers of the modes of a smooth background along x, y and z."""
+    modes = [k for k in np.ndindex(*[degree + 1] * 3) if 1 <= sum(k) <= degree]
+    return np.array(modes, dtype=np.float64).reshape(-1, 3)
 
 
 def _near(inclusion: np.ndarray, sites: Sites) -> np.ndarray:

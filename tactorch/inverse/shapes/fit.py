@@ -20,9 +20,9 @@ from tactorch.inverse.monitor import Monitor
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.problem import Evaluation, InverseProblem
-from tactorch.inverse.shapes.field import Ellipsoid, ShapeField, Sites
+from tactorch.inverse.shapes.field import ShapeField, Sites
 
-_MAX_STEP, _MAX_Z = 1.0, 4.0  # of a coefficient, in standard deviations of its prior
+_MAX_STEP, _MAX_Z = 0.5, 4.0  # of a coefficient, in standard deviations of its prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class _ShapesPoint(FieldPoint):
         return self.x
 
     @property
-    def penalty_curvature(self) -> sp.csr_matrix:  # type: ignore[override]
+    def penalty_curvature(self) -> sp.csr_matrix:
         return sp.identity(len(self.x), format="csr")
 
     def youngs_change(self, change: Vector) -> Float[np.ndarray, "m q"]:
@@ -105,7 +105,8 @@ class ShapeFit:
         covariance: Their posterior covariance.
         chi2: Mean squared residual, in standard deviations.
         misfit: Half the sum of squared residuals.
-        log_determinant: Half the logarithm of the determinant of the posterior precision.
+        log_determinant: Half the logarithm of the determinants of the posterior precision and of
+            the covariance of the data.
         residuals: Residuals of all data.
         jacobian: Their derivatives by z.
     """
@@ -125,31 +126,6 @@ class ShapeFit:
         The determinant is that of the stated noise.
         """
         return -self.misfit / inflation - 0.5 * float(self.z @ self.z) - self.log_determinant
-
-    @property
-    def shapes(self) -> list[Ellipsoid]:
-        """The inclusions."""
-        return list(self.field.shapes(self.z))
-
-    @property
-    def background_mpa(self) -> float:
-        """Young's modulus of the background, MPa."""
-        return float(np.exp(self.field.physical(self.z)[0]))
-
-    def youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Return Young's modulus at points (mm), MPa."""
-        return np.exp(self.field.log_youngs(self.z, Sites.at(points)))
-
-    def sample(self, draws: int, seed: int = 0) -> Float[np.ndarray, "draws size"]:
-        """Draw parameters from the posterior."""
-        rng = np.random.default_rng(seed)
-        return rng.multivariate_normal(self.z, self.covariance, size=draws, method="eigh")
-
-    @property
-    def deviations(self) -> Float[np.ndarray, " size"]:
-        """Standard deviations of the parameters in mm and logarithms; see `ShapeField`."""
-        spread = self.field.physical(np.eye(len(self.z))) - self.field.physical(0.0 * self.z)
-        return np.sqrt(self.covariance.diagonal()) * np.diag(spread)
 
 
 def fit_shapes(
@@ -193,7 +169,7 @@ def fit_shapes(
         np.linalg.inv(hessian),
         point.evaluation.chi2,
         0.5 * float(residuals @ residuals),
-        0.5 * float(np.linalg.slogdet(hessian)[1]),
+        0.5 * (float(np.linalg.slogdet(hessian)[1]) + problem.data.log_determinant),
         residuals,
         point.jacobian,
     )

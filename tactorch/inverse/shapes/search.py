@@ -12,17 +12,19 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import NewtonOptions
+from tactorch.inverse.data import DataModel
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
+from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.inverse.starts import uniform_fit
 from tactorch.recording import Recording
 
@@ -32,7 +34,10 @@ _RADII = (0.1, 0.2)  # of the candidates, over the size of the body
 _STARTS = 3  # fits of each further inclusion
 _TRIAL_STEPS = 8  # of Gauss-Newton with linear elements
 _MAX_SHAPES = 4
-_MAX_MODELS = 10  # that are fitted with quadratic elements
+_MAX_MODELS = 10  # one after the other
+_MAX_FITS = 3  # with quadratic elements, of proposals from one model
+_DEGREES = (2, 4)  # of smooth backgrounds
+_FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 _MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
 # Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
 # reduces that of pure noise by six or so.
@@ -91,6 +96,7 @@ class MatchedFilter:
         self,
         residuals: Float[np.ndarray, " data"],
         explained: Float[np.ndarray, "data k"],
+        data: DataModel,
         count: int,
     ) -> list[Candidate]:
         """Return distinct balls that reduce the misfit of these residuals most.
@@ -98,7 +104,8 @@ class MatchedFilter:
         Changes of the residuals along the columns of `explained` are those of known parameters.
         """
         basis, _ = np.linalg.qr(explained)
-        responses = self.responses - basis @ (basis.T @ self.responses)
+        responses = data.whiten(self.responses)
+        responses = responses - basis @ (basis.T @ responses)
         residuals = residuals - basis @ (basis.T @ residuals)
         squares = np.einsum("db,db->b", responses, responses) + 1e-12
         contrasts = -residuals @ responses / squares
@@ -116,47 +123,19 @@ class MatchedFilter:
 
 
 @dataclass(frozen=True, eq=False)
-class ShapeSearch:
-    """The models that were compared, and the chosen one.
-
-    Attributes:
-        fits: Accepted fits, each of higher evidence than the one before; the first is the uniform
-            body.
-        log_evidence_empty: Largest log-evidence of a body without inclusion, relative to that of
-            the best fit.
-    """
-
-    fits: tuple[ShapeFit, ...]
-    log_evidence_empty: float
-
-    @property
-    def best(self) -> ShapeFit:
-        """The fit of the largest evidence."""
-        return self.fits[-1]
-
-    @property
-    def inflation(self) -> float:
-        """Variance of the residuals of the best fit over the stated one, at least one.
-
-        Evidence is computed with the larger variance.
-        """
-        return max(1.0, self.best.chi2)
-
-    @property
-    def probability(self) -> float:
-        """Probability that there is an inclusion, where each model is as likely beforehand."""
-        if not self.best.shapes:
-            return 0.0
-        return float(1.0 / (1.0 + np.exp(min(self.log_evidence_empty, 700.0))))
-
-
-@dataclass(frozen=True, eq=False)
-class _Proposal:
-    """A model fitted with linear elements."""
+class _Start:
+    """A model to be fitted."""
 
     what: str
     field: ShapeField
     z: Float[np.ndarray, " size"]
+    force_deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Proposal(_Start):
+    """A model fitted with linear elements."""
+
     gain: float  # of the log-evidence, over the present model
 
 
@@ -166,6 +145,7 @@ class _Model:
 
     fit: ShapeFit
     evaluation: Evaluation
+    force_deviation: float
 
 
 class _Search:
@@ -173,90 +153,167 @@ class _Search:
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
         newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
-        options = {"solver": settings.solver, "noise": settings.noise, "newton": newton}
-        self.quadratic = InverseProblem(
-            recording, element="tet10", derivative_rtol=_DERIVATIVE_RTOL, **options
-        )
+
+        def problem(element: str, derivative_rtol: float = 0.0) -> InverseProblem:
+            return InverseProblem(
+                recording,
+                element=element,
+                solver=settings.solver,
+                noise=settings.noise,
+                newton=newton,
+                derivative_rtol=derivative_rtol,
+            )
+
+        self.quadratic = problem("tet10", _DERIVATIVE_RTOL)
         self.sites = Sites.of(self.quadratic.body.assembly)
-        linear = InverseProblem(recording, element="tet4", **options)
-        self.linear, self.linear_sites = linear, Sites.of(linear.body.assembly)
-        youngs = uniform_fit(linear, settings.bounds).youngs_mpa
-        self.matched = MatchedFilter.of(linear, youngs)
+        self.linear = problem("tet4")
+        self.linear_sites = Sites.of(self.linear.body.assembly)
+        youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
+        self.matched = MatchedFilter.of(self.linear, youngs)
         self.prior = ShapePrior.of(recording.mesh, youngs)
+        self._force_patterns: np.ndarray | None = None
 
     def uniform(self) -> _Model:
         """Fit the uniform body with quadratic elements."""
         youngs = np.full(self.linear.n_elements, np.exp(self.prior.log_background))
         extend = self.quadratic.body.discretisation.extend
         starts = [extend(u) for u in self.linear.evaluate(youngs).displacements]
-        return self.fit(ShapeField(self.prior), np.zeros(1), starts, tolerance=_UNIFORM_TOLERANCE)
+        start = _Start("uniform", ShapeField(self.prior), np.zeros(1), 0.0)
+        model = self.fit(start, starts, tolerance=_UNIFORM_TOLERANCE)
+        self._force_patterns = model.evaluation.force_patterns()
+        return model
 
     def fit(
         self,
-        field: ShapeField,
-        z: Float[np.ndarray, " size"],
-        starts: Sequence[Float[np.ndarray, "nodes 3"]],
+        start: _Start,
+        displacements: Sequence[Float[np.ndarray, "nodes 3"]],
         tolerance: float = _TOLERANCE,
     ) -> _Model:
         """Fit with quadratic elements, from these displacements."""
+        problem = self.quadratic.with_data(self._data(start.force_deviation))
         fit = fit_shapes(
-            self.quadratic, field, z, sites=self.sites, starts=starts, tolerance=tolerance
-        )
-        return _Model(*fit)
+            problem, start.field, start.z, sites=self.sites, starts=displacements,
+            tolerance=tolerance,
+        )  # fmt: skip
+        return _Model(*fit, start.force_deviation)
+
+    def _data(self, force_deviation: float) -> DataModel:
+        data = self.quadratic.data
+        if not force_deviation:
+            return data
+        assert self._force_patterns is not None
+        return data.with_errors(force_deviation * self._force_patterns)
 
     def propose(self, model: _Model, max_shapes: int) -> list[_Proposal]:
         """Return models that may be better than the present one, the best first."""
-        fit = model.fit
-        linear = self._shifted(model)
-        jacobian, inflation = fit.jacobian, max(1.0, fit.chi2)
-        starts: list[tuple[str, ShapeField, np.ndarray]] = []
-        if len(fit.field.distorted) < max_shapes:
-            starts += self._further(fit, jacobian)
-        if not fit.field.smooth:
-            starts.append(("smooth background", *_smoothed(fit)))
-        for k, distorted in enumerate(fit.field.distorted):
-            if not distorted:
-                starts.append((f"inclusion {k} as an ellipsoid", *_distorted(fit, k)))
-        proposals = []
-        for what, field, start in starts:
+        fit, proposals = model.fit, list[_Proposal]()
+        offsets = self._offsets(model)
+        proposals += self._force_errors(model)
+        for start in self._starts(model, max_shapes):
             # A start inside a ball that was fitted already would lead to it again.
-            if any(_is_inside(start, p) for p in proposals if p.field.distorted == field.distorted):
-                continue
-            with suppress(ConvergenceError):
-                trial, _ = fit_shapes(
-                    linear, field, start, sites=self.linear_sites, max_iterations=_TRIAL_STEPS
-                )
-                z = _moderate(field, trial.z) if len(field.distorted) > len(fit.field.distorted) else trial.z
-                gain = trial.log_evidence(inflation) - fit.log_evidence(inflation)
-                _log.info("  proposal: %s, chi2 %.4g, gain %.4g", what, trial.chi2, gain)
-                proposals.append(_Proposal(what, field, z, gain))
+            if not any(_is_inside(start, proposal) for proposal in proposals):
+                gain, z = self._try(start, model, offsets)
+                _log.info("  proposal: %s, gain %.4g", start.what, gain)
+                if len(start.field.distorted) > len(fit.field.distorted):
+                    z = _moderate(start.field, z)
+                proposals.append(_Proposal(start.what, start.field, z, start.force_deviation, gain))
         return sorted(proposals, key=attrgetter("gain"), reverse=True)
 
-    def _shifted(self, model: _Model) -> InverseProblem:
-        """Return the linear problem with the residuals of the quadratic one at a model."""
-        data = self.quadratic.data
-        field = ShapesOnSites(model.fit.field, self.linear_sites).at(model.fit.z)
-        coarse = self.linear.evaluate(field.youngs)
-        pairs = zip(coarse.reported, model.evaluation.reported, data.observations, strict=True)
-        return self.linear.with_data(data.shifted([(u - v).ravel()[o.index] for u, v, o in pairs]))
+    def _force_errors(self, model: _Model) -> list[_Proposal]:
+        """Return the model with larger errors of the forces; its gain is linearised."""
+        fit, proposals = model.fit, []
+        raw = model.evaluation.with_data(self.quadratic.data)
+        jacobian = ShapesOnSites(fit.field, self.sites).at(fit.z).jacobian(raw)
+        inflation = max(1.0, fit.chi2)
+        for level in _FORCE_DEVIATIONS:
+            if level <= model.force_deviation:
+                continue
+            data = self._data(level)
+            residuals, columns = data.whiten(raw.residuals), data.whiten(jacobian)
+            precision = columns.T @ columns / inflation + np.eye(len(fit.z))
+            gradient = columns.T @ residuals / inflation + fit.z
+            step = -np.linalg.solve(precision, gradient)
+            value = 0.5 * (residuals @ residuals / inflation + fit.z @ fit.z + gradient @ step)
+            logs = np.linalg.slogdet(columns.T @ columns + np.eye(len(fit.z)))[1]
+            evidence = -value - 0.5 * (logs + data.log_determinant)
+            gain = float(evidence - fit.log_evidence(inflation))
+            _log.info("  proposal: forces wrong by %g, gain %.4g", level, gain)
+            what = f"forces wrong by {level:.0%}"
+            proposals.append(_Proposal(what, fit.field, fit.z, level, gain))
+        return proposals
 
-    def _further(
-        self, fit: ShapeFit, jacobian: np.ndarray
-    ) -> Iterator[tuple[str, ShapeField, np.ndarray]]:
+    def unexplained(self, fit: ShapeFit) -> float:
+        """Return the root mean square of the residuals beyond their noise, over the data's."""
+        data = self.quadratic.data
+        observed = np.concatenate([o.displacement for o in data.observations]) * data.scale
+        return float(np.sqrt(max(fit.chi2 - 1.0, 0.0) / np.mean(observed**2)))
+
+    def log_odds(self, model: _Model) -> tuple[tuple[float, ...], float]:
+        """Return the log-evidence of a model over those without an inclusion, or without any."""
+        field, offsets = model.fit.field, self._offsets(model)
+        values, count = field.physical(model.fit.z), len(field.parts)
+
+        def without(removed: Sequence[int]) -> float:
+            kept = [k for k in range(count) if k not in removed]
+            fewer = replace(field, distorted=tuple(field.distorted[k] for k in kept))
+            parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
+            z = fewer.standard(np.concatenate(parts))
+            start = _Start(f"without {removed}", fewer, z, model.force_deviation)
+            return -self._try(start, model, offsets)[0]
+
+        each = tuple(without([k]) for k in range(count))
+        return each, (each[0] if count == 1 else without(range(count)) if count else 0.0)
+
+    def _try(
+        self, start: _Start, model: _Model, offsets: list[np.ndarray]
+    ) -> tuple[float, np.ndarray]:
+        """Fit with linear elements; return the gain of the log-evidence, and the parameters."""
+        inflation = max(1.0, model.fit.chi2)
+        problem = self.linear.with_data(self._data(start.force_deviation).shifted(offsets))
+        try:
+            trial, _ = fit_shapes(
+                problem, start.field, start.z, sites=self.linear_sites, max_iterations=_TRIAL_STEPS
+            )
+        except ConvergenceError:
+            return -np.inf, start.z
+        return trial.log_evidence(inflation) - model.fit.log_evidence(inflation), trial.z
+
+    def _offsets(self, model: _Model) -> list[np.ndarray]:
+        """Return predictions of linear less those of quadratic elements at a model."""
+        field = ShapesOnSites(model.fit.field, self.linear_sites).at(model.fit.z)
+        coarse, observations = self.linear.evaluate(field.youngs), self.quadratic.data.observations
+        pairs = zip(coarse.reported, model.evaluation.reported, observations, strict=True)
+        return [(u - v).ravel()[o.index] for u, v, o in pairs]
+
+    def _starts(self, model: _Model, max_shapes: int) -> Iterator[_Start]:
+        fit, deviation = model.fit, model.force_deviation
+        if len(fit.field.distorted) < max_shapes:
+            yield from self._further(fit, deviation)
+        for degree in _DEGREES:
+            if degree > fit.field.degree:
+                yield _Start(f"background of degree {degree}", *_smoothed(fit, degree), deviation)
+                break
+        for k, distorted in enumerate(fit.field.distorted):
+            if not distorted:
+                yield _Start(f"inclusion {k} as an ellipsoid", *_distorted(fit, k), deviation)
+
+    def _further(self, fit: ShapeFit, force_deviation: float) -> Iterator[_Start]:
         field = replace(fit.field, distorted=(*fit.field.distorted, False))
-        for candidate in self.matched.best(fit.residuals, jacobian, _STARTS):
+        data = self._data(force_deviation)
+        for candidate in self.matched.best(fit.residuals, fit.jacobian, data, _STARTS):
             if candidate.gain < _MIN_CANDIDATE_GAIN:
                 return
             size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
             contrast = np.copysign(size, candidate.log_contrast)
             ball = [*candidate.center_mm, np.log(candidate.radius_mm), contrast]
             start = field.standard(np.concatenate([fit.field.physical(fit.z), ball]))
-            yield f"ball at {np.round(candidate.center_mm, 1).tolist()} mm", field, start
+            what = f"ball at {np.round(candidate.center_mm, 1).tolist()} mm"
+            yield _Start(what, field, start, force_deviation)
 
 
 def find_shapes(
     recording: Recording, settings: Settings | None = None, *, max_shapes: int = _MAX_SHAPES
-) -> ShapeSearch:
+) -> ShapeReconstruction:
     """Find the inclusions that the presses determine, with the number that the evidence supports.
 
     The truth and the reference that a recording may carry are never read.
@@ -272,42 +329,51 @@ def find_shapes(
     """
     search = _Search(recording, settings or Settings())
     model = search.uniform()
-    fits, tried = [model.fit], 1
-    empty = [model.fit]
+    history = [_record("uniform", model)]
     _log.info("uniform: chi2 %.4g", model.fit.chi2)
-    while True:
-        accepted = False
-        proposals = [p for p in search.propose(model, max_shapes) if p.gain > _MIN_GAIN]
-        for proposal in proposals:
-            if tried == _MAX_MODELS:
-                break
-            tried += 1
-            try:
-                trial = search.fit(proposal.field, proposal.z, model.evaluation.displacements)
-            except ConvergenceError:
-                continue
-            if not trial.fit.field.distorted:
-                empty.append(trial.fit)
+    for _ in range(_MAX_MODELS):
+        proposals = search.propose(model, max_shapes)
+        accepted = _accept(search, model, [p for p in proposals if p.gain > _MIN_GAIN])
+        if accepted is None:
+            break
+        proposal, model = accepted
+        history.append(_record(proposal.what, model))
+    each, any_ = search.log_odds(model)
+    fit = model.fit
+    return ShapeReconstruction(
+        fit.field, fit.z, max(1.0, fit.chi2) * fit.covariance, fit.chi2, each, any_,
+        model.force_deviation, search.unexplained(fit), tuple(history),
+    )  # fmt: skip
+
+
+def _record(what: str, model: _Model) -> dict[str, Any]:
+    evidence = model.fit.log_evidence(max(1.0, model.fit.chi2))
+    return {"model": what, "chi2": model.fit.chi2, "log_evidence": evidence}
+
+
+def _accept(
+    search: _Search, model: _Model, proposals: list[_Proposal]
+) -> tuple[_Proposal, _Model] | None:
+    """Fit proposals with quadratic elements until one has more evidence than the model."""
+    for proposal in proposals[:_MAX_FITS]:
+        with suppress(ConvergenceError):
+            trial = search.fit(proposal, model.evaluation.displacements)
             inflation = max(1.0, min(model.fit.chi2, trial.fit.chi2))
             gain = trial.fit.log_evidence(inflation) - model.fit.log_evidence(inflation)
             _log.info("%s: chi2 %.4g, gain %.4g", proposal.what, trial.fit.chi2, gain)
             if gain > _MIN_GAIN:
-                model, accepted = trial, True
-                fits.append(trial.fit)
-                break
-        if not accepted:
-            break
-    inflation = max(1.0, model.fit.chi2)
-    best_empty = max(fit.log_evidence(inflation) for fit in empty)
-    return ShapeSearch(tuple(fits), best_empty - model.fit.log_evidence(inflation))
+                return proposal, trial
+    return None
 
 
-def _smoothed(fit: ShapeFit) -> tuple[ShapeField, np.ndarray]:
-    """Return the model with a smooth background, and a start."""
-    field = replace(fit.field, smooth=True)
-    modes = field.n_background - fit.field.n_background
+def _smoothed(fit: ShapeFit, degree: int) -> tuple[ShapeField, np.ndarray]:
+    """Return the model with a smoother background, and a start."""
+    field = replace(fit.field, degree=degree)
+    modes = field.n_background - 1
     values = fit.field.physical(fit.z)
-    return field, field.standard(np.concatenate([values[:1], np.zeros(modes), values[1:]]))
+    inclusions = values[fit.field.n_background :]
+    # Modes of different degrees are in different order; all start at zero.
+    return field, field.standard(np.concatenate([values[:1], np.zeros(modes), inclusions]))
 
 
 def _distorted(fit: ShapeFit, inclusion: int) -> tuple[ShapeField, np.ndarray]:
@@ -318,13 +384,13 @@ def _distorted(fit: ShapeFit, inclusion: int) -> tuple[ShapeField, np.ndarray]:
     return field, field.standard(np.concatenate([values[:end], np.zeros(5), values[end:]]))
 
 
-def _is_inside(start: Float[np.ndarray, " size"], proposal: _Proposal) -> bool:
-    """Whether the last ball of a start has its centre within that of a proposal, or near it."""
+def _is_inside(start: _Start, proposal: _Proposal) -> bool:
+    """Whether both are with a further ball, whose centres are near each other."""
     field = proposal.field
-    if len(start) != field.size:
+    if not (start.what.startswith("ball") and proposal.what.startswith("ball")):
         return False
     first, end = field.parts[-1].start, field.parts[-1].start + 3
-    centers = (field.physical(z)[first:end] for z in (start, proposal.z))
+    centers = (field.physical(z)[first:end] for z in (start.z, proposal.z))
     radius = np.exp(field.physical(proposal.z)[end])
     return bool(np.linalg.norm(np.subtract(*centers)) < _SAME * radius)
 

@@ -1,0 +1,169 @@
+"""The result of a search for shapes: inclusions with intervals, as numbers and as a field."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import expit
+
+from tactorch.inverse.shapes.field import Ellipsoid, ShapeField, ShapePrior, Sites
+
+_DRAWS = 1000
+
+
+class Interval(NamedTuple):
+    """A central 90 % interval."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class ShapeInclusion:
+    """An inclusion with its uncertainty.
+
+    Intervals are central 90 % intervals of the posterior. They account for noise, and for errors of
+    the forces where the data show them, but not for other errors of the model.
+
+    Attributes:
+        shape: Most probable shape.
+        youngs_mpa: Young's modulus, MPa.
+        background_mpa: Young's modulus of the background at the centre, MPa.
+        center_deviation_mm: Standard deviation of the centre along x, y and z, mm.
+        radius_mm: Interval of the radius of the ball of the same volume, mm.
+        youngs_90_mpa: Interval of Young's modulus, MPa.
+        contrast_90: Interval of Young's modulus over that of the background.
+        probability: Probability that the inclusion exists.
+    """
+
+    shape: Ellipsoid
+    youngs_mpa: float
+    background_mpa: float
+    center_deviation_mm: tuple[float, float, float]
+    radius_90_mm: Interval
+    youngs_90_mpa: Interval
+    contrast_90: Interval
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeReconstruction:
+    """Inclusions with sharp boundaries in a uniform or smooth background.
+
+    Attributes:
+        field: The family of the shapes, with the prior of its parameters.
+        z: Most probable parameters, in standard deviations of the prior.
+        covariance: Their posterior covariance.
+        chi2: Mean squared residual, in standard deviations.
+        log_odds: For each inclusion, the log-evidence over that of the model without it.
+        log_odds_any: The same for all inclusions together.
+        force_deviation: Relative deviation of the forces of each press by which the data are best
+            explained; zero where the recorded forces agree with them.
+        unexplained: Root mean square of the residuals beyond their noise, over that of the
+            observed displacements.
+        history: The accepted models with their chi2 and log-evidence.
+    """
+
+    field: ShapeField
+    z: Float[np.ndarray, " size"]
+    covariance: Float[np.ndarray, "size size"]
+    chi2: float
+    log_odds: tuple[float, ...]
+    log_odds_any: float
+    force_deviation: float = 0.0
+    unexplained: float = 0.0
+    history: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def probability(self) -> float:
+        """Probability that there is an inclusion, where all models are as likely beforehand."""
+        return float(expit(self.log_odds_any)) if self.log_odds else 0.0
+
+    @property
+    def background_mpa(self) -> float:
+        """Young's modulus of the background, MPa; the geometric mean where it is smooth."""
+        return float(np.exp(self.field.physical(self.z)[0]))
+
+    def youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return the most probable Young's modulus at points (mm), MPa."""
+        return np.exp(self.field.log_youngs(self.z, Sites.at(points)))
+
+    def log_deviation_at(
+        self, points: Float[np.ndarray, "n 3"], draws: int = 200
+    ) -> Float[np.ndarray, " n"]:
+        """Return the standard deviation of the logarithm of Young's modulus at points (mm)."""
+        sites = Sites.at(points)
+        samples = [self.field.log_youngs(z, sites) for z in self.samples[:draws]]
+        return np.std(samples, axis=0)
+
+    @cached_property
+    def samples(self) -> Float[np.ndarray, "draws size"]:
+        """Samples of the posterior, in standard deviations of the prior."""
+        rng = np.random.default_rng(0)
+        return rng.multivariate_normal(self.z, self.covariance, size=_DRAWS, method="eigh")
+
+    @cached_property
+    def inclusions(self) -> list[ShapeInclusion]:
+        """The inclusions with their intervals, those of the largest log-odds first."""
+        inclusions = [
+            self._inclusion(k, shape) for k, shape in enumerate(self.field.shapes(self.z))
+        ]
+        order = np.argsort(-np.array(self.log_odds), kind="stable")
+        return [inclusions[k] for k in order]
+
+    def _inclusion(self, k: int, shape: Ellipsoid) -> ShapeInclusion:
+        start = self.field.parts[k].start
+        values, best = self.field.physical(self.samples), self.field.physical(self.z)
+        backgrounds = self.field.log_background(values, values[:, start : start + 3])
+        background = self.field.log_background(best[None], best[None, start : start + 3])[0]
+        contrasts = values[:, start + 4]
+        return ShapeInclusion(
+            shape,
+            float(np.exp(background + best[start + 4])),
+            float(np.exp(background)),
+            tuple(values[:, start : start + 3].std(axis=0).tolist()),
+            _interval(np.exp(values[:, start + 3])),
+            _interval(np.exp(backgrounds + contrasts)),
+            _interval(np.exp(contrasts)),
+            float(expit(self.log_odds[k])),
+        )
+
+    def plain(self) -> dict[str, Any]:
+        """Return plain JSON values; the inverse of `of`."""
+        return {
+            "prior": self.field.prior.plain(),
+            "distorted": list(self.field.distorted),
+            "degree": self.field.degree,
+            "z": self.z.tolist(),
+            "covariance": self.covariance.tolist(),
+            "chi2": self.chi2,
+            "log_odds": list(self.log_odds),
+            "log_odds_any": self.log_odds_any,
+            "force_deviation": self.force_deviation,
+            "unexplained": self.unexplained,
+            "history": list(self.history),
+        }
+
+    @staticmethod
+    def of(plain: Mapping[str, Any]) -> "ShapeReconstruction":
+        """Return the result from plain JSON values."""
+        prior = ShapePrior.of_plain(plain["prior"])
+        return ShapeReconstruction(
+            ShapeField(prior, tuple(plain["distorted"]), plain["degree"]),
+            np.array(plain["z"]),
+            np.array(plain["covariance"]),
+            plain["chi2"],
+            tuple(plain["log_odds"]),
+            plain["log_odds_any"],
+            plain["force_deviation"],
+            plain["unexplained"],
+            tuple(plain["history"]),
+        )
+
+
+def _interval(values: Float[np.ndarray, " draws"]) -> Interval:
+    low, high = np.quantile(values, [0.05, 0.95])
+    return Interval(float(low), float(high))
