@@ -34,6 +34,9 @@ class SimulationOptions(Options):
     material: Any = option("neo_hookean", "Material of the object", section="material")
     solver: Any = option("auto", "Linear solver", section="solver")
     element: Literal["tet4", "tet10"] = option("tet4", "Element type")
+    fine_element: Literal["tet4", "tet10"] | None = option(
+        None, "Element type of the simulation; null: element"
+    )
     samples: int = option(
         4, "Samples per edge that average the modulus over cut elements; 1: centroid", ge=1
     )
@@ -73,7 +76,7 @@ def simulate_recording(options: SimulationOptions) -> Recording:
             mesh=mesh,
             fine_mesh=fine,
             samples=options.samples,
-            element=options.element,
+            element=options.fine_element or options.element,
             solver=options.solver,
             snr_db=options.snr_db,
             seed=options.seed,

@@ -182,6 +182,9 @@ class MeshSize(Options):
         0.05, "Edge length of the simulation's mesh as a fraction of the diagonal; null: the"
         " recording's mesh (an inverse crime)", gt=0,
     )  # fmt: skip
+    fine_conforming: bool = option(
+        False, "Whether faces of the simulation's mesh conform to the surfaces of the inclusions"
+    )
     generator: Literal["auto", "structured", "tetwild"] = option(
         "auto", "Mesh generator; auto: structured for boxes, tetwild for other bodies"
     )
@@ -189,13 +192,21 @@ class MeshSize(Options):
     def build(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
         """Return the recording's mesh, and the mesh to solve on; None where it is the same."""
 
-        def mesh(edge_mm: float | None, relative: float) -> TetMesh:
-            return phantom.mesh(edge_mm, relative_edge_length=relative, generator=self.generator)
-
-        coarse = mesh(self.edge_length_mm, self.relative_edge_length)
+        coarse = phantom.mesh(
+            self.edge_length_mm,
+            relative_edge_length=self.relative_edge_length,
+            generator=self.generator,
+        )
         if self.fine_edge_length_mm is None and self.fine_relative is None:
             return coarse, None
-        return coarse, mesh(self.fine_edge_length_mm, self.fine_relative or 0.1)
+        conforming = self.fine_conforming and bool(phantom.inclusions)
+        fine = phantom.mesh(
+            self.fine_edge_length_mm,
+            relative_edge_length=self.fine_relative or 0.1,
+            generator="tetwild" if conforming else self.generator,
+            conforming=conforming,
+        )
+        return coarse, fine
 
 
 def _entry(entry: Any, index: int) -> tuple[Shape, float]:
