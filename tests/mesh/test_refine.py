@@ -1,3 +1,4 @@
+import importlib
 from typing import Any
 
 import numpy as np
@@ -136,7 +137,8 @@ def test_refuses_other_sizings(mesh: TetMesh, sizing: Any, says: str) -> None:
 def test_refuses_more_elements_than_a_mesh_may_have(
     mesh: TetMesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(refine.__globals__, "MAX_ELEMENTS", 500)
+    module = importlib.import_module("tactorch.mesh.refine")  # the package has the function
+    monkeypatch.setattr(module, "MAX_ELEMENTS", 500)
     with pytest.raises(ConfigError, match="more than 5e\\+02 elements"):
         refine(mesh, lambda points: np.full(len(points), 0.1))
 
