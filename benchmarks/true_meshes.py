@@ -6,17 +6,16 @@ elements are bisected (longest edge, with conforming closure; Rivara, 1984) down
 length, with new nodes of interfaces and of curved boundaries on the analytic surfaces too.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tactorch.mesh import Box, Shape, TetMesh
 from tactorch.mesh.geometry import signed_volumes
-from tactorch.mesh.topology import LOCAL_EDGES, match_faces
+from tactorch.mesh.refine import Sizing, bisect, edge_lengths
+from tactorch.mesh.topology import match_faces
 from tactorch.phantoms import Phantom
 
-Sizing = Callable[[np.ndarray], np.ndarray]  # points (k, 3), mm -> edge lengths (k,), mm
 MIN_VOLUME_FRACTION = 0.2  # of an element after its nodes are moved onto a surface
 MAX_MOVE = 0.3  # of a node onto a surface, in edge lengths
 _MAX_PASSES = 60
@@ -69,7 +68,7 @@ def refine(phantom: Phantom, mesh: TetMesh, sizing: Sizing) -> LabelledMesh:
     points, tets = mesh.points.copy(), mesh.tets
     points = _move(points, tets, *_on_surfaces(phantom, points, tets, labels))
     for _ in range(_MAX_PASSES):
-        large = _edge_lengths(points, tets).max(axis=1) > sizing(points[tets].mean(axis=1))
+        large = edge_lengths(points, tets).max(axis=1) > sizing(points[tets].mean(axis=1))
         if not large.any():
             break
         points, tets, (labels,) = _bisect(phantom, points, tets, (labels,), large)
@@ -79,19 +78,13 @@ def refine(phantom: Phantom, mesh: TetMesh, sizing: Sizing) -> LabelledMesh:
 def refine_everywhere(phantom: Phantom, coarse: LabelledMesh) -> LabelledMesh:
     """Bisect until the longest edge of every element is shorter by a tenth or more."""
     points, tets, labels = coarse.mesh.points, coarse.mesh.tets, coarse.labels
-    limits = 0.9 * _edge_lengths(points, tets).max(axis=1)
+    limits = 0.9 * edge_lengths(points, tets).max(axis=1)
     for _ in range(_MAX_PASSES):
-        large = _edge_lengths(points, tets).max(axis=1) > limits
+        large = edge_lengths(points, tets).max(axis=1) > limits
         if not large.any():
             break
         points, tets, (labels, limits) = _bisect(phantom, points, tets, (labels, limits), large)
     return LabelledMesh(TetMesh.create(points, tets, repair=False), labels)
-
-
-def _edge_lengths(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Lengths of the edges of each element, (m, 6)."""
-    ends = points[tets[:, LOCAL_EDGES]]
-    return np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2)
 
 
 def _bisect(
@@ -101,47 +94,17 @@ def _bisect(
     values: tuple[np.ndarray, ...],
     large: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Bisect the terminal edges of the paths that start at the large elements.
+    """Bisect edges of large elements, or of their neighbours, and move new nodes onto surfaces.
 
-    A terminal edge is the longest of all its elements, so that its bisection is conforming. Halves
-    inherit the `values` of their element, of which the first are its labels.
+    Halves inherit the `values` of their element, of which the first are its labels.
     """
-    pairs = np.sort(tets[:, LOCAL_EDGES], axis=2)
-    keys, inverse = np.unique(pairs[..., 0] * len(points) + pairs[..., 1], return_inverse=True)
-    edges = np.column_stack(np.divmod(keys, len(points)))
-    tet_edges = inverse.reshape(-1, 6)
-    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    rank = np.empty(len(edges), dtype=np.int64)
-    # Rounding makes equal lengths equal; the node numbers then decide.
-    rank[np.lexsort((edges[:, 1], edges[:, 0], np.round(lengths, 9)))] = np.arange(len(edges))
-    longest = np.take_along_axis(tet_edges, rank[tet_edges].argmax(axis=1)[:, None], 1)[:, 0]
-    chosen = np.zeros(len(edges), dtype=bool)
-    reached = large
-    while True:
-        chosen[longest[reached]] = True
-        touched = np.asarray(chosen[tet_edges].any(axis=1))
-        if (touched == reached).all():
-            break
-        reached = touched
-    n_edges = len(edges)
-    elements_of = np.bincount(tet_edges.ravel(), minlength=n_edges)
-    terminal = chosen & (np.bincount(longest, minlength=n_edges) == elements_of)
-    cut = np.flatnonzero(terminal[longest])
-    new_node = np.full(n_edges, -1)
-    new_node[terminal] = len(points) + np.arange(int(terminal.sum()))
-    middle = new_node[longest[cut]]
-    first, second = edges[longest[cut]].T
-    halves = [np.where(tets[cut] == end[:, None], middle[:, None], tets[cut])
-              for end in (second, first)]  # fmt: skip
-    keep = np.ones(len(tets), dtype=bool)
-    keep[cut] = False
-    all_tets = np.concatenate((tets[keep], *halves))
-    all_values = [np.concatenate((own[keep], own[cut], own[cut])) for own in values]
-    middles = points[edges[terminal]].mean(axis=1)
-    all_points = np.concatenate((points, middles))
-    nodes, targets = _on_surfaces(phantom, all_points, all_tets, all_values[0])
+    bisection = bisect(points, tets, large)
+    all_values = [own[bisection.origins] for own in values]
+    all_points = np.concatenate((points, points[bisection.ends].mean(axis=1)))
+    nodes, targets = _on_surfaces(phantom, all_points, bisection.tets, all_values[0])
     new = nodes >= len(points)
-    return _move(all_points, all_tets, nodes[new], targets[new]), all_tets, all_values
+    moved = _move(all_points, bisection.tets, nodes[new], targets[new])
+    return moved, bisection.tets, all_values
 
 
 def _on_surfaces(
@@ -192,7 +155,7 @@ def _move(
 ) -> np.ndarray:
     """Move nodes to their targets, except where an element would become too flat."""
     edge = np.full(len(points), np.inf)
-    np.minimum.at(edge, tets.ravel(), np.repeat(_edge_lengths(points, tets).min(axis=1), 4))
+    np.minimum.at(edge, tets.ravel(), np.repeat(edge_lengths(points, tets).min(axis=1), 4))
     shift = np.zeros_like(points)
     shift[nodes] = targets - points[nodes]
     shift[np.linalg.norm(shift, axis=1) > MAX_MOVE * edge] = 0.0

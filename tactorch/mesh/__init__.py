@@ -2,6 +2,7 @@
 
 from tactorch.mesh.io import read_mesh, read_surface, write_mesh, write_surface
 from tactorch.mesh.meshing import box_mesh, tetrahedralize
+from tactorch.mesh.refine import Refinement, refine
 from tactorch.mesh.revolved import Cone, Cylinder, Hemisphere, Hyperboloid, Lathe, Torus
 from tactorch.mesh.shapes import Box, Ellipsoid, Rotated, Shape, Sphere, Union
 from tactorch.mesh.tetmesh import FACE_NAMES, TetMesh, compact, face_nodes, select_face
@@ -18,6 +19,7 @@ __all__ = [
     "Hemisphere",
     "Hyperboloid",
     "Lathe",
+    "Refinement",
     "Rotated",
     "Shape",
     "Sphere",
@@ -32,6 +34,7 @@ __all__ = [
     "locate",
     "read_mesh",
     "read_surface",
+    "refine",
     "select_face",
     "tetrahedralize",
     "write_mesh",

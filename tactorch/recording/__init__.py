@@ -4,5 +4,15 @@ from tactorch.recording.append import append_press, compact, read_presses
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
+from tactorch.recording.refine import prolong_recording, refine_recording
 
-__all__ = ["MaterialSpec", "Press", "Recording", "append_press", "compact", "read_presses"]
+__all__ = [
+    "MaterialSpec",
+    "Press",
+    "Recording",
+    "append_press",
+    "compact",
+    "prolong_recording",
+    "read_presses",
+    "refine_recording",
+]

@@ -1,0 +1,225 @@
+"""Nested local refinement of tetrahedral meshes by longest-edge bisection (Rivara, 1984).
+
+An element is bisected at the mid-point of its longest edge together with all other elements of that
+edge, so that the mesh stays conforming. Where the edge is not the longest of a neighbour, the
+neighbour is bisected at its own longest edge first. Each fine element is within one coarse element.
+
+Reference: M.-C. Rivara, "Algorithms for refining triangular grids suitable for adaptive and
+multigrid techniques", Int. J. Numer. Meth. Engng 20 (1984), 745-756.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+
+from tactorch.errors import ConfigError
+from tactorch.mesh.geometry import frozen
+from tactorch.mesh.meshing import MAX_ELEMENTS
+from tactorch.mesh.tetmesh import TetMesh
+from tactorch.mesh.topology import LOCAL_EDGES, row_keys
+from tactorch.mesh.values import Points, Tets
+
+#: Maximum edge length (mm) of an element with its centroid at each of k points (mm).
+Sizing = Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]]
+#: Lower bound of a sizing, as a fraction of the mesh's diagonal: without one, bisection towards a
+#: point of zero edge length does not end.
+MIN_RELATIVE_SIZE = 1e-4
+
+
+class Bisection(NamedTuple):
+    """Elements after one pass of bisections; new nodes are numbered after the existing ones."""
+
+    ends: Int[np.ndarray, "k 2"]  # existing nodes whose mid-point each new node is
+    tets: Int[np.ndarray, "fine 4"]  # elements, oriented as before
+    origins: Int[np.ndarray, " fine"]  # element that each is, or is a half of
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """A mesh and its nested refinement; n coarse nodes, k new nodes, m coarse elements.
+
+    Attributes:
+        coarse: Mesh before refinement.
+        mesh: Mesh after refinement. Its first n nodes are those of `coarse`, in order.
+        parents: Coarse element that contains each fine element.
+        ends: Nodes of `mesh` whose mid-point each new node is, (k, 2). Both have lower numbers than
+            the new node; they may be new nodes too.
+    """
+
+    coarse: TetMesh
+    mesh: TetMesh
+    parents: Int[np.ndarray, " fine"]
+    ends: Int[np.ndarray, "k 2"]
+
+    @cached_property
+    def prolongation(self) -> sp.csr_matrix:
+        """Matrix of the linear interpolation from coarse to fine nodes, (n + k, n).
+
+        Each row holds the barycentric coordinates of a fine node in a coarse element, face or edge
+        that contains it. They are exact: multiples of powers of two, and entries are above 0.
+        """
+        n = self.coarse.n_points
+        matrix = sp.identity(n, format="csr")
+        highest = self.ends.max(axis=1, initial=-1)
+        while (start := matrix.shape[0] - n) < len(self.ends):
+            later = highest[start:] >= matrix.shape[0]
+            stop = start + int(later.argmax()) if later.any() else len(self.ends)
+            first, second = self.ends[start:stop].T
+            matrix = sp.vstack((matrix, 0.5 * (matrix[first] + matrix[second])), format="csr")
+        return matrix
+
+    @cached_property
+    def surface_parents(self) -> Int[np.ndarray, " s"]:
+        """Coarse surface triangle that contains each fine one; indices into `Surface.triangles`."""
+        fine, coarse = self.mesh.surface.triangles, self.coarse.surface.triangles
+        # The three vertices together depend on the three vertices of the coarse triangle.
+        union = sum(
+            (self.prolongation[column] for column in fine.T[1:]), self.prolongation[fine[:, 0]]
+        )
+        union.sort_indices()
+        corners = np.concatenate((np.sort(coarse, axis=1), union.indices.reshape(-1, 3)))
+        keys = row_keys(corners.astype(np.int64), self.coarse.n_points)
+        order = np.argsort(keys[: len(coarse)])
+        found = np.searchsorted(keys[: len(coarse)], keys[len(coarse) :], sorter=order)
+        return frozen(order[found])
+
+    def interpolate(self, values: Float[np.ndarray, "n *c"]) -> Float[np.ndarray, "fine *c"]:
+        """Interpolate a nodal field of the coarse mesh linearly to the fine nodes.
+
+        Args:
+            values: Value of each coarse node, (n,) or (n, components), in any unit. NaN values
+                affect only the nodes that depend on them.
+
+        Returns:
+            Value of each fine node, (n + k,) or (n + k, components). The first n are `values`.
+
+        Raises:
+            ConfigError: `values` does not have one row per coarse node.
+        """
+        n = self.coarse.n_points
+        if values.ndim == 0 or len(values) != n:
+            raise ConfigError(
+                f"values have shape {values.shape}; expected ({n}, ...), one row per node of the"
+                " coarse mesh."
+            )
+        fine = self.prolongation @ values.reshape(n, -1)
+        return fine.reshape(self.mesh.n_points, *values.shape[1:])
+
+
+def refine(mesh: TetMesh, sizing: Sizing) -> Refinement:
+    """Bisect elements until no edge of an element is longer than the sizing at its centroid.
+
+    Neighbours of bisected elements are bisected too where the mesh would not be conforming
+    otherwise. Elements keep a positive orientation. The mesh is returned as it is where no edge is
+    too long.
+
+    Args:
+        mesh: Coarse mesh.
+        sizing: Function from points (k, 3), mm, to the maximum edge length at each, (k,), mm.
+            Infinite lengths leave elements unchanged.
+
+    Returns:
+        The fine mesh and its relation to the coarse mesh.
+
+    Raises:
+        ConfigError: `sizing` returns another shape, NaN, or lengths below 1e-4 of the mesh's
+            diagonal, or the mesh would have more elements than `tetrahedralize` permits.
+
+    Example:
+        >>> near = refine(mesh, lambda points: 0.5 + 0.3 * np.linalg.norm(points - contact, axis=1))
+        >>> modulus = coarse_modulus[near.parents]
+    """
+    points, tets = mesh.points, mesh.tets
+    parents, ends = np.arange(mesh.n_tets), [np.empty((0, 2), dtype=np.int64)]
+    while True:
+        limits = _check_sizing(sizing(points[tets].mean(axis=1)), len(tets), mesh.diagonal)
+        large = edge_lengths(points, tets).max(axis=1) > limits
+        if not large.any():
+            break
+        bisection = bisect(points, tets, large)
+        tets, parents = bisection.tets, parents[bisection.origins]
+        points = np.concatenate((points, points[bisection.ends].mean(axis=1)))
+        ends.append(bisection.ends)
+        if len(tets) > MAX_ELEMENTS:
+            raise ConfigError(
+                f"sizing takes more than {MAX_ELEMENTS:.0e} elements; return larger edge lengths,"
+                " and check that they are in mm."
+            )
+    fine = mesh if len(ends) == 1 else TetMesh(points, tets)
+    return Refinement(mesh, fine, frozen(parents), frozen(np.concatenate(ends)))
+
+
+def edge_lengths(points: Points, tets: Tets) -> Float[np.ndarray, "m 6"]:
+    """Return the lengths of each element's edges 01, 02, 03, 12, 13, 23, mm."""
+    ends = points[tets[:, LOCAL_EDGES]]
+    return np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2)
+
+
+def bisect(points: Points, tets: Tets, large: Bool[np.ndarray, " m"]) -> Bisection:
+    """Bisect the terminal edges of the longest-edge paths that start at some elements.
+
+    A path leads from an element to the other elements of its longest edge, and so on. A terminal
+    edge is the longest of all its elements, so that bisecting it is conforming. Passes are repeated
+    until the elements where paths start are bisected.
+
+    Args:
+        points: Node positions, mm.
+        tets: Elements of a conforming mesh.
+        large: Elements where paths start; at least one.
+
+    Returns:
+        The end points of the bisected edges, and the elements.
+    """
+    n = len(points)
+    pairs = np.sort(tets[:, LOCAL_EDGES], axis=2)
+    keys, inverse = np.unique(pairs[..., 0] * n + pairs[..., 1], return_inverse=True)
+    edges = np.column_stack(np.divmod(keys, n))
+    tet_edges = inverse.reshape(-1, 6)
+    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    rank = np.empty(len(edges), dtype=np.int64)
+    # Rounding makes equal lengths equal; the node numbers then decide.
+    rank[np.lexsort((edges[:, 1], edges[:, 0], np.round(lengths, 9)))] = np.arange(len(edges))
+    longest = np.take_along_axis(tet_edges, rank[tet_edges].argmax(axis=1)[:, None], 1)[:, 0]
+    chosen = np.zeros(len(edges), dtype=bool)
+    reached = large
+    while True:
+        chosen[longest[reached]] = True
+        touched = np.asarray(chosen[tet_edges].any(axis=1))
+        if (touched == reached).all():
+            break
+        reached = touched
+    n_edges = len(edges)
+    elements_of = np.bincount(tet_edges.ravel(), minlength=n_edges)
+    terminal = chosen & (np.bincount(longest, minlength=n_edges) == elements_of)
+    cut = terminal[longest]
+    new_node = np.full(n_edges, -1)
+    new_node[terminal] = n + np.arange(int(terminal.sum()))
+    middle = new_node[longest[cut]]
+    halves = [
+        np.where(tets[cut] == end[:, None], middle[:, None], tets[cut])
+        for end in edges[longest[cut]].T[::-1]
+    ]
+    origins = np.concatenate((np.flatnonzero(~cut), np.flatnonzero(cut), np.flatnonzero(cut)))
+    return Bisection(edges[terminal], np.concatenate((tets[~cut], *halves)), origins)
+
+
+def _check_sizing(limits: np.ndarray, count: int, diagonal: float) -> Float[np.ndarray, " m"]:
+    """Return the edge lengths that a sizing gave, or raise `ConfigError`."""
+    array = np.asarray(limits, dtype=np.float64)
+    if array.shape != (count,):
+        raise ConfigError(
+            f"sizing returned shape {array.shape} for {count} points; return one edge length (mm)"
+            " per point."
+        )
+    lowest = MIN_RELATIVE_SIZE * diagonal
+    if not (array >= lowest).all():
+        raise ConfigError(
+            f"sizing returned {array.min():.3g} mm; return edge lengths of at least {lowest:.3g} mm"
+            f" ({MIN_RELATIVE_SIZE:g} of the mesh's diagonal)."
+        )
+    return array
