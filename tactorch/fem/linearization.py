@@ -145,7 +145,7 @@ class Linearization:
                 self.assembly, u, torch.from_numpy(adjoint), per_point=youngs.ndim == 2
             )
             (force,) = torch.autograd.grad((work * youngs).sum(), u, create_graph=True)
-            along = (force * moved).sum() + (work.ravel() * torch.from_numpy(change)).sum()
+            along = (force * moved).sum() + (work.ravel() * torch.from_numpy(change).ravel()).sum()
             by_u, by_youngs = torch.autograd.grad(along, (u, youngs))
         back = self.solve(by_u.numpy().ravel())
         return self.unit_work(back[:, None])[:, 0] - by_youngs.numpy().ravel()

@@ -191,7 +191,6 @@ class MeshSize(Options):
 
     def build(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
         """Return the recording's mesh, and the mesh to solve on; None where it is the same."""
-
         coarse = phantom.mesh(
             self.edge_length_mm,
             relative_edge_length=self.relative_edge_length,

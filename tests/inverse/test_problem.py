@@ -169,6 +169,9 @@ def test_prediction_is_second_order(recording: Recording, moduli: np.ndarray) ->
     problem = InverseProblem(recording)
     here = problem.evaluate(moduli)
     change = moduli * np.random.default_rng(2).uniform(-1, 1, len(moduli))
+    unchanged = here.predict(moduli + 0.01 * change)
+    np.testing.assert_array_equal(unchanged, here.displacements)
+    assert here.sensitivities  # linearised presses predict
 
     def errors(size: float) -> np.ndarray:
         there = moduli + size * change
@@ -289,3 +292,63 @@ def test_a_chain_of_presses_predicts_the_same(recording: Recording) -> None:
         np.testing.assert_allclose(b, a, rtol=0, atol=1e-9 * np.abs(a).max())
     searches = [chained.search(i) for i in range(len(recording.presses))]
     assert all(search._lease._solver is None for search in searches[:-1])
+
+
+def test_jacobian_times_each_is_that_of_each(recording: Recording, moduli: np.ndarray) -> None:
+    evaluation = InverseProblem(recording).evaluate(moduli)
+    changes = np.random.default_rng(0).normal(size=(3, len(moduli)))
+    found = evaluation.jacobian_times_each(changes)
+    for column, change in zip(found.T, changes, strict=True):
+        np.testing.assert_allclose(column, evaluation.jacobian_times(change), rtol=1e-9)
+
+
+def test_force_patterns_are_changes_by_errors_of_the_forces(
+    recording: Recording, moduli: np.ndarray
+) -> None:
+    problem = InverseProblem(recording)
+    evaluation = problem.evaluate(moduli)
+    patterns = evaluation.force_patterns()
+    counts, step = problem.data.counts, 1e-5
+    assert len(patterns) == sum(counts)
+    # The first pattern of each press is that of its forces as a whole.
+    ends, forces = [], recording.presses[0].forces
+    for sign in (1, -1):
+        scaled = with_press(recording, 0, forces=forces * np.exp(sign * step))
+        ends.append(InverseProblem(scaled).evaluate(moduli))
+    change = (ends[0].residuals - ends[1].residuals) / (2.0 * step)
+    np.testing.assert_allclose(patterns[:, 0], change, atol=1e-4 * np.abs(change).max())
+    assert not patterns[counts[0] :, 0].any()
+
+
+def test_other_statistics_of_the_same_data(recording: Recording, moduli: np.ndarray) -> None:
+    problem = InverseProblem(recording)
+    evaluation = problem.evaluate(moduli)
+    patterns = np.random.default_rng(0).normal(size=(sum(problem.data.counts), 2))
+    data = problem.data.with_errors(patterns)
+    expected = problem.with_data(data).evaluate(moduli)
+    found = evaluation.with_data(data)
+    np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-8, atol=1e-10)
+    covariance = np.eye(len(patterns)) + patterns @ patterns.T
+    assert data.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1])
+    raw, white = evaluation.residuals, found.residuals
+    assert white @ white == pytest.approx(raw @ np.linalg.solve(covariance, raw))
+    both = data.with_errors(patterns).log_determinant
+    covariance += patterns @ patterns.T
+    assert both == pytest.approx(np.linalg.slogdet(covariance)[1])
+
+
+def test_shifted_data_shift_the_residuals(recording: Recording, moduli: np.ndarray) -> None:
+    problem = InverseProblem(recording)
+    shifts = [np.full(count, 0.01) for count in problem.data.counts]
+    before = problem.evaluate(moduli)
+    after = before.with_data(problem.data.shifted(shifts))
+    expected = before.residuals - 0.01 * problem.data.scale
+    np.testing.assert_allclose(after.residuals, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_equilibria_start_where_they_are_told(recording: Recording, moduli: np.ndarray) -> None:
+    problem = InverseProblem(recording)
+    first = problem.evaluate(moduli)
+    again = problem.evaluate(moduli, starts=first.displacements)
+    np.testing.assert_allclose(again.residuals, first.residuals, atol=1e-7)
+    assert again.search(0) is not first.search(0)

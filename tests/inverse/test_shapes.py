@@ -1,16 +1,22 @@
 """Inclusions as shapes: field, derivatives, evidence and search."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.integrate
 
+from tactorch.errors import ConfigError
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.shapes import find_shapes
+from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, find_shapes
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
+from tactorch.inverse.shapes.sizing import contact_sizing, inclusion_sizing
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
+from tactorch.recording import refine_recording
 from tactorch.simulation import PressPlan, simulate
 
 MESH = box_mesh(10.0, 4, tets_per_cell=5)
@@ -21,8 +27,8 @@ PLAN = PressPlan(("z+", "x+"), (0.01, 0.02))
 def recording():
     """Presses on a ball of radius 2.5 mm and 1 MPa at (5, 5, 6) mm, from a finer other mesh."""
     phantom = make_phantom("cube_sphere", depth=0.4, radius=0.25)
-    fine = phantom.mesh(1.6, conforming=True)
-    return simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0)
+    fine = phantom.mesh(1.2, conforming=True)
+    return simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=30.0)
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +41,11 @@ def uniform_recording():
 @pytest.fixture(scope="module")
 def problem(recording):
     return InverseProblem(recording, element="tet10")
+
+
+@pytest.fixture(scope="module")
+def sites(problem):
+    return Sites.of(problem.body.assembly)
 
 
 PRIOR = ShapePrior.of(MESH, 0.2)
@@ -80,29 +91,69 @@ def test_an_ellipsoid_is_where_its_axes_say():
         assert outside == pytest.approx(0.0)
 
 
-def test_residuals_follow_the_parameters(problem):
-    field = ShapeField(PRIOR, (True,))
-    objective = Objective(
-        problem, ShapesOnSites(field, Sites.of(problem.body.assembly)), weight=1.0
+def test_a_smooth_background_varies_by_its_modes():
+    field = ShapeField(PRIOR, (), degree=2)
+    assert field.size == field.n_background == 10
+    values = np.zeros(10)
+    values[0] = np.log(0.2)
+    points = np.random.default_rng(0).uniform(0.0, 10.0, (20, 3))
+    modes = PRIOR.modes_at(points, 2)
+    for k in range(1, 10):
+        values[k] = 0.3
+        expected = np.log(0.2) + 0.3 * modes[:, k - 1]
+        found = field.log_youngs(field.standard(values), Sites.at(points))
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+        shared = np.tile(values, (len(points), 1))
+        np.testing.assert_allclose(field.log_background(shared, points), expected)
+        values[k] = 0.0
+    along_z = PRIOR.modes_at(np.array([[5.0, 5.0, 0.0], [5.0, 5.0, 10.0]]), 2)
+    assert np.any(np.isclose(along_z[0], 1.0) & np.isclose(along_z[1], -1.0))
+
+
+def test_distance_and_inside_agree():
+    (shape,) = ShapeField(PRIOR, (True,)).shapes(
+        ShapeField(PRIOR, (True,)).standard(np.array(VALUES[True]))
     )
-    z = field.standard(np.array(VALUES[True]))
+    points = np.random.default_rng(1).uniform(0.0, 10.0, (500, 3))
+    inside = shape.contains(points)
+    assert 0 < inside.sum() < 500
+    np.testing.assert_array_equal(shape.distance(points) <= 0.0, inside)
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+def test_residuals_follow_the_parameters(problem, sites, degree):
+    field = ShapeField(PRIOR, (True,), degree)
+    objective = Objective(problem, ShapesOnSites(field, sites), weight=1.0)
+    values = VALUES[True]
+    modes = [0.1] * (field.n_background - 1)
+    z = field.standard(np.array([values[0], *modes, *values[1:]]))
     point = objective.at(z)
-    for k in (0, 2, 4, 5, 7):
+    for k in {0, 1, 2, 4, 5, 7, field.size - 1}:
         step = 1e-4 * np.eye(field.size)[k]
         ends = [objective.at(z + s * step).evaluation.residuals for s in (1, -1)]
         slope = (ends[0] - ends[1]) / 2e-4
         np.testing.assert_allclose(point.jacobian[:, k], slope, atol=1e-4 * np.abs(slope).max())
+    rng = np.random.default_rng(0)
+    change, weights = rng.normal(size=field.size), rng.normal(size=len(point.jacobian))
+    np.testing.assert_allclose(point.jacobian_times(change), point.jacobian @ change, rtol=1e-7)
+    np.testing.assert_allclose(point.transpose_times(weights), point.jacobian.T @ weights)
+    np.testing.assert_allclose(point.penalty_gradient, z)
 
 
-def test_the_evidence_is_the_integral_of_the_likelihood(problem):
+def test_a_field_without_second_derivative_says_so(problem, sites):
+    point = Objective(problem, ShapesOnSites(ShapeField(PRIOR), sites), weight=1.0).at(np.zeros(1))
+    with pytest.raises(ConfigError, match="no second derivative"):
+        point.second_order_times(np.ones(1))
+    with pytest.raises(ConfigError, match="one modulus per element"):
+        _ = point.objective.elements
+
+
+def test_the_evidence_is_the_integral_of_the_likelihood(problem, sites):
     """One parameter: the Laplace approximation against quadrature."""
-    field = ShapeField(ShapePrior.of(MESH, 0.22), ())
-    sites = Sites.of(problem.body.assembly)
-    fit = fit_shapes(problem, field, np.zeros(1), sites=sites, tolerance=1e-10)
-    objective, deviation = (
-        Objective(problem, ShapesOnSites(field, sites), weight=1.0),
-        np.sqrt(fit.covariance[0, 0]),
-    )
+    field = ShapeField(ShapePrior.of(MESH, 0.22))
+    fit, _ = fit_shapes(problem, field, np.zeros(1), sites=sites, tolerance=1e-10)
+    objective = Objective(problem, ShapesOnSites(field, sites), weight=1.0)
+    deviation = np.sqrt(fit.covariance[0, 0])
     z = fit.z[0] + deviation * np.linspace(-5.0, 5.0, 21)
     least = objective.at(fit.z).value(1.0)
     heights = [np.exp(least - objective.at(np.array([x])).value(1.0)) for x in z]
@@ -111,17 +162,61 @@ def test_the_evidence_is_the_integral_of_the_likelihood(problem):
 
 
 def test_a_ball_is_found_with_its_modulus(recording):
-    search = find_shapes(recording, max_shapes=2)
-    (shape,) = search.best.shapes
+    result = find_shapes(recording, max_shapes=2)
+    (inclusion,) = result.inclusions
+    shape = inclusion.shape
     assert np.linalg.norm(np.array(shape.center_mm) - [5.0, 5.0, 6.0]) < 0.2
     assert shape.radius_mm == pytest.approx(2.5, rel=0.1)
-    assert shape.contrast == pytest.approx(5.0, rel=0.3)
-    assert search.probability > 0.999
-    inside, outside = search.best.youngs_at(np.array([[5.0, 5.0, 6.0], [1.0, 1.0, 1.0]]))
-    assert inside / outside == pytest.approx(shape.contrast)
+    low, high = np.log(inclusion.youngs_90_mpa)
+    assert abs(np.log(inclusion.youngs_mpa / 1.0)) < 3.0 * (high - low) / 3.29
+    assert high - low < np.log(3.0)
+    assert inclusion.background_mpa == pytest.approx(0.2, rel=0.03)
+    assert inclusion.youngs_90_mpa.low < inclusion.youngs_mpa < inclusion.youngs_90_mpa.high
+    assert inclusion.radius_90_mm.low < shape.radius_mm < inclusion.radius_90_mm.high
+    assert result.probability > 0.999
+    assert result.force_deviation == 0.0
+    assert result.unexplained < 0.01
+    assert result.history[0]["model"] == "uniform"
+    inside, outside = result.youngs_at(np.array([[5.0, 5.0, 6.0], [1.0, 1.0, 1.0]]))
+    assert inside == pytest.approx(inclusion.youngs_mpa)
+    assert outside == pytest.approx(inclusion.background_mpa)
+    deviation = result.log_deviation_at(np.array([[5.0, 5.0, 6.0], [1.0, 1.0, 1.0]]))
+    assert deviation[0] > deviation[1] > 0.0
+    again = ShapeReconstruction.of(json.loads(json.dumps(result.plain())))
+    assert again.inclusions == result.inclusions
+    assert again.plain() == result.plain()
 
 
 def test_nothing_is_found_in_a_uniform_body(uniform_recording):
-    search = find_shapes(uniform_recording, max_shapes=2)
-    assert search.best.shapes == []
-    assert search.probability < 0.5
+    result = find_shapes(uniform_recording, max_shapes=2)
+    assert result.inclusions == []
+    assert result.probability == 0.0
+    assert result.background_mpa == pytest.approx(0.2, rel=0.03)
+
+
+def test_errors_of_the_forces_are_recognised(uniform_recording):
+    """Forces of each press wrong by a tenth: no inclusion explains them."""
+    rng = np.random.default_rng(0)
+    presses = tuple(
+        replace(press, forces=press.forces * np.exp(0.1 * rng.normal()))
+        for press in uniform_recording.presses
+    )
+    result = find_shapes(replace(uniform_recording, presses=presses), max_shapes=2)
+    assert result.force_deviation > 0.0
+    assert result.inclusions == []
+
+
+def test_meshes_are_refined_at_inclusions_and_small_contacts(recording):
+    ball = Ellipsoid((5.0, 5.0, 5.0), (2.0,) * 3, tuple(map(tuple, np.eye(3))), 5.0)
+    lengths = inclusion_sizing([ball])(np.array([[5.0, 5.0, 7.1], [5.0, 5.0, 5.0], [5, 5, 9.0]]))
+    assert lengths[0] < ball.radius_mm
+    assert np.isinf(lengths[1:]).all()
+    assert refine_recording(recording, contact_sizing(recording)).mesh.n_tets == MESH.n_tets
+    small = simulate(
+        make_phantom("uniform_cube"),
+        PressPlan(("z+",), (0.01,), patch_radius_mm=3.0),
+        mesh=box_mesh(10.0, 8, tets_per_cell=5),
+    )
+    lengths = contact_sizing(small)(np.array([[7.5, 5.0, 9.8], [5.0, 5.0, 2.0]]))
+    assert lengths[0] < 3.0
+    assert np.isinf(lengths[1])

@@ -93,8 +93,15 @@ class Ellipsoid:
 
     def contains(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Return whether points (mm) are inside."""
+        return self._level(points) <= 1.0
+
+    def distance(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return the distance to the boundary (mm), negative inside; exact for balls only."""
+        return (self._level(points) - 1.0) * self.radius_mm
+
+    def _level(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         relative = (points - self.center_mm) @ np.array(self.axes).T / np.array(self.semi_axes_mm)
-        return (relative * relative).sum(axis=1) <= 1.0
+        return np.linalg.norm(relative, axis=1)
 
     @property
     def radius_mm(self) -> float:

@@ -10,6 +10,7 @@ with quadratic elements, and accepted if it raises the evidence.
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -25,8 +26,10 @@ from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.result import ShapeReconstruction
+from tactorch.inverse.shapes.sizing import contact_sizing, inclusion_sizing
 from tactorch.inverse.starts import uniform_fit
-from tactorch.recording import Recording
+from tactorch.mesh import refine
+from tactorch.recording import Recording, prolong_recording, refine_recording
 
 _log = logging.getLogger(__name__)
 _CENTRES = 400  # candidates of the matched filter, on an even grid in the bounding box
@@ -45,7 +48,7 @@ _MIN_CANDIDATE_GAIN = 8.0
 _MAX_START_CONTRAST = 1.0  # log-contrast of a start with quadratic elements
 _START_CONTRAST = (0.3, 1.5)  # range of the log-contrast of a start
 _DERIVATIVE_RTOL = 1e-3  # of the solves for derivatives
-_TOLERANCE, _UNIFORM_TOLERANCE = 1e-4, 1e-2  # of the objective
+_TOLERANCE, _UNIFORM_TOLERANCE = 1e-3, 1e-2  # of the objective
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball
 _RTOL = 1e-7  # of equilibria: far below the noise of a sensor
 
@@ -152,11 +155,39 @@ class _Search:
     """The presses with quadratic elements and with linear ones."""
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
+        self.recording, self._settings = recording, settings
+        self._set_problems()
+        youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
+        self.matched = MatchedFilter.of(self.linear, youngs)
+        self.prior = ShapePrior.of(recording.mesh, youngs)
+        self._force_patterns: np.ndarray | None = None
+
+    def refined(self, model: _Model) -> tuple["_Search", _Model]:
+        """Return the search on a mesh that is finer at the inclusions, and the model fitted there.
+
+        The data are the same. The search and the model are returned as they are where the mesh is
+        fine enough.
+        """
+        sizing = inclusion_sizing(list(model.fit.field.shapes(model.fit.z)))
+        refinement = refine(self.recording.mesh, sizing)
+        if refinement.mesh is self.recording.mesh:
+            return self, model
+        finer = copy(self)
+        finer.recording = prolong_recording(self.recording, refinement)
+        finer._set_problems()
+        n, extend = self.recording.mesh.n_points, finer.quadratic.body.discretisation.extend
+        starts = [extend(refinement.interpolate(u[:n])) for u in model.evaluation.displacements]
+        fit = model.fit
+        start = _Start("refined", fit.field, fit.z, model.force_deviation)
+        return finer, finer.fit(start, starts)
+
+    def _set_problems(self) -> None:
+        settings = self._settings
         newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
 
         def problem(element: str, derivative_rtol: float = 0.0) -> InverseProblem:
             return InverseProblem(
-                recording,
+                self.recording,
                 element=element,
                 solver=settings.solver,
                 noise=settings.noise,
@@ -168,10 +199,6 @@ class _Search:
         self.sites = Sites.of(self.quadratic.body.assembly)
         self.linear = problem("tet4")
         self.linear_sites = Sites.of(self.linear.body.assembly)
-        youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
-        self.matched = MatchedFilter.of(self.linear, youngs)
-        self.prior = ShapePrior.of(recording.mesh, youngs)
-        self._force_patterns: np.ndarray | None = None
 
     def uniform(self) -> _Model:
         """Fit the uniform body with quadratic elements."""
@@ -327,7 +354,8 @@ def find_shapes(
         ConfigError: a setting cannot be used.
         ConvergenceError: with no uniform modulus do all presses have an equilibrium.
     """
-    search = _Search(recording, settings or Settings())
+    settings = settings or Settings()
+    search = _Search(refine_recording(recording, contact_sizing(recording)), settings)
     model = search.uniform()
     history = [_record("uniform", model)]
     _log.info("uniform: chi2 %.4g", model.fit.chi2)
@@ -338,6 +366,9 @@ def find_shapes(
             break
         proposal, model = accepted
         history.append(_record(proposal.what, model))
+    search, model = search.refined(model)
+    history.append(_record("finer mesh at the inclusions", model))
+    _log.info("refined to %d elements: chi2 %.4g", search.linear.n_elements, model.fit.chi2)
     each, any_ = search.log_odds(model)
     fit = model.fit
     return ShapeReconstruction(

@@ -1,0 +1,42 @@
+"""Derivatives by conjugate gradients with the factorisation of a nearby tangent."""
+
+import numpy as np
+import pytest
+
+from tactorch.fem import SoftBody, Supports, make_material
+from tactorch.fem.boundary import pressure_forces
+from tactorch.mesh import box_mesh, face_nodes
+
+
+@pytest.fixture(scope="module")
+def state():
+    mesh = box_mesh(10.0, 4, tets_per_cell=5)
+    body = SoftBody(mesh, make_material("neo_hookean", 0.45), element="tet10")
+    fixed = np.zeros((mesh.n_points, 3), dtype=bool)
+    fixed[face_nodes(mesh, "z-")] = True
+    youngs = np.linspace(0.1, 0.5, mesh.n_tets)
+    forces = np.asarray(pressure_forces(body.discretisation, "z+", 0.02))
+    search = body.search(youngs, forces, Supports(fixed=fixed))
+    return search, search.run().require(), youngs
+
+
+def test_they_are_those_of_a_factorisation_to_the_tolerance(state):
+    search, equilibrium, youngs = state
+    changes = np.random.default_rng(0).normal(size=(3, len(youngs))) * youngs
+    iterative = search.linearize(equilibrium, rtol=1e-6).displacement_changes(changes)
+    rough = search.linearize(equilibrium, rtol=1e-2).displacement_changes(changes)
+    exact = search.linearize(equilibrium)
+    for change, close, far in zip(changes, iterative, rough, strict=True):
+        expected = exact.displacement_change(change)
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(close, expected, atol=1e-5 * scale)
+        np.testing.assert_allclose(far, expected, atol=0.1 * scale)
+
+
+def test_without_a_factorisation_the_tangent_is_factored(state):
+    search, equilibrium, youngs = state
+    expected = search.linearize(equilibrium).displacement_change(youngs)
+    linearization = search.linearize(equilibrium, rtol=1e-3)
+    linearization.lease.transfer_factorization()
+    found = linearization.displacement_change(youngs)
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
