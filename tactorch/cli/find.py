@@ -7,7 +7,8 @@
 Inclusions with sharp boundaries are fitted to the presses, as many as their evidence supports. With
 shapes=false the lumps are regions of the run's map. The text is printed, and written with its
 numbers to finding.txt and finding.json in the run's folder; the shapes are written to shapes.json,
-which `tactorch report` reads.
+which `tactorch report` reads, and drawn in shapes.png beside
+the map.
 """
 
 from dataclasses import dataclass
@@ -45,6 +46,7 @@ class FindOptions(UnitCheck, CommandOptions):
         True, "Compute the confidence in regions of the map: solves the presses again"
     )
     max_lumps: int = option(5, "Largest number of lumps", ge=1)
+    plots: bool = option(True, "Draw shapes.png")
     out: Path | None = option(None, "Folder of finding.txt and finding.json; null: the run's")
 
 
@@ -85,6 +87,13 @@ def _find_shapes(run: Run, recording: Recording, options: FindOptions, out: Path
         log.warning("no shapes can be fitted, lumps are regions of the map: %s", error)
         return None
     write_json(out / SHAPES, shapes.plain())
+    if options.plots:
+        from tactorch.viz import save_figure, shape_figure
+
+        figure = shape_figure(
+            recording.mesh, shapes, youngs=run.result.youngs, truth=recording.truth
+        )
+        log.info("picture: %s", save_figure(figure, out / "shapes.png"))
     return build_shape_finding(recording, shapes)
 
 

@@ -24,7 +24,15 @@ History = Sequence[Mapping[str, Any]]
 # Results in the folder of an inversion: its own, and those of other commands.
 _RESULTS = (
     *("reconstruction.h5", "reconstruction.vtu", "slices.png", "convergence.png", "summary.json"),
-    *("summary.txt", CHECKPOINT, "finding.txt", "finding.json", SHAPES, "report.html"),
+    *(
+        "summary.txt",
+        CHECKPOINT,
+        "finding.txt",
+        "finding.json",
+        SHAPES,
+        "shapes.png",
+        "report.html",
+    ),
 )
 
 

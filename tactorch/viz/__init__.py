@@ -5,6 +5,7 @@ No text is parsed as mathtext, because names may come from files.
 
 from tactorch.viz.convergence import convergence_figure
 from tactorch.viz.figure import save_figure
+from tactorch.viz.shapes import shape_figure
 from tactorch.viz.slices import slice_figure
 from tactorch.viz.uncertainty import (
     calibration_figure,
@@ -22,5 +23,6 @@ __all__ = [
     "layer_figure",
     "sampling_figure",
     "save_figure",
+    "shape_figure",
     "slice_figure",
 ]

@@ -1,29 +1,58 @@
 """`tactorch find`: what a run's map shows, in words and numbers."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
+from tactorch.errors import FileError
+from tactorch.findings import build_shape_finding
 from tactorch.learning.recognizer import Recognizer
+from tactorch.report import load_run
+from tactorch.report.assessment import assess
 
 
 def test_lumps_are_told_with_how_sure_they_are(tactorch: Any, finished_run: Path) -> None:
-    done = tactorch("find", finished_run)
+    done = tactorch("find", finished_run, "shapes=false", "out=.")
     assert done.status == 0, done.err
-    text = (finished_run / "finding.txt").read_text()
+    text = Path("finding.txt").read_text()
     assert text.strip() in done.out
-    values = json.loads((finished_run / "finding.json").read_text())
+    values = json.loads(Path("finding.json").read_text())
     for lump in values["lumps"]:
         assert 0.0 <= lump["probability"] <= 1.0
         assert lump["depth_mm"] > 0
-    assert "Given noise and prior" in text or "No lump" in text
+    assert ("Given noise and prior" in text) == (values["status"] == "found")
+
+
+def test_shapes_are_fitted_and_shown_by_the_report(tactorch: Any, finished_run: Path) -> None:
+    folder = Path("run")
+    shutil.copytree(finished_run, folder)
+    done = tactorch("find", folder)
+    assert done.status == 0, done.err
+    values = json.loads((folder / "finding.json").read_text())
+    assert values["status"] in {"found", "nothing found", "cannot tell"}
+    assert 0.0 <= values["probability"] <= 1.0
+    for lump in values["lumps"]:
+        low, high = lump["mean_90_mpa"]
+        assert low < lump["mean_mpa"] < high
+    run = load_run(folder)
+    assert run.shapes is not None
+    assert run.recording is not None
+    finding = build_shape_finding(run.recording, run.shapes)
+    assert finding.plain() == values
+    assert assess(run, uncertainty=False).finding.plain() == values
+    (folder / "shapes.json").write_text("{}")
+    with pytest.raises(FileError, match="tactorch find"):
+        load_run(folder)
 
 
 def test_without_uncertainty_nothing_is_said_of_it(tactorch: Any, finished_run: Path) -> None:
-    done = tactorch("find", f"run={finished_run}", "uncertainty=false", "out=elsewhere")
+    done = tactorch(
+        "find", f"run={finished_run}", "shapes=false", "uncertainty=false", "out=elsewhere"
+    )
     assert done.status == 0, done.err
     assert "Given noise and prior" not in Path("elsewhere/finding.txt").read_text()
 
@@ -32,7 +61,9 @@ def test_a_recognizer_names_the_shape(tactorch: Any, finished_run: Path) -> None
     network = Recognizer(["cake", "cone"], hidden=2)
     content = {"state_dict": network.state_dict(), "hyper_parameters": dict(network.hparams)}
     torch.save(content, "best.ckpt")
-    done = tactorch("find", finished_run, "uncertainty=false", "recognizer=best.ckpt", "out=.")
+    done = tactorch(
+        "find", finished_run, "shapes=false", "uncertainty=false", "recognizer=best.ckpt", "out=."
+    )
     assert done.status == 0, done.err
     shapes = json.loads(Path("finding.json").read_text())["shapes"]
     assert set(shapes) == {"cake", "cone"}
@@ -47,7 +78,7 @@ def test_a_recognizer_names_the_shape(tactorch: Any, finished_run: Path) -> None
         (("run=RUN", "max_lumps=0"), "max_lumps=0"),
         (("run=RUN", "max_lumps=x"), "max_lumps='x': give a whole number"),
         (("run=RUN", "recording=gone.h5"), "gone.h5"),
-        (("run=RUN", "uncertainty=false", "recognizer=gone.ckpt"), "gone.ckpt"),
+        (("run=RUN", "shapes=false", "uncertainty=false", "recognizer=gone.ckpt"), "gone.ckpt"),
     ],
 )
 def test_wrong_input(

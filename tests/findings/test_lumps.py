@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError, MeshError
-from tactorch.findings import build_finding, find_lumps
+from tactorch.findings import Status, build_finding, find_lumps
 from tactorch.findings.finding import measure_depth
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording
@@ -74,7 +74,10 @@ def test_specks_are_left_out():
 
 def test_nothing_is_found_in_a_uniform_body():
     assert find_lumps(MESH, np.full(MESH.n_tets, 0.2)) == []
-    assert "No lump" in build_finding(recording(), np.full(MESH.n_tets, 0.2)).text()
+    finding = build_finding(recording(), np.full(MESH.n_tets, 0.2))
+    assert finding.status is Status.NOTHING
+    assert finding.text().startswith("Nothing found: ")
+    assert finding.plain()["status"] == "nothing found"
 
 
 @settings(max_examples=25)

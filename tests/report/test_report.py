@@ -94,7 +94,9 @@ def at_its_bounds(run: Run) -> Run:
 def test_an_alarm_stands_before_the_finding(run_folder: Path, tmp_path: Path) -> None:
     run = load_run(run_folder)
     page = page_of(at_its_bounds(run), tmp_path, uncertainty=False)
-    assert page.index("Do not trust this map") < page.index("100% of it is") < page.index("<h1")
+    assert (
+        page.index("Do not trust this map") < page.index("100% of the map is") < page.index("<h1")
+    )
     assert 'class="unreliable"' in page
     assert "Do not trust this map" not in page_of(run, tmp_path, uncertainty=False)
 
@@ -106,7 +108,7 @@ def test_warnings_are_those_of_the_summary(run_folder: Path) -> None:
     assert run.recording is not None
     summary = summarise(run.recording, run.result, None, "x")
     (warning,) = run.result.warnings
-    assert summary["warnings"] == [warning]
+    assert list(summary["warnings"]) == [warning]
     assert f"DO NOT TRUST THIS MAP: {warning}" in describe(run.recording, run.result, None, summary)
 
 

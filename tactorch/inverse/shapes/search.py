@@ -156,6 +156,7 @@ class _Search:
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
         self.recording, self._settings = recording, settings
+        self._element = settings.element if _same_model(recording) else "tet10"
         self._set_problems()
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.matched = MatchedFilter.of(self.linear, youngs)
@@ -168,6 +169,8 @@ class _Search:
         The data are the same. The search and the model are returned as they are where the mesh is
         fine enough.
         """
+        if _same_model(self.recording):
+            return self, model
         sizing = inclusion_sizing(list(model.fit.field.shapes(model.fit.z)))
         refinement = refine(self.recording.mesh, sizing)
         if refinement.mesh is self.recording.mesh:
@@ -195,7 +198,7 @@ class _Search:
                 derivative_rtol=derivative_rtol,
             )
 
-        self.quadratic = problem("tet10", _DERIVATIVE_RTOL)
+        self.quadratic = problem(self._element, _DERIVATIVE_RTOL)
         self.sites = Sites.of(self.quadratic.body.assembly)
         self.linear = problem("tet4")
         self.linear_sites = Sites.of(self.linear.body.assembly)
@@ -347,7 +350,9 @@ def find_shapes(
 
     Args:
         recording: Presses on an object.
-        settings: Noise, solver, bounds and equilibrium search are used; elements are quadratic.
+        settings: Noise, solver, bounds and equilibrium search are used. Elements are quadratic, and
+            smaller than those of the recording where it needs that, unless the provenance states
+            that the presses were computed on the recording's mesh.
         max_shapes: Largest number of inclusions.
 
     Raises:
@@ -355,7 +360,9 @@ def find_shapes(
         ConvergenceError: with no uniform modulus do all presses have an equilibrium.
     """
     settings = settings or Settings()
-    search = _Search(refine_recording(recording, contact_sizing(recording)), settings)
+    if not _same_model(recording):
+        recording = refine_recording(recording, contact_sizing(recording))
+    search = _Search(recording, settings)
     model = search.uniform()
     history = [_record("uniform", model)]
     _log.info("uniform: chi2 %.4g", model.fit.chi2)
@@ -375,6 +382,11 @@ def find_shapes(
         fit.field, fit.z, max(1.0, fit.chi2) * fit.covariance, fit.chi2, each, any_,
         model.force_deviation, search.unexplained(fit), tuple(history),
     )  # fmt: skip
+
+
+def _same_model(recording: Recording) -> bool:
+    """Whether the presses were computed on the recording's mesh, which then is the object."""
+    return bool(recording.provenance.get("inverse_crime"))
 
 
 def _record(what: str, model: _Model) -> dict[str, Any]:

@@ -1,0 +1,84 @@
+"""Findings from shapes: found, nothing found, cannot tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactorch.findings import Status, build_finding, build_shape_finding
+from tactorch.inverse.shapes import ShapeReconstruction
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.mesh import box_mesh
+from tactorch.phantoms import make_phantom
+from tactorch.simulation import PressPlan, simulate
+
+MESH = box_mesh(10.0, 6, tets_per_cell=5)
+FIELD = ShapeField(ShapePrior.of(MESH, 0.2), (True,))
+VALUES = [np.log(0.2), 5.0, 5.0, 6.0, np.log(2.0), np.log(4.0), 0.3, 0.0, 0.0, 0.0, 0.0]
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
+
+
+@pytest.fixture
+def shapes():
+    """An ellipsoid of 0.8 MPa in 0.2 MPa, its parameters known to 2 % of the prior."""
+    z = FIELD.standard(np.array(VALUES))
+    return ShapeReconstruction(FIELD, z, 4e-4 * np.eye(len(z)), 1.0, (50.0,), 50.0)
+
+
+def test_a_shape_becomes_a_lump_with_intervals(recording, shapes):
+    finding = build_shape_finding(recording, shapes)
+    (lump,) = finding.lumps
+    (shape,) = FIELD.shapes(shapes.z)
+    assert finding.status is Status.FOUND
+    assert lump.inclusion.mean_mpa == pytest.approx(0.8)
+    assert lump.inclusion.contrast == pytest.approx(4.0)
+    assert lump.inclusion.equivalent_radius_mm == pytest.approx(2.0)
+    assert lump.depth.center_mm == pytest.approx(4.0)
+    assert np.prod(lump.size_mm) == pytest.approx(np.prod(2.0 * np.array(shape.semi_axes_mm)))
+    low, high = lump.confidence.youngs_mpa
+    deviation = 0.02 * np.hypot(FIELD.prior.background, FIELD.prior.log_contrast)
+    assert np.log(high / low) == pytest.approx(2 * 1.645 * deviation, rel=0.1)
+    text = finding.text()
+    assert "A stiff lump at (5.00, 5.00, 6.00) mm, 4.00 mm below the pressed side z+" in text
+    assert f"{low:.2g} to {high:.2g} MPa" in text
+    assert "more than 99.9 %" in text
+
+
+def test_soft_shapes_are_soft(recording, shapes):
+    values = [*VALUES[:5], np.log(0.25), *VALUES[6:]]
+    finding = build_shape_finding(recording, replace(shapes, z=FIELD.standard(np.array(values))))
+    assert finding.lumps[0].inclusion.side == "soft"
+    assert "4 times as soft" in finding.text()
+
+
+def test_a_doubtful_shape_is_no_lump(recording, shapes):
+    finding = build_shape_finding(recording, replace(shapes, log_odds=(2.0,), log_odds_any=2.0))
+    assert finding.status is Status.NOTHING
+    assert finding.probability == pytest.approx(0.88, abs=0.01)
+    assert finding.text().startswith("Nothing found: ")
+
+
+def test_presses_that_no_model_explains_cannot_tell(recording, shapes):
+    finding = build_shape_finding(recording, replace(shapes, unexplained=0.3))
+    assert finding.status is Status.UNKNOWN
+    assert finding.lumps == ()
+    assert "30% of the displacements unexplained" in finding.text()
+
+
+def test_a_map_that_is_not_to_be_trusted_cannot_tell(recording):
+    youngs = np.full(MESH.n_tets, 0.2)
+    youngs[:50] = 100.0
+    finding = build_finding(recording, youngs, reasons=("it is at its bounds.",))
+    assert finding.status is Status.UNKNOWN
+    assert finding.lumps == ()
+    assert finding.plain()["reasons"] == ["it is at its bounds."]
+
+
+def test_a_shape_between_elements_has_the_nearest_one(recording, shapes):
+    values = [*VALUES[:4], np.log(0.05), *VALUES[5:]]
+    finding = build_shape_finding(recording, replace(shapes, z=FIELD.standard(np.array(values))))
+    assert finding.lumps[0].inclusion.elements.sum() == 1
