@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from tactorch.fem import SoftBody, Supports, make_material
     from tactorch.findings import build_finding, find_lump
     from tactorch.importers import import_published
-    from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
+    from tactorch.inverse import GaussNewton, Reconstruction, Settings, find_shapes, invert
     from tactorch.mesh import TetMesh, read_mesh, tetrahedralize
     from tactorch.metrics import find_inclusion, scores
     from tactorch.phantoms import Phantom, make_phantom
@@ -22,7 +22,7 @@ _HOMES = {
     "tactorch.findings": ("find_lump", "build_finding"),
     "tactorch.fem": ("SoftBody", "Supports", "make_material"),
     "tactorch.importers": ("import_published",),
-    "tactorch.inverse": ("GaussNewton", "Reconstruction", "Settings", "invert"),
+    "tactorch.inverse": ("GaussNewton", "Reconstruction", "Settings", "find_shapes", "invert"),
     "tactorch.mesh": ("TetMesh", "read_mesh", "tetrahedralize"),
     "tactorch.metrics": ("find_inclusion", "scores"),
     "tactorch.phantoms": ("Phantom", "make_phantom"),
@@ -46,6 +46,7 @@ __all__ = [
     "build_finding",
     "find_inclusion",
     "find_lump",
+    "find_shapes",
     "import_published",
     "invert",
     "make_material",

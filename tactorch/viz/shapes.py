@@ -13,6 +13,7 @@ from tactorch.viz.figure import MODULUS_LABEL, new_grid
 from tactorch.viz.slicing import AXES, IN_PLANE, Slice, colour_scale, slices_at
 
 _PANEL_INCHES = 2.3
+_NAMES = {"map": "map by element", "shapes": "shapes", "truth": "truth by element"}
 _PIXELS = 160
 
 
@@ -82,5 +83,5 @@ def _label(axes: Axes, piece: Slice, name: str, *, first: bool, last: bool) -> N
     axes.tick_params(labelsize=7)
     if last:
         axes.set_xlabel(f"{AXES[across]} (mm)", fontsize=8)
-    prefix = f"{name}\n" if first else ""
+    prefix = f"{_NAMES[name]}\n" if first else ""
     axes.set_ylabel(f"{prefix}{AXES[up]} (mm)", fontsize=8)

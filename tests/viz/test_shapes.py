@@ -39,7 +39,7 @@ def test_map_and_truth_are_rows(shapes):
     figure = shape_figure(MESH, shapes, youngs=youngs, truth=truth)
     panels = [axes for axes in figure.axes if axes.images]
     labels = [axes.get_ylabel().split("\n")[0] for axes in panels[::3]]
-    assert labels == ["map", "shapes", "truth"]
+    assert labels == ["map by element", "shapes", "truth by element"]
     assert float(panels[0].images[0].get_array().max()) == pytest.approx(0.3)
     assert float(panels[6].images[0].get_array().min()) == pytest.approx(0.4)
 

@@ -243,7 +243,7 @@ class _Search:
             # A start inside a ball that was fitted already would lead to it again.
             if not any(_is_inside(start, proposal) for proposal in proposals):
                 gain, z = self._try(start, model, offsets)
-                _log.info("  proposal: %s, gain %.4g", start.what, gain)
+                _log.debug("proposal: %s, gain %.4g", start.what, gain)
                 if len(start.field.distorted) > len(fit.field.distorted):
                     z = _moderate(start.field, z)
                 proposals.append(_Proposal(start.what, start.field, z, start.force_deviation, gain))
@@ -267,7 +267,7 @@ class _Search:
             logs = np.linalg.slogdet(columns.T @ columns + np.eye(len(fit.z)))[1]
             evidence = -value - 0.5 * (logs + data.log_determinant)
             gain = float(evidence - fit.log_evidence(inflation))
-            _log.info("  proposal: forces wrong by %g, gain %.4g", level, gain)
+            _log.debug("proposal: forces wrong by %g, gain %.4g", level, gain)
             what = f"forces wrong by {level:.0%}"
             proposals.append(_Proposal(what, fit.field, fit.z, level, gain))
         return proposals
@@ -365,7 +365,7 @@ def find_shapes(
     search = _Search(recording, settings)
     model = search.uniform()
     history = [_record("uniform", model)]
-    _log.info("uniform: chi2 %.4g", model.fit.chi2)
+    _log.info("uniform body: chi2 %.4g", model.fit.chi2)
     for _ in range(_MAX_MODELS):
         proposals = search.propose(model, max_shapes)
         accepted = _accept(search, model, [p for p in proposals if p.gain > _MIN_GAIN])
@@ -375,7 +375,7 @@ def find_shapes(
         history.append(_record(proposal.what, model))
     search, model = search.refined(model)
     history.append(_record("finer mesh at the inclusions", model))
-    _log.info("refined to %d elements: chi2 %.4g", search.linear.n_elements, model.fit.chi2)
+    _log.info("mesh of %d elements: chi2 %.4g", search.linear.n_elements, model.fit.chi2)
     each, any_ = search.log_odds(model)
     fit = model.fit
     return ShapeReconstruction(
@@ -403,7 +403,7 @@ def _accept(
             trial = search.fit(proposal, model.evaluation.displacements)
             inflation = max(1.0, min(model.fit.chi2, trial.fit.chi2))
             gain = trial.fit.log_evidence(inflation) - model.fit.log_evidence(inflation)
-            _log.info("%s: chi2 %.4g, gain %.4g", proposal.what, trial.fit.chi2, gain)
+            _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, gain)
             if gain > _MIN_GAIN:
                 return proposal, trial
     return None
