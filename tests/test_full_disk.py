@@ -64,7 +64,10 @@ assert not [p for p in folder.iterdir() if ".part" in p.name or p.suffix == ".ck
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no limit of a file's size")
-@pytest.mark.parametrize("what", ["save", "append", "reconstruction", "arrays", "train"])
+@pytest.mark.parametrize(
+    "what",
+    ["save", "append", "reconstruction", "arrays", pytest.param("train", marks=pytest.mark.slow)],
+)
 def test_a_full_disk_is_one_error(what: str, tmp_path: Path) -> None:
     learning = Path(__file__).parent / "learning"
     command = [

@@ -10,6 +10,7 @@ from tactorch.mesh import box_mesh
 NAME = "credibility"
 
 
+@pytest.mark.slow
 def test_profiles_run_from_the_top_and_keep_the_sum(benchmark: ModuleType):
     mesh = box_mesh(1.0, 3, tets_per_cell=5)
     values = benchmark.compute_metric(mesh, 5.0, 0.1)

@@ -167,6 +167,7 @@ def tiny(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return benchmark
 
 
+@pytest.mark.slow
 def test_a_tiny_case_from_end_to_end(
     tiny: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -63,6 +63,7 @@ def test_wrong_settings_of_generate(
     assert all(word in done.err for word in words), done.err
 
 
+@pytest.mark.slow
 def test_train_learns_and_resumes(tactorch: Any, folder: Path, tmp_path: Path) -> None:
     """Two epochs and two more are four; the curve has them all."""
     if not (folder / "manifest.json").is_file():

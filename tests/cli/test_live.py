@@ -25,6 +25,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 QUICK = ("pause_seconds=0", "poll_seconds=0.01", "max_iterations=2", "suggest.candidates=4")
 
 
+@pytest.mark.slow
 def test_a_played_recording_leaves_picture_page_and_map(
     tactorch: Callable[..., Any], recording: Path
 ) -> None:

@@ -126,6 +126,7 @@ def test_interruption_writes_the_best_map_and_says_so(
     assert load().iterations == 1
 
 
+@pytest.mark.slow
 def test_demo_resumes_too(tactorch: Any, published: Path) -> None:
     case = ("source=published", f"path={published}")
     assert tactorch("demo", *case, *RUN, "optimizer.max_iterations=1").status == 0

@@ -236,6 +236,7 @@ def test_map_is_chosen_by_presses_left_out(tactorch: Any, files: Path, tmp_path:
 # ---------------------------------------------------------------- frames
 
 
+@pytest.mark.slow
 def test_track_tells_displacements_and_what_is_faulty(
     tactorch: Any, files: Path, tmp_path: Path
 ) -> None:
@@ -295,6 +296,7 @@ def test_reconstruct_tells_depth(
     assert {path.name for path in run.glob("depth*")} == {"depth.csv", "depth-0000.png"}
 
 
+@pytest.mark.slow
 def test_force_is_told_of_each_frame(
     tactorch: Any, files: Path, calibration: Path, tmp_path: Path
 ) -> None:

@@ -137,6 +137,7 @@ class DrawnCamera:
         return self.began_unix_s + self.now_s - 100.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("as_they_end", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_camera_and_poses_by_unix_time(
     tactorch: Any, files: Path, calibration: Path, tmp_path: Path,

@@ -89,6 +89,7 @@ def test_invert_uses_the_prior_and_the_material(folder: Path, press: str) -> Non
     assert run(folder, "-c", RESULT).stdout.split() == ["True", "ridge", "yeoh_extra"]
 
 
+@pytest.mark.slow
 def test_settings_of_the_package_are_checked_and_documented(folder: Path, press: str) -> None:
     command = ("-m", "tactorch", "invert", f"recording={press}", "regularization=ridge")
     done = run(folder, *command, "regularization.level_mpa=-1")
@@ -98,6 +99,7 @@ def test_settings_of_the_package_are_checked_and_documented(folder: Path, press:
     assert "Expected modulus" in shown
 
 
+@pytest.mark.slow
 def test_without_the_package_the_names_are_unknown(folder: Path, press: str) -> None:
     command = ("-m", "tactorch", "invert", f"recording={press}", "run_dir=none")
     done = run(folder, *command, "regularization=ridge", installed=False)

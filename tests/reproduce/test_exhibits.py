@@ -82,6 +82,7 @@ def test_credibility_falls_with_depth(out):
     assert np.all(np.array(softest) > np.array(stiffest))
 
 
+@pytest.mark.slow
 def test_table1_holds_both_methods_beside_the_paper(out):
     text = made("table1", out)
     table = {r["model"]: r for r in rows(out, "table1")}

@@ -16,6 +16,7 @@ from tactorch.sampling.loop import HISTORY, RESULT, STATE
 from tactorch.sampling.sources import replay
 
 
+@pytest.mark.slow
 def test_a_recording_that_another_process_writes_is_followed_to_its_end(live: Any) -> None:
     source = live.path.parent / "whole.h5"
     live.whole.save(source)
@@ -52,6 +53,7 @@ def test_the_last_map_is_close_to_that_of_a_whole_inversion(live: Any) -> None:
     assert "no press came" in ended.reason
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_goes_on_to_the_same_map(
     live: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
