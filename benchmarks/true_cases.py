@@ -2,7 +2,8 @@
 
 The presses are solved with quadratic elements on a mesh that follows the object's interfaces and is
 refined at them and under the contact (`true_meshes.py`); the recording is on a coarser mesh of the
-body that knows nothing of its inside. It carries neither truth nor provenance.
+body that knows nothing of its inside. Under patches and fingers it is fine enough for their
+tractions, and on curved surfaces for the outline there. It carries neither truth nor provenance.
 """
 
 import hashlib
@@ -15,7 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from true_meshes import LabelledMesh, Sizing, labels_at, make_truth_mesh, refine_everywhere
+from true_meshes import (
+    LabelledMesh,
+    Sizing,
+    labels_at,
+    make_truth_mesh,
+    refine,
+    refine_everywhere,
+)
 
 from tactorch.fem import ELEMENTS, Discretisation, NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.boundary import pressure_forces
@@ -44,6 +52,7 @@ VOXELS = 36
 MATERIAL = MaterialSpec("neo_hookean", 0.45)
 SPRING_N_PER_MM = 1.0  # of each supported node of the recording's mesh
 FORCE_ERROR, MISPLACEMENT_MM = 0.05, 0.3
+RECORDED_PER_RADIUS = 0.4  # edge length of the recording's mesh under a contact, over its radius
 Point = tuple[float, float, float]
 _FLANK = 0.5  # smallest cosine between a finger's push and the surface under it
 _FINGER_POINTS = 8  # along the edge of a triangle, for the pressure of a finger
@@ -159,6 +168,27 @@ class Presses:
     held_face: str | None = None  # None: springs
     refined_mm: float | None = None  # edge length of the truth mesh under the contacts
 
+    @property
+    def recorded_mm(self) -> float | None:
+        """Edge length of the recording's mesh under the contacts; None for whole sides."""
+        radius = self.contacts[0].radius_mm
+        return None if radius is None else RECORDED_PER_RADIUS * radius
+
+    def sizing(self, edge_mm: float, growth: float) -> Sizing:
+        """Return the edge length `edge_mm` under the contacts, plus `growth` times the distance."""
+
+        def sizes(points: np.ndarray) -> np.ndarray:
+            out = np.full(len(points), np.inf)
+            for contact in self.contacts:
+                offsets = points - np.array(contact.center_mm)
+                depth = offsets @ contact.direction
+                across = np.linalg.norm(offsets - np.outer(depth, contact.direction), axis=1)
+                beyond = np.maximum(across - float(contact.radius_mm or 0.0), 0.0)
+                out = np.minimum(out, edge_mm + growth * np.hypot(beyond, depth))
+            return out
+
+        return sizes
+
 
 @dataclass(frozen=True, eq=False)
 class Body:
@@ -186,9 +216,13 @@ class Body:
             out[labels == index + 1] = k
         return out
 
-    def mesh(self) -> TetMesh:
+    def mesh(self, presses: Presses) -> TetMesh:
         """Return the recording's mesh, which does not depend on the inclusions."""
-        return Phantom(self.phantom.body).mesh(self.edge_mm)
+        outline = Phantom(self.phantom.body)
+        mesh = outline.mesh(self.edge_mm)
+        if presses.recorded_mm is None:
+            return mesh
+        return refine(outline, mesh, presses.sizing(presses.recorded_mm, 1.0)).mesh
 
     def sizing(self, presses: Presses) -> Sizing:
         """Return the edge length of the truth mesh: small at interfaces and under contacts."""
@@ -200,13 +234,7 @@ class Body:
                 near = self.interface_mm + 0.4 * np.abs(shape.signed_distance(points))
                 out = np.minimum(out, near)
             if presses.refined_mm is not None:
-                for contact in presses.contacts:
-                    offsets = points - np.array(contact.center_mm)
-                    depth = offsets @ contact.direction
-                    across = np.linalg.norm(offsets - np.outer(depth, contact.direction), axis=1)
-                    beyond = np.maximum(across - float(contact.radius_mm or 0.0), 0.0)
-                    distance = np.hypot(beyond, depth)
-                    out = np.minimum(out, presses.refined_mm + 0.5 * distance)
+                out = np.minimum(out, presses.sizing(presses.refined_mm, 0.5)(points))
             return out
 
         return sizes
@@ -430,6 +458,7 @@ class Solution:
             "format": FORMAT,
             "phantom": body.phantom.to_config(),
             "meshes": [body.edge_mm, body.truth_edge_mm, body.interface_mm],
+            **({"recorded_mm": presses.recorded_mm} if presses.recorded_mm else {}),
             "presses": asdict(presses),
             "misplaced": self.misplaced_mm,
             "material": [MATERIAL.name, MATERIAL.poisson, SPRING_N_PER_MM],
@@ -451,7 +480,7 @@ class Solution:
     def solve(self) -> Recording:
         """Solve the presses on the truth mesh."""
         body, presses = OBJECTS[self.object](), PRESSES[self.presses]
-        mesh = body.mesh()
+        mesh = body.mesh(presses)
         truth = make_truth_mesh(body.phantom, body.truth_edge_mm, body.sizing(presses))
         motions = self._motions(body, presses, mesh, truth, presses.pressures)
         recorded = []

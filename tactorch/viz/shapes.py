@@ -30,7 +30,7 @@ def shape_figure(
     Args:
         mesh: Mesh of the body, mm.
         shapes: Result of `find_shapes`. Its boundaries are sharp, between elements too.
-        youngs: Map of the same presses, MPa (m,), as a row of its own.
+        youngs: Map of the same presses, MPa (m,), as a separate row.
         truth: True modulus of each element, MPa (m,), likewise.
         cmap: Name of a matplotlib colour map.
 

@@ -272,8 +272,8 @@ def test_the_lowest_point_seen_is_the_result(
     seen: list[float] = []
     evaluate = InverseProblem.evaluate
 
-    def watched(problem: InverseProblem, *args: Any) -> Any:
-        found = evaluate(problem, *args)
+    def watched(problem: InverseProblem, *args: Any, **kwargs: Any) -> Any:
+        found = evaluate(problem, *args, **kwargs)
         seen.append(found.misfit_mm2)
         if end == "interruption" and len(seen) == 12:
             raise KeyboardInterrupt

@@ -97,9 +97,10 @@ def test_a_flat_map_speaks_for_more_weight(point: Point) -> None:
 
 
 def test_other_parameters_say_the_same(point: Point) -> None:
-    scaled = replace(point.objective, parameterization=Scaled())
+    elements = replace(point.objective.elements, parameterization=Scaled())
+    scaled = replace(point.objective, field=elements)
     other = scaled.at(scaled.start(point.youngs))
-    chain = scaled.parameterization.slope(other.x) / other.youngs
+    chain = elements.parameterization.slope(other.x) / other.youngs
     found, expected = variational_posterior(other, 1.0), variational_posterior(point, 1.0)
     np.testing.assert_allclose(found.deviation() * chain, expected.deviation(), rtol=1e-3)
 
@@ -116,7 +117,8 @@ def test_refusals(point: Point) -> None:
         variational_posterior(point, 0.0)
     smooth = PRIORS.build("smoothness").on(point.objective.problem.recording.mesh)
     with pytest.raises(ConfigError, match="total variation without a mean"):
-        variational_posterior(replace(point.objective, prior=smooth).at(point.x), 1.0)
+        elements = replace(point.objective.elements, prior=smooth)
+        variational_posterior(replace(point.objective, field=elements).at(point.x), 1.0)
 
 
 @pytest.mark.parametrize("given", [True, False])

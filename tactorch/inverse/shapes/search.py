@@ -156,7 +156,9 @@ class _Search:
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
         self.recording, self._settings = recording, settings
-        self._element = settings.element if _same_model(recording) else "tet10"
+        self._element = "tet10"
+        if _same_model(recording):
+            self._element = str(recording.provenance.get("element", settings.element))
         self._set_problems()
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.matched = MatchedFilter.of(self.linear, youngs)
