@@ -116,8 +116,8 @@ def test_refusals(point: Point) -> None:
     with pytest.raises(ConfigError, match="weight=0"):
         variational_posterior(point, 0.0)
     smooth = PRIORS.build("smoothness").on(point.objective.problem.recording.mesh)
+    elements = replace(point.objective.elements, prior=smooth)
     with pytest.raises(ConfigError, match="total variation without a mean"):
-        elements = replace(point.objective.elements, prior=smooth)
         variational_posterior(replace(point.objective, field=elements).at(point.x), 1.0)
 
 
