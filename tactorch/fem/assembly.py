@@ -161,8 +161,10 @@ class Assembly:
             values = self._general_blocks(response, weights)
         else:
             # Values of the pattern; to be projected, the entries of each element by itself.
-            values = np.zeros(d.slots.size if project else d.pattern.nnz)
-            slots = np.arange(d.slots.size, dtype=np.int32).reshape(d.slots.shape)
+            values, slots = np.zeros(d.pattern.nnz), d.slots
+            if project:
+                values = np.zeros(d.slots.size)
+                slots = np.arange(d.slots.size, dtype=np.int32).reshape(d.slots.shape)
             coefficients = np.empty((9, *weights.shape))
             for row, derivative in zip(coefficients, response.derivatives[1:], strict=True):
                 row[...] = derivative
@@ -173,7 +175,7 @@ class Assembly:
                 mean = response.mean.djj * average / self.volumes
             kernels.tangent(
                 self.gradients, response.F, response.cofactors, response.invariants, coefficients,
-                weights, self.weights, mean, slots if project else d.slots, values,
+                weights, self.weights, mean, slots, values,
             )  # fmt: skip
         if project:
             values = self._positive_blocks(values.reshape(d.slots.shape))

@@ -17,7 +17,7 @@ from tactorch.fem.elements import ELEMENTS, Discretisation
 from tactorch.fem.equilibrium import Equilibrium, LoadCases
 from tactorch.fem.materials import Material
 from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
-from tactorch.linalg import SolverOptions, SolverPool
+from tactorch.linalg import SharedLease, SolverOptions, SolverPool
 from tactorch.mesh import TetMesh
 
 
@@ -116,6 +116,7 @@ class SoftBody:
         case: int = 0,
         assembly: Assembly | None = None,
         after: Newton | None = None,
+        lease: SharedLease | None = None,
     ) -> Newton:
         """Return the equilibrium search of one load case, for use without autograd.
 
@@ -128,6 +129,7 @@ class SoftBody:
             after: Search with a similar tangent whose factorisation is reused, so that the first
                 steps need no factorisation and large meshes memory for one only. The search
                 `after` then has to factor again.
+            lease: Factorisations that the search shares with others of similar tangents.
         """
         self._check(youngs, forces)
         return Newton(
@@ -138,6 +140,7 @@ class SoftBody:
             supports.case(case, self.discretisation),
             self.newton,
             after,
+            lease,
         )
 
     def with_parameters(

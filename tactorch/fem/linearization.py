@@ -17,7 +17,7 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem import kernels, reference
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.linalg import SymmetricPattern, conjugate_gradients
-from tactorch.linalg.pool import Lease
+from tactorch.linalg.pool import Lease, SharedLease
 from tactorch.linalg.solver import IndefiniteError
 
 _MAX_COLUMNS = 256  # right-hand sides solved at once; bounds the memory on large meshes
@@ -39,7 +39,7 @@ class Linearization:
     tangent: Float[np.ndarray, " nnz"]  # K, with the rows of fixed unknowns reduced to the diagonal
     fixed: Bool[np.ndarray, " size"]
     pattern: SymmetricPattern  # of the tangent
-    lease: Lease  # solver that factors K
+    lease: Lease | SharedLease  # solver that factors K
     # Where positive: solutions are iterative, to this relative residual, preconditioned by the
     # factorisation of a nearby tangent that the lease has.
     rtol: float = 0.0
@@ -49,7 +49,11 @@ class Linearization:
 
         Iterative solvers may find this only in `solve`, and multigrid may not find it at all.
         """
-        if self.lease.factored is not self.tangent and not self.lease.factor(self.tangent):
+        with self.lease.hold() as lease:
+            self._factor(lease)
+
+    def _factor(self, lease: Lease) -> None:
+        if lease.factored is not self.tangent and not lease.factor(self.tangent):
             raise ConvergenceError(_UNSTABLE)
 
     def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
@@ -57,20 +61,25 @@ class Linearization:
         if self.fixed.any():
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
-        if self.rtol > 0.0 and (solution := self._iterate(rhs)) is not None:
-            return solution
-        self.factor()
-        try:
-            return self.lease.solve(rhs)
-        except IndefiniteError as error:
-            raise ConvergenceError(_UNSTABLE) from error
+        with self.lease.hold() as lease:
+            if self.rtol > 0.0 and (solution := self._iterate(lease, rhs)) is not None:
+                return solution
+            self._factor(lease)
+            if lease.single_precision and (solution := self._iterate(lease, rhs)) is not None:
+                return solution
+            try:
+                return lease.solve(rhs)
+            except IndefiniteError as error:
+                raise ConvergenceError(_UNSTABLE) from error
 
-    def _iterate(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"] | None:
+    def _iterate(
+        self, lease: Lease, rhs: Float[np.ndarray, "size *k"]
+    ) -> Float[np.ndarray, "size *k"] | None:
         """Solve by conjugate gradients; None where a factorisation of K is better."""
-        if self.lease.factored is None or not self.lease.direct:
+        if lease.factored is None or not lease.direct:
             return None
         result = conjugate_gradients(
-            lambda x: self.pattern.product(self.tangent, x), self.lease.solve, rhs,
+            lambda x: self.pattern.product(self.tangent, x), lease.solve, rhs,
             rtol=self.rtol, max_iterations=_MAX_ITERATIONS,
         )  # fmt: skip
         return result.solution if result.converged else None

@@ -18,7 +18,7 @@ from tactorch.fem.boundary import CaseSupports
 from tactorch.fem.linearization import Linearization
 from tactorch.linalg import SolverPool, conjugate_gradients
 from tactorch.linalg.dense import column_rank, dot
-from tactorch.linalg.pool import Lease
+from tactorch.linalg.pool import Lease, SharedLease
 from tactorch.linalg.solver import IndefiniteError
 
 _ARMIJO = 1e-4  # smallest energy decrease of the line search, relative to the linear prediction
@@ -90,6 +90,7 @@ class Newton:
         supports: CaseSupports,
         options: NewtonOptions,
         after: "Newton | None" = None,
+        lease: Lease | SharedLease | None = None,
     ) -> None:
         self.assembly, self.pattern = assembly, pool.pattern
         self.youngs, self.forces, self.supports = youngs, forces, supports
@@ -99,7 +100,9 @@ class Newton:
         # A linear problem converges in one step, if it is solved exactly.
         single = pool.has_single_precision and not assembly.material.allows_inversion
         self._allow_single_precision = single
-        self._lease: Lease = after._lease.transfer_factorization() if after else pool.lease(single)
+        if lease is None:
+            lease = after._lease.transfer_factorization() if after else pool.lease(single)
+        self._lease: Lease | SharedLease = lease
 
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> EquilibriumResult:
         """Find the equilibrium, from `start` (mm) if given. A failure is returned, not raised."""
@@ -260,28 +263,41 @@ class Newton:
             rhs = rhs - self.pattern.product(values, jump)
         rhs[self._fixed] = 0.0
         try:
-            if self._lease.factored is not None and self._lease.direct and rtol > 0.0:
-                step = self._iterate(matrix, rhs, rtol)
-                if step is not None:
-                    return step + jump
-            if self._allow_single_precision and self._lease.single_precision:
-                if self._lease.factor(matrix):
-                    step = self._iterate(matrix, rhs, rtol or _MIN_STEP_RTOL)
-                    if step is not None:
-                        return step + jump
-                self._allow_single_precision = False
-            self._use_double_precision()
-            return self._lease.solve(rhs) + jump if self._lease.factor(matrix) else None
+            with self._lease.hold() as lease:
+                step = self._iterate(lease, matrix, rhs, rtol)
+            if step is None:
+                self._use_double_precision()
+                with self._lease.hold() as lease:
+                    step = lease.solve(rhs) if lease.factor(matrix) else None
         except IndefiniteError:
             return None
+        return None if step is None else step + jump
 
-    def _iterate(self, matrix: np.ndarray, rhs: np.ndarray, rtol: float) -> np.ndarray | None:
-        """Conjugate gradients, preconditioned by the factorisation of an earlier or rounded matrix.
+    def _iterate(
+        self, lease: Lease, matrix: np.ndarray, rhs: np.ndarray, rtol: float
+    ) -> np.ndarray | None:
+        """Iterate with an earlier factorisation, or one in single precision.
 
-        None where a new factorisation is better: the matrix has changed too much.
+        None where a factorisation in double precision is better: the matrix has changed too much.
         """
+        if lease.factored is not None and lease.direct and rtol > 0.0:
+            step = self._conjugate_gradients(lease, matrix, rhs, rtol)
+            if step is not None:
+                return step
+        if self._allow_single_precision and lease.single_precision:
+            if lease.factor(matrix):
+                step = self._conjugate_gradients(lease, matrix, rhs, rtol or _MIN_STEP_RTOL)
+                if step is not None:
+                    return step
+            self._allow_single_precision = False
+        return None
+
+    def _conjugate_gradients(
+        self, lease: Lease, matrix: np.ndarray, rhs: np.ndarray, rtol: float
+    ) -> np.ndarray | None:
+        """Solve with a factorisation as the preconditioner; None without convergence."""
         result = conjugate_gradients(
-            lambda x: self.pattern.product(matrix, x), self._lease.solve, rhs,
+            lambda x: self.pattern.product(matrix, x), lease.solve, rhs,
             rtol=rtol, max_iterations=_MAX_CG_ITERATIONS,
         )  # fmt: skip
         return result.solution if result.converged else None

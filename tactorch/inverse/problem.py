@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import (
@@ -24,7 +24,7 @@ from tactorch.fem.body import check_youngs
 from tactorch.inverse.data import DataModel, NoiseModel, Observation
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModel
-from tactorch.linalg import SolverOptions, map_cases
+from tactorch.linalg import SharedLease, SolverOptions, map_cases
 from tactorch.recording import Recording
 
 _MIN_MOMENT = 0.01  # of the loaded points along an axis, over the largest
@@ -165,13 +165,34 @@ class Evaluation:
         self, changes: Float[np.ndarray, "k moduli"]
     ) -> Float[np.ndarray, "data k"]:
         """Return the change of the residuals by each of several changes of the moduli (MPa)."""
+        columns, _ = self.linear_response(changes)
+        return columns
+
+    def linear_response(
+        self, changes: Float[np.ndarray, "k moduli"]
+    ) -> tuple[Float[np.ndarray, "data k"], list[Float[np.ndarray, "k nodes 3"]]]:
+        """Return `jacobian_times_each`, and the change of the displacement of each press (mm)."""
         cases, data = self.sensitivities, self.data.observations
 
-        def work(i: int) -> np.ndarray:
+        def work(i: int) -> tuple[np.ndarray, np.ndarray]:
             fields = cases[i].linearization.displacement_changes(changes)
-            return np.column_stack([cases[i].observe(u) * data[i].scale for u in fields])
+            columns = np.column_stack([cases[i].observe(u) * data[i].scale for u in fields])
+            return columns, np.array(fields)
 
-        return self._join(map_cases(work, len(cases)))
+        columns, fields = zip(*map_cases(work, len(cases)), strict=True)
+        return self._join(list(columns)), list(fields)
+
+    def moved(
+        self, changes: Sequence[Float[np.ndarray, "nodes 3"]]
+    ) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return the displacements of all presses plus changes (mm) that invert no element."""
+
+        def work(i: int) -> np.ndarray:
+            before = self._presses[i].equilibrium.displacement
+            guess = before + changes[i]
+            return guess if self.search(i).assembly.respond(guess) is not None else before
+
+        return map_cases(work, len(self._presses))
 
     def force_patterns(self) -> Float[np.ndarray, "data k"]:
         """Return the changes of the data by smooth relative errors of the forces of each press.
@@ -242,14 +263,10 @@ class Evaluation:
         large = np.abs(change / self.youngs).max() > _MAX_RELATIVE_CHANGE
         if large or "sensitivities" not in vars(self):
             return self.displacements
-        sensitivities = self.sensitivities
-
-        def work(i: int) -> np.ndarray:
-            before = self._presses[i].equilibrium.displacement
-            guess = before + sensitivities[i].linearization.displacement_change(change)
-            return guess if self.search(i).assembly.respond(guess) is not None else before
-
-        return map_cases(work, len(self._presses))
+        cases = self.sensitivities
+        return self.moved(
+            map_cases(lambda i: cases[i].linearization.displacement_change(change), len(cases))
+        )
 
 
 def _gradients(
@@ -278,8 +295,9 @@ class InverseProblem:
         misfit: Cost of the residuals; squares by default.
         nuisance: Nuisance parameters that are estimated together with the map, for starts.
         body: Body of this mesh, material, element and solver, where it exists already.
-        derivative_rtol: Relative residual of the solves for derivatives; zero factors the tangent
-            of each press, which is better for more than some tens of solves.
+        derivative_rtol: Relative residual of the solves for derivatives, for which presses of the
+            same supports share factorisations; zero factors the tangent of each press, which is
+            better for more than some tens of solves.
 
     Attributes:
         data: Observations and the statistics of their errors.
@@ -314,6 +332,26 @@ class InverseProblem:
             gravity = self.body.gravity(recording.density, torch.tensor(recording.gravity))
             self._weight = gravity.numpy()
         self.evaluations = 0
+        self._leases = self._share() if derivative_rtol else None
+
+    @cached_property
+    def _order(self) -> Int[np.ndarray, " presses"]:
+        """Order of the presses, in which those that share factorisations are apart."""
+        leases = self._leases or range(len(self.recording.presses))
+        keys = [id(lease) for lease in leases]
+        return np.argsort([keys[:i].count(key) for i, key in enumerate(keys)], kind="stable")
+
+    def _share(self) -> list[SharedLease]:
+        """Return the factorisations that each press shares with those of the same supports."""
+        single = not self.body.assembly.material.allows_inversion
+        leases: dict[bytes, SharedLease] = {}
+        shared = []
+        for press in self.recording.presses:
+            key = press.fixed.tobytes() + press.springs.tobytes()
+            if key not in leases:
+                leases[key] = SharedLease(self.body.pool, single)
+            shared.append(leases[key])
+        return shared
 
     @property
     def n_data(self) -> int:
@@ -369,7 +407,10 @@ class InverseProblem:
             forces = self.body.discretisation.consistent_loads(model.forces) + weight
             if near is not None and take_over:
                 after = near.search(i)
-            newton = self.body.search(youngs, forces, supports, assembly=assembly, after=after)
+            lease = None if self._leases is None else self._leases[i]
+            newton = self.body.search(
+                youngs, forces, supports, assembly=assembly, after=after, lease=lease
+            )
             equilibrium = newton.run(None if starts is None else starts[i])
             if not equilibrium.converged:
                 raise ConvergenceError(f"{press.label} (index {i}): {equilibrium.reason}")
@@ -382,7 +423,9 @@ class InverseProblem:
             for i in range(1, count):
                 solutions.append(work(i, solutions[-1].newton))
         else:
-            solutions = map_cases(work, count)
+            order = self._order
+            found = map_cases(lambda k: work(int(order[k])), count)
+            solutions = [found[k] for k in np.argsort(order)]
         return Evaluation(youngs, values, weight, solutions, self.data, self.derivative_rtol)
 
 

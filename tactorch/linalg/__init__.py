@@ -4,12 +4,13 @@ from tactorch.linalg.conjugate_gradients import conjugate_gradients
 from tactorch.linalg.dense import DenseCholesky
 from tactorch.linalg.parallel import limit_workers, map_cases, single_threaded
 from tactorch.linalg.pattern import SymmetricPattern
-from tactorch.linalg.pool import SolverPool
+from tactorch.linalg.pool import SharedLease, SolverPool
 from tactorch.linalg.solver import SOLVERS, Solver, SolverOptions, analyse, available_solvers
 
 __all__ = [
     "SOLVERS",
     "DenseCholesky",
+    "SharedLease",
     "Solver",
     "SolverOptions",
     "SolverPool",

@@ -2,6 +2,8 @@
 
 import threading
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from jaxtyping import Float
@@ -32,6 +34,11 @@ class Lease:
         self._return()
         self._solver = None
 
+    @contextmanager
+    def hold(self) -> Iterator["Lease"]:
+        """Give the lease to the calling thread, as `SharedLease.hold` does."""
+        yield self
+
     def transfer_factorization(self) -> "Lease":
         """Return a lease of the same solver and factorisation; this one is left without.
 
@@ -55,6 +62,38 @@ class Lease:
         if self._solver is None:
             raise RuntimeError("the factorisation was transferred; factor again before solving")
         return self._solver.solve(rhs)
+
+
+class SharedLease:
+    """Factorisations that load cases of similar tangents share, as preconditioners.
+
+    Each thread that needs one at the same time has another one, so that there are no more than
+    threads, however many load cases there are.
+    """
+
+    def __init__(self, pool: "SolverPool", single_precision: bool = False) -> None:
+        self._pool = pool
+        self.single_precision = single_precision and pool.has_single_precision
+        self._idle: list[Lease] = []
+
+    @contextmanager
+    def hold(self) -> Iterator[Lease]:
+        """Lend a factorisation to the calling thread, which may replace it."""
+        try:
+            lease = self._idle.pop()  # the last one used: its factorisation is the most similar
+        except IndexError:
+            lease = self._pool.lease(self.single_precision)
+        try:
+            yield lease
+        finally:
+            self._idle.append(lease)
+
+    def close(self) -> None:
+        """Do nothing: other load cases use the factorisations."""
+
+    def transfer_factorization(self) -> "SharedLease":
+        """Return self."""
+        return self
 
 
 class SolverPool:

@@ -1,13 +1,14 @@
 """The fit of a field of shapes to presses, its posterior and its evidence.
 
 The fit minimises half the sum of squared residuals plus that of the coefficients in standard
-deviations of their prior, by the damped Gauss-Newton of all inversions. The posterior is normal
-(Laplace approximation), and so is the evidence: log Z = -(|r|^2 + |z|^2) / 2 - log det(H) / 2 with
-H = J^T J + 1 (MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter 28), up
-to a constant of the data.
+deviations of their prior, by damped Gauss-Newton steps (Levenberg-Marquardt). The posterior is
+normal (Laplace approximation), and so is the evidence: log Z = -(|r|^2 + |z|^2 + log det(H)) / 2
+with H = J^T J + 1 (MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter
+28), up to a constant of the data.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,14 +16,17 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
 
+from tactorch.errors import ConvergenceError
 from tactorch.inverse.fields import FieldPoint, ModulusField, Vector
-from tactorch.inverse.monitor import Monitor
-from tactorch.inverse.objective import Objective
-from tactorch.inverse.optimizers.gauss_newton import GaussNewton
+from tactorch.inverse.optimizers.damped import projected_gradient
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.shapes.field import ShapeField, Sites
 
 _MAX_STEP, _MAX_Z = 0.5, 4.0  # of a coefficient, in standard deviations of its prior
+_DAMPING, _RAISED_DAMPING = 1e-6, 1e-2  # smallest ones, over the Hessian's diagonal
+_MAX_TRIALS = 8  # of growing damping
+_ROUND_OFF = 0.5  # predicted fall below which errors of the derivatives may prevent a descent
+_MIN_GAIN = 1e-3  # smallest fall of the objective over the predicted one
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +95,13 @@ class _ShapesPoint(FieldPoint):
     def transpose_times(self, weights: Float[np.ndarray, "m q"]) -> Vector:
         return self._derivative.T @ weights.ravel()
 
+    @property
+    def changes(self) -> Float[np.ndarray, "size moduli"]:
+        """Change of the moduli by each coefficient, MPa."""
+        return np.ascontiguousarray(self._derivative.T)
+
     def jacobian(self, evaluation: Evaluation) -> Float[np.ndarray, "data size"]:
-        return evaluation.jacobian_times_each(np.ascontiguousarray(self._derivative.T))
+        return evaluation.jacobian_times_each(self.changes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +145,7 @@ def fit_shapes(
     sites: Sites | None = None,
     starts: Sequence[Float[np.ndarray, "nodes 3"]] | None = None,
     max_iterations: int = 20,
-    tolerance: float = 1e-4,
+    tolerance: float = 0.02,
 ) -> tuple[ShapeFit, Evaluation]:
     """Fit shapes to the presses of a problem.
 
@@ -147,30 +156,107 @@ def fit_shapes(
         sites: Volumes of the quadrature points, where they exist already.
         starts: Displacement of each press from which the equilibria start, mm.
         max_iterations: Limit of Gauss-Newton steps.
-        tolerance: Relative fall of the objective at which to stop.
+        tolerance: Predicted fall of the objective, over chi2 if that exceeds one, at which to stop.
+            The parameters are then within sqrt(2 tolerance) posterior standard deviations of the
+            optimum.
 
     Raises:
         ConvergenceError: the start has no equilibrium under the recorded forces.
     """
-    sites = sites or Sites.of(problem.body.assembly)
-    objective = Objective(problem, ShapesOnSites(field, sites), weight=1.0, starts=starts)
-    monitor = Monitor(log=False)
-    optimizer = GaussNewton(
-        max_iterations=max_iterations, tolerance=tolerance, max_trials=8, space="parameter"
-    )
-    optimizer.minimize(objective, np.clip(start, *objective.limits), monitor)
-    point = monitor.point
-    assert point is not None
-    hessian = point.jacobian.T @ point.jacobian + np.eye(field.size)
-    residuals = point.evaluation.residuals
-    fit = ShapeFit(
-        field,
-        point.x,
-        np.linalg.inv(hessian),
-        point.evaluation.chi2,
-        0.5 * float(residuals @ residuals),
-        0.5 * (float(np.linalg.slogdet(hessian)[1]) + problem.data.log_determinant),
-        residuals,
-        point.jacobian,
-    )
-    return fit, point.evaluation
+    family = ShapesOnSites(field, sites or Sites.of(problem.body.assembly))
+    state = _State.at(problem, family, np.clip(start, *family.limits), starts)
+    damping = _DAMPING
+    for _ in range(max_iterations):
+        predicted = state.predicted_fall(state.step(0.0)) / max(1.0, state.evaluation.chi2)
+        if predicted <= tolerance:
+            break
+        for _ in range(_MAX_TRIALS):
+            step = state.step(damping)
+            trial = state.moved(problem, step)
+            if trial and state.value - trial.value > _MIN_GAIN * state.predicted_fall(step):
+                break
+            if predicted <= _ROUND_OFF:
+                return state.fit(problem), state.evaluation
+            damping = max(10.0 * damping, _RAISED_DAMPING)
+        else:
+            break
+        state, damping = trial, max(0.1 * damping, _DAMPING)
+    return state.fit(problem), state.evaluation
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """The objective and its derivatives at one vector of parameters."""
+
+    family: ShapesOnSites
+    point: _ShapesPoint
+    evaluation: Evaluation
+
+    @staticmethod
+    def at(
+        problem: InverseProblem,
+        family: ShapesOnSites,
+        z: Vector,
+        starts: Sequence[Float[np.ndarray, "nodes 3"]] | None,
+    ) -> "_State":
+        point = _ShapesPoint(family, z)
+        return _State(family, point, problem.evaluate(point.youngs, starts=starts))
+
+    @property
+    def z(self) -> Vector:
+        return self.point.x
+
+    @cached_property
+    def value(self) -> float:
+        residuals = self.evaluation.residuals
+        return 0.5 * float(residuals @ residuals + self.z @ self.z)
+
+    @cached_property
+    def _response(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Derivatives of the residuals, and of the displacements of each press."""
+        return self.evaluation.linear_response(self.point.changes)
+
+    @cached_property
+    def _gradient(self) -> Vector:
+        return self._response[0].T @ self.evaluation.residuals + self.z
+
+    @cached_property
+    def _hessian(self) -> Float[np.ndarray, "size size"]:
+        jacobian = self._response[0]
+        return jacobian.T @ jacobian + np.eye(len(self.z))
+
+    def step(self, damping: float) -> Vector:
+        """Return the damped step, shortened to where linearisation is meaningful, within bounds."""
+        free = projected_gradient(self.z, self._gradient, self.family.limits) != 0.0
+        hessian = self._hessian + damping * np.diag(np.diag(self._hessian))
+        step = np.zeros_like(self.z)
+        step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], self._gradient[free])
+        step /= max(1.0, float((np.abs(step) / self.family.max_step).max()))
+        return np.clip(self.z + step, *self.family.limits) - self.z
+
+    def predicted_fall(self, step: Vector) -> float:
+        """Return the fall of the quadratic model along a step."""
+        return -float(step @ self._gradient + 0.5 * step @ self._hessian @ step)
+
+    def moved(self, problem: InverseProblem, step: Vector) -> "_State | None":
+        """Return the state after a step; None where a press has no equilibrium."""
+        changes = [np.tensordot(step, fields, 1) for fields in self._response[1]]
+        starts = self.evaluation.moved(changes)
+        with suppress(ConvergenceError):
+            return _State.at(problem, self.family, self.z + step, starts)
+        return None
+
+    def fit(self, problem: InverseProblem) -> ShapeFit:
+        """Return the fit with its posterior."""
+        residuals = self.evaluation.residuals
+        determinant = float(np.linalg.slogdet(self._hessian)[1]) + problem.data.log_determinant
+        return ShapeFit(
+            self.family.shapes,
+            self.z,
+            np.linalg.inv(self._hessian),
+            self.evaluation.chi2,
+            0.5 * float(residuals @ residuals),
+            0.5 * determinant,
+            residuals,
+            self._response[0],
+        )
