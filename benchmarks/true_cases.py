@@ -52,7 +52,7 @@ VOXELS = 36
 MATERIAL = MaterialSpec("neo_hookean", 0.45)
 SPRING_N_PER_MM = 1.0  # of each supported node of the recording's mesh
 FORCE_ERROR, MISPLACEMENT_MM = 0.05, 0.3
-RECORDED_PER_RADIUS = 0.4  # edge length of the recording's mesh under a contact, over its radius
+RECORDED_PER_RADIUS = 0.3  # edge length of the recording's mesh under a contact, over its radius
 Point = tuple[float, float, float]
 _FLANK = 0.5  # smallest cosine between a finger's push and the surface under it
 _FINGER_POINTS = 8  # along the edge of a triangle, for the pressure of a finger
@@ -222,7 +222,7 @@ class Body:
         mesh = outline.mesh(self.edge_mm)
         if presses.recorded_mm is None:
             return mesh
-        return refine(outline, mesh, presses.sizing(presses.recorded_mm, 1.0)).mesh
+        return refine(outline, mesh, presses.sizing(presses.recorded_mm, 1.5)).mesh
 
     def sizing(self, presses: Presses) -> Sizing:
         """Return the edge length of the truth mesh: small at interfaces and under contacts."""

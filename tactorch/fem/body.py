@@ -1,8 +1,9 @@
 """A soft body: mesh, material, element type and solver, with loads and equilibria."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,12 +14,14 @@ from tactorch.errors import ConfigError
 from tactorch.fem import boundary
 from tactorch.fem.assembly import Assembly
 from tactorch.fem.boundary import Forces, Points, Supports, Surface
-from tactorch.fem.elements import ELEMENTS, Discretisation
+from tactorch.fem.elements import ELEMENTS, ConsistentLoads, Discretisation
 from tactorch.fem.equilibrium import Equilibrium, LoadCases
 from tactorch.fem.materials import Material
 from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
 from tactorch.linalg import SharedLease, SolverOptions, SolverPool
 from tactorch.mesh import TetMesh
+
+ArrayMap = Callable[[np.ndarray], np.ndarray]
 
 
 class SoftBody:
@@ -179,10 +182,8 @@ class SoftBody:
         """Consistent loads at all nodes, differentiable."""
         if forces.shape[0] == self.n_nodes:
             return forces
-        matrix = self.discretisation.consistent_load_matrix(forces.detach().numpy()).tocoo()
-        rows, cols = (torch.from_numpy(x.astype(np.int64)) for x in (matrix.row, matrix.col))
-        out = torch.zeros(self.n_nodes, 3, dtype=torch.float64)
-        return out.index_add(0, rows, torch.from_numpy(matrix.data)[:, None] * forces[cols])
+        loads = ConsistentLoads.of(self.discretisation, forces.detach().numpy())
+        return _LinearMap.apply(forces, loads.apply, loads.transpose)
 
     def equilibrate(
         self,
@@ -253,6 +254,24 @@ class SoftBody:
         problem = LoadCases(self.assembly, search, initial)
         u = Equilibrium.apply(youngs, poisson, batch, points, problem)
         return u[0] if single else u
+
+
+class _LinearMap(torch.autograd.Function):
+    """A linear map of arrays, with its transpose."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, apply: ArrayMap, transpose: ArrayMap) -> Tensor:
+        ctx.maps = apply, transpose
+        return torch.from_numpy(apply(x.detach().numpy()))
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> Any:
+        apply, transpose = ctx.maps
+        return _LinearMap.apply(grad, transpose, apply), None, None
+
+    @staticmethod
+    def jvp(ctx: Any, change: Tensor, *_: Any) -> Tensor:
+        return _LinearMap.apply(change, *ctx.maps)
 
 
 def check_youngs(youngs: np.ndarray, shape: tuple[int, ...]) -> None:

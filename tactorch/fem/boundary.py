@@ -108,7 +108,7 @@ class Supports:
         all_fixed = np.concatenate([fixed, fixed[discretisation.edges].all(axis=1)])
         extended = discretisation.extend(np.where(fixed, prescribed, 0.0))
         return CaseSupports(
-            all_fixed, np.where(all_fixed, extended, 0.0), discretisation.consistent_loads(springs)
+            all_fixed, np.where(all_fixed, extended, 0.0), discretisation.distributed(springs)
         )
 
     def _field(self, name: str, index: int, discretisation: Discretisation) -> np.ndarray:

@@ -22,6 +22,7 @@ from tactorch.errors import ConfigError
 from tactorch.linalg import SymmetricPattern
 from tactorch.mesh import TetMesh
 from tactorch.mesh.topology import LOCAL_EDGES
+from tactorch.mesh.tractions import LoadedSurface
 
 Nodes = Int[np.ndarray, " k"]
 
@@ -114,32 +115,49 @@ class Discretisation:
         """Return a vertex field extended to the midside nodes by the mean of the end points."""
         return np.concatenate([values, values[self.edges].mean(axis=1)])
 
-    def consistent_loads(self, values: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "nodes 3"]:
-        """Return consistent loads or springs at all nodes, from those at the vertices.
+    def consistent_loads(self, forces: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "nodes 3"]:
+        """Return consistent loads at all nodes (N) from the nodal forces of linear elements.
 
-        On quadratic elements a uniform traction acts on the midside nodes: the load of each vertex
-        on a loaded surface triangle is divided between the two adjacent midside nodes. This is
-        exact for a uniform pressure and preserves totals. A triangle is loaded if all its vertices
-        have non-zero loads. Vertices without a loaded triangle (point loads, interior nodes) keep
-        their loads. Values at all nodes are returned as they are.
+        On quadratic elements they are those of the traction that the forces stand for; see
+        `tactorch.mesh.tractions`. Values at all nodes are returned as they are.
         """
-        if values.shape == (self.n_nodes, 3):  # always so on linear elements
-            return values
-        return self.consistent_load_matrix(values) @ values
+        if self._is_complete(forces):
+            return forces
+        return ConsistentLoads.of(self, forces).apply(forces)
 
-    def consistent_load_matrix(self, values: Float[np.ndarray, "k 3"]) -> sp.csr_matrix:
-        """Return the matrix of `consistent_loads` for these loaded vertices, (nodes, k)."""
+    def distributed(self, values: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "nodes 3"]:
+        """Return springs or loads at all nodes from those at the vertices, without negative ones.
+
+        See `distribution_matrix`. Values at all nodes are returned as they are.
+        """
+        if self._is_complete(values):
+            return values
+        return self.distribution_matrix(values) @ values
+
+    def _is_complete(self, values: Float[np.ndarray, "k 3"]) -> bool:
+        """Whether a field is given at all nodes; always so on linear elements."""
+        if values.shape == (self.n_nodes, 3):
+            return True
         n = self.mesh.n_points
         if values.shape != (n, 3):
             raise ConfigError(
-                f"a nodal field has shape {tuple(values.shape)}; expected ({n}, 3), one row per "
-                f"mesh node (or all {self.n_nodes} element nodes)."
+                f"a nodal field has shape {values.shape}; expected ({n}, 3), one row per mesh node "
+                f"(or all {self.n_nodes} element nodes)."
             )
+        return False
+
+    def distribution_matrix(self, values: Float[np.ndarray, "k 3"]) -> sp.csr_matrix:
+        """Return the matrix of `distributed` for these loaded vertices, (nodes, k).
+
+        The value of each vertex on a loaded surface triangle is divided between the two adjacent
+        midside nodes. This is exact for a uniform pressure, and preserves totals and signs.
+        Vertices without a loaded triangle keep their values.
+        """
+        n = self.mesh.n_points
         if not self.element.quadratic:
             return sp.identity(n, format="csr")
-        surface = self.mesh.surface
-        loaded = (values != 0).any(axis=1)[surface.triangles].all(axis=1)
-        triangles, areas = surface.triangles[loaded], surface.areas[loaded]
+        loaded = LoadedSurface.of(self.mesh.surface, values)
+        triangles, areas = loaded.triangles, loaded.areas
         around = np.bincount(triangles.ravel(), np.repeat(areas, 3), minlength=n)
         unchanged = np.flatnonzero(around == 0)
         rows, cols, fractions = [unchanged], [unchanged], [np.ones(len(unchanged))]
@@ -216,3 +234,49 @@ class Discretisation:
         # The triple product: det's second derivative is not finite on regular shapes.
         volumes = (sides[:, 0] * torch.linalg.cross(sides[:, 1], sides[:, 2])).sum(-1) / 6.0
         return gradients, volumes[:, None] * torch.from_numpy(self.element.rule).to(points)
+
+
+@dataclass(frozen=True, eq=False)
+class ConsistentLoads:
+    """Map from nodal forces of linear elements to the loads of quadratic ones.
+
+    Attributes:
+        surface: Loaded part of the surface.
+        loads: Loads of all nodes by the traction at the vertices, (nodes, n), mm^2.
+    """
+
+    surface: LoadedSurface
+    loads: sp.csr_matrix
+
+    @staticmethod
+    def of(discretisation: "Discretisation", forces: Float[np.ndarray, "n 3"]) -> "ConsistentLoads":
+        """Return the map for the triangles on which these forces act."""
+        surface = LoadedSurface.of(discretisation.mesh.surface, forces)
+        corners = surface.triangles.T
+        rows, cols, integrals = [], [], []
+        # Integrals over a triangle of unit area: L_a (2 L_a - 1) L_b, and 4 L_a L_c L_b.
+        for a, b in np.ndindex(3, 3):
+            c = (a + 1) % 3
+            rows += [corners[a], discretisation.midside(corners[a], corners[c])]
+            cols += [corners[b], corners[b]]
+            integrals += [1 / 30 if a == b else -1 / 60, 2 / 15 if b in (a, c) else 1 / 15]
+        values = np.concatenate([integral * surface.areas for integral in integrals])
+        entries = (values, (np.concatenate(rows), np.concatenate(cols)))
+        shape = (discretisation.n_nodes, surface.n_points)
+        return ConsistentLoads(surface, sp.csr_matrix(entries, shape=shape))
+
+    @cached_property
+    def _others(self) -> Nodes:
+        return np.setdiff1d(np.arange(self.surface.n_points), self.surface.nodes)
+
+    def apply(self, forces: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "nodes 3"]:
+        """Return the loads; nodes without a loaded triangle keep their force."""
+        out: np.ndarray = self.loads @ self.surface.tractions(forces)
+        out[self._others] += forces[self._others]
+        return out
+
+    def transpose(self, loads: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "n 3"]:
+        """Return the product of the transposed map with values at all nodes."""
+        out = self.surface.tractions(self.loads.T @ loads)
+        out[self._others] = loads[self._others]
+        return out

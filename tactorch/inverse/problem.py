@@ -194,12 +194,14 @@ class Evaluation:
 
         return map_cases(work, len(self._presses))
 
-    def force_patterns(self) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the data by smooth relative errors of the forces of each press.
+    def force_patterns(self, smallest: float = 0.0) -> Float[np.ndarray, "data k"]:
+        """Return the changes of the data by relative errors of the forces of each press.
 
-        For each press, they are those of its forces as a whole, and of gradients of unit root mean
-        square along the principal axes of its loaded nodes. The unit is the standard deviation of
-        the white noise.
+        The errors are those of its forces as a whole, of gradients of unit root mean square along
+        the principal axes of its loaded nodes, and of each nodal force, all of unit deviation. The
+        patterns are orthogonal for each press, and the products with their transpose are those of
+        all these errors. Their unit is the standard deviation of the white noise; patterns of a
+        norm below `smallest` are left out.
         """
         cases, data = self.sensitivities, self.data.observations
         points = self._presses[0].newton.assembly.points
@@ -208,10 +210,14 @@ class Evaluation:
             press = self._presses[i]
             loads = press.newton.assembly.discretisation.consistent_loads
             forces = press.model.forces
-            fields = [forces * shape[:, None] for shape in _gradients(points, forces)]
-            changes = np.array([loads(field) for field in fields])
+            nodes = np.flatnonzero((forces != 0.0).any(axis=1))
+            shapes = [*_gradients(points, forces), *np.eye(len(points))[nodes]]
+            changes = np.array([loads(forces * shape[:, None]) for shape in shapes])
             moved = cases[i].linearization.force_response(changes)
-            return np.column_stack([cases[i].observe(u) * data[i].scale for u in moved])
+            columns = np.column_stack([cases[i].observe(u) * data[i].scale for u in moved])
+            basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+            kept = sizes > smallest
+            return basis[:, kept] * sizes[kept]
 
         blocks = map_cases(work, len(cases))
         return sp.block_diag(blocks).toarray()
@@ -274,6 +280,8 @@ def _gradients(
 ) -> list[Float[np.ndarray, " n"]]:
     """Return unity, and linear functions of unit mean square over the loaded points."""
     sizes = np.linalg.norm(forces, axis=1)
+    if not sizes.any():
+        return []
     weights = sizes / sizes.sum()
     offsets = points - weights @ points
     moments, axes = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import RecordingError
 from tactorch.mesh.refine import Refinement, Sizing, refine
+from tactorch.mesh.tractions import LoadedSurface, loaded_triangles
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
 
@@ -36,13 +37,13 @@ def prolong_recording(recording: Recording, refinement: Refinement) -> Recording
     given. The moduli `truth` and `reference` are those of the parent elements, and `prescribed` is
     interpolated linearly.
 
-    Nodal forces and springs stand for a surface density (N/mm^2, N/mm^3) that is linear on each
-    loaded coarse triangle. Its value at a vertex is the nodal value over a third of the area of the
-    vertex's loaded triangles; a uniform pressure is thus constant. A fine triangle of area A adds
-    A / 3 times the density at each vertex to the load of this vertex. Totals are those of the
-    coarse mesh, and nodes whose triangles are not bisected have the same load as before. As in
-    `Discretisation.consistent_load_matrix`, a triangle is loaded if all its vertices have non-zero
-    loads, and vertices without a loaded triangle keep theirs.
+    Nodal forces stand for a traction (N/mm^2) that is linear on each loaded coarse triangle; see
+    `tactorch.mesh.tractions`. Those of the fine mesh are the integrals of the same traction, so
+    that the total force and moment remain. Springs stand for a density (N/mm^3), whose value at a
+    vertex is that of the spring over a third of the area of the vertex's triangles. A fine triangle
+    of area A adds A / 3 times the density at each vertex to the spring of this vertex; none is
+    negative. Nodes whose triangles are not bisected, or that have no loaded triangle, keep their
+    values.
 
     A new node is fixed along an axis if it is on a coarse boundary triangle whose three vertices
     are. New nodes of edges and of interior faces between fixed nodes are free otherwise.
@@ -86,38 +87,63 @@ def _prolong_press(press: Press, refinement: Refinement) -> Press:
     fixed = _prolong_fixed(press.fixed, refinement)
     return replace(
         press,
-        forces=_prolong_loads(press.forces, refinement),
+        forces=_prolong_forces(press.forces, refinement),
         observed=np.pad(press.observed, rows),
         displacement=np.pad(press.displacement, rows, constant_values=np.nan),
-        springs=_prolong_loads(press.springs, refinement),
+        springs=_prolong_springs(press.springs, refinement),
         fixed=fixed,
         prescribed=np.where(fixed, refinement.interpolate(press.prescribed), 0.0),
         weights=None if press.weights is None else np.pad(press.weights, rows),
     )
 
 
-def _prolong_loads(
-    values: Float[np.ndarray, "n 3"], refinement: Refinement
+def _prolong_forces(
+    forces: Float[np.ndarray, "n 3"], refinement: Refinement
 ) -> Float[np.ndarray, "fine 3"]:
-    """Spread nodal loads of the coarse mesh to the fine nodes of its loaded triangles."""
-    coarse, fine = refinement.coarse.surface, refinement.mesh.surface
-    loaded = (values != 0).any(axis=1)[coarse.triangles].all(axis=1)
-    loaded_fine = loaded[refinement.surface_parents]
-    n = len(values)
-    areas = np.bincount(
-        coarse.triangles[loaded].ravel(), np.repeat(coarse.areas[loaded], 3), minlength=n
-    )
-    fine_areas = np.bincount(
-        fine.triangles[loaded_fine].ravel(),
-        np.repeat(fine.areas[loaded_fine], 3),
-        minlength=refinement.mesh.n_points,
-    )
-    spread = areas > 0
-    density = np.zeros_like(values)
-    density[spread] = values[spread] / areas[spread, None]
-    out = refinement.interpolate(density) * fine_areas[:, None]
-    same = np.flatnonzero(~spread | np.isclose(fine_areas[:n], areas, rtol=1e-12, atol=0.0))
-    out[same] = values[same]
+    """Return the nodal forces of the same traction on the fine mesh."""
+    coarse, fine = _loaded(forces, refinement)
+    out = fine.mass @ refinement.interpolate(coarse.tractions(forces))
+    return _with_unchanged(out, forces, coarse, fine)
+
+
+def _prolong_springs(
+    springs: Float[np.ndarray, "n 3"], refinement: Refinement
+) -> Float[np.ndarray, "fine 3"]:
+    """Spread springs of the coarse mesh to the fine nodes of its triangles; none is negative."""
+    coarse, fine = _loaded(springs, refinement)
+    density = np.zeros_like(springs)
+    areas = _areas_around(coarse)
+    density[coarse.nodes] = springs[coarse.nodes] / areas[coarse.nodes, None]
+    out = refinement.interpolate(density) * _areas_around(fine)[:, None]
+    return _with_unchanged(out, springs, coarse, fine)
+
+
+def _loaded(
+    values: Float[np.ndarray, "n 3"], refinement: Refinement
+) -> tuple[LoadedSurface, LoadedSurface]:
+    """Return the loaded triangles of the coarse mesh, and those of the fine mesh within them."""
+    surface, mesh = refinement.coarse.surface, refinement.mesh
+    inside = loaded_triangles(surface, values)[refinement.surface_parents]
+    triangles, areas = mesh.surface.triangles[inside], mesh.surface.areas[inside]
+    return LoadedSurface.of(surface, values), LoadedSurface(triangles, areas, mesh.n_points)
+
+
+def _areas_around(loaded: LoadedSurface) -> Float[np.ndarray, " n"]:
+    weights = np.repeat(loaded.areas, 3)
+    around = np.bincount(loaded.triangles.ravel(), weights, minlength=loaded.n_points)
+    return around.astype(np.float64)  # integers where nothing is loaded
+
+
+def _with_unchanged(
+    out: Float[np.ndarray, "fine 3"],
+    values: Float[np.ndarray, "n 3"],
+    coarse: LoadedSurface,
+    fine: LoadedSurface,
+) -> Float[np.ndarray, "fine 3"]:
+    """Restore the values of nodes without loaded triangles, or whose triangles are not bisected."""
+    n, before = len(values), _areas_around(coarse)
+    same = np.isclose(_areas_around(fine)[:n], before, rtol=1e-12, atol=0.0) | (before == 0)
+    out[:n][same] = values[same]
     return out
 
 

@@ -233,7 +233,7 @@ class GelModel:
         # force would have an unbounded displacement as the mesh is refined.
         indicator = np.zeros(self.gel_mesh.mesh.points.shape)
         indicator[self.gel_mesh.face] = 1.0
-        matrix = self.body.discretisation.consistent_load_matrix(indicator)
+        matrix = self.body.discretisation.distribution_matrix(indicator)
         return matrix.tocsc()[:, self.gel_mesh.face]
 
     def _gather(self, forces: NodeVectors) -> FaceVectors:

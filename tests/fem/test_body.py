@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from torch.autograd import gradcheck, gradgradcheck
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import SoftBody, Supports, make_material
@@ -133,6 +134,21 @@ def test_nodes_of_the_quadratic_element_follow_the_vertices(block):
     np.testing.assert_allclose(
         np.unique(d.positions[block.n_points :], axis=0), np.unique(middles, axis=0), atol=1e-12
     )
+
+
+def test_vertex_forces_of_the_quadratic_element_are_differentiable(block, held, youngs):
+    body = SoftBody(block, make_material("linear", 0.3), element="tet10")
+    covered = SoftBody(block, make_material("linear", 0.3)).pressure("z+", 0.01)
+    nodes = np.flatnonzero(covered.abs().sum(1))
+
+    def solve(values):
+        forces = covered.clone()
+        forces[nodes[:2]] = values
+        return body.solve(youngs, forces, held)
+
+    values = covered[nodes[:2]].clone().requires_grad_()
+    assert gradcheck(solve, values, check_forward_ad=True)
+    assert gradgradcheck(solve, values)
 
 
 def test_vertex_forces_serve_the_quadratic_element(block, held, youngs):

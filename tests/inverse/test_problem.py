@@ -306,18 +306,39 @@ def test_force_patterns_are_changes_by_errors_of_the_forces(
     recording: Recording, moduli: np.ndarray
 ) -> None:
     problem = InverseProblem(recording)
-    evaluation = problem.evaluate(moduli)
-    patterns = evaluation.force_patterns()
+    patterns = problem.evaluate(moduli).force_patterns()
     counts, step = problem.data.counts, 1e-5
-    assert len(patterns) == sum(counts)
-    # The first pattern of each press is that of its forces as a whole.
-    ends, forces = [], recording.presses[0].forces
-    for sign in (1, -1):
-        scaled = with_press(recording, 0, forces=forces * np.exp(sign * step))
-        ends.append(InverseProblem(scaled).evaluate(moduli))
-    change = (ends[0].residuals - ends[1].residuals) / (2.0 * step)
-    np.testing.assert_allclose(patterns[:, 0], change, atol=1e-4 * np.abs(change).max())
-    assert not patterns[counts[0] :, 0].any()
+    forces, points = recording.presses[0].forces, recording.mesh.points
+    loaded = np.flatnonzero(forces.any(axis=1))
+    first = patterns[: counts[0], patterns[: counts[0]].any(axis=0)]
+    assert not patterns[counts[0] :, : first.shape[1]].any()
+
+    def change(shape: np.ndarray) -> np.ndarray:
+        ends = [
+            InverseProblem(
+                with_press(recording, 0, forces=forces * np.exp(sign * step * shape[:, None]))
+            ).evaluate(moduli)
+            for sign in (1, -1)
+        ]
+        residuals: np.ndarray = (ends[0].residuals - ends[1].residuals)[: counts[0]]
+        return residuals / (2.0 * step)
+
+    offsets = points - np.average(points, axis=0, weights=np.linalg.norm(forces, axis=1))
+    sizes = np.sqrt(np.average(offsets**2, axis=0, weights=np.linalg.norm(forces, axis=1)))
+    # A square side: its gradients are those along any two axes in it.
+    gradients = [offsets[:, k] / sizes[k] for k in range(3) if sizes[k] > 1e-9]
+    shapes = [np.ones(len(points)), *gradients, *np.eye(len(points))[loaded]]
+    expected = np.column_stack([change(shape) for shape in shapes])
+    covariance = expected @ expected.T
+    np.testing.assert_allclose(first @ first.T, covariance, atol=1e-3 * covariance.max())
+
+
+def test_small_force_patterns_are_left_out(recording: Recording, moduli: np.ndarray) -> None:
+    evaluation = InverseProblem(recording).evaluate(moduli)
+    norms = np.linalg.norm(evaluation.force_patterns(), axis=0)
+    middle = float(np.median(norms))
+    kept = np.linalg.norm(evaluation.force_patterns(middle), axis=0)
+    np.testing.assert_allclose(np.sort(kept), np.sort(norms[norms > middle]))
 
 
 def test_other_statistics_of_the_same_data(recording: Recording, moduli: np.ndarray) -> None:

@@ -41,6 +41,7 @@ _MAX_MODELS = 10  # one after the other
 _MAX_FITS = 3  # with quadratic elements, of proposals from one model
 _DEGREES = (2, 4)  # of smooth backgrounds
 _FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
+_MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
 _MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
 # Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
 # reduces that of pure noise by six or so.
@@ -206,12 +207,10 @@ class _Search:
     def uniform(self) -> _Model:
         """Fit the uniform body with quadratic elements."""
         youngs = np.full(self.linear.n_elements, np.exp(self.prior.log_background))
-        extend = self.quadratic.body.discretisation.extend
-        starts = [extend(u) for u in self.linear.evaluate(youngs).displacements]
+        extend, coarse = self.quadratic.body.discretisation.extend, self.linear.evaluate(youngs)
+        self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / _FORCE_DEVIATIONS[-1])
         start = _Start("uniform", ShapeField(self.prior), np.zeros(1), 0.0)
-        model = self.fit(start, starts)
-        self._force_patterns = model.evaluation.force_patterns()
-        return model
+        return self.fit(start, [extend(u) for u in coarse.displacements])
 
     def fit(
         self,

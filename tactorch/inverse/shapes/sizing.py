@@ -13,7 +13,7 @@ from tactorch.recording import Recording
 
 _PER_RADIUS = 0.65  # longest edge at the boundary of an inclusion, over its radius
 _SHELL = 0.25  # half-width of the refined shell, over the radius
-_PER_CONTACT = 0.5  # longest edge at the rim of a contact, over the contact's radius
+RIM, FINE_RIM = 0.5, 0.25  # longest edge at the rim of a contact, over the contact's radius
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 
 
@@ -33,8 +33,10 @@ def inclusion_sizing(inclusions: Sequence[Ellipsoid]) -> Sizing:
     return sizing
 
 
-def contact_sizing(recording: Recording) -> Sizing:
+def contact_sizing(recording: Recording, fraction: float = RIM) -> Sizing:
     """Return the longest edges (mm) at points (mm): short at rims of contacts.
+
+    There they are a `fraction` of the contact's radius, within that distance of the rim.
 
     The traction ends at the rim, where strains change within a fraction of the contact's radius,
     which is that of a disc of the area of the loaded surface triangles. Contacts that end at an
@@ -51,8 +53,8 @@ def contact_sizing(recording: Recording) -> Sizing:
         for nodes, radius in rims.values():
             if len(nodes):
                 distance = cKDTree(nodes).query(points)[0]
-                near = distance < _PER_CONTACT * radius
-                lengths[near] = np.minimum(lengths[near], _PER_CONTACT * radius)
+                near = distance < fraction * radius
+                lengths[near] = np.minimum(lengths[near], fraction * radius)
         return lengths
 
     return sizing
