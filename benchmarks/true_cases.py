@@ -49,12 +49,15 @@ from tactorch.simulation.transfer import Transfer
 
 FORMAT = 1  # of the cached recordings; raised when their computation changes
 VOXELS = 36
+N_RANDOM = 50  # objects of random shape
 MATERIAL = MaterialSpec("neo_hookean", 0.45)
 SPRING_N_PER_MM = 1.0  # of each supported node of the recording's mesh
 FORCE_ERROR, MISPLACEMENT_MM = 0.05, 0.3
+LUMP_PER_RADIUS = 0.25  # edge length of the truth mesh at a lump, over its smallest half-width
 RECORDED_PER_RADIUS = 0.3  # edge length of the recording's mesh under a contact, over its radius
 Point = tuple[float, float, float]
 _FLANK = 0.5  # smallest cosine between a finger's push and the surface under it
+_VOLUME_POINTS = 64  # along each axis
 _FINGER_POINTS = 8  # along the edge of a triangle, for the pressure of a finger
 
 
@@ -226,13 +229,16 @@ class Body:
 
     def sizing(self, presses: Presses) -> Sizing:
         """Return the edge length of the truth mesh: small at interfaces and under contacts."""
-        shapes = [shape for shape, _ in self.phantom.inclusions]
+        edges = []
+        for k, (shape, _) in enumerate(self.phantom.inclusions):
+            radius = float(np.ptp(shape.bounds(), axis=0).min()) / 2
+            lump_mm = LUMP_PER_RADIUS * radius if k in self.lumps else np.inf
+            edges.append((shape, min(self.interface_mm, lump_mm)))
 
         def sizes(points: np.ndarray) -> np.ndarray:
             out = np.full(len(points), 1.6 * self.truth_edge_mm)
-            for shape in shapes:
-                near = self.interface_mm + 0.4 * np.abs(shape.signed_distance(points))
-                out = np.minimum(out, near)
+            for shape, edge in edges:
+                out = np.minimum(out, edge + 0.4 * np.abs(shape.signed_distance(points)))
             if presses.refined_mm is not None:
                 out = np.minimum(out, presses.sizing(presses.refined_mm, 0.5)(points))
             return out
@@ -362,6 +368,27 @@ def _dome(*inclusions: tuple[Shape, float]) -> Body:
     return Body(phantom, tuple(range(len(inclusions))), 2.0, truth_edge_mm=1.3, interface_mm=1.3)
 
 
+def _random(seed: int) -> Callable[[], Body]:
+    """Return a ball or an ellipsoid of random place, size, form and modulus, in a cube."""
+
+    def body() -> Body:
+        rng = np.random.default_rng([seed, 77])
+        radius = rng.uniform(1.3, 2.6)
+        semi_axes = radius * np.exp(rng.uniform(-0.35, 0.35, 3) * (seed % 2))
+        center = rng.uniform(0.6 + semi_axes.max(), 9.4 - semi_axes.max(), 3)
+        contrast = np.exp(rng.uniform(np.log(1.8), np.log(8.0)))
+        modulus = 0.2 * contrast if rng.random() < 0.7 else 0.2 / min(contrast, 4.0)
+        if seed % 2:
+            shape: Shape = Rotated(
+                Ellipsoid(_point(center), _point(semi_axes)), _point(rng.uniform(0.0, 180.0, 3))
+            )
+        else:
+            shape = Sphere(_point(center), round(float(radius), 6))
+        return _cube((shape, round(float(modulus), 6)), edge_mm=1.6)
+
+    return body
+
+
 OBJECTS: dict[str, Callable[[], Body]] = {
     "ball": lambda: Body(make_phantom("cube_sphere", depth=0.4, radius=0.2), (0,)),
     "deep_ball": lambda: Body(make_phantom("cube_deep_sphere"), (0,)),
@@ -382,6 +409,7 @@ OBJECTS: dict[str, Callable[[], Body]] = {
     "gradient": lambda: _cube(youngs=Gradient((0.0, 0.0, 0.0), (0.0, 10.0, 10.0), 0.13, 0.3)),
     "uniform_dome": lambda: _dome(),
     "fat_gland": lambda: _breast(),
+    **{f"random{seed}": _random(seed) for seed in range(N_RANDOM)},
 }
 
 _SIDES = tuple(Contact("side", face) for face in ("z+", "x+", "y+"))
@@ -429,6 +457,9 @@ CASES: tuple[Case, ...] = (
     Case("uniform", "patches", 40.0, held_out=True),
     Case("gradient", "sides", 40.0, held_out=True),
 )
+RANDOM_CASES: tuple[Case, ...] = tuple(
+    Case(f"random{seed}", "sides", (40.0, 30.0)[seed // 2 % 2]) for seed in range(N_RANDOM)
+)
 # Forty bodies without inclusion, of four truth solutions.
 EMPTY_CASES: tuple[Case, ...] = tuple(
     Case(name, presses, snr_db, seed=100 + seed)
@@ -458,6 +489,7 @@ class Solution:
             "format": FORMAT,
             "phantom": body.phantom.to_config(),
             "meshes": [body.edge_mm, body.truth_edge_mm, body.interface_mm],
+            **({"lumps": LUMP_PER_RADIUS} if body.lumps else {}),
             **({"recorded_mm": presses.recorded_mm} if presses.recorded_mm else {}),
             "presses": asdict(presses),
             "misplaced": self.misplaced_mm,
@@ -628,6 +660,8 @@ class Truth:
         size_mm: Edge lengths of a voxel.
         youngs: Young's modulus, (n,), MPa.
         lumps: Lump of each voxel, (n,): 0 for none, k for the k-th.
+        lump_moduli_mpa: Young's modulus of each lump, MPa.
+        lump_radii_mm: Radius of the ball of each lump's volume, mm.
         count: Voxels along each axis.
     """
 
@@ -636,6 +670,8 @@ class Truth:
     size_mm: np.ndarray
     youngs: np.ndarray
     lumps: np.ndarray
+    lump_moduli_mpa: np.ndarray
+    lump_radii_mm: np.ndarray
     count: int = field(default=VOXELS)
 
     @staticmethod
@@ -647,9 +683,25 @@ class Truth:
         points = low + (index + 0.5) * size
         inside = body.phantom.body.contains(points)
         points, index = points[inside], index[inside]
+        lumps = [body.phantom.inclusions[k] for k in body.lumps]
         return Truth(
-            points, index, size, body.phantom.youngs_at(points), body.lump_labels(points), count
+            points,
+            index,
+            size,
+            body.phantom.youngs_at(points),
+            body.lump_labels(points),
+            np.array([modulus for _, modulus in lumps]),
+            np.array([_radius(shape) for shape, _ in lumps]),
+            count,
         )
+
+
+def _radius(shape: Shape) -> float:
+    """Radius of the ball of a shape's volume, by points in its bounding box, mm."""
+    low, high = shape.bounds()
+    grid = (np.indices((_VOLUME_POINTS,) * 3).reshape(3, -1).T + 0.5) / _VOLUME_POINTS
+    volume = np.prod(high - low) * shape.contains(low + (high - low) * grid).mean()
+    return float(np.cbrt(volume * 3.0 / (4.0 * np.pi)))
 
 
 def _log(text: str) -> None:

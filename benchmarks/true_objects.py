@@ -1,6 +1,6 @@
 """Maps against analytic objects whose presses were solved on other, finer meshes.
 
-    python benchmarks/true_objects.py [--set open|held_out|empty|all] [--only NAME...]
+    python benchmarks/true_objects.py [--set open|held_out|empty|random|all] [--only NAME...]
         [--method default|map|shapes] [--settings KEY=VALUE...] [--check] [--cache FOLDER]
         [--out FOLDER]
 
@@ -13,7 +13,8 @@ outline alone. Settings are the same for all cases.
 
 The map is compared with the analytic object on 36^3 voxels of the bounding box, those outside the
 body excluded. Half of the cases are held out, to be run once with `--set held_out`; `--set empty`
-has forty bodies without inclusion. `--check` refines each truth mesh once more and compares the
+has forty bodies without inclusion, and `--set random` fifty balls and ellipsoids, for the coverage
+of intervals. `--check` refines each truth mesh once more and compares the
 change of the displacements with the noise. Noise-free recordings are cached.
 
 The last line printed is one JSON object.
@@ -33,7 +34,7 @@ from machine import OtherWork, write_results
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 from scipy.special import ndtri
-from true_cases import CASES, EMPTY_CASES, Case, Truth, make_recording
+from true_cases import CASES, EMPTY_CASES, RANDOM_CASES, Case, Truth, make_recording
 
 from tactorch.errors import TactorchError
 from tactorch.findings import find_lumps
@@ -60,12 +61,18 @@ class FoundLump:
         radius_mm: Radius of the ball of its volume.
         youngs_mpa: Mean modulus.
         probability: Probability that it exists; None if not stated.
+        youngs_90_mpa: 90 % interval of its modulus; None if not stated.
+        radius_90_mm: The same of its radius.
+        center_deviation_mm: Standard deviation of its centre, by axis; None if not stated.
     """
 
     center_mm: tuple[float, float, float]
     radius_mm: float
     youngs_mpa: float
     probability: float | None = None
+    youngs_90_mpa: tuple[float, float] | None = None
+    radius_90_mm: tuple[float, float] | None = None
+    center_deviation_mm: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +145,15 @@ def invert_by_shapes(recording: Recording, settings: Settings) -> Answer:
     result = find_shapes(recording, settings)
     seconds = time.perf_counter() - began
     lumps = tuple(
-        FoundLump(i.shape.center_mm, i.shape.radius_mm, i.youngs_mpa, i.probability)
+        FoundLump(
+            i.shape.center_mm,
+            i.shape.radius_mm,
+            i.youngs_mpa,
+            i.probability,
+            i.youngs_90_mpa,
+            i.radius_90_mm,
+            i.center_deviation_mm,
+        )
         for i in result.inclusions
     )
     notes = {
@@ -174,7 +189,9 @@ def values_at(mesh: TetMesh, values: np.ndarray) -> FieldAt:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the cases, and print the table and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--set", choices=("open", "held_out", "empty", "all"), default="open")
+    parser.add_argument(
+        "--set", choices=("open", "held_out", "empty", "random", "all"), default="open"
+    )
     parser.add_argument("--only", nargs="+", metavar="NAME", help="cases of any set by name")
     parser.add_argument("--method", choices=list(METHODS), default="default")
     parser.add_argument("--settings", nargs="+", default=[], metavar="KEY=VALUE")
@@ -220,15 +237,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def choose_cases(chosen_set: str, only: Sequence[str] | None) -> list[Case]:
     """Return the cases of a set, or those named."""
-    every = [*CASES, *EMPTY_CASES]
+    every = [*CASES, *EMPTY_CASES, *RANDOM_CASES]
     if only:
         known = {case.name: case for case in every}
         unknown = [name for name in only if name not in known]
         if unknown:
             raise SystemExit(f"unknown case {unknown[0]}; choose from {', '.join(known)}.")
         return [known[name] for name in only]
-    if chosen_set == "empty":
-        return list(EMPTY_CASES)
+    if chosen_set in ("empty", "random"):
+        return list(EMPTY_CASES if chosen_set == "empty" else RANDOM_CASES)
     return [
         case for case in CASES if chosen_set == "all" or case.held_out == (chosen_set == "held_out")
     ]
@@ -281,6 +298,9 @@ def score(truth: Truth, answer: Answer) -> dict[str, Any]:
     - `segmented_contrast`: level of the segmented lump over the background, in the map.
     - `lumps_reported`: number of lumps in the answer; `reported_position_mm`: as `position_mm`, of
       the reported centres.
+    - `modulus_covered`, `size_covered`, `position_covered`: fraction of the true lumps whose
+      modulus and radius are within the 90 % intervals of the nearest reported lump, and of the
+      coordinates of their centres that are within its 90 % intervals.
     - `seconds`, and the method's own notes.
     """
     youngs = np.asarray(answer.youngs_at(truth.points), dtype=float)
@@ -300,6 +320,9 @@ def score(truth: Truth, answer: Answer) -> dict[str, Any]:
         "seconds": float(answer.seconds),
         "lumps_reported": None if answer.lumps is None else len(answer.lumps),
         "reported_position_mm": None,
+        "modulus_covered": None,
+        "size_covered": None,
+        "position_covered": None,
         **_coverage(truth, answer, log_error, inside),
         **answer.notes,
     }
@@ -324,8 +347,28 @@ def score(truth: Truth, answer: Answer) -> dict[str, Any]:
         scores["size_ratio"] = float(np.cbrt(volume / inside.sum()))
     if answer.lumps:
         reported = cKDTree(np.array([lump.center_mm for lump in answer.lumps]))
-        scores["reported_position_mm"] = float(reported.query(centers)[0].mean())
+        distances, nearest = reported.query(centers)
+        scores["reported_position_mm"] = float(distances.mean())
+        scores |= _interval_coverage(truth, centers, [answer.lumps[k] for k in nearest])
     return scores
+
+
+def _interval_coverage(
+    truth: Truth, centers: np.ndarray, reported: Sequence[FoundLump]
+) -> dict[str, float]:
+    """Fractions of lumps, or of coordinates of their centres, within the stated intervals."""
+    covered: dict[str, list[bool]] = {"modulus": [], "size": [], "position": []}
+    for k, lump in enumerate(reported):
+        for name, interval, value in (
+            ("modulus", lump.youngs_90_mpa, truth.lump_moduli_mpa[k]),
+            ("size", lump.radius_90_mm, truth.lump_radii_mm[k]),
+        ):
+            if interval is not None:
+                covered[name].append(bool(interval[0] <= value <= interval[1]))
+        if lump.center_deviation_mm is not None:
+            error = np.abs(centers[k] - lump.center_mm)
+            covered["position"] += list(error <= ndtri(0.95) * np.array(lump.center_deviation_mm))
+    return {f"{name}_covered": float(np.mean(values)) for name, values in covered.items() if values}
 
 
 def segment(youngs: np.ndarray) -> tuple[np.ndarray, float]:
@@ -381,9 +424,19 @@ def _pearson(first: np.ndarray, second: np.ndarray) -> float | None:
 
 
 _SUMMARIZED = (
-    "r", "rmse_log", "contrast", "dice", "position_mm", "size_ratio", "covered_50_inside",
-    "covered_90_inside", "covered_50_outside", "covered_90_outside", "seconds",
-)  # fmt: skip
+    "r",
+    "rmse_log",
+    "contrast",
+    "dice",
+    "position_mm",
+    "size_ratio",
+    "covered_50_inside",
+    "covered_90_inside",
+    "covered_50_outside",
+    "covered_90_outside",
+    "seconds",
+)
+_FREQUENCIES = ("modulus_covered", "size_covered", "position_covered")  # fmt: skip
 
 
 def summarize(results: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -401,6 +454,7 @@ def summarize(results: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         "median_by_noise": {
             level: _medians([s for n, s in lumpy.items() if _level(n) == level]) for level in levels
         },
+        "covered_at_90": _frequencies(lumpy.values()),
         "missed": sum(scores["position_mm"] is None for scores in lumpy.values()),
         "empty_bodies": len(empty),
         "empty_bodies_with_lump": sum(bool(scores["lumps_reported"]) for scores in empty),
@@ -420,6 +474,16 @@ def _medians(scores: Any) -> dict[str, float | None]:
     return medians
 
 
+def _frequencies(rows: Any) -> dict[str, float | None]:
+    """Means over the cases of the frequencies with which intervals cover the truth."""
+    found = list(rows)
+    means = {}
+    for key in _FREQUENCIES:
+        values = [row[key] for row in found if row[key] is not None]
+        means[key] = float(np.mean(values)) if values else None
+    return means
+
+
 _COLUMNS = {
     "r": "r",
     "rmse_log": "RMSE log E",
@@ -433,6 +497,9 @@ _COLUMNS = {
     "covered_90_inside": "90 % in",
     "covered_50_outside": "50 % out",
     "covered_90_outside": "90 % out",
+    "modulus_covered": "E 90 %",
+    "size_covered": "size 90 %",
+    "position_covered": "place 90 %",
     "lumps_reported": "lumps",
     "chi2": "chi2",
     "seconds": "s",

@@ -154,6 +154,8 @@ def tiny(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         "finger": true_cases.Presses("finger", (finger,), (0.02,), "z-", refined_mm=3.0),
     }
     monkeypatch.setattr(true_cases, "OBJECTS", {"tiny": lambda: body})
+    monkeypatch.setattr(true_cases, "LUMP_PER_RADIUS", 2.5)
+    monkeypatch.setattr(true_cases, "RECORDED_PER_RADIUS", 1.0)
     monkeypatch.setattr(true_cases, "PRESSES", presses)
     cases = (
         true_cases.Case("tiny", "both", 40.0),
