@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,6 +21,7 @@ from tactorch.fem import (
     make_material,
 )
 from tactorch.fem.body import check_youngs
+from tactorch.fem.elements import ConsistentLoads
 from tactorch.inverse.data import DataModel, NoiseModel, Observation
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModel
@@ -138,8 +139,7 @@ class Evaluation:
             press, linearization, columns = self._presses[i], cases[i].linearization, []
             for name in names:
                 forces, reports = press.model.rates(name, press.equilibrium.displacement)
-                loads = press.newton.assembly.discretisation.consistent_loads
-                changes = [loads(change) for change in forces]
+                changes = self._loads(press, forces)
                 if name == "poisson":
                     changes = [-rate for rate in linearization.parameter_forces(poisson=True)]
                 elif name == "rest_scale":
@@ -155,6 +155,17 @@ class Evaluation:
             return np.column_stack(columns) * self.data.observations[i].scale[:, None]
 
         return self._join(map_cases(work, len(cases)))
+
+    def _loads(
+        self, press: _PressSolution, changes: Sequence[Float[np.ndarray, "n 3"]]
+    ) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return the loads of all nodes by changes of a press's nodal forces, N."""
+        discretisation = press.newton.assembly.discretisation
+        if not discretisation.element.quadratic:
+            return list(changes)
+        # The loaded triangles are those of the press: a change may be zero at some nodes.
+        loads = ConsistentLoads.of(discretisation, press.model.forces)
+        return [loads.apply(change) for change in changes]
 
     def jacobian_times(self, change: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""
@@ -207,12 +218,13 @@ class Evaluation:
         points = self._presses[0].newton.assembly.points
 
         def work(i: int) -> np.ndarray:
-            press = self._presses[i]
-            loads = press.newton.assembly.discretisation.consistent_loads
-            forces = press.model.forces
+            forces = self._presses[i].model.forces
             nodes = np.flatnonzero((forces != 0.0).any(axis=1))
+            if not len(nodes):  # moved by prescribed displacements or its weight
+                return np.zeros((len(data[i].index), 0))
             shapes = [*_gradients(points, forces), *np.eye(len(points))[nodes]]
-            changes = np.array([loads(forces * shape[:, None]) for shape in shapes])
+            fields = [forces * shape[:, None] for shape in shapes]
+            changes = np.array(self._loads(self._presses[i], fields))
             moved = cases[i].linearization.force_response(changes)
             columns = np.column_stack([cases[i].observe(u) * data[i].scale for u in moved])
             basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
@@ -280,8 +292,6 @@ def _gradients(
 ) -> list[Float[np.ndarray, " n"]]:
     """Return unity, and linear functions of unit mean square over the loaded points."""
     sizes = np.linalg.norm(forces, axis=1)
-    if not sizes.any():
-        return []
     weights = sizes / sizes.sum()
     offsets = points - weights @ points
     moments, axes = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)
@@ -345,8 +355,7 @@ class InverseProblem:
     @cached_property
     def _order(self) -> Int[np.ndarray, " presses"]:
         """Order of the presses, in which those that share factorisations are apart."""
-        leases = self._leases or range(len(self.recording.presses))
-        keys = [id(lease) for lease in leases]
+        keys: list[Any] = list(self._leases or range(len(self.recording.presses)))
         return np.argsort([keys[:i].count(key) for i, key in enumerate(keys)], kind="stable")
 
     def _share(self) -> list[SharedLease]:
@@ -393,9 +402,11 @@ class InverseProblem:
             near: Evaluation at similar moduli to start from.
             nuisance: Nuisance values; by default those that the recording states.
             take_over: Whether to take over the factorisations of `near`, which must then factor
-                again for its derivatives. It saves time and half the memory.
+                again for its derivatives. It saves time and half the memory. Without effect where
+                presses share factorisations.
             chained: Whether to solve the presses one after the other, each with the factorisation
                 of the one before. It needs the memory of one press, but gives no derivatives.
+                Without effect on the factorisations where presses share them.
             starts: Displacement to start from, each press, mm; by default those of `near`.
 
         Raises:

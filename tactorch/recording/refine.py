@@ -35,7 +35,7 @@ def prolong_recording(recording: Recording, refinement: Refinement) -> Recording
 
     Only the coarse nodes are observed. New nodes have no data, and zero weight where weights are
     given. The moduli `truth` and `reference` are those of the parent elements, and `prescribed` is
-    interpolated linearly.
+    interpolated linearly. The provenance states no inverse crime.
 
     Nodal forces stand for a traction (N/mm^2) that is linear on each loaded coarse triangle; see
     `tactorch.mesh.tractions`. Those of the fine mesh are the integrals of the same traction, so
@@ -69,6 +69,9 @@ def prolong_recording(recording: Recording, refinement: Refinement) -> Recording
         return recording
     new, parents = len(refinement.ends), refinement.parents
     unloaded, truth, reference = recording.unloaded, recording.truth, recording.reference
+    provenance = dict(recording.provenance)
+    if provenance.get("inverse_crime"):
+        provenance["inverse_crime"] = False  # the presses were not computed on the fine mesh
     return replace(
         recording,
         mesh=refinement.mesh,
@@ -78,6 +81,7 @@ def prolong_recording(recording: Recording, refinement: Refinement) -> Recording
         unloaded=None
         if unloaded is None
         else np.pad(unloaded, ((0, 0), (0, new), (0, 0)), constant_values=np.nan),
+        provenance=provenance,
         check_units=False,
     )
 

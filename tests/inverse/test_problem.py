@@ -333,6 +333,21 @@ def test_force_patterns_are_changes_by_errors_of_the_forces(
     np.testing.assert_allclose(first @ first.T, covariance, atol=1e-3 * covariance.max())
 
 
+def test_a_press_without_forces_has_no_force_patterns(
+    recording: Recording, moduli: np.ndarray
+) -> None:
+    forces = recording.presses[0].forces
+    fixed, prescribed = np.zeros(forces.shape, dtype=bool), np.zeros_like(forces)
+    fixed[:, 2] = forces[:, 2] != 0.0
+    prescribed[fixed] = -0.1
+    moved = {"forces": np.zeros_like(forces), "fixed": fixed, "prescribed": prescribed}
+    problem = InverseProblem(with_press(recording, 0, **moved))
+    patterns = problem.evaluate(moduli).force_patterns()
+    assert len(patterns) == sum(problem.data.counts)
+    assert not patterns[: problem.data.counts[0]].any()
+    assert patterns.any()
+
+
 def test_small_force_patterns_are_left_out(recording: Recording, moduli: np.ndarray) -> None:
     evaluation = InverseProblem(recording).evaluate(moduli)
     norms = np.linalg.norm(evaluation.force_patterns(), axis=0)

@@ -8,10 +8,11 @@ import pytest
 import scipy.integrate
 
 from tactorch.errors import ConfigError
+from tactorch.fem import ELEMENTS
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, find_shapes
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.sizing import contact_sizing, inclusion_sizing
 from tactorch.mesh import box_mesh
@@ -53,6 +54,19 @@ VALUES = {
     False: [np.log(0.2), 5.0, 4.6, 5.7, np.log(2.2), 1.2],
     True: [np.log(0.2), 5.0, 4.6, 5.7, np.log(2.2), 1.2, 0.2, -0.1, 0.1, -0.2, 0.15],
 }
+
+
+def test_samples_are_evenly_around_the_quadrature_points():
+    rule = ELEMENTS["tet10"].points
+    groups = samples_around(rule).reshape(len(rule), -1, 4)
+    for k, group in enumerate(groups):
+        distance = ((group[:, None] - rule) ** 2).sum(axis=2)
+        np.testing.assert_allclose(distance[:, k], distance.min(axis=1))
+        # The same for each point, but for the order of the corners.
+        own, others = group[:, k].mean(), np.delete(group, k, axis=1).mean(axis=0)
+        assert own == pytest.approx(groups[0][:, 0].mean())
+        np.testing.assert_allclose(others, (1.0 - own) / 3.0)
+    np.testing.assert_allclose(groups.mean(axis=(0, 1)), 0.25)
 
 
 @pytest.mark.parametrize("distorted", [False, True])

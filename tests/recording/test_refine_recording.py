@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from dataclasses import fields as fields_of
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -155,6 +156,13 @@ def test_the_moment_is_preserved() -> None:
     assert fine.mesh.n_points > mesh.n_points
     moment = np.cross(fine.mesh.points, fine.presses[0].forces).sum(axis=0)
     np.testing.assert_allclose(moment, expected)
+
+
+def test_the_fine_mesh_is_not_that_of_the_presses() -> None:
+    coarse = replace(_pressed(box_mesh(10.0, 2)), provenance={"inverse_crime": True, "seed": 3})
+    fine = refine_recording(coarse, _local)
+    assert fine.provenance == {"inverse_crime": False, "seed": 3}
+    assert coarse.provenance["inverse_crime"]
 
 
 def test_vertices_without_a_loaded_triangle_keep_their_force() -> None:

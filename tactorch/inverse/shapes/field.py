@@ -55,11 +55,7 @@ class Sites:
     def of(assembly: Assembly) -> "Sites":
         """Return the volumes around the quadrature points of a body's elements."""
         mesh, rule = assembly.discretisation.mesh, assembly.discretisation.element.points
-        samples = lattice(_SAMPLES)
-        distance = ((samples[:, None] - rule) ** 2).sum(axis=2)
-        order = np.argsort(distance.argmin(axis=1), kind="stable")
-        corners = mesh.points[mesh.tets]
-        points = np.einsum("pc,mcd->mpd", samples[order], corners)
+        points = np.einsum("pc,mcd->mpd", samples_around(rule), mesh.points[mesh.tets])
         shape = assembly.weights.shape
         width = _WIDTH * np.cbrt(np.repeat(assembly.volumes, shape[1]))
         return Sites(points.reshape(shape[0] * shape[1], -1, 3), width, shape)
@@ -73,6 +69,20 @@ class Sites:
     def at(points: Float[np.ndarray, "n 3"]) -> "Sites":
         """Return points (mm), at which boundaries are sharp."""
         return Sites(points[:, None], np.zeros(len(points)), (len(points), 1))
+
+
+def samples_around(rule: Float[np.ndarray, "q 4"]) -> Float[np.ndarray, "samples 4"]:
+    """Return as many sample points of an element for each quadrature point, those nearest to it.
+
+    Points are in barycentric coordinates. Those nearest to two quadrature points count half for
+    each: the others are there twice.
+    """
+    samples = lattice(_SAMPLES)
+    distance = ((samples[:, None] - rule) ** 2).sum(axis=2)
+    nearest = np.isclose(distance, distance.min(axis=1, keepdims=True))
+    counts = 2 // nearest.sum(axis=1, keepdims=True) * nearest
+    groups = [np.repeat(np.arange(len(samples)), count) for count in counts.T]
+    return samples[np.concatenate(groups)]
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
 The fit minimises half the sum of squared residuals plus that of the coefficients in standard
 deviations of their prior, by damped Gauss-Newton steps (Levenberg-Marquardt). The posterior is
-normal (Laplace approximation), and so is the evidence: log Z = -(|r|^2 + |z|^2 + log det(H)) / 2
-with H = J^T J + 1 (MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter
-28), up to a constant of the data.
+normal (Laplace approximation), and so is the evidence: log Z = -(|r|^2 + |z|^2 + log det(H) + log
+det(C)) / 2 with H = J^T J + 1 and the covariance C of the data (MacKay, Information Theory,
+Inference, and Learning Algorithms, 2003, chapter 28), up to a constant of the data.
 """
 
 from collections.abc import Sequence
@@ -111,7 +111,7 @@ class ShapeFit:
     Attributes:
         field: The family of the shapes and the prior of its parameters.
         z: Parameters, in standard deviations of the prior.
-        covariance: Their posterior covariance.
+        covariance: Their posterior covariance, for the stated noise.
         chi2: Mean squared residual, in standard deviations.
         misfit: Half the sum of squared residuals.
         log_determinant: Half the logarithm of the determinants of the posterior precision and of
@@ -128,6 +128,12 @@ class ShapeFit:
     log_determinant: float
     residuals: Float[np.ndarray, " data"]
     jacobian: Float[np.ndarray, "data size"]
+
+    @property
+    def inflated_covariance(self) -> Float[np.ndarray, "size size"]:
+        """Posterior covariance where residuals above the noise are counted as noise."""
+        precision = self.jacobian.T @ self.jacobian / max(1.0, self.chi2)
+        return np.linalg.inv(precision + np.eye(len(self.z)))
 
     def log_evidence(self, inflation: float = 1.0) -> float:
         """Return the log-evidence where the variance of the noise is `inflation` times as large.
@@ -157,8 +163,9 @@ def fit_shapes(
         starts: Displacement of each press from which the equilibria start, mm.
         max_iterations: Limit of Gauss-Newton steps.
         tolerance: Predicted fall of the objective, over chi2 if that exceeds one, at which to stop.
-            The parameters are then within sqrt(2 tolerance) posterior standard deviations of the
-            optimum.
+            The parameters are then within some sqrt(2 tolerance) posterior standard deviations of
+            the optimum. It also stops below a fall of 0.5 where errors of the derivatives prevent
+            a descent.
 
     Raises:
         ConvergenceError: the start has no equilibrium under the recorded forces.

@@ -33,7 +33,7 @@ class ShapeInclusion:
         youngs_mpa: Young's modulus, MPa.
         background_mpa: Young's modulus of the background at the centre, MPa.
         center_deviation_mm: Standard deviation of the centre along x, y and z, mm.
-        radius_mm: Interval of the radius of the ball of the same volume, mm.
+        radius_90_mm: Interval of the radius of the ball of the same volume, mm.
         youngs_90_mpa: Interval of Young's modulus, MPa.
         contrast_90: Interval of Young's modulus over that of the background.
         probability: Probability that the inclusion exists.

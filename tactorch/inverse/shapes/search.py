@@ -1,10 +1,11 @@
 """The search for inclusions: proposals by linear elements, decisions by quadratic ones.
 
-A model is a background, uniform or smooth, with a number of balls and ellipsoids. From a model
-others follow: with a further ball where a matched filter sees one in the residuals, with a smooth
-background, or with a ball as an ellipsoid. Each is fitted with linear elements, whose data are
-shifted so that they agree with quadratic elements at the present model. The best is then fitted
-with quadratic elements, and accepted if it raises the evidence.
+A model is a background, uniform or smooth, with a number of balls and ellipsoids, and a deviation
+of the recorded forces. From a model others follow: with a further ball where a matched filter sees
+one in the residuals, with a smooth background, with a ball as an ellipsoid, or with larger errors
+of the forces. Each is fitted with linear elements, whose data are shifted so that they agree with
+quadratic elements at the present model. They are then fitted with quadratic elements, the best
+first, and the first that raises the evidence enough is accepted.
 """
 
 import logging
@@ -42,6 +43,7 @@ _MAX_FITS = 3  # with quadratic elements, of proposals from one model
 _DEGREES = (2, 4)  # of smooth backgrounds
 _FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 _MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
+_MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
 _MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
 # Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
 # reduces that of pure noise by six or so.
@@ -288,7 +290,7 @@ class _Search:
             parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
             z = fewer.standard(np.concatenate(parts))
             start = _Start(f"without {removed}", fewer, z, model.force_deviation)
-            return -self._try(start, model, offsets)[0]
+            return min(-self._try(start, model, offsets)[0], _MAX_LOG_ODDS)
 
         each = tuple(without([k]) for k in range(count))
         return each, (each[0] if count == 1 else without(range(count)) if count else 0.0)
@@ -357,7 +359,8 @@ def find_shapes(
 
     Raises:
         ConfigError: a setting cannot be used.
-        ConvergenceError: with no uniform modulus do all presses have an equilibrium.
+        ConvergenceError: with no uniform modulus do all presses have an equilibrium, or linear
+            elements have none where quadratic ones have.
     """
     settings = settings or Settings()
     if not _same_model(recording):
@@ -373,13 +376,16 @@ def find_shapes(
             break
         proposal, model = accepted
         history.append(_record(proposal.what, model))
-    search, model = search.refined(model)
-    history.append(_record("finer mesh at the inclusions", model))
+    try:
+        search, model = search.refined(model)
+    except ConvergenceError as error:
+        _log.warning("The result is that of the coarse mesh; the finer one fails: %s", error)
+    history.append(_record("final fit", model))
     _log.info("mesh of %d elements: chi2 %.4g", search.linear.n_elements, model.fit.chi2)
     each, any_ = search.log_odds(model)
     fit = model.fit
     return ShapeReconstruction(
-        fit.field, fit.z, max(1.0, fit.chi2) * fit.covariance, fit.chi2, each, any_,
+        fit.field, fit.z, fit.inflated_covariance, fit.chi2, each, any_,
         model.force_deviation, search.unexplained(fit), tuple(history),
     )  # fmt: skip
 

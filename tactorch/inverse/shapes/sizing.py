@@ -13,7 +13,7 @@ from tactorch.recording import Recording
 
 _PER_RADIUS = 0.65  # longest edge at the boundary of an inclusion, over its radius
 _SHELL = 0.25  # half-width of the refined shell, over the radius
-RIM, FINE_RIM = 0.5, 0.25  # longest edge at the rim of a contact, over the contact's radius
+_PER_CONTACT = 0.5  # longest edge at the rim of a contact, over the contact's radius
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 
 
@@ -33,16 +33,14 @@ def inclusion_sizing(inclusions: Sequence[Ellipsoid]) -> Sizing:
     return sizing
 
 
-def contact_sizing(recording: Recording, fraction: float = RIM) -> Sizing:
+def contact_sizing(recording: Recording) -> Sizing:
     """Return the longest edges (mm) at points (mm): short at rims of contacts.
-
-    There they are a `fraction` of the contact's radius, within that distance of the rim.
 
     The traction ends at the rim, where strains change within a fraction of the contact's radius,
     which is that of a disc of the area of the loaded surface triangles. Contacts that end at an
     edge of the body have no rim there.
     """
-    rims: dict[bytes, tuple[np.ndarray, float]] = {}
+    rims: dict[bytes, tuple[cKDTree | None, float]] = {}
     for press in recording.presses:
         loaded = (press.forces != 0).any(axis=1)
         if loaded.tobytes() not in rims:
@@ -50,17 +48,16 @@ def contact_sizing(recording: Recording, fraction: float = RIM) -> Sizing:
 
     def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         lengths = np.full(len(points), np.inf)
-        for nodes, radius in rims.values():
-            if len(nodes):
-                distance = cKDTree(nodes).query(points)[0]
-                near = distance < fraction * radius
-                lengths[near] = np.minimum(lengths[near], fraction * radius)
+        for rim, radius in rims.values():
+            if rim is not None:
+                near = rim.query(points)[0] < _PER_CONTACT * radius
+                lengths[near] = np.minimum(lengths[near], _PER_CONTACT * radius)
         return lengths
 
     return sizing
 
 
-def _rim(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "rim 3"], float]:
+def _rim(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> tuple[cKDTree | None, float]:
     """Return the loaded points beside which the surface goes on without load, and the radius."""
     surface = mesh.surface
     inside = loaded[surface.triangles].all(axis=1)
@@ -72,4 +69,4 @@ def _rim(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> tuple[Float[np.ndarra
     corners = surface.triangles[~inside]
     smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
     rim = np.unique(corners[smooth & loaded[corners]])
-    return mesh.points[rim], radius
+    return (cKDTree(mesh.points[rim]) if len(rim) else None), radius
