@@ -228,6 +228,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "method": options.method,
         "settings": options.settings,
         "set": options.set,
+        "only": options.only,
         "other_work": load,
     }
     if options.out is not None:
