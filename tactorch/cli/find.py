@@ -7,8 +7,7 @@
 Inclusions with sharp boundaries are fitted to the presses, as many as their evidence supports. With
 shapes=false the lumps are regions of the run's map. The text is printed, and written with its
 numbers to finding.txt and finding.json in the run's folder; the shapes are written to shapes.json,
-which `tactorch report` reads, and drawn in shapes.png beside
-the map.
+which `tactorch report` reads, and drawn in shapes.png beside the map.
 """
 
 from dataclasses import dataclass
@@ -53,12 +52,16 @@ class FindOptions(UnitCheck, CommandOptions):
 def run(options: FindOptions) -> Finding:
     """Describe the lumps in a run's map."""
     folder = options.run
-    inverted = load_run(folder, recording=options.recording, check_units=options.check_units)
+    inverted = load_run(
+        folder, recording=options.recording, check_units=options.check_units, shapes=False
+    )
     if inverted.recording is None:
         raise FileError(
             f"{inverted.missing} Give recording=FILE.h5: depths are measured from its presses."
         )
     out, youngs = options.out or folder, inverted.result.youngs
+    for name in (SHAPES, "shapes.png"):  # of an earlier search: the report would show it
+        (out / name).unlink(missing_ok=True)
     finding = _find_shapes(inverted, inverted.recording, options, out) if options.shapes else None
     if finding is None:
         finding = _find_regions(inverted, inverted.recording, options)

@@ -63,6 +63,7 @@ def load_run(
     name: str = "",
     recording: str | Path | None = None,
     check_units: bool = True,
+    shapes: bool = True,
 ) -> Run:
     """Read the folder of an inversion.
 
@@ -71,6 +72,7 @@ def load_run(
         name: Name of the run; the name of the folder if empty.
         recording: Inverted recording, if it is not the file that the run refers to.
         check_units: Whether recordings whose numbers suggest another unit are refused.
+        shapes: Whether shapes that were fitted earlier are read.
     """
     path = require_folder(folder, "run")
     try:
@@ -101,7 +103,7 @@ def load_run(
         summary=summary,
         text=text.read_text(encoding="utf-8", errors="replace") if text.is_file() else "",
         log=_load_log(path),
-        shapes=_load_shapes(path),
+        shapes=_load_shapes(path) if shapes else None,
     )
 
 

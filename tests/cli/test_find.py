@@ -49,6 +49,17 @@ def test_shapes_are_fitted_and_shown_by_the_report(tactorch: Any, finished_run: 
         load_run(folder)
 
 
+def test_regions_replace_the_shapes_of_an_earlier_search(tactorch: Any, finished_run: Path) -> None:
+    folder = Path("run")
+    shutil.copytree(finished_run, folder)
+    for name in ("shapes.json", "shapes.png"):
+        (folder / name).write_text("{}")
+    done = tactorch("find", folder, "shapes=false", "uncertainty=false")
+    assert done.status == 0, done.err
+    assert not list(folder.glob("shapes.*"))
+    assert load_run(folder).shapes is None
+
+
 def test_without_uncertainty_nothing_is_said_of_it(tactorch: Any, finished_run: Path) -> None:
     done = tactorch(
         "find", f"run={finished_run}", "shapes=false", "uncertainty=false", "out=elsewhere"
