@@ -19,10 +19,12 @@ import numpy as np
 from true_meshes import (
     LabelledMesh,
     Sizing,
+    distance_from_sharp_edges,
     labels_at,
     make_truth_mesh,
     refine,
     refine_everywhere,
+    volume,
 )
 
 from tactorch.fem import ELEMENTS, Discretisation, NewtonOptions, SoftBody, Supports, make_material
@@ -47,17 +49,19 @@ from tactorch.simulation.patch import nodes_within, patch_forces
 from tactorch.simulation.plan import PressSite
 from tactorch.simulation.transfer import Transfer
 
-FORMAT = 1  # of the cached recordings; raised when their computation changes
+FORMAT = 2  # of the cached recordings; raised when their computation changes
 VOXELS = 36
 N_RANDOM = 50  # objects of random shape
 MATERIAL = MaterialSpec("neo_hookean", 0.45)
 SPRING_N_PER_MM = 1.0  # of each supported node of the recording's mesh
 FORCE_ERROR, MISPLACEMENT_MM = 0.05, 0.3
-LUMP_PER_RADIUS = 0.25  # edge length of the truth mesh at a lump, over its smallest half-width
+LUMP_PER_RADIUS = 0.4  # edge length of the truth mesh at a lump, over its smallest half-width
+# Edge length of the truth mesh at sharp edges, over the body's size: where a supported face ends
+# the strain is singular.
+CREASE_PER_SIZE = 0.035
 RECORDED_PER_RADIUS = 0.3  # edge length of the recording's mesh under a contact, over its radius
 Point = tuple[float, float, float]
 _FLANK = 0.5  # smallest cosine between a finger's push and the surface under it
-_VOLUME_POINTS = 64  # along each axis
 _FINGER_POINTS = 8  # along the edge of a triangle, for the pressure of a finger
 
 
@@ -228,7 +232,10 @@ class Body:
         return refine(outline, mesh, presses.sizing(presses.recorded_mm, 1.5)).mesh
 
     def sizing(self, presses: Presses) -> Sizing:
-        """Return the edge length of the truth mesh: small at interfaces and under contacts."""
+        """Return the edge length of the truth mesh: small at interfaces, creases and contacts."""
+        outline = Phantom(self.phantom.body).mesh(self.edge_mm)
+        from_crease = distance_from_sharp_edges(outline)
+        crease_mm = CREASE_PER_SIZE * float(np.cbrt(outline.volumes.sum()))
         edges = []
         for k, (shape, _) in enumerate(self.phantom.inclusions):
             radius = float(np.ptp(shape.bounds(), axis=0).min()) / 2
@@ -236,7 +243,7 @@ class Body:
             edges.append((shape, min(self.interface_mm, lump_mm)))
 
         def sizes(points: np.ndarray) -> np.ndarray:
-            out = np.full(len(points), 1.6 * self.truth_edge_mm)
+            out = np.minimum(1.6 * self.truth_edge_mm, crease_mm + 0.8 * from_crease(points))
             for shape, edge in edges:
                 out = np.minimum(out, edge + 0.4 * np.abs(shape.signed_distance(points)))
             if presses.refined_mm is not None:
@@ -491,6 +498,7 @@ class Solution:
             "phantom": body.phantom.to_config(),
             "meshes": [body.edge_mm, body.truth_edge_mm, body.interface_mm],
             **({"lumps": LUMP_PER_RADIUS} if body.lumps else {}),
+            "creases": CREASE_PER_SIZE,
             **({"recorded_mm": presses.recorded_mm} if presses.recorded_mm else {}),
             "presses": asdict(presses),
             "misplaced": self.misplaced_mm,
@@ -699,10 +707,7 @@ class Truth:
 
 def _radius(shape: Shape) -> float:
     """Radius of the ball of a shape's volume, by points in its bounding box, mm."""
-    low, high = shape.bounds()
-    grid = (np.indices((_VOLUME_POINTS,) * 3).reshape(3, -1).T + 0.5) / _VOLUME_POINTS
-    volume = np.prod(high - low) * shape.contains(low + (high - low) * grid).mean()
-    return float(np.cbrt(volume * 3.0 / (4.0 * np.pi)))
+    return float(np.cbrt(volume(shape) * 3.0 / (4.0 * np.pi)))
 
 
 def _log(text: str) -> None:

@@ -3,12 +3,16 @@
 A mesh of `Phantom.mesh(conforming=True)` follows each inclusion within fTetWild's envelope, with
 chords as long as its edges. Here its interface nodes are moved onto the analytic surface, and
 elements are bisected (longest edge, with conforming closure; Rivara, 1984) down to a local edge
-length, with new nodes of interfaces and of curved boundaries on the analytic surfaces too.
+length, with new nodes of interfaces and of curved boundaries on the analytic surfaces too. At last
+the interface of each inclusion is moved outwards until its polyhedron has the inclusion's volume:
+that between chords is smaller by one per cent, which is a tenth of the noise at 40 dB.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from tactorch.mesh import Box, Shape, TetMesh
 from tactorch.mesh.geometry import signed_volumes
@@ -18,6 +22,9 @@ from tactorch.phantoms import Phantom
 
 MIN_VOLUME_FRACTION = 0.2  # of an element after its nodes are moved onto a surface
 MAX_MOVE = 0.3  # of a node onto a surface, in edge lengths
+MIN_MISSING, MAX_MISSING = 1e-4, 0.05  # fractions of a volume that chords leave out
+CREASE = 0.7  # cosine of the angle between the normals at a sharp edge
+VOLUME_POINTS = 128  # along each axis
 _MAX_PASSES = 60
 
 
@@ -72,6 +79,7 @@ def refine(phantom: Phantom, mesh: TetMesh, sizing: Sizing) -> LabelledMesh:
         if not large.any():
             break
         points, tets, (labels,) = _bisect(phantom, points, tets, (labels,), large)
+    points = _with_volumes(phantom, points, tets, labels)
     return LabelledMesh(TetMesh.create(points, tets, repair=False), labels)
 
 
@@ -84,7 +92,51 @@ def refine_everywhere(phantom: Phantom, coarse: LabelledMesh) -> LabelledMesh:
         if not large.any():
             break
         points, tets, (labels, limits) = _bisect(phantom, points, tets, (labels, limits), large)
+    points = _with_volumes(phantom, points, tets, labels)
     return LabelledMesh(TetMesh.create(points, tets, repair=False), labels)
+
+
+def distance_from_sharp_edges(mesh: TetMesh) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the distance (mm) of points from the edges where a mesh's surface has a crease."""
+    surface = mesh.surface
+    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T[::-1])  # the two triangles of each edge are neighbours in it
+    first, second = order.reshape(-1, 2).T
+    cosines = (surface.normals[first // 3] * surface.normals[second // 3]).sum(axis=1)
+    ends = mesh.points[edges[first[cosines < CREASE]]]
+    parts = np.linspace(0.0, 1.0, 9)[:, None, None]
+    tree = cKDTree(((1.0 - parts) * ends[:, 0] + parts * ends[:, 1]).reshape(-1, 3))
+    return lambda points: np.asarray(tree.query(points)[0])
+
+
+def volume(shape: Shape) -> float:
+    """Return the volume of a shape by points in its bounding box, mm^3."""
+    low, high = shape.bounds()
+    grid = (np.indices((VOLUME_POINTS,) * 3).reshape(3, -1).T + 0.5) / VOLUME_POINTS
+    return float(np.prod(high - low) * shape.contains(low + (high - low) * grid).mean())
+
+
+def _with_volumes(
+    phantom: Phantom, points: np.ndarray, tets: np.ndarray, labels: np.ndarray
+) -> np.ndarray:
+    """Move the interface of each curved inclusion along its normal to the inclusion's volume."""
+    match = match_faces(tets, len(points))
+    first, second = match.pairs.T
+    outer = _face_nodes(tets, match.boundary)
+    for k, (shape, _) in enumerate(phantom.inclusions, start=1):
+        mine = (labels[first // 4] == k) != (labels[second // 4] == k)
+        faces = _face_nodes(tets, first[mine])
+        missing = volume(shape) - signed_volumes(points, tets[labels == k]).sum()
+        if isinstance(shape, Box) or not MIN_MISSING < missing / volume(shape) < MAX_MISSING:
+            continue
+        corners = points[faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = 0.5 * np.linalg.norm(normals, axis=1).sum()
+        nodes = np.setdiff1d(np.unique(faces), outer)
+        outward = _gradients(shape, points[nodes])
+        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        points = _move(points, tets, nodes, points[nodes] + missing / area * outward)
+    return points
 
 
 def _bisect(
@@ -135,19 +187,22 @@ def _nearest(shapes: list[Shape], points: np.ndarray) -> np.ndarray:
         return points
     distances = np.stack([shape.signed_distance(points) for shape in shapes])
     nearest = np.abs(distances).argmin(axis=0)
-    out, step = points.copy(), 1e-5
+    out = points.copy()
     for k, shape in enumerate(shapes):
         rows = np.flatnonzero(nearest == k)
         if not len(rows):
             continue
-        own = points[rows]
-        gradient = np.stack(
-            [shape.signed_distance(own + step * e) - shape.signed_distance(own - step * e)
-             for e in np.eye(3)], axis=1,
-        ) / (2.0 * step)  # fmt: skip
+        gradient = _gradients(shape, points[rows])
         square = np.maximum((gradient**2).sum(axis=1), 0.25)
         out[rows] -= (distances[k, rows] / square)[:, None] * gradient
     return out
+
+
+def _gradients(shape: Shape, points: np.ndarray, step: float = 1e-5) -> np.ndarray:
+    """Gradients of a shape's signed distance, (n, 3)."""
+    moves = step * np.eye(3)
+    ends = [(shape.signed_distance(points + e), shape.signed_distance(points - e)) for e in moves]
+    return np.stack([a - b for a, b in ends], axis=1) / (2.0 * step)
 
 
 def _move(
