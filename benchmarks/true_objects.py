@@ -160,6 +160,7 @@ def invert_by_shapes(recording: Recording, settings: Settings) -> Answer:
         "chi2": result.chi2,
         "inclusions": [vars(i) | {"shape": vars(i.shape)} for i in result.inclusions],
         "force_deviation": result.force_deviation,
+        "pose_deviation": result.pose_deviation,
         "degree": result.field.degree,
         "history": result.history,
     }

@@ -118,6 +118,9 @@ class Observation:
         return Observation(index, press.displacement.ravel()[index], relative / deviation)
 
 
+_LEVI_CIVITA = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
+
+
 class ModelError(NamedTuple):
     """Error of the model's prediction of one press."""
 
@@ -232,3 +235,31 @@ def smooth_pattern(
     fields = orth(np.hstack([shapes * (index % 3 == a)[:, None] for a in range(3)]), rcond=1e-6)
     height = deviation * np.sqrt(len(fields) / 3.0)  # a field moves one component
     return height * observation.scale[:, None] * fields
+
+
+def rigid_patterns(
+    points: Float[np.ndarray, "n 3"], observations: Sequence[Observation]
+) -> Float[np.ndarray, "data k"]:
+    """Return rigid motions of each place, as large as the displacements observed there.
+
+    Presses of one place move together, each in proportion to the root mean square of its observed
+    displacements. Rotations are about the mean of the observed points, and scaled to the size of
+    the translations. The unit is the standard deviation of the white noise.
+
+    Args:
+        points: Nodes of the mesh, mm.
+        observations: Data of each press.
+    """
+    ends = np.cumsum([len(o.index) for o in observations])
+    patterns: dict[bytes, np.ndarray] = {}
+    for observation, end in zip(observations, ends, strict=True):
+        index = observation.index
+        offsets = points[index // 3] - points[index // 3].mean(axis=0)
+        axes = np.eye(3)[index % 3]
+        turns = np.einsum("kij,dj,di->dk", _LEVI_CIVITA, offsets, axes)
+        fields = orth(np.hstack([axes, turns / max(np.abs(offsets).max(), 1e-12)]), rcond=1e-6)
+        size = np.linalg.norm(observation.displacement) / np.sqrt(3.0)  # a field moves one axis
+        empty = np.zeros((ends[-1], fields.shape[1]))
+        place = patterns.setdefault(index.tobytes(), empty)
+        place[end - len(index) : end] = size * observation.scale[:, None] * fields
+    return np.hstack(list(patterns.values()))

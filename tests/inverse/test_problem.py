@@ -10,7 +10,7 @@ import torch
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, SoftBody, Supports, make_material
 from tactorch.inverse import InverseProblem, NoiseModel
-from tactorch.inverse.data import signal_rms
+from tactorch.inverse.data import rigid_patterns, signal_rms
 from tactorch.recording import Press, Recording
 
 Make = Callable[..., Recording]
@@ -354,6 +354,35 @@ def test_small_force_patterns_are_left_out(recording: Recording, moduli: np.ndar
     middle = float(np.median(norms))
     kept = np.linalg.norm(evaluation.force_patterns(middle), axis=0)
     np.testing.assert_allclose(np.sort(kept), np.sort(norms[norms > middle]))
+
+
+def test_rigid_patterns_are_motions_of_a_place(recording: Recording) -> None:
+    """Two presses of one place and one of another: twelve motions, linear in the positions."""
+    problem = InverseProblem(recording)
+    points, observations = recording.mesh.points, problem.data.observations
+    first, *others = observations
+    other = next(
+        o for o in others if len(o.index) != len(first.index) or (o.index != first.index).any()
+    )
+    data = [first, replace(first, displacement=2.0 * first.displacement), other]
+    patterns = rigid_patterns(points, data)
+    n = len(first.index)
+    assert patterns.shape == (2 * n + len(other.index), 12)
+    np.testing.assert_allclose(patterns[n : 2 * n, :6], 2.0 * patterns[:n, :6])
+    assert not patterns[2 * n :, :6].any()
+    assert not patterns[: 2 * n, 6:].any()
+    span = patterns[:n, :6] / first.scale[:, None]
+    for axis in np.eye(3):
+        turn = np.cross(axis, points).ravel()[first.index]
+        shift = np.tile(axis, len(points))[first.index]
+        for motion in (turn, shift):
+            found = span @ np.linalg.lstsq(span, motion, rcond=None)[0]
+            np.testing.assert_allclose(found, motion, atol=1e-9 * np.abs(motion).max())
+    # A shift along x, of unit deviation, is as large as the displacement.
+    shift = np.tile([1.0, 0.0, 0.0], len(points))[first.index]
+    part = np.linalg.lstsq(span, shift, rcond=None)[0]
+    rms = np.linalg.norm(first.displacement) / np.sqrt(n)
+    assert 1.0 / np.linalg.norm(part) == pytest.approx(rms, rel=1e-6)
 
 
 def test_other_statistics_of_the_same_data(recording: Recording, moduli: np.ndarray) -> None:

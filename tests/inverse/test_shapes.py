@@ -189,6 +189,7 @@ def test_a_ball_is_found_with_its_modulus(recording):
     assert inclusion.radius_90_mm.low < shape.radius_mm < inclusion.radius_90_mm.high
     assert result.probability > 0.999
     assert result.force_deviation == 0.0
+    assert result.pose_deviation == 0.002
     assert result.unexplained < 0.01
     assert result.history[0]["model"] == "uniform"
     inside, outside = result.youngs_at(np.array([[5.0, 5.0, 6.0], [1.0, 1.0, 1.0]]))
@@ -218,6 +219,21 @@ def test_errors_of_the_forces_are_recognised(uniform_recording):
     result = find_shapes(replace(uniform_recording, presses=presses), max_shapes=2)
     assert result.force_deviation > 0.0
     assert result.inclusions == []
+
+
+def test_errors_of_the_pose_are_recognised(uniform_recording):
+    """Each place is seen shifted and turned by a tenth of its displacement."""
+    rng = np.random.default_rng(0)
+    presses = []
+    for press in uniform_recording.presses:
+        offsets = uniform_recording.mesh.points - [5.0, 5.0, 5.0]
+        motion = rng.normal(size=3) + np.cross(rng.normal(size=3) / 5.0, offsets)
+        size = np.sqrt(np.mean(press.displacement[press.observed] ** 2))
+        presses.append(replace(press, displacement=press.displacement + 0.1 * size * motion))
+    result = find_shapes(replace(uniform_recording, presses=tuple(presses)), max_shapes=2)
+    assert result.pose_deviation > 0.0
+    assert result.inclusions == []
+    assert result.background_mpa == pytest.approx(0.2, rel=0.1)
 
 
 def test_meshes_are_refined_at_inclusions_and_small_contacts(recording):

@@ -25,8 +25,9 @@ class Interval(NamedTuple):
 class ShapeInclusion:
     """An inclusion with its uncertainty.
 
-    Intervals are central 90 % intervals of the posterior. They account for noise, and for errors of
-    the forces where the data show them, but not for other errors of the model.
+    Intervals are central 90 % intervals of the posterior. They account for noise, for rigid motions
+    of the sensor or the object, and for errors of the forces where the data show them, but not for
+    other errors of the model.
 
     Attributes:
         shape: Most probable shape.
@@ -62,6 +63,9 @@ class ShapeReconstruction:
         log_odds_any: The same for all inclusions together.
         force_deviation: Relative deviation of the forces of each press by which the data are best
             explained; zero where the recorded forces agree with them.
+        pose_deviation: Deviation of rigid motions at each place, over the observed displacements;
+            at least 0.002 where the presses were not computed on the recording's mesh, for the
+            discretisation.
         unexplained: Root mean square of the residuals beyond their noise, over that of the
             observed displacements.
         history: The accepted models with their chi2 and log-evidence.
@@ -74,6 +78,7 @@ class ShapeReconstruction:
     log_odds: tuple[float, ...]
     log_odds_any: float
     force_deviation: float = 0.0
+    pose_deviation: float = 0.0
     unexplained: float = 0.0
     history: tuple[dict[str, Any], ...] = ()
 
@@ -143,6 +148,7 @@ class ShapeReconstruction:
             "log_odds": list(self.log_odds),
             "log_odds_any": self.log_odds_any,
             "force_deviation": self.force_deviation,
+            "pose_deviation": self.pose_deviation,
             "unexplained": self.unexplained,
             "history": list(self.history),
         }
@@ -159,6 +165,7 @@ class ShapeReconstruction:
             tuple(plain["log_odds"]),
             plain["log_odds_any"],
             plain["force_deviation"],
+            plain.get("pose_deviation", 0.0),
             plain["unexplained"],
             tuple(plain["history"]),
         )

@@ -1,11 +1,11 @@
 """The search for inclusions: proposals by linear elements, decisions by quadratic ones.
 
-A model is a background, uniform or smooth, with a number of balls and ellipsoids, and a deviation
-of the recorded forces. From a model others follow: with a further ball where a matched filter sees
-one in the residuals, with a smooth background, with a ball as an ellipsoid, or with larger errors
-of the forces. Each is fitted with linear elements, whose data are shifted so that they agree with
-quadratic elements at the present model. They are then fitted with quadratic elements, the best
-first, and the first that raises the evidence enough is accepted.
+A model is a background, uniform or smooth, with a number of balls and ellipsoids, and deviations
+of the recorded forces and poses. From a model others follow: with a further ball where a matched
+filter sees one in the residuals, with a smooth background, with a ball as an ellipsoid, or with
+larger errors of the forces or poses. Each is fitted with linear elements, whose data are shifted so
+that they agree with quadratic elements at the present model. They are then fitted with quadratic
+elements, the best first, and the first that raises the evidence enough is accepted.
 """
 
 import logging
@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import NewtonOptions
-from tactorch.inverse.data import DataModel
+from tactorch.inverse.data import DataModel, rigid_patterns
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
@@ -42,6 +42,8 @@ _MAX_MODELS = 10  # one after the other
 _MAX_FITS = 3  # with quadratic elements, of proposals from one model
 _DEGREES = (2, 4)  # of smooth backgrounds
 _FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
+_MIN_POSE_DEVIATION = 0.002  # that of the discretisation of supports and inclusions
+_POSE_DEVIATIONS = (0.01, 0.05)
 _MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
 _MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
 _MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
@@ -54,6 +56,22 @@ _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives
 _ROUGH_TOLERANCE, _TOLERANCE = 0.5, 0.02  # of fits; rough with quadratic elements, but the last
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball
 _RTOL = 1e-6  # of equilibria: far below the noise of a sensor
+
+
+class Errors(NamedTuple):
+    """Relative deviations of errors that the data have in common."""
+
+    forces: float  # of the forces of each press
+    pose: float  # of rigid motions at each place, over the observed displacements
+
+    def larger(self) -> Iterator["tuple[str, Errors]"]:
+        """Yield errors that are larger in one respect, with their descriptions."""
+        for level in _FORCE_DEVIATIONS:
+            if level > self.forces:
+                yield f"forces wrong by {level:.0%}", self._replace(forces=level)
+        for level in _POSE_DEVIATIONS:
+            if level > self.pose:
+                yield f"poses wrong by {level:.0%}", self._replace(pose=level)
 
 
 class Candidate(NamedTuple):
@@ -135,7 +153,7 @@ class _Start:
     what: str
     field: ShapeField
     z: Float[np.ndarray, " size"]
-    force_deviation: float
+    errors: Errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +169,7 @@ class _Model:
 
     fit: ShapeFit
     evaluation: Evaluation
-    force_deviation: float
+    errors: Errors
 
 
 class _Search:
@@ -167,13 +185,15 @@ class _Search:
         self.matched = MatchedFilter.of(self.linear, youngs)
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._force_patterns: np.ndarray | None = None
+        observations = self.quadratic.data.observations
+        self._pose_patterns = rigid_patterns(recording.mesh.points, observations)
 
     def refined(self, model: _Model) -> tuple["_Search", _Model]:
         """Return the search on a mesh that is finer at the inclusions, and the model fitted there.
 
         The data are the same. The mesh remains where it is fine enough.
         """
-        start = _Start("refined", model.fit.field, model.fit.z, model.force_deviation)
+        start = _Start("refined", model.fit.field, model.fit.z, model.errors)
         if _same_model(self.recording):
             return self, self.fit(start, model.evaluation.displacements, _TOLERANCE)
         sizing = inclusion_sizing(list(model.fit.field.shapes(model.fit.z)))
@@ -211,7 +231,8 @@ class _Search:
         youngs = np.full(self.linear.n_elements, np.exp(self.prior.log_background))
         extend, coarse = self.quadratic.body.discretisation.extend, self.linear.evaluate(youngs)
         self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / _FORCE_DEVIATIONS[-1])
-        start = _Start("uniform", ShapeField(self.prior), np.zeros(1), 0.0)
+        errors = Errors(0.0, 0.0 if _same_model(self.recording) else _MIN_POSE_DEVIATION)
+        start = _Start("uniform", ShapeField(self.prior), np.zeros(1), errors)
         return self.fit(start, [extend(u) for u in coarse.displacements])
 
     def fit(
@@ -221,25 +242,27 @@ class _Search:
         tolerance: float = _ROUGH_TOLERANCE,
     ) -> _Model:
         """Fit with quadratic elements, from these displacements."""
-        problem = self.quadratic.with_data(self._data(start.force_deviation))
+        problem = self.quadratic.with_data(self._data(start.errors))
         fit = fit_shapes(
             problem, start.field, start.z, sites=self.sites, starts=displacements,
             tolerance=tolerance,
         )  # fmt: skip
-        return _Model(*fit, start.force_deviation)
+        return _Model(*fit, start.errors)
 
-    def _data(self, force_deviation: float) -> DataModel:
+    def _data(self, errors: Errors) -> DataModel:
         data = self.quadratic.data
-        if not force_deviation:
-            return data
-        assert self._force_patterns is not None
-        return data.with_errors(force_deviation * self._force_patterns)
+        if errors.pose:
+            data = data.with_errors(errors.pose * self._pose_patterns)
+        if errors.forces:
+            assert self._force_patterns is not None
+            data = data.with_errors(errors.forces * self._force_patterns)
+        return data
 
     def propose(self, model: _Model, max_shapes: int) -> list[_Proposal]:
         """Return models that may be better than the present one, the best first."""
         fit, proposals = model.fit, list[_Proposal]()
         offsets = self._offsets(model)
-        proposals += self._force_errors(model)
+        proposals += self._larger_errors(model)
         for start in self._starts(model, max_shapes):
             # A start inside a ball that was fitted already would lead to it again.
             if not any(_is_inside(start, proposal) for proposal in proposals):
@@ -247,19 +270,17 @@ class _Search:
                 _log.debug("proposal: %s, gain %.4g", start.what, gain)
                 if len(start.field.distorted) > len(fit.field.distorted):
                     z = _moderate(start.field, z)
-                proposals.append(_Proposal(start.what, start.field, z, start.force_deviation, gain))
+                proposals.append(_Proposal(start.what, start.field, z, start.errors, gain))
         return sorted(proposals, key=attrgetter("gain"), reverse=True)
 
-    def _force_errors(self, model: _Model) -> list[_Proposal]:
-        """Return the model with larger errors of the forces; its gain is linearised."""
+    def _larger_errors(self, model: _Model) -> list[_Proposal]:
+        """Return the model with larger errors of the data; the gains are linearised."""
         fit, proposals = model.fit, []
         raw = model.evaluation.with_data(self.quadratic.data)
         jacobian = ShapesOnSites(fit.field, self.sites).at(fit.z).jacobian(raw)
         inflation = max(1.0, fit.chi2)
-        for level in _FORCE_DEVIATIONS:
-            if level <= model.force_deviation:
-                continue
-            data = self._data(level)
+        for what, errors in model.errors.larger():
+            data = self._data(errors)
             residuals, columns = data.whiten(raw.residuals), data.whiten(jacobian)
             precision = columns.T @ columns / inflation + np.eye(len(fit.z))
             gradient = columns.T @ residuals / inflation + fit.z
@@ -268,9 +289,8 @@ class _Search:
             logs = np.linalg.slogdet(columns.T @ columns + np.eye(len(fit.z)))[1]
             evidence = -value - 0.5 * (logs + data.log_determinant)
             gain = float(evidence - fit.log_evidence(inflation))
-            _log.debug("proposal: forces wrong by %g, gain %.4g", level, gain)
-            what = f"forces wrong by {level:.0%}"
-            proposals.append(_Proposal(what, fit.field, fit.z, level, gain))
+            _log.debug("proposal: %s, gain %.4g", what, gain)
+            proposals.append(_Proposal(what, fit.field, fit.z, errors, gain))
         return proposals
 
     def unexplained(self, fit: ShapeFit) -> float:
@@ -289,7 +309,7 @@ class _Search:
             fewer = replace(field, distorted=tuple(field.distorted[k] for k in kept))
             parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
             z = fewer.standard(np.concatenate(parts))
-            start = _Start(f"without {removed}", fewer, z, model.force_deviation)
+            start = _Start(f"without {removed}", fewer, z, model.errors)
             return min(-self._try(start, model, offsets)[0], _MAX_LOG_ODDS)
 
         each = tuple(without([k]) for k in range(count))
@@ -300,7 +320,7 @@ class _Search:
     ) -> tuple[float, np.ndarray]:
         """Fit with linear elements; return the gain of the log-evidence, and the parameters."""
         inflation = max(1.0, model.fit.chi2)
-        problem = self.linear.with_data(self._data(start.force_deviation).shifted(offsets))
+        problem = self.linear.with_data(self._data(start.errors).shifted(offsets))
         try:
             trial, _ = fit_shapes(
                 problem, start.field, start.z, sites=self.linear_sites,
@@ -318,20 +338,20 @@ class _Search:
         return [(u - v).ravel()[o.index] for u, v, o in pairs]
 
     def _starts(self, model: _Model, max_shapes: int) -> Iterator[_Start]:
-        fit, deviation = model.fit, model.force_deviation
+        fit, errors = model.fit, model.errors
         if len(fit.field.distorted) < max_shapes:
-            yield from self._further(fit, deviation)
+            yield from self._further(fit, errors)
         for degree in _DEGREES:
             if degree > fit.field.degree:
-                yield _Start(f"background of degree {degree}", *_smoothed(fit, degree), deviation)
+                yield _Start(f"background of degree {degree}", *_smoothed(fit, degree), errors)
                 break
         for k, distorted in enumerate(fit.field.distorted):
             if not distorted:
-                yield _Start(f"inclusion {k} as an ellipsoid", *_distorted(fit, k), deviation)
+                yield _Start(f"inclusion {k} as an ellipsoid", *_distorted(fit, k), errors)
 
-    def _further(self, fit: ShapeFit, force_deviation: float) -> Iterator[_Start]:
+    def _further(self, fit: ShapeFit, errors: Errors) -> Iterator[_Start]:
         field = replace(fit.field, distorted=(*fit.field.distorted, False))
-        data = self._data(force_deviation)
+        data = self._data(errors)
         for candidate in self.matched.best(fit.residuals, fit.jacobian, data, _STARTS):
             if candidate.gain < _MIN_CANDIDATE_GAIN:
                 return
@@ -340,7 +360,7 @@ class _Search:
             ball = [*candidate.center_mm, np.log(candidate.radius_mm), contrast]
             start = field.standard(np.concatenate([fit.field.physical(fit.z), ball]))
             what = f"ball at {np.round(candidate.center_mm, 1).tolist()} mm"
-            yield _Start(what, field, start, force_deviation)
+            yield _Start(what, field, start, errors)
 
 
 def find_shapes(
@@ -386,7 +406,7 @@ def find_shapes(
     fit = model.fit
     return ShapeReconstruction(
         fit.field, fit.z, fit.inflated_covariance, fit.chi2, each, any_,
-        model.force_deviation, search.unexplained(fit), tuple(history),
+        *model.errors, search.unexplained(fit), tuple(history),
     )  # fmt: skip
 
 
