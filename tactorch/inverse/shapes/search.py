@@ -24,6 +24,7 @@ from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import DataModel, rigid_patterns
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
+from tactorch.inverse.shapes.correction import ContactMeshes
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.result import ShapeReconstruction
@@ -177,8 +178,8 @@ class _Search:
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
         self.recording, self._settings = recording, settings
-        self._element = "tet10"
-        if _same_model(recording):
+        self._same, self._element = _same_model(recording), "tet10"
+        if self._same:
             self._element = str(recording.provenance.get("element", settings.element))
         self._set_problems()
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
@@ -194,18 +195,31 @@ class _Search:
         The data are the same. The mesh remains where it is fine enough.
         """
         start = _Start("refined", model.fit.field, model.fit.z, model.errors)
-        if _same_model(self.recording):
-            return self, self.fit(start, model.evaluation.displacements, _TOLERANCE)
         sizing = inclusion_sizing(list(model.fit.field.shapes(model.fit.z)))
-        refinement = refine(self.recording.mesh, sizing)
-        if refinement.mesh is self.recording.mesh:
-            return self, self.fit(start, model.evaluation.displacements, _TOLERANCE)
+        refinement = None if self._same else refine(self.recording.mesh, sizing)
+        if refinement is None or refinement.mesh is self.recording.mesh:
+            return self, self._fit_finally(start, model.evaluation.displacements)
         finer = copy(self)
         finer.recording = prolong_recording(self.recording, refinement)
         finer._set_problems()
         n, extend = self.recording.mesh.n_points, finer.quadratic.body.discretisation.extend
         starts = [extend(refinement.interpolate(u[:n])) for u in model.evaluation.displacements]
-        return finer, finer.fit(start, starts, _TOLERANCE)
+        finer._correct(self._contact_offsets)
+        return finer, finer._fit_finally(start, starts)
+
+    def _fit_finally(
+        self, start: _Start, displacements: Sequence[Float[np.ndarray, "nodes 3"]]
+    ) -> _Model:
+        if self._contacts is None or not self._contacts.refinements:
+            return self.fit(start, displacements, _TOLERANCE)
+        return self._corrected(self.fit(start, displacements), _TOLERANCE)
+
+    def _correct(self, offsets: list[np.ndarray]) -> None:
+        """Set the changes of the predictions at contacts (mm), which shift the data."""
+        pairs = zip(self._contact_offsets, offsets, strict=True)
+        data = self.quadratic.data.shifted([before - after for before, after in pairs])
+        self.quadratic = self.quadratic.with_data(data)
+        self._contact_offsets = offsets
 
     def _set_problems(self) -> None:
         settings = self._settings
@@ -221,7 +235,10 @@ class _Search:
                 derivative_rtol=derivative_rtol,
             )
 
+        self._newton = newton
+        self._contacts = None if self._same else ContactMeshes.of(self.recording)
         self.quadratic = problem(self._element, _DERIVATIVE_RTOL)
+        self._contact_offsets = [np.zeros(count) for count in self.quadratic.data.counts]
         self.sites = Sites.of(self.quadratic.body.assembly)
         self.linear = problem("tet4")
         self.linear_sites = Sites.of(self.linear.body.assembly)
@@ -231,9 +248,20 @@ class _Search:
         youngs = np.full(self.linear.n_elements, np.exp(self.prior.log_background))
         extend, coarse = self.quadratic.body.discretisation.extend, self.linear.evaluate(youngs)
         self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / _FORCE_DEVIATIONS[-1])
-        errors = Errors(0.0, 0.0 if _same_model(self.recording) else _MIN_POSE_DEVIATION)
+        errors = Errors(0.0, 0.0 if self._same else _MIN_POSE_DEVIATION)
         start = _Start("uniform", ShapeField(self.prior), np.zeros(1), errors)
-        return self.fit(start, [extend(u) for u in coarse.displacements])
+        return self._corrected(self.fit(start, [extend(u) for u in coarse.displacements]))
+
+    def _corrected(self, model: _Model, tolerance: float = _ROUGH_TOLERANCE) -> _Model:
+        """Return the model fitted with predictions that are corrected at contacts."""
+        if self._contacts is None or not self._contacts.refinements:
+            return model
+        offsets = self._contacts.offsets(
+            model.fit, model.evaluation, element=self._element, newton=self._newton
+        )
+        self._correct(offsets)
+        start = _Start("corrected", model.fit.field, model.fit.z, model.errors)
+        return self.fit(start, model.evaluation.displacements, tolerance)
 
     def fit(
         self,

@@ -1,6 +1,7 @@
 """Edge lengths that the presses and the boundaries of inclusions need."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -40,33 +41,57 @@ def contact_sizing(recording: Recording) -> Sizing:
     which is that of a disc of the area of the loaded surface triangles. Contacts that end at an
     edge of the body have no rim there.
     """
-    rims: dict[bytes, tuple[cKDTree | None, float]] = {}
+    rims: dict[bytes, Rim | None] = {}
     for press in recording.presses:
         loaded = (press.forces != 0).any(axis=1)
         if loaded.tobytes() not in rims:
-            rims[loaded.tobytes()] = _rim(recording.mesh, loaded)
+            rims[loaded.tobytes()] = Rim.of(recording.mesh, loaded)
 
     def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         lengths = np.full(len(points), np.inf)
-        for rim, radius in rims.values():
+        for rim in rims.values():
             if rim is not None:
-                near = rim.query(points)[0] < _PER_CONTACT * radius
-                lengths[near] = np.minimum(lengths[near], _PER_CONTACT * radius)
+                longest = _PER_CONTACT * rim.radius_mm
+                near = rim.tree.query(points)[0] < longest
+                lengths[near] = np.minimum(lengths[near], longest)
         return lengths
 
     return sizing
 
 
-def _rim(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> tuple[cKDTree | None, float]:
-    """Return the loaded points beside which the surface goes on without load, and the radius."""
-    surface = mesh.surface
-    inside = loaded[surface.triangles].all(axis=1)
-    radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
-    normals = np.zeros((mesh.n_points, 3))
-    for corner in surface.triangles[inside].T:
-        np.add.at(normals, corner, surface.normals[inside])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    corners = surface.triangles[~inside]
-    smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
-    rim = np.unique(corners[smooth & loaded[corners]])
-    return (cKDTree(mesh.points[rim]) if len(rim) else None), radius
+@dataclass(frozen=True, eq=False)
+class Rim:
+    """Where the load of a contact ends and the surface goes on.
+
+    Attributes:
+        tree: Loaded points beside which the surface goes on without load, mm.
+        radius_mm: Radius of a disc of the area of the loaded surface triangles.
+    """
+
+    tree: cKDTree
+    radius_mm: float
+
+    @staticmethod
+    def of(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
+        """Return the rim of the contact at the loaded points; None where there is none."""
+        surface = mesh.surface
+        inside = loaded[surface.triangles].all(axis=1)
+        radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
+        normals = np.zeros((mesh.n_points, 3))
+        for corner in surface.triangles[inside].T:
+            np.add.at(normals, corner, surface.normals[inside])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        corners = surface.triangles[~inside]
+        smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
+        rim = np.unique(corners[smooth & loaded[corners]])
+        return Rim(cKDTree(mesh.points[rim]), radius) if len(rim) else None
+
+    def sizing(self, per_radius: float, growth: float) -> Sizing:
+        """Return `per_radius` times the radius at the rim, longer with the distance from it."""
+
+        def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+            shortest = per_radius * self.radius_mm
+            beyond = np.maximum(self.tree.query(points)[0] - shortest, 0.0)
+            return np.asarray(shortest + growth * beyond)
+
+        return sizing
