@@ -190,12 +190,14 @@ class Finding:
         background_mpa: Young's modulus of the background, MPa.
         reasons: Reasons for which the presses cannot tell, as sentences; usually none.
         probability: Probability that there is any lump; None where it was not computed.
+        notes: Sentences on errors of the recording that the presses show.
     """
 
     lumps: tuple[Lump, ...]
     background_mpa: float
     reasons: tuple[str, ...] = ()
     probability: float | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def status(self) -> Status:
@@ -209,13 +211,17 @@ class Finding:
         return {
             "status": str(self.status),
             "reasons": list(self.reasons),
+            "notes": list(self.notes),
             "probability": self.probability,
             "background_mpa": self.background_mpa,
             "lumps": [lump.plain() for lump in self.lumps],
         }
 
     def text(self) -> str:
-        """Return the finding as text, one line per lump or reason."""
+        """Return the finding as text, one line per lump or reason, and per note."""
+        return "\n".join([self._result(), *self.notes])
+
+    def _result(self) -> str:
         if self.status is Status.UNKNOWN:
             return "\n".join(f"Cannot tell whether there is a lump: {r}" for r in self.reasons)
         if self.status is Status.NOTHING:

@@ -10,6 +10,7 @@ from tactorch.recording import Recording
 
 # Part of the displacements that is neither explained nor noise, above which nothing can be told.
 MAX_UNEXPLAINED = 0.1
+_MIN_NOTED_POSE = 0.005  # relative deviation above that of the discretisation
 _MIN_PROBABILITY = 0.9  # of a lump that is reported
 
 
@@ -24,18 +25,36 @@ def build_shape_finding(recording: Recording, result: ShapeReconstruction) -> Fi
         result: Result of `find_shapes` for this recording.
     """
     background, probability = result.background_mpa, result.probability
+    notes = _notes(result)
     if result.unexplained > MAX_UNEXPLAINED:
         reason = (
             f"the best model leaves {result.unexplained:.0%} of the displacements unexplained. "
             "Check the forces, the supports and the shape of the object, and the stated noise."
         )
-        return Finding((), background, (reason,), probability)
+        return Finding((), background, (reason,), probability, notes)
     lumps = tuple(
         _lump(recording, inclusion)
         for inclusion in result.inclusions
         if inclusion.probability >= _MIN_PROBABILITY
     )
-    return Finding(lumps, background, (), probability)
+    return Finding(lumps, background, (), probability, notes)
+
+
+def _notes(result: ShapeReconstruction) -> tuple[str, ...]:
+    """Return errors of forces and poses that the data show."""
+    notes = []
+    if result.force_deviation:
+        notes.append(
+            f"The forces of the presses are wrong by about {result.force_deviation:.0%}; intervals "
+            "account for it. Check the calibration of the force sensor."
+        )
+    if result.pose_deviation >= _MIN_NOTED_POSE:
+        notes.append(
+            "The object or the sensor moves as a whole beside the recorded forces and supports, by "
+            f"about {result.pose_deviation:.0%} of the displacements; intervals account for it. "
+            "Check the supports and the pose of the sensor."
+        )
+    return tuple(notes)
 
 
 def _lump(recording: Recording, found: ShapeInclusion) -> Lump:

@@ -146,7 +146,7 @@ class RunReport:
     @property
     def limitations(self) -> list[str]:
         """Further limitations of the map."""
-        run, uncertainty, lines = self.run, self.uncertainty, []
+        run, uncertainty, lines = self.run, self.uncertainty, list(self.finding.notes)
         if _fit(run) > _MAX_FIT:
             lines.append(
                 f"The map does not explain the presses: the residual is {_fit(run):.2g} standard"

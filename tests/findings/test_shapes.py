@@ -82,3 +82,14 @@ def test_a_shape_between_elements_has_the_nearest_one(recording, shapes):
     values = [*VALUES[:4], np.log(0.05), *VALUES[5:]]
     finding = build_shape_finding(recording, replace(shapes, z=FIELD.standard(np.array(values))))
     assert finding.lumps[0].inclusion.elements.sum() == 1
+
+
+def test_errors_of_the_recording_are_noted(recording, shapes):
+    assert build_shape_finding(recording, replace(shapes, pose_deviation=0.002)).notes == ()
+    wrong = replace(shapes, force_deviation=0.05, pose_deviation=0.01)
+    finding = build_shape_finding(recording, wrong)
+    assert finding.status is Status.FOUND
+    assert "forces of the presses are wrong by about 5%" in finding.notes[0]
+    assert "by about 1% of the displacements" in finding.notes[1]
+    assert finding.text().endswith(finding.notes[1])
+    assert finding.plain()["notes"] == list(finding.notes)

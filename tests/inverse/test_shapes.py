@@ -8,13 +8,14 @@ import pytest
 import scipy.integrate
 
 from tactorch.errors import ConfigError
-from tactorch.fem import ELEMENTS
+from tactorch.fem import ELEMENTS, NewtonOptions
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, find_shapes
+from tactorch.inverse.shapes.correction import ContactMeshes
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.sizing import contact_sizing, inclusion_sizing
+from tactorch.inverse.shapes.sizing import Rim, contact_sizing, inclusion_sizing
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import refine_recording
@@ -250,3 +251,30 @@ def test_meshes_are_refined_at_inclusions_and_small_contacts(recording):
     lengths = contact_sizing(small)(np.array([[7.5, 5.0, 9.8], [5.0, 5.0, 2.0]]))
     assert lengths[0] < 3.0
     assert np.isinf(lengths[1])
+
+
+def test_the_correction_at_a_contact_is_the_error_of_the_common_mesh(problem):
+    """A patch on a coarse mesh, of which the correction leaves a fraction of the error."""
+    patch = simulate(
+        make_phantom("uniform_cube"),
+        PressPlan(("z+",), (0.02,), patch_radius_mm=3.0),
+        mesh=box_mesh(10.0, 5, tets_per_cell=5),
+        element="tet10",
+    )
+    patch = replace(patch, provenance={})
+    field, newton = ShapeField(ShapePrior.of(patch.mesh, 0.2)), NewtonOptions(rtol=1e-8)
+
+    def evaluate(recording):
+        body = InverseProblem(recording, element="tet10", newton=newton)
+        return body, body.evaluate(np.full(recording.mesh.n_tets, 0.2))
+
+    (common, before), rim = evaluate(patch), Rim.of(patch.mesh, patch.presses[0].forces[:, 2] != 0)
+    _, finest = evaluate(refine_recording(patch, rim.sizing(0.08, 0.6)))
+    fit, _ = fit_shapes(common, field, np.zeros(1), max_iterations=0)
+    meshes = ContactMeshes.of(patch)
+    (offset,) = meshes.offsets(fit, before, element="tet10", newton=newton)
+    index, n = common.data.observations[0].index, patch.mesh.n_points
+    error = (finest.reported[0][:n] - before.reported[0][:n]).ravel()[index]
+    assert np.linalg.norm(error) > 0.003 * np.linalg.norm(before.reported[0].ravel()[index])
+    assert np.linalg.norm(error - offset) < 0.35 * np.linalg.norm(error)
+    assert ContactMeshes.of(problem.recording).refinements == ()  # whole sides end at edges
