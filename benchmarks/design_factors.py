@@ -19,7 +19,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes import find_shapes
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapesOnSites
+from tactorch.mesh import Sphere
 from tactorch.mesh.quadrature import element_means
 from tactorch.metrics import scores
 from tactorch.phantoms import Phantom, make_phantom
@@ -157,6 +158,7 @@ def run_shapes(model: str, cell: Cell) -> dict[str, Any]:
 def efficient_estimates(recording: Recording, phantom: Phantom) -> Iterator[Callable[[Any], Any]]:
     """Yield maps of balls drawn about the true one with the covariance of the Cramer-Rao bound."""
     ((ball, modulus),) = phantom.inclusions
+    assert isinstance(ball, Sphere)
     problem = InverseProblem(replace(recording, truth=None), element="tet10")
     background = float(phantom.youngs_mpa)
     field = ShapeField(ShapePrior.of(recording.mesh, background), (False,))
@@ -167,7 +169,11 @@ def efficient_estimates(recording: Recording, phantom: Phantom) -> Iterator[Call
     jacobian = point.jacobian(problem.evaluate(point.youngs))
     bound = np.linalg.inv(jacobian.T @ jacobian)
     for draw in np.random.default_rng(0).multivariate_normal(z, bound, size=_DRAWS):
-        yield lambda points, draw=draw: np.exp(field.log_youngs(draw, Sites.at(points)))
+        yield partial(_youngs_at, field, draw)
+
+
+def _youngs_at(field: ShapeField, z: Any, points: Any) -> Any:
+    return np.exp(field.log_youngs(z, Sites.at(points)))
 
 
 def _paper() -> dict[str, dict[str, dict[str, float]]]:

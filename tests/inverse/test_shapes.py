@@ -12,7 +12,7 @@ from tactorch.fem import ELEMENTS, NewtonOptions
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, find_shapes
-from tactorch.inverse.shapes.correction import ContactMeshes
+from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.sizing import Rim, contact_sizing, inclusion_sizing
@@ -253,28 +253,43 @@ def test_meshes_are_refined_at_inclusions_and_small_contacts(recording):
     assert np.isinf(lengths[1])
 
 
-def test_the_correction_at_a_contact_is_the_error_of_the_common_mesh(problem):
-    """A patch on a coarse mesh, of which the correction leaves a fraction of the error."""
-    patch = simulate(
+def test_the_correction_is_the_error_of_the_common_mesh():
+    """Two pressures of a patch on a coarse mesh: the correction leaves a fraction of the error."""
+    recording = simulate(
         make_phantom("uniform_cube"),
-        PressPlan(("z+",), (0.02,), patch_radius_mm=3.0),
-        mesh=box_mesh(10.0, 5, tets_per_cell=5),
+        PressPlan(("z+",), (0.01, 0.02), patch_radius_mm=3.0),
+        mesh=box_mesh(10.0, 4, tets_per_cell=5),
         element="tet10",
     )
-    patch = replace(patch, provenance={})
-    field, newton = ShapeField(ShapePrior.of(patch.mesh, 0.2)), NewtonOptions(rtol=1e-8)
+    field, newton = ShapeField(ShapePrior.of(recording.mesh, 0.2)), NewtonOptions()
 
     def evaluate(recording):
-        body = InverseProblem(recording, element="tet10", newton=newton)
-        return body, body.evaluate(np.full(recording.mesh.n_tets, 0.2))
+        problem = InverseProblem(recording, element="tet10", newton=newton)
+        fit, evaluation = fit_shapes(problem, field, np.zeros(1), max_iterations=0)
+        return problem, fit, evaluation
 
-    (common, before), rim = evaluate(patch), Rim.of(patch.mesh, patch.presses[0].forces[:, 2] != 0)
-    _, finest = evaluate(refine_recording(patch, rim.sizing(0.08, 0.6)))
-    fit, _ = fit_shapes(common, field, np.zeros(1), max_iterations=0)
-    meshes = ContactMeshes.of(patch)
-    (offset,) = meshes.offsets(fit, before, element="tet10", newton=newton)
-    index, n = common.data.observations[0].index, patch.mesh.n_points
-    error = (finest.reported[0][:n] - before.reported[0][:n]).ravel()[index]
-    assert np.linalg.norm(error) > 0.003 * np.linalg.norm(before.reported[0].ravel()[index])
-    assert np.linalg.norm(error - offset) < 0.35 * np.linalg.norm(error)
-    assert ContactMeshes.of(problem.recording).refinements == ()  # whole sides end at edges
+    problem, fit, before = evaluate(recording)
+    rim = Rim.of(recording.mesh, recording.presses[0].forces[:, 2] != 0)
+    _, _, finest = evaluate(refine_recording(recording, rim.sizing(0.12, 0.9)))
+    offsets = Correction.of(recording, "tet10", newton).offsets(fit, before)
+    n = recording.mesh.n_points
+    for i, observation in enumerate(problem.data.observations):
+        error = (finest.reported[i][:n] - before.reported[i]).ravel()[observation.index]
+        assert np.linalg.norm(error) > 0.003 * np.linalg.norm(observation.displacement)
+        assert np.linalg.norm(error - offsets[i]) < 0.35 * np.linalg.norm(error)
+
+
+def test_whole_sides_are_corrected_at_inclusions_only(recording):
+    newton = NewtonOptions()
+    problem = InverseProblem(recording, element="tet10", newton=newton)
+    correction = Correction.of(recording, "tet10", newton)
+    assert not correction.has_rims
+    assert [numbers for numbers, _ in correction.contacts] == [(0, 1), (2, 3)]
+    prior = ShapePrior.of(recording.mesh, 0.2)
+    uniform, evaluation = fit_shapes(problem, ShapeField(prior), np.zeros(1), max_iterations=0)
+    assert not np.concatenate(correction.offsets(uniform, evaluation)).any()
+    field = ShapeField(prior, (False,))
+    values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
+    ball, evaluation = fit_shapes(problem, field, field.standard(values), max_iterations=0)
+    low, high = (np.linalg.norm(o) for o in correction.offsets(ball, evaluation)[:2])
+    assert 0.0 < low < high < 0.05 * np.linalg.norm(problem.data.observations[1].displacement)

@@ -1,99 +1,117 @@
-"""Discretisation error of presses whose contact ends within a face.
+"""Discretisation error of the presses at a model, from meshes that are finer where it needs that.
 
-Near the rim of a contact the strain changes within a fraction of the contact's radius, for which
-the mesh of all presses would have to be fine at each contact. Instead each contact has a mesh of
-its own, refined there. The difference of its prediction at a model is added to those of the common
-mesh, as it changes little with the model (deferred correction: Pereyra, 1966).
+Strains change within a fraction of the radius of a contact at its rim, and have a kink at the
+boundary of an inclusion. A mesh that is fine at all contacts and inclusions would make each fit
+slow. Instead each contact has a mesh of its own, and the differences of their predictions at one
+model are added to those of the common mesh, as they change little with the model (deferred
+correction: V. Pereyra, "On improving an approximate solution of a functional equation by deferred
+corrections", Numer. Math. 8 (1966), 376-391).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.problem import Evaluation, InverseProblem
-from tactorch.inverse.shapes.field import Sites
+from tactorch.inverse.shapes.field import Ellipsoid, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
-from tactorch.inverse.shapes.sizing import Rim
+from tactorch.inverse.shapes.sizing import Rim, inclusion_sizing, smallest
 from tactorch.mesh import Refinement, refine
 from tactorch.recording import Recording, prolong_recording
 
-_PER_CONTACT = 0.2  # longest edge at the rim on the contact's own mesh, over the contact's radius
+_PER_CONTACT = 0.2  # longest edge at the rim of a contact, over the contact's radius
 _GROWTH = 1.0  # of the longest edge with the distance from the rim
 
 
 @dataclass(frozen=True, eq=False)
-class ContactMeshes:
-    """Meshes that are refined at the rim of one contact each.
+class Correction:
+    """Differences between the common mesh and finer ones.
 
     Attributes:
-        recording: All presses on the common mesh.
-        refinements: For each contact the numbers of its presses, and its mesh.
+        recording: Presses on the common mesh.
+        element: Element type.
+        newton: Settings of the equilibrium searches.
+        contacts: Presses of each contact, which differ in the pressure, and its rim if it has one.
     """
 
     recording: Recording
-    refinements: tuple[tuple[Int[np.ndarray, " k"], Refinement], ...]
+    element: str
+    newton: NewtonOptions
+    contacts: tuple[tuple[tuple[int, ...], Rim | None], ...]
 
     @staticmethod
-    def of(recording: Recording) -> "ContactMeshes":
-        """Refine at the rims of the contacts of a recording; contacts without one are left out."""
-        contacts: dict[bytes, list[int]] = {}
+    def of(recording: Recording, element: str, newton: NewtonOptions) -> "Correction":
+        """Return the correction for the contacts of a recording."""
+        contacts: dict[tuple[bytes, bytes], list[int]] = {}
         for i, press in enumerate(recording.presses):
-            contacts.setdefault((press.forces != 0).any(axis=1).tobytes(), []).append(i)
-        refinements = []
-        for loaded, numbers in contacts.items():
-            rim = Rim.of(recording.mesh, np.frombuffer(loaded, dtype=bool))
-            if rim is not None:
-                refinement = refine(recording.mesh, rim.sizing(_PER_CONTACT, _GROWTH))
-                if len(refinement.ends):
-                    refinements.append((np.array(numbers), refinement))
-        return ContactMeshes(recording, tuple(refinements))
+            loaded = (press.forces != 0).any(axis=1)
+            contacts.setdefault((loaded.tobytes(), press.observed.tobytes()), []).append(i)
+        pairs = tuple(
+            (tuple(numbers), Rim.of(recording.mesh, np.frombuffer(loaded, dtype=bool)))
+            for (loaded, _), numbers in contacts.items()
+        )
+        return Correction(recording, element, newton, pairs)
 
-    def offsets(
-        self, fit: ShapeFit, evaluation: Evaluation, *, element: str, newton: NewtonOptions
-    ) -> list[Float[np.ndarray, " p"]]:
-        """Return the predictions of the refined meshes less those of the common one, each press.
+    @property
+    def has_rims(self) -> bool:
+        """Whether some contact ends within a face."""
+        return any(rim is not None for _, rim in self.contacts)
+
+    def offsets(self, fit: ShapeFit, evaluation: Evaluation) -> list[Float[np.ndarray, " p"]]:
+        """Return the predictions of the finer meshes less those of the common one, each press (mm).
+
+        Those of the largest displacement of each contact are computed, and scaled for the others.
 
         Args:
             fit: Model.
             evaluation: Its predictions on the common mesh.
-            element: Element type.
-            newton: Settings of the equilibrium search.
 
         Raises:
-            ConvergenceError: a press has no equilibrium on its own mesh.
+            ConvergenceError: a press has no equilibrium on its finer mesh.
         """
-        observations = evaluation.data.observations
-        offsets = [np.zeros(len(o.index)) for o in observations]
-        for numbers, refinement in self.refinements:
-            presses = tuple(self.recording.presses[i] for i in numbers)
-            fine = prolong_recording(replace(self.recording, presses=presses), refinement)
-            predicted = _predict(
-                fine, fit, [evaluation.displacements[i] for i in numbers], refinement,
-                element=element, newton=newton,
-            )  # fmt: skip
-            n = self.recording.mesh.n_points
-            for i, reported in zip(numbers, predicted, strict=True):
-                before = evaluation.reported[i][:n]
-                offsets[i] = (reported[:n] - before).ravel()[observations[i].index]
+        index = [observation.index for observation in evaluation.data.observations]
+        before = [u.ravel()[i] for u, i in zip(evaluation.reported, index, strict=True)]
+        offsets = [np.zeros_like(values) for values in before]
+        for contacts, refinement in self._refinements(list(fit.field.shapes(fit.z))):
+            strongest = [max(c, key=lambda i: float(before[i] @ before[i])) for c in contacts]
+            predicted = self._predict(fit, evaluation, refinement, strongest)
+            for contact, i, displacement in zip(contacts, strongest, predicted, strict=True):
+                change = displacement.ravel()[index[i]] - before[i]
+                for k in contact:
+                    offsets[k] = (
+                        change * float(before[k] @ before[i]) / float(before[i] @ before[i])
+                    )
         return offsets
 
+    def _refinements(
+        self, shapes: Sequence[Ellipsoid]
+    ) -> list[tuple[list[tuple[int, ...]], Refinement]]:
+        """Return finer meshes, and the contacts of each: one, or all those without a rim."""
+        mesh, sizing = self.recording.mesh, inclusion_sizing(shapes)
+        whole = [numbers for numbers, rim in self.contacts if rim is None]
+        pairs = [(whole, refine(mesh, sizing))] if whole else []
+        for numbers, rim in self.contacts:
+            if rim is not None:
+                fine = smallest(sizing, rim.sizing(_PER_CONTACT, _GROWTH))
+                pairs.append(([numbers], refine(mesh, fine)))
+        return [(contacts, refinement) for contacts, refinement in pairs if len(refinement.ends)]
 
-def _predict(
-    recording: Recording,
-    fit: ShapeFit,
-    displacements: Sequence[Float[np.ndarray, "nodes 3"]],
-    refinement: Refinement,
-    *,
-    element: str,
-    newton: NewtonOptions,
-) -> list[Float[np.ndarray, "fine 3"]]:
-    """Return the displacements of a model on a refined mesh."""
-    problem = InverseProblem(recording, element=element, newton=newton)
-    sites = Sites.of(problem.body.assembly)
-    youngs = ShapesOnSites(fit.field, sites).at(fit.z).youngs
-    extend, n = problem.body.discretisation.extend, refinement.coarse.n_points
-    starts = [extend(refinement.interpolate(u[:n])) for u in displacements]
-    return problem.evaluate(youngs, starts=starts).reported
+    def _predict(
+        self,
+        fit: ShapeFit,
+        evaluation: Evaluation,
+        refinement: Refinement,
+        numbers: Sequence[int],
+    ) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return the reported displacements of presses on a finer mesh."""
+        presses = tuple(self.recording.presses[i] for i in numbers)
+        fine = prolong_recording(replace(self.recording, presses=presses), refinement)
+        problem = InverseProblem(fine, element=self.element, newton=self.newton)
+        youngs = ShapesOnSites(fit.field, Sites.of(problem.body.assembly)).at(fit.z).youngs
+        extend, n = problem.body.discretisation.extend, refinement.coarse.n_points
+        displacements = [evaluation.displacements[i] for i in numbers]
+        starts = [extend(refinement.interpolate(u[:n])) for u in displacements]
+        return problem.evaluate(youngs, starts=starts, chained=True).reported

@@ -11,7 +11,6 @@ elements, the best first, and the first that raises the evidence enough is accep
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -24,15 +23,14 @@ from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import DataModel, rigid_patterns
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes.correction import ContactMeshes
+from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.result import ShapeReconstruction
-from tactorch.inverse.shapes.sizing import contact_sizing, inclusion_sizing
+from tactorch.inverse.shapes.sizing import contact_sizing
 from tactorch.inverse.starts import uniform_fit
-from tactorch.mesh import refine
-from tactorch.recording import Recording, prolong_recording, refine_recording
+from tactorch.recording import Recording, refine_recording
 
 _log = logging.getLogger(__name__)
 _STARTS = 3  # fits of each further inclusion
@@ -54,6 +52,7 @@ _MAX_START_CONTRAST = 1.0  # log-contrast of a start with quadratic elements
 _START_CONTRAST = (0.3, 1.5)  # range of the log-contrast of a start
 _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives
 _ROUGH_TOLERANCE, _TOLERANCE = 0.5, 0.02  # of fits; rough with quadratic elements, but the last
+_CORRECTIONS, _SMALL_MOVE = 2, 0.5  # of the final model; standard deviations of a parameter
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball
 _RTOL = 1e-6  # of equilibria: far below the noise of a sensor
 
@@ -104,57 +103,14 @@ class _Search:
     """The presses with quadratic elements and with linear ones."""
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
-        self.recording, self._settings = recording, settings
-        self._same, self._element = _same_model(recording), "tet10"
-        if self._same:
+        same, self._element = _same_model(recording), "tet10"
+        if same:
             self._element = str(recording.provenance.get("element", settings.element))
-        self._set_problems()
-        youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
-        self.matched = MatchedFilter.of(self.linear, youngs)
-        self.prior = ShapePrior.of(recording.mesh, youngs)
-        self._force_patterns: np.ndarray | None = None
-        observations = self.quadratic.data.observations
-        self._pose_patterns = rigid_patterns(recording.mesh.points, observations)
-
-    def refined(self, model: _Model) -> tuple["_Search", _Model]:
-        """Return the search on a mesh that is finer at the inclusions, and the model fitted there.
-
-        The data are the same. The mesh remains where it is fine enough.
-        """
-        start = _Start("refined", model.fit.field, model.fit.z, model.errors)
-        sizing = inclusion_sizing(list(model.fit.field.shapes(model.fit.z)))
-        refinement = None if self._same else refine(self.recording.mesh, sizing)
-        if refinement is None or refinement.mesh is self.recording.mesh:
-            return self, self._fit_finally(start, model.evaluation.displacements)
-        finer = copy(self)
-        finer.recording = prolong_recording(self.recording, refinement)
-        finer._set_problems()
-        n, extend = self.recording.mesh.n_points, finer.quadratic.body.discretisation.extend
-        starts = [extend(refinement.interpolate(u[:n])) for u in model.evaluation.displacements]
-        finer._correct(self._contact_offsets)
-        return finer, finer._fit_finally(start, starts)
-
-    def _fit_finally(
-        self, start: _Start, displacements: Sequence[Float[np.ndarray, "nodes 3"]]
-    ) -> _Model:
-        if self._contacts is None or not self._contacts.refinements:
-            return self.fit(start, displacements, _TOLERANCE)
-        return self._corrected(self.fit(start, displacements), _TOLERANCE)
-
-    def _correct(self, offsets: list[np.ndarray]) -> None:
-        """Set the changes of the predictions at contacts (mm), which shift the data."""
-        pairs = zip(self._contact_offsets, offsets, strict=True)
-        data = self.quadratic.data.shifted([before - after for before, after in pairs])
-        self.quadratic = self.quadratic.with_data(data)
-        self._contact_offsets = offsets
-
-    def _set_problems(self) -> None:
-        settings = self._settings
         newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
 
         def problem(element: str, derivative_rtol: float = 0.0) -> InverseProblem:
             return InverseProblem(
-                self.recording,
+                recording,
                 element=element,
                 solver=settings.solver,
                 noise=settings.noise,
@@ -162,33 +118,53 @@ class _Search:
                 derivative_rtol=derivative_rtol,
             )
 
-        self._newton = newton
-        self._contacts = None if self._same else ContactMeshes.of(self.recording)
         self.quadratic = problem(self._element, _DERIVATIVE_RTOL)
-        self._contact_offsets = [np.zeros(count) for count in self.quadratic.data.counts]
         self.sites = Sites.of(self.quadratic.body.assembly)
         self.linear = problem("tet4")
         self.linear_sites = Sites.of(self.linear.body.assembly)
+        # Where the presses were computed on this mesh, it is the object.
+        self._correction = None if same else Correction.of(recording, self._element, newton)
+        self._offsets_mm = [np.zeros(count) for count in self.quadratic.data.counts]
+        youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
+        self.matched = MatchedFilter.of(self.linear, youngs)
+        self.prior = ShapePrior.of(recording.mesh, youngs)
+        self._force_patterns: np.ndarray | None = None
+        observations = self.quadratic.data.observations
+        self._pose_patterns = rigid_patterns(recording.mesh.points, observations)
+
+    def final(self, model: _Model) -> _Model:
+        """Return the model fitted closely, with predictions corrected for the discretisation."""
+        start = _Start("final", model.fit.field, model.fit.z, model.errors)
+        if self._correction is None:
+            return self.fit(start, model.evaluation.displacements, _TOLERANCE)
+        for _ in range(_CORRECTIONS):
+            before, model = model.fit, self._corrected(model, _TOLERANCE)
+            moves = np.abs(model.fit.z - before.z) / np.sqrt(np.diag(model.fit.covariance))
+            if moves.max() < _SMALL_MOVE:
+                break
+        return model
+
+    def _corrected(self, model: _Model, tolerance: float = _ROUGH_TOLERANCE) -> _Model:
+        """Return the model fitted to data that are shifted by the error of the discretisation."""
+        assert self._correction is not None
+        offsets = self._correction.offsets(model.fit, model.evaluation)
+        pairs = zip(self._offsets_mm, offsets, strict=True)
+        data = self.quadratic.data.shifted([before - after for before, after in pairs])
+        self.quadratic, self._offsets_mm = self.quadratic.with_data(data), offsets
+        start = _Start("corrected", model.fit.field, model.fit.z, model.errors)
+        return self.fit(start, model.evaluation.displacements, tolerance)
 
     def uniform(self) -> _Model:
         """Fit the uniform body with quadratic elements."""
         youngs = np.full(self.linear.n_elements, np.exp(self.prior.log_background))
         extend, coarse = self.quadratic.body.discretisation.extend, self.linear.evaluate(youngs)
         self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / _FORCE_DEVIATIONS[-1])
-        errors = Errors(0.0, 0.0 if self._same else _MIN_POSE_DEVIATION)
+        errors = Errors(0.0, 0.0 if self._correction is None else _MIN_POSE_DEVIATION)
         start = _Start("uniform", ShapeField(self.prior), np.zeros(1), errors)
-        return self._corrected(self.fit(start, [extend(u) for u in coarse.displacements]))
-
-    def _corrected(self, model: _Model, tolerance: float = _ROUGH_TOLERANCE) -> _Model:
-        """Return the model fitted with predictions that are corrected at contacts."""
-        if self._contacts is None or not self._contacts.refinements:
+        model = self.fit(start, [extend(u) for u in coarse.displacements])
+        if self._correction is None or not self._correction.has_rims:
             return model
-        offsets = self._contacts.offsets(
-            model.fit, model.evaluation, element=self._element, newton=self._newton
-        )
-        self._correct(offsets)
-        start = _Start("corrected", model.fit.field, model.fit.z, model.errors)
-        return self.fit(start, model.evaluation.displacements, tolerance)
+        return self._corrected(model)
 
     def fit(
         self,
@@ -352,11 +328,11 @@ def find_shapes(
         proposal, model = accepted
         history.append(_record(proposal.what, model))
     try:
-        search, model = search.refined(model)
+        model = search.final(model)
     except ConvergenceError as error:
-        _log.warning("The result is that of the coarse mesh; the finer one fails: %s", error)
+        _log.warning("The discretisation error cannot be corrected: %s", error)
     history.append(_record("final fit", model))
-    _log.info("mesh of %d elements: chi2 %.4g", search.linear.n_elements, model.fit.chi2)
+    _log.info("final fit: chi2 %.4g", model.fit.chi2)
     each, any_ = search.log_odds(model)
     fit = model.fit
     return ShapeReconstruction(

@@ -12,8 +12,8 @@ from tactorch.mesh import TetMesh
 from tactorch.mesh.refine import Sizing
 from tactorch.recording import Recording
 
-_PER_RADIUS = 0.65  # longest edge at the boundary of an inclusion, over its radius
-_SHELL = 0.25  # half-width of the refined shell, over the radius
+_PER_RADIUS = 0.35  # longest edge at the boundary of an inclusion, over its radius
+_SHELL = 0.2  # half-width of the refined shell, over the radius
 _PER_CONTACT = 0.5  # longest edge at the rim of a contact, over the contact's radius
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 
@@ -32,6 +32,11 @@ def inclusion_sizing(inclusions: Sequence[Ellipsoid]) -> Sizing:
         return lengths
 
     return sizing
+
+
+def smallest(first: Sizing, second: Sizing) -> Sizing:
+    """Return the shorter of two longest edges."""
+    return lambda points: np.minimum(first(points), second(points))
 
 
 def contact_sizing(recording: Recording) -> Sizing:
