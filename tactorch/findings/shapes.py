@@ -45,14 +45,14 @@ def _notes(result: ShapeReconstruction) -> tuple[str, ...]:
     notes = []
     if result.force_deviation:
         notes.append(
-            f"The forces of the presses are wrong by about {result.force_deviation:.0%}; intervals "
-            "account for it. Check the calibration of the force sensor."
+            f"The forces of the presses are wrong by about {result.force_deviation:.0%}; the "
+            "intervals of the lumps account for it. Check the calibration of the force sensor."
         )
     if result.pose_deviation >= _MIN_NOTED_POSE:
         notes.append(
             "The object or the sensor moves as a whole beside the recorded forces and supports, by "
-            f"about {result.pose_deviation:.0%} of the displacements; intervals account for it. "
-            "Check the supports and the pose of the sensor."
+            f"about {result.pose_deviation:.0%} of the displacements; the intervals of the lumps "
+            "account for it. Check the supports and the pose of the sensor."
         )
     return tuple(notes)
 

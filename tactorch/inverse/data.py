@@ -237,29 +237,56 @@ def smooth_pattern(
     return height * observation.scale[:, None] * fields
 
 
-def rigid_patterns(
-    points: Float[np.ndarray, "n 3"], observations: Sequence[Observation]
-) -> Float[np.ndarray, "data k"]:
-    """Return rigid motions of each place, as large as the displacements observed there.
+def group_by_contact(
+    presses: Sequence[Press], observations: Sequence[Observation]
+) -> list[tuple[int, ...]]:
+    """Return the numbers of the presses of each contact.
 
-    Presses of one place move together, each in proportion to the root mean square of its observed
+    Presses of one contact have the same supports, the same observed degrees of freedom, and forces
+    and prescribed displacements that differ by a factor only.
+    """
+    contacts: dict[tuple[bytes, ...], list[int]] = {}
+    for i, (press, observation) in enumerate(zip(presses, observations, strict=True)):
+        loads = [_direction(press.forces), _direction(press.prescribed)]
+        values = (*loads, press.fixed, press.springs, observation.index)
+        contacts.setdefault(tuple(array.tobytes() for array in values), []).append(i)
+    return [tuple(numbers) for numbers in contacts.values()]
+
+
+def _direction(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    size = float(np.linalg.norm(values))
+    return np.round(values / (size or 1.0), 6) + 0.0  # no negative zeros
+
+
+def rigid_patterns(
+    points: Float[np.ndarray, "n 3"],
+    observations: Sequence[Observation],
+    contacts: Sequence[tuple[int, ...]],
+) -> Float[np.ndarray, "data k"]:
+    """Return rigid motions of each contact, as large as the displacements observed there.
+
+    Presses of one contact move together, each in proportion to the root mean square of its observed
     displacements. Rotations are about the mean of the observed points, and scaled to the size of
     the translations. The unit is the standard deviation of the white noise.
 
     Args:
         points: Nodes of the mesh, mm.
         observations: Data of each press.
+        contacts: Presses of each contact, which have the same observed degrees of freedom.
     """
     ends = np.cumsum([len(o.index) for o in observations])
-    patterns: dict[bytes, np.ndarray] = {}
-    for observation, end in zip(observations, ends, strict=True):
-        index = observation.index
+    patterns = []
+    for contact in contacts:
+        index = observations[contact[0]].index
         offsets = points[index // 3] - points[index // 3].mean(axis=0)
         axes = np.eye(3)[index % 3]
         turns = np.einsum("kij,dj,di->dk", _LEVI_CIVITA, offsets, axes)
         fields = orth(np.hstack([axes, turns / max(np.abs(offsets).max(), 1e-12)]), rcond=1e-6)
-        size = np.linalg.norm(observation.displacement) / np.sqrt(3.0)  # a field moves one axis
-        empty = np.zeros((ends[-1], fields.shape[1]))
-        place = patterns.setdefault(index.tobytes(), empty)
-        place[end - len(index) : end] = size * observation.scale[:, None] * fields
-    return np.hstack(list(patterns.values()))
+        n_axes = len(np.unique(index % 3))  # a translation moves one of them
+        place = np.zeros((ends[-1], fields.shape[1]))
+        for i in contact:
+            size = np.linalg.norm(observations[i].displacement) / np.sqrt(n_axes)
+            rows = slice(ends[i] - len(index), ends[i])
+            place[rows] = size * observations[i].scale[:, None] * fields
+        patterns.append(place)
+    return np.hstack(patterns)

@@ -145,7 +145,7 @@ class RunReport:
 
     @property
     def limitations(self) -> list[str]:
-        """Further limitations of the map."""
+        """Further limitations of the map and of the recording."""
         run, uncertainty, lines = self.run, self.uncertainty, list(self.finding.notes)
         if _fit(run) > _MAX_FIT:
             lines.append(

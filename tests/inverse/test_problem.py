@@ -10,7 +10,7 @@ import torch
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, SoftBody, Supports, make_material
 from tactorch.inverse import InverseProblem, NoiseModel
-from tactorch.inverse.data import rigid_patterns, signal_rms
+from tactorch.inverse.data import Observation, group_by_contact, rigid_patterns, signal_rms
 from tactorch.recording import Press, Recording
 
 Make = Callable[..., Recording]
@@ -365,7 +365,7 @@ def test_rigid_patterns_are_motions_of_a_place(recording: Recording) -> None:
         o for o in others if len(o.index) != len(first.index) or (o.index != first.index).any()
     )
     data = [first, replace(first, displacement=2.0 * first.displacement), other]
-    patterns = rigid_patterns(points, data)
+    patterns = rigid_patterns(points, data, [(0, 1), (2,)])
     n = len(first.index)
     assert patterns.shape == (2 * n + len(other.index), 12)
     np.testing.assert_allclose(patterns[n : 2 * n, :6], 2.0 * patterns[:n, :6])
@@ -383,6 +383,32 @@ def test_rigid_patterns_are_motions_of_a_place(recording: Recording) -> None:
     part = np.linalg.lstsq(span, shift, rcond=None)[0]
     rms = np.linalg.norm(first.displacement) / np.sqrt(n)
     assert 1.0 / np.linalg.norm(part) == pytest.approx(rms, rel=1e-6)
+
+
+def test_rigid_patterns_of_one_observed_axis(recording: Recording) -> None:
+    """A shift, and two turns about axes in the plane, of the whole size of the displacement."""
+    first = InverseProblem(recording).data.observations[0]
+    kept = first.index % 3 == 2
+    single = Observation(first.index[kept], first.displacement[kept], first.scale[kept])
+    span = rigid_patterns(recording.mesh.points, [single], [(0,)]) / single.scale[:, None]
+    assert span.shape == (kept.sum(), 3)
+    part = np.linalg.lstsq(span, np.ones(kept.sum()), rcond=None)[0]
+    rms = np.linalg.norm(single.displacement) / np.sqrt(kept.sum())
+    assert 1.0 / np.linalg.norm(part) == pytest.approx(rms, rel=1e-6)
+
+
+def test_presses_of_one_contact_differ_by_a_factor(recording: Recording) -> None:
+    press = recording.presses[0]
+    stronger = replace(press, forces=2.0 * press.forces)
+    weights = np.ones_like(press.forces)
+    weights[np.flatnonzero(press.observed.any(axis=1))[0]] = 0.0
+    masked = replace(press, weights=weights)
+    oblique = replace(press, forces=press.forces + np.abs(press.forces[:, [2, 0, 1]]))
+    softer = replace(press, springs=0.5 * press.springs)
+    presses = (press, stronger, masked, oblique, softer)
+    observations = [Observation.of(p, 0.01) for p in presses]
+    contacts = group_by_contact(presses, observations)
+    assert contacts == [(0, 1), (2,), (3,), (4,)]
 
 
 def test_other_statistics_of_the_same_data(recording: Recording, moduli: np.ndarray) -> None:

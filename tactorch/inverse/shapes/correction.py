@@ -2,19 +2,20 @@
 
 Strains change within a fraction of the radius of a contact at its rim, and have a kink at the
 boundary of an inclusion. A mesh that is fine at all contacts and inclusions would make each fit
-slow. Instead each contact has a mesh of its own, and the differences of their predictions at one
+slow. Instead each contact has a separate mesh, and the differences of their predictions at one
 model are added to those of the common mesh, as they change little with the model (deferred
 correction: V. Pereyra, "On improving an approximate solution of a functional equation by deferred
 corrections", Numer. Math. 8 (1966), 376-391).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.fem import NewtonOptions
+from tactorch.inverse.data import group_by_contact
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.shapes.field import Ellipsoid, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
@@ -32,28 +33,23 @@ class Correction:
 
     Attributes:
         recording: Presses on the common mesh.
-        element: Element type.
-        newton: Settings of the equilibrium searches.
-        contacts: Presses of each contact, which differ in the pressure, and its rim if it has one.
+        options: Element type, solver and settings of the equilibrium searches.
+        contacts: Presses of each contact, which differ by a factor, and its rim if it has one.
     """
 
     recording: Recording
-    element: str
-    newton: NewtonOptions
+    options: Mapping[str, Any]
     contacts: tuple[tuple[tuple[int, ...], Rim | None], ...]
 
     @staticmethod
-    def of(recording: Recording, element: str, newton: NewtonOptions) -> "Correction":
-        """Return the correction for the contacts of a recording."""
-        contacts: dict[tuple[bytes, bytes], list[int]] = {}
-        for i, press in enumerate(recording.presses):
-            loaded = (press.forces != 0).any(axis=1)
-            contacts.setdefault((loaded.tobytes(), press.observed.tobytes()), []).append(i)
-        pairs = tuple(
-            (tuple(numbers), Rim.of(recording.mesh, np.frombuffer(loaded, dtype=bool)))
-            for (loaded, _), numbers in contacts.items()
-        )
-        return Correction(recording, element, newton, pairs)
+    def of(problem: InverseProblem, **options: Any) -> "Correction":
+        """Return the correction for the contacts of a problem; `options` are those of the same."""
+        recording = problem.recording
+        pairs = []
+        for numbers in group_by_contact(recording.presses, problem.data.observations):
+            loaded = (recording.presses[numbers[0]].forces != 0).any(axis=1)
+            pairs.append((numbers, Rim.of(recording.mesh, loaded)))
+        return Correction(recording, options, tuple(pairs))
 
     @property
     def has_rims(self) -> bool:
@@ -63,7 +59,9 @@ class Correction:
     def offsets(self, fit: ShapeFit, evaluation: Evaluation) -> list[Float[np.ndarray, " p"]]:
         """Return the predictions of the finer meshes less those of the common one, each press (mm).
 
-        Those of the largest displacement of each contact are computed, and scaled for the others.
+        Those of the largest displacement of each contact are computed, and scaled for the others by
+        the projection of their predictions on it. Contacts without a rim share a mesh, which is
+        fine at inclusions only.
 
         Args:
             fit: Model.
@@ -71,6 +69,7 @@ class Correction:
 
         Raises:
             ConvergenceError: a press has no equilibrium on its finer mesh.
+            ConfigError: a finer mesh has too many elements.
         """
         index = [observation.index for observation in evaluation.data.observations]
         before = [u.ravel()[i] for u, i in zip(evaluation.reported, index, strict=True)]
@@ -109,7 +108,7 @@ class Correction:
         """Return the reported displacements of presses on a finer mesh."""
         presses = tuple(self.recording.presses[i] for i in numbers)
         fine = prolong_recording(replace(self.recording, presses=presses), refinement)
-        problem = InverseProblem(fine, element=self.element, newton=self.newton)
+        problem = InverseProblem(fine, **self.options)
         youngs = ShapesOnSites(fit.field, Sites.of(problem.body.assembly)).at(fit.z).youngs
         extend, n = problem.body.discretisation.extend, refinement.coarse.n_points
         displacements = [evaluation.displacements[i] for i in numbers]

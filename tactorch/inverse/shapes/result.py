@@ -63,11 +63,11 @@ class ShapeReconstruction:
         log_odds_any: The same for all inclusions together.
         force_deviation: Relative deviation of the forces of each press by which the data are best
             explained; zero where the recorded forces agree with them.
-        pose_deviation: Deviation of rigid motions at each place, over the observed displacements;
+        pose_deviation: Deviation of rigid motions at each contact, over the observed displacements;
             at least 0.002 where the presses were not computed on the recording's mesh, for the
             discretisation.
-        unexplained: Root mean square of the residuals beyond their noise, over that of the
-            observed displacements.
+        unexplained: Root mean square of the residuals beyond their noise and the recognised errors
+            of forces and poses, over that of the observed displacements.
         history: The accepted models with their chi2 and log-evidence.
     """
 

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import ConvergenceError
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
-from tactorch.inverse.data import DataModel, rigid_patterns
+from tactorch.inverse.data import DataModel, group_by_contact, rigid_patterns
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.correction import Correction
@@ -52,7 +52,6 @@ _MAX_START_CONTRAST = 1.0  # log-contrast of a start with quadratic elements
 _START_CONTRAST = (0.3, 1.5)  # range of the log-contrast of a start
 _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives
 _ROUGH_TOLERANCE, _TOLERANCE = 0.5, 0.02  # of fits; rough with quadratic elements, but the last
-_CORRECTIONS, _SMALL_MOVE = 2, 0.5  # of the final model; standard deviations of a parameter
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball
 _RTOL = 1e-6  # of equilibria: far below the noise of a sensor
 
@@ -107,52 +106,57 @@ class _Search:
         if same:
             self._element = str(recording.provenance.get("element", settings.element))
         newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
+        options: dict[str, Any] = {
+            "solver": settings.solver,
+            "noise": settings.noise,
+            "newton": newton,
+        }
 
-        def problem(element: str, derivative_rtol: float = 0.0) -> InverseProblem:
-            return InverseProblem(
-                recording,
-                element=element,
-                solver=settings.solver,
-                noise=settings.noise,
-                newton=newton,
-                derivative_rtol=derivative_rtol,
-            )
+        def problem(element: str, **more: Any) -> InverseProblem:
+            return InverseProblem(recording, element=element, **options, **more)
 
-        self.quadratic = problem(self._element, _DERIVATIVE_RTOL)
+        self.quadratic = problem(self._element, derivative_rtol=_DERIVATIVE_RTOL)
         self.sites = Sites.of(self.quadratic.body.assembly)
         self.linear = problem("tet4")
         self.linear_sites = Sites.of(self.linear.body.assembly)
         # Where the presses were computed on this mesh, it is the object.
-        self._correction = None if same else Correction.of(recording, self._element, newton)
-        self._offsets_mm = [np.zeros(count) for count in self.quadratic.data.counts]
+        self._correction = None
+        if not same:
+            self._correction = Correction.of(self.quadratic, element=self._element, **options)
+        self._correction_mm = [np.zeros(count) for count in self.quadratic.data.counts]
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.matched = MatchedFilter.of(self.linear, youngs)
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._force_patterns: np.ndarray | None = None
         observations = self.quadratic.data.observations
-        self._pose_patterns = rigid_patterns(recording.mesh.points, observations)
+        contacts = group_by_contact(recording.presses, observations)
+        self._pose_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
 
     def final(self, model: _Model) -> _Model:
         """Return the model fitted closely, with predictions corrected for the discretisation."""
-        start = _Start("final", model.fit.field, model.fit.z, model.errors)
         if self._correction is None:
+            start = _Start("final", model.fit.field, model.fit.z, model.errors)
             return self.fit(start, model.evaluation.displacements, _TOLERANCE)
-        for _ in range(_CORRECTIONS):
-            before, model = model.fit, self._corrected(model, _TOLERANCE)
-            moves = np.abs(model.fit.z - before.z) / np.sqrt(np.diag(model.fit.covariance))
-            if moves.max() < _SMALL_MOVE:
-                break
-        return model
+        return self._corrected(model, _TOLERANCE)
 
     def _corrected(self, model: _Model, tolerance: float = _ROUGH_TOLERANCE) -> _Model:
-        """Return the model fitted to data that are shifted by the error of the discretisation."""
+        """Return the model fitted to data that are shifted by the error of the discretisation.
+
+        The model remains, with a warning, where a finer mesh fails.
+        """
         assert self._correction is not None
-        offsets = self._correction.offsets(model.fit, model.evaluation)
-        pairs = zip(self._offsets_mm, offsets, strict=True)
-        data = self.quadratic.data.shifted([before - after for before, after in pairs])
-        self.quadratic, self._offsets_mm = self.quadratic.with_data(data), offsets
-        start = _Start("corrected", model.fit.field, model.fit.z, model.errors)
-        return self.fit(start, model.evaluation.displacements, tolerance)
+        before = self.quadratic, self._correction_mm
+        try:
+            offsets = self._correction.offsets(model.fit, model.evaluation)
+            pairs = zip(self._correction_mm, offsets, strict=True)
+            data = self.quadratic.data.shifted([old - new for old, new in pairs])
+            self.quadratic, self._correction_mm = self.quadratic.with_data(data), offsets
+            start = _Start("corrected", model.fit.field, model.fit.z, model.errors)
+            return self.fit(start, model.evaluation.displacements, tolerance)
+        except (ConfigError, ConvergenceError) as error:
+            self.quadratic, self._correction_mm = before
+            _log.warning("The error of the discretisation is not corrected: %s", error)
+            return model
 
     def uniform(self) -> _Model:
         """Fit the uniform body with quadratic elements."""
@@ -262,7 +266,7 @@ class _Search:
         return trial.log_evidence(inflation) - model.fit.log_evidence(inflation), trial.z
 
     def _offsets(self, model: _Model) -> list[np.ndarray]:
-        """Return predictions of linear less those of quadratic elements at a model."""
+        """Return predictions of linear less those of quadratic elements at a model, mm."""
         field = ShapesOnSites(model.fit.field, self.linear_sites).at(model.fit.z)
         coarse, observations = self.linear.evaluate(field.youngs), self.quadratic.data.observations
         pairs = zip(coarse.reported, model.evaluation.reported, observations, strict=True)
@@ -304,8 +308,9 @@ def find_shapes(
     Args:
         recording: Presses on an object.
         settings: Noise, solver, bounds and equilibrium search are used. Elements are quadratic, and
-            smaller than those of the recording where it needs that, unless the provenance states
-            that the presses were computed on the recording's mesh.
+            smaller than those of the recording at the rims of contacts, and predictions are
+            corrected by finer meshes there and at inclusions, unless the provenance states that the
+            presses were computed on the recording's mesh.
         max_shapes: Largest number of inclusions.
 
     Raises:
@@ -330,7 +335,7 @@ def find_shapes(
     try:
         model = search.final(model)
     except ConvergenceError as error:
-        _log.warning("The discretisation error cannot be corrected: %s", error)
+        _log.warning("The last fit fails, and the model is that of the search: %s", error)
     history.append(_record("final fit", model))
     _log.info("final fit: chi2 %.4g", model.fit.chi2)
     each, any_ = search.log_odds(model)
