@@ -50,6 +50,7 @@ def note(data: Path, run: Path, evaluated: Path) -> dict[str, Any]:
         },
         "training": [line for line in config if not line.strip().startswith(_PLACES)],
         "test part": scores,
+        "bits per weight": {"coarse grid": 4, "others": 8},
     }
 
 

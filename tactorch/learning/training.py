@@ -29,6 +29,7 @@ from torch import Tensor
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import write_file
+from tactorch.learning.quantization import decompress, dequantize
 
 LAST, BEST, CURVE = "last.ckpt", "best.ckpt", "curve.json"
 _Network = TypeVar("_Network", bound="Network")
@@ -306,11 +307,12 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
         FileError: The file is missing or damaged.
     """
     try:
-        with ZipFile(path) as archive:  # torch does not compare the checksums
-            damaged = archive.testzip()
+        archive = io.BytesIO(path.read_bytes())
+        with ZipFile(archive) as entries:  # torch does not compare the checksums
+            damaged = entries.testzip()
         if damaged is not None:
             raise ValueError(f"the checksum of {damaged} differs")
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        content = torch.load(decompress(archive), map_location="cpu", weights_only=True)
         content["state_dict"].items()
     except FileNotFoundError as error:
         raise FileError(f"checkpoint not found: '{path}'.") from error
@@ -337,7 +339,7 @@ def load_network(
     content = read_checkpoint(path)
     try:
         network = network_class(**content["hyper_parameters"])
-        network.load_state_dict({k: v.float() for k, v in content["state_dict"].items()})
+        network.load_state_dict(dequantize(content["state_dict"], content.get("scales", {})))
     except ConfigError as error:
         raise FileError(f"weights '{path}': {error}") from error
     except (KeyError, TypeError, RuntimeError, AttributeError) as error:

@@ -20,7 +20,7 @@ def start() -> SurrogateStart:
 
 
 def test_they_are_small_and_say_what_they_were_made_of() -> None:
-    assert INCLUDED_WEIGHTS.stat().st_size < 5e6
+    assert INCLUDED_WEIGHTS.stat().st_size < 1e6
     note = json.loads(INCLUDED_WEIGHTS.with_suffix(".json").read_text())
     recipe = note["dataset"]["recipe"]
     assert recipe["name"] == "warmstart"
@@ -28,6 +28,7 @@ def test_they_are_small_and_say_what_they_were_made_of() -> None:
     assert len(note["dataset"]["shards"]) == recipe["count"] / recipe["shard"]
     assert any("surrogate" in line for line in note["training"])
     assert note["test part"]["samples"] == 150
+    assert note["bits per weight"] == {"coarse grid": 4, "others": 8}
 
 
 @pytest.mark.parametrize("size_mm", [10.0, pytest.param(40.0, marks=pytest.mark.slow)])

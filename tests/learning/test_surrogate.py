@@ -169,9 +169,9 @@ def test_a_turned_object_keeps_its_truth(data: SurrogateData) -> None:
 
 
 def test_weights_travel(run: Path, tmp_path: Path, recording: Recording) -> None:
-    """Half precision changes little, and the file is small."""
+    """Integers of few bits change little, and the file is small."""
     export_weights(run / BEST, tmp_path / "small.pt")
-    assert (tmp_path / "small.pt").stat().st_size < 0.3 * (run / BEST).stat().st_size
+    assert (tmp_path / "small.pt").stat().st_size < 0.2 * (run / BEST).stat().st_size
     whole, small = SurrogateStart(run / BEST), SurrogateStart(tmp_path / "small.pt")
     assert whole.network.cells == small.network.cells == 4
     a, b = whole.predict(recording), small.predict(recording)

@@ -15,9 +15,11 @@ from torch.nn import functional
 
 from tactorch.config import option
 from tactorch.errors import ConfigError, FileError
+from tactorch.files import write_file
+from tactorch.learning.quantization import compress, quantize
 from tactorch.learning.surrogate.data import SurrogateData
 from tactorch.learning.surrogate.features import PRESS_CHANNELS, SHARED_CHANNELS, VERSION
-from tactorch.learning.training import Network, NetworkOptions, load_network, save_atomically
+from tactorch.learning.training import Network, NetworkOptions, load_network
 
 #: Weights of tactorch; surrogate.json states the data and settings of their training.
 INCLUDED_WEIGHTS = Path(__file__).with_name("surrogate.pt")
@@ -250,14 +252,14 @@ def load_surrogate(path: Path = INCLUDED_WEIGHTS) -> Surrogate:
 
 
 def export_weights(checkpoint: Path, path: Path) -> None:
-    """Write the weights of a checkpoint in half precision: about a fifth of its size.
+    """Write the weights of a checkpoint as compressed integers: about a fifteenth of its size.
+
+    Weights of the coarse grid, two thirds of all, have 4 bits, and others 8 bits.
 
     Raises:
         FileError: The checkpoint is missing, damaged or of another model.
     """
     network = load_surrogate(checkpoint)
-    content = {
-        "state_dict": {name: values.half() for name, values in network.state_dict().items()},
-        "hyper_parameters": dict(network.hparams),
-    }
-    save_atomically(content, path)
+    state, scales = quantize(network.state_dict(), lambda name: 4 if "middle" in name else 8)
+    content = {"state_dict": state, "scales": scales, "hyper_parameters": dict(network.hparams)}
+    write_file(path, compress(content))
