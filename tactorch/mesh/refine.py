@@ -176,10 +176,7 @@ def bisect(points: Points, tets: Tets, large: Bool[np.ndarray, " m"]) -> Bisecti
         The end points of the bisected edges, and the elements.
     """
     n = len(points)
-    pairs = np.sort(tets[:, LOCAL_EDGES], axis=2)
-    keys, inverse = np.unique(pairs[..., 0] * n + pairs[..., 1], return_inverse=True)
-    edges = np.column_stack(np.divmod(keys, n))
-    tet_edges = inverse.reshape(-1, 6)
+    edges, tet_edges = number_edges(tets, n)
     lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     rank = np.empty(len(edges), dtype=np.int64)
     # Rounding makes equal lengths equal; the node numbers then decide.
@@ -196,16 +193,47 @@ def bisect(points: Points, tets: Tets, large: Bool[np.ndarray, " m"]) -> Bisecti
     n_edges = len(edges)
     elements_of = np.bincount(tet_edges.ravel(), minlength=n_edges)
     terminal = chosen & (np.bincount(longest, minlength=n_edges) == elements_of)
-    cut = terminal[longest]
-    new_node = np.full(n_edges, -1)
-    new_node[terminal] = n + np.arange(int(terminal.sum()))
-    middle = new_node[longest[cut]]
+    return Bisection(edges[terminal], *halve(tets, edges, longest, terminal, n))
+
+
+def halve(
+    tets: Tets,
+    edges: Int[np.ndarray, "e 2"],
+    own: Int[np.ndarray, " m"],
+    chosen: Bool[np.ndarray, " e"],
+    n_points: int,
+) -> tuple[Int[np.ndarray, "fine 4"], Int[np.ndarray, " fine"]]:
+    """Bisect the elements whose own edge is chosen.
+
+    Args:
+        tets: Elements.
+        edges: Nodes of each edge.
+        own: One edge of each element. It is that of all elements of a chosen edge.
+        chosen: The edges to bisect; new nodes are numbered in their order.
+        n_points: Number of the first new node.
+
+    Returns:
+        The elements, oriented as before, and the element that each is, or is a half of.
+    """
+    cut = chosen[own]
+    new_node = np.full(len(edges), -1)
+    new_node[chosen] = n_points + np.arange(int(chosen.sum()))
+    middle = new_node[own[cut]]
     halves = [
         np.where(tets[cut] == end[:, None], middle[:, None], tets[cut])
-        for end in edges[longest[cut]].T[::-1]
+        for end in edges[own[cut]].T[::-1]
     ]
     origins = np.concatenate((np.flatnonzero(~cut), np.flatnonzero(cut), np.flatnonzero(cut)))
-    return Bisection(edges[terminal], np.concatenate((tets[~cut], *halves)), origins)
+    return np.concatenate((tets[~cut], *halves)), origins
+
+
+def number_edges(
+    tets: Tets, n_points: int
+) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "m 6"]]:
+    """Return the nodes of each edge, in ascending order, and the edges of each element."""
+    pairs = np.sort(tets[:, LOCAL_EDGES], axis=2)
+    keys, inverse = np.unique(pairs[..., 0] * n_points + pairs[..., 1], return_inverse=True)
+    return np.column_stack(np.divmod(keys, n_points)), inverse.reshape(-1, 6)
 
 
 def _check_sizing(limits: np.ndarray, count: int, diagonal: float) -> Float[np.ndarray, " m"]:

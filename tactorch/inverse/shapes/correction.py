@@ -18,9 +18,10 @@ from jaxtyping import Float
 from tactorch.inverse.data import group_by_contact
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.shapes.field import Ellipsoid, Sites
-from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
+from tactorch.inverse.shapes.fit import ShapeFit
 from tactorch.inverse.shapes.sizing import Rim, inclusion_sizing, smallest
 from tactorch.mesh import Refinement, refine
+from tactorch.mesh.conform import ClosedSurface, conform
 from tactorch.recording import Recording, prolong_recording
 
 _PER_CONTACT = 0.2  # longest edge at the rim of a contact, over the contact's radius
@@ -106,11 +107,19 @@ class Correction:
         numbers: Sequence[int],
     ) -> list[Float[np.ndarray, "nodes 3"]]:
         """Return the reported displacements of presses on a finer mesh."""
+        shapes = list(fit.field.shapes(fit.z))
+        surfaces = [ClosedSurface(s.distance, 4.0 / 3.0 * np.pi * s.radius_mm**3) for s in shapes]
+        fitted = conform(refinement, surfaces)
         presses = tuple(self.recording.presses[i] for i in numbers)
-        fine = prolong_recording(replace(self.recording, presses=presses), refinement)
-        problem = InverseProblem(fine, **self.options)
-        youngs = ShapesOnSites(fit.field, Sites.of(problem.body.assembly)).at(fit.z).youngs
+        fine = prolong_recording(replace(self.recording, presses=presses), fitted.refinement)
+        problem = InverseProblem(replace(fine, mesh=fitted.mesh), **self.options)
+        sites = Sites.of(problem.body.assembly)
+        fractions = [
+            np.where(side == 0, sites.fraction_inside(shape), side < 0)
+            for shape, side in zip(shapes, fitted.sides, strict=True)
+        ]
+        youngs = np.exp(fit.field.log_youngs_of(fit.z, sites, fractions)).reshape(sites.shape)
         extend, n = problem.body.discretisation.extend, refinement.coarse.n_points
         displacements = [evaluation.displacements[i] for i in numbers]
-        starts = [extend(refinement.interpolate(u[:n])) for u in displacements]
+        starts = [extend(fitted.refinement.interpolate(u[:n])) for u in displacements]
         return problem.evaluate(youngs, starts=starts, chained=True).reported

@@ -5,7 +5,7 @@ inclusion, its log-contrast times the fraction of the point's volume inside the 
 geometric mean. An arithmetic mean is too stiff where a boundary crosses an element.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
@@ -64,6 +64,12 @@ class Sites:
     def centers(self) -> Float[np.ndarray, "volumes 3"]:
         """Centre of each volume, mm."""
         return self.points.mean(axis=1)
+
+    def fraction_inside(self, shape: "Ellipsoid") -> Float[np.ndarray, " elements"]:
+        """Return the fraction of each element inside an inclusion, by its sample points."""
+        inside = shape.contains(self.points.reshape(-1, 3))
+        fractions: np.ndarray = inside.reshape(self.shape[0], -1).mean(axis=1)
+        return fractions
 
     @staticmethod
     def at(points: Float[np.ndarray, "n 3"]) -> "Sites":
@@ -270,6 +276,19 @@ class ShapeField:
             near = _near(values[part], sites)
             fraction = _fraction(inclusion, *_tensors(sites, near)).numpy()
             out[near] += values[part][4] * fraction
+        return out
+
+    def log_youngs_of(
+        self,
+        z: Float[np.ndarray, " size"],
+        sites: Sites,
+        fractions: Sequence[Float[np.ndarray, " elements"]],
+    ) -> np.ndarray:
+        """Return the log-modulus of each volume, of elements in each inclusion by a fraction."""
+        values = self.physical(z)
+        out = self._background(sites) @ values[: self.n_background]
+        for part, fraction in zip(self.parts, fractions, strict=True):
+            out += values[part][4] * np.repeat(fraction, sites.shape[1])
         return out
 
     def jacobian(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:

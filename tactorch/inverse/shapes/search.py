@@ -42,6 +42,7 @@ _DEGREES = (2, 4)  # of smooth backgrounds
 _FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 _MIN_POSE_DEVIATION = 0.002  # that of the discretisation of supports and inclusions
 _POSE_DEVIATIONS = (0.01, 0.05)
+_CORRECTION_DEVIATION = 0.3  # of the correction for the discretisation, over the correction
 _MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
 _MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
 _MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
@@ -186,6 +187,9 @@ class _Search:
 
     def _data(self, errors: Errors) -> DataModel:
         data = self.quadratic.data
+        if self._correction is not None:
+            offsets = np.concatenate(self._correction_mm) * data.scale
+            data = data.with_errors(_CORRECTION_DEVIATION * offsets[:, None])
         if errors.pose:
             data = data.with_errors(errors.pose * self._pose_patterns)
         if errors.forces:

@@ -12,8 +12,8 @@ from tactorch.mesh import TetMesh
 from tactorch.mesh.refine import Sizing
 from tactorch.recording import Recording
 
-_PER_RADIUS = 0.35  # longest edge at the boundary of an inclusion, over its radius
-_SHELL = 0.2  # half-width of the refined shell, over the radius
+_PER_RADIUS = 0.5  # longest edge at the boundary of an inclusion, over its radius
+_GROWTH = 0.25  # of the longest edge with the distance from the boundary
 _PER_CONTACT = 0.5  # longest edge at the rim of a contact, over the contact's radius
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 
@@ -21,14 +21,14 @@ _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 def inclusion_sizing(inclusions: Sequence[Ellipsoid]) -> Sizing:
     """Return the longest edges (mm) at points (mm): short near boundaries of inclusions.
 
-    An element that a boundary crosses has one strain, or a linear one, for both sides.
+    The strain around an inclusion changes with the third power of the distance.
     """
 
     def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         lengths = np.full(len(points), np.inf)
         for shape in inclusions:
-            near = np.abs(shape.distance(points)) < _SHELL * shape.radius_mm
-            lengths[near] = np.minimum(lengths[near], _PER_RADIUS * shape.radius_mm)
+            longest = _PER_RADIUS * shape.radius_mm + _GROWTH * np.abs(shape.distance(points))
+            lengths = np.minimum(lengths, longest)
         return lengths
 
     return sizing
