@@ -82,7 +82,7 @@ class _State:
     points: Points
     tets: Tets
     parents: Int[np.ndarray, " m"]
-    ends: tuple[Int[np.ndarray, "k 2"], ...]
+    ends: tuple[Int[np.ndarray, "_ 2"], ...]
     outer: Bool[np.ndarray, " n"]  # nodes of the mesh's boundary
     values: tuple[Float[np.ndarray, " n"], ...]  # levels of the nodes; zero on the surface
 

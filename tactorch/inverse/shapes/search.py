@@ -135,10 +135,12 @@ class _Search:
 
     def final(self, model: _Model) -> _Model:
         """Return the model fitted closely, with predictions corrected for the discretisation."""
-        if self._correction is None:
-            start = _Start("final", model.fit.field, model.fit.z, model.errors)
-            return self.fit(start, model.evaluation.displacements, _TOLERANCE)
-        return self._corrected(model, _TOLERANCE)
+        if self._correction is not None:
+            corrected = self._corrected(model, _TOLERANCE)
+            if corrected is not model:
+                return corrected
+        start = _Start("final", model.fit.field, model.fit.z, model.errors)
+        return self.fit(start, model.evaluation.displacements, _TOLERANCE)
 
     def _corrected(self, model: _Model, tolerance: float = _ROUGH_TOLERANCE) -> _Model:
         """Return the model fitted to data that are shifted by the error of the discretisation.
