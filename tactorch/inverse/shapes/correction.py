@@ -4,8 +4,8 @@ Strains change within a fraction of the radius of a contact at its rim, and have
 boundary of an inclusion. A mesh that is fine at all contacts and inclusions would make each fit
 slow. Instead each contact has a separate mesh, and the differences of their predictions at one
 model are added to those of the common mesh, as they change little with the model. The faces of
-these meshes follow the inclusions (deferred correction: V. Pereyra, "On improving an approximate solution of a functional equation by deferred
-corrections", Numer. Math. 8 (1966), 376-391).
+these meshes follow the inclusions (deferred correction: V. Pereyra, "On improving an approximate
+solution of a functional equation by deferred corrections", Numer. Math. 8 (1966), 376-391).
 """
 
 from collections.abc import Mapping, Sequence
