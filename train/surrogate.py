@@ -15,7 +15,7 @@ from typing import Any
 from tactorch.cli import main
 from tactorch.files import atomic_path
 from tactorch.generation import SampleSet
-from tactorch.learning.surrogate.network import export_weights
+from tactorch.learning.surrogate.network import WEIGHT_BITS, export_weights
 from tactorch.learning.training import BEST, LAST
 
 _PLACES = ("folder:", "run_dir:", "resume:")
@@ -50,7 +50,7 @@ def note(data: Path, run: Path, evaluated: Path) -> dict[str, Any]:
         },
         "training": [line for line in config if not line.strip().startswith(_PLACES)],
         "test part": scores,
-        "bits per weight": {"coarse grid": 4, "others": 8},
+        "bits per weight": WEIGHT_BITS,
     }
 
 

@@ -22,7 +22,6 @@ _MAX_MOVE = 0.35  # of a node along an edge, in lengths of the edge
 _MIN_POSITION = 0.1  # of a new node from the ends of its edge, likewise
 _MIN_VOLUME = 0.2  # of an element after nodes are moved, over that before
 _HALVINGS = 30  # of an interval that contains a crossing, and of moves that are too large
-_MAX_PASSES = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +117,11 @@ class _State:
         return replace(self, points=points, values=(*self.values, values))
 
     def split(self, surface: ClosedSurface) -> "_State | None":
-        """Bisect edges that cross the last surface where it does; None where there are none."""
+        """Bisect edges that cross the last surface where it does; None where there are none.
+
+        The longest of these edges is always bisected, and no new edge crosses the surface, so that
+        a number of calls leaves none.
+        """
         values, n = self.values[-1], len(self.points)
         edges, tet_edges = number_edges(self.tets, n)
         crossed = (np.prod(np.sign(values[edges]), axis=1) < 0) & ~self._on_boundary(edges)

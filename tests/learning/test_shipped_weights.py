@@ -7,7 +7,7 @@ import pytest
 
 from tactorch.inverse import Bounds, InverseProblem, homogeneous
 from tactorch.learning.surrogate import Prediction, SurrogateStart
-from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS
+from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS, WEIGHT_BITS
 from tactorch.mesh import Box, Sphere, box_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import Recording
@@ -28,7 +28,7 @@ def test_they_are_small_and_say_what_they_were_made_of() -> None:
     assert len(note["dataset"]["shards"]) == recipe["count"] / recipe["shard"]
     assert any("surrogate" in line for line in note["training"])
     assert note["test part"]["samples"] == 150
-    assert note["bits per weight"] == {"coarse grid": 4, "others": 8}
+    assert note["bits per weight"] == WEIGHT_BITS
 
 
 @pytest.mark.parametrize("size_mm", [10.0, pytest.param(40.0, marks=pytest.mark.slow)])

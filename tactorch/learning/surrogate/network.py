@@ -23,6 +23,8 @@ from tactorch.learning.training import Network, NetworkOptions, load_network
 
 #: Weights of tactorch; surrogate.json states the data and settings of their training.
 INCLUDED_WEIGHTS = Path(__file__).with_name("surrogate.pt")
+#: Bits of the exported weights of layers of the coarse grid, two thirds of all, and of others.
+WEIGHT_BITS = {"coarse grid": 4, "others": 8}
 
 _MIN_LOG, _MAX_LOG = -5.0, 1.0  # limits of the logarithm of the deviation
 _IMAGE = SHARED_CHANNELS.index("image")
@@ -254,12 +256,16 @@ def load_surrogate(path: Path = INCLUDED_WEIGHTS) -> Surrogate:
 def export_weights(checkpoint: Path, path: Path) -> None:
     """Write the weights of a checkpoint as compressed integers: about a fifteenth of its size.
 
-    Weights of the coarse grid, two thirds of all, have 4 bits, and others 8 bits.
+    The number of bits is that of `WEIGHT_BITS`.
 
     Raises:
         FileError: The checkpoint is missing, damaged or of another model.
     """
     network = load_surrogate(checkpoint)
-    state, scales = quantize(network.state_dict(), lambda name: 4 if "middle" in name else 8)
+    state, scales = quantize(network.state_dict(), _bits)
     content = {"state_dict": state, "scales": scales, "hyper_parameters": dict(network.hparams)}
     write_file(path, compress(content))
+
+
+def _bits(name: str) -> int:
+    return WEIGHT_BITS["coarse grid" if "middle" in name else "others"]
