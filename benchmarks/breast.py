@@ -40,7 +40,7 @@ from tactorch.mesh import TetMesh, locate
 from tactorch.mesh.geometry import signed_volumes
 from tactorch.metrics import find_inclusion, position_error_mm, scores
 from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.simulation.transfer import Transfer
+from tactorch.fem.transfer import Transfer
 
 WHERE = "data/digibreast of the shared data (TACTORCH_SHARED or ../shared)"
 FAT, GLAND, LESION = 0.02, 0.05, 0.3  # MPa

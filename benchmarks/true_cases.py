@@ -47,7 +47,7 @@ from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.simulation import noise_level
 from tactorch.simulation.patch import nodes_within, patch_forces
 from tactorch.simulation.plan import PressSite
-from tactorch.simulation.transfer import Transfer
+from tactorch.fem.transfer import Transfer
 
 FORMAT = 2  # of the cached recordings; raised when their computation changes
 VOXELS = 36

@@ -18,7 +18,7 @@ from tactorch.fem.elements import ELEMENTS, ConsistentLoads, Discretisation
 from tactorch.fem.equilibrium import Equilibrium, LoadCases
 from tactorch.fem.materials import Material
 from tactorch.fem.newton import EquilibriumResult, Newton, NewtonOptions
-from tactorch.linalg import SharedLease, SolverOptions, SolverPool
+from tactorch.linalg import CoarseSpaces, SharedLease, SolverOptions, SolverPool
 from tactorch.mesh import TetMesh
 
 ArrayMap = Callable[[np.ndarray], np.ndarray]
@@ -63,7 +63,7 @@ class SoftBody:
     def pool(self) -> SolverPool:
         """Analysed solvers, shared by all load cases; made at first use."""
         d = self.discretisation
-        return SolverPool(d.pattern, self.solver, d.rigid_modes)
+        return SolverPool(d.pattern, self.solver, CoarseSpaces(d.rigid_modes, d.from_linear))
 
     @property
     def n_nodes(self) -> int:

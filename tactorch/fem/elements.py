@@ -194,21 +194,49 @@ class Discretisation:
         return (3 * self.nodes[:, :, None] + np.arange(3)).reshape(len(self.nodes), -1)
 
     @cached_property
+    def _node_pattern(self) -> SymmetricPattern:
+        """Sparsity of the tangent by nodes."""
+        first, second = self._local_pairs
+        return SymmetricPattern.from_pairs(
+            self.n_nodes, self.nodes[:, first], self.nodes[:, second]
+        )
+
+    @property
+    def _local_pairs(self) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
+        """Pairs of nodes of an element, in the order of `entry_rows_cols`."""
+        return np.triu_indices(self.nodes.shape[1])
+
+    @cached_property
     def pattern(self) -> SymmetricPattern:
         """Sparsity of the tangent."""
-        # Pairs of nodes, not of unknowns: nine times fewer keys to sort.
-        n = np.int64(self.n_nodes)
-        first, second = np.triu_indices(self.nodes.shape[1])
-        pairs = np.sort([self.nodes[:, first], self.nodes[:, second]], axis=0)
-        keys = np.unique(pairs[0] * n + pairs[1])[:, None, None]
-        rows, cols = 3 * (keys // n) + np.arange(3)[:, None], 3 * (keys % n) + np.arange(3)
-        return SymmetricPattern.from_pairs(3 * self.n_nodes, rows, cols)
+        return self._node_pattern.blocks(3)
 
     @cached_property
     def slots(self) -> Int[np.ndarray, "m entries"]:
         """Stored entry of the pattern for each element entry."""
+        # Pairs of nodes, not of unknowns, are searched: there are nine times fewer.
+        local, nodes = self._local_pairs, self._node_pattern
+        first, second = (self.nodes[:, pair].astype(np.int32) for pair in local)
+        begins = np.minimum(first, second)
+        places = 3 * (nodes.slots(first, second) - nodes.indptr[begins])
         rows, cols = self.entry_rows_cols
-        return self.pattern.slots(self.unknowns[:, rows], self.unknowns[:, cols])
+        k = self.nodes.shape[1]
+        pair = np.searchsorted(local[0] * k + local[1], rows // 3 * k + cols // 3)
+        row, col = (rows % 3).astype(np.int32), (cols % 3).astype(np.int32)
+        swapped = (first > second)[:, pair]
+        row, col = np.where(swapped, col, row), np.where(swapped, row, col)
+        return self.pattern.indptr[3 * begins[:, pair] + row] + places[:, pair] + col - row
+
+    @cached_property
+    def from_linear(self) -> sp.csr_matrix | None:
+        """Interpolation from the unknowns of linear elements; None on these."""
+        if not self.element.quadratic:
+            return None
+        n, ends = self.mesh.n_points, self.edges
+        rows, halves = np.repeat(np.arange(len(ends)), 2), np.full(ends.size, 0.5)
+        midsides = sp.csr_matrix((halves, (rows, ends.ravel())), shape=(len(ends), n))
+        nodes = sp.vstack([sp.identity(n), midsides])
+        return sp.csr_matrix(sp.kron(nodes, sp.identity(3)))
 
     @cached_property
     def rigid_modes(self) -> Float[np.ndarray, "unknowns 6"]:

@@ -268,7 +268,7 @@ class Newton:
             if step is None:
                 self._use_double_precision()
                 with self._lease.hold() as lease:
-                    step = lease.solve(rhs) if lease.factor(matrix) else None
+                    step = lease.solve(rhs, rtol) if lease.factor(matrix) else None
         except IndefiniteError:
             return None
         return None if step is None else step + jump

@@ -5,10 +5,18 @@ from tactorch.linalg.dense import DenseCholesky
 from tactorch.linalg.parallel import limit_workers, map_cases, single_threaded
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.pool import SharedLease, SolverPool
-from tactorch.linalg.solver import SOLVERS, Solver, SolverOptions, analyse, available_solvers
+from tactorch.linalg.solver import (
+    SOLVERS,
+    CoarseSpaces,
+    Solver,
+    SolverOptions,
+    analyse,
+    available_solvers,
+)
 
 __all__ = [
     "SOLVERS",
+    "CoarseSpaces",
     "DenseCholesky",
     "SharedLease",
     "Solver",

@@ -30,9 +30,13 @@ class IterativeSolver(Solver):
     direct = False
 
     def _iterate(
-        self, product: Callable[[Any], Any], precondition: Callable[[Any], Any], rhs: Any
+        self,
+        product: Callable[[Any], Any],
+        precondition: Callable[[Any], Any],
+        rhs: Any,
+        rtol: float,
     ) -> Any:
-        rtol, limit = self.options.rtol, self.options.max_iterations
+        rtol, limit = max(rtol, self.options.rtol), self.options.max_iterations
         result = conjugate_gradients(product, precondition, rhs, rtol=rtol, max_iterations=limit)
         if result.negative_curvature:
             raise IndefiniteError("negative curvature: the matrix is not positive definite")
@@ -78,12 +82,11 @@ class MultigridSolver(IterativeSolver):
         sums = np.asarray(abs(self._matrix).sum(axis=1)).ravel()
         return np.where((sums == np.abs(self._matrix.diagonal()))[:, None], 0.0, modes)
 
-    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+    def _solve(self, rhs: np.ndarray, rtol: float) -> np.ndarray:
         if rhs.ndim > 1:
-            return np.stack([self._solve(np.ascontiguousarray(b)) for b in rhs.T], axis=1)
-        return self._iterate(
-            self._matrix.__matmul__, lambda r: self._preconditioner @ r, rhs.astype(np.float64)
-        )
+            return np.stack([self._solve(np.ascontiguousarray(b), rtol) for b in rhs.T], axis=1)
+        product, rhs = self._matrix.__matmul__, rhs.astype(np.float64)
+        return self._iterate(product, lambda r: self._preconditioner @ r, rhs, rtol)
 
 
 @dataclass(frozen=True)
@@ -129,10 +132,10 @@ class TorchCGSolver(IterativeSolver):
             self._matrix = matrix.to(self._device)
         return True
 
-    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+    def _solve(self, rhs: np.ndarray, rtol: float) -> np.ndarray:
         columns = torch.tensor(rhs, device=self._device).reshape(len(rhs), -1)
         with torch.no_grad():
-            solution = self._iterate(self._matrix.matmul, self._precondition, columns)
+            solution = self._iterate(self._matrix.matmul, self._precondition, columns, rtol)
         return solution.reshape(rhs.shape).cpu().numpy()
 
     def _precondition(self, residual: Tensor) -> Tensor:

@@ -126,7 +126,7 @@ class PardisoSolver(Solver):
         self._values = np.ascontiguousarray(values, dtype=self._type)
         return self._run(_FACTOR, self._values, self._none, self._none) == 0
 
-    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+    def _solve(self, rhs: np.ndarray, _rtol: float) -> np.ndarray:
         # Small residuals are outside the range of single precision.
         unit = (float(np.abs(rhs).max()) or 1.0) if self.single_precision else 1.0
         b = np.asfortranarray(rhs / unit if self.single_precision else rhs, dtype=self._type)

@@ -33,6 +33,18 @@ class SymmetricPattern:
         indptr = np.searchsorted(keys // size, np.arange(size + 1)).astype(np.int32)
         return SymmetricPattern(indptr, (keys % size).astype(np.int32))
 
+    def blocks(self, size: int) -> "SymmetricPattern":
+        """Return the pattern in which each unknown is a block of `size` unknowns."""
+        counts = np.diff(self.indptr)
+        wide = (size * self.indices[:, None] + np.arange(size, dtype=np.int32)).ravel()
+        # Row r of a block begins at its diagonal, r entries after that of the first row.
+        offsets = np.arange(size, dtype=np.int32)
+        starts = (size * self.indptr[:-1, None] + offsets).ravel()
+        lengths = (size * counts[:, None] - offsets).ravel()
+        indptr = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
+        entries = np.arange(indptr[-1], dtype=np.int32) + np.repeat(starts - indptr[:-1], lengths)
+        return SymmetricPattern(indptr, wide[entries])
+
     @property
     def size(self) -> int:
         """Number of unknowns."""

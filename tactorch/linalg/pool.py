@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.linalg.pattern import SymmetricPattern
-from tactorch.linalg.solver import SOLVERS, Solver, SolverOptions
+from tactorch.linalg.solver import SOLVERS, CoarseSpaces, Solver, SolverOptions
 
 
 class Lease:
@@ -57,11 +57,13 @@ class Lease:
         assert self._solver is not None
         return self._solver.factor(values)
 
-    def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
+    def solve(
+        self, rhs: Float[np.ndarray, "size *k"], rtol: float = 0.0
+    ) -> Float[np.ndarray, "size *k"]:
         """See `Solver.solve`."""
         if self._solver is None:
             raise RuntimeError("the factorisation was transferred; factor again before solving")
-        return self._solver.solve(rhs)
+        return self._solver.solve(rhs, rtol)
 
 
 class SharedLease:
@@ -102,19 +104,19 @@ class SolverPool:
     Args:
         pattern: Sparsity of the matrices.
         solver: Name or settings of the solver.
-        near_nullspace: Rigid-body modes, used by multigrid only.
+        coarse: Fields for multigrid.
     """
 
     def __init__(
         self,
         pattern: SymmetricPattern,
         solver: str | SolverOptions = "auto",
-        near_nullspace: Float[np.ndarray, "size modes"] | None = None,
+        coarse: CoarseSpaces | None = None,
     ) -> None:
         self.pattern = pattern
         options: SolverOptions = SOLVERS.build(solver)
         self.options = options.resolve(pattern.size)
-        self._modes = near_nullspace
+        self._coarse = coarse
         self._idle: dict[bool, list[Solver]] = {False: [], True: []}
         self._lock = threading.RLock()  # a finalizer may run in the thread that has the lock
 
@@ -133,7 +135,7 @@ class SolverPool:
         with self._lock:
             idle = self._idle[single_precision]
             solver = idle.pop() if idle else None
-        return solver or self.options.analyse(self.pattern, self._modes, single_precision)
+        return solver or self.options.analyse(self.pattern, self._coarse, single_precision)
 
     def give_back(self, solver: Solver) -> None:
         """Return a solver; used by leases."""

@@ -2,9 +2,10 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.config import Options, Registry
@@ -19,6 +20,7 @@ SOLVERS = Registry(
         "pardiso": "tactorch.linalg.pardiso:Pardiso",
         "superlu": "tactorch.linalg.superlu:SuperLU",
         "multigrid": "tactorch.linalg.iterative:Multigrid",
+        "p_multigrid": "tactorch.linalg.p_multigrid:PMultigrid",
         "torch_cg": "tactorch.linalg.iterative:TorchCG",
     },
 )
@@ -32,6 +34,18 @@ class IndefiniteError(ArithmeticError):
     """An iterative solver met a direction of negative curvature."""
 
 
+class CoarseSpaces(NamedTuple):
+    """Fields that approximate slow errors of iterative solvers.
+
+    Attributes:
+        near_nullspace: Columns that the matrix nearly annihilates, such as rigid-body modes.
+        linear: Interpolation from the unknowns of linear elements on the same mesh.
+    """
+
+    near_nullspace: Float[np.ndarray, "size modes"] | None = None
+    linear: sp.csr_matrix | None = None
+
+
 class Solver(ABC):
     """A symmetric sparse matrix whose pattern is analysed once and factored any number of times.
 
@@ -42,6 +56,7 @@ class Solver(ABC):
         options: Settings.
         pattern: Upper triangle of the symmetric matrix.
         near_nullspace: Columns that the matrix nearly annihilates, such as rigid-body modes.
+        linear: Interpolation from the unknowns of linear elements on the same mesh.
         single_precision: Whether solutions are accurate to about four digits only.
         direct: Whether a solve is cheap compared with a factorisation.
         factored: Upper-triangle values of the factored matrix; None without a factorisation.
@@ -53,11 +68,12 @@ class Solver(ABC):
         self,
         options: Any,
         pattern: SymmetricPattern,
-        near_nullspace: Float[np.ndarray, "size modes"] | None = None,
+        coarse: CoarseSpaces | None = None,
         single_precision: bool = False,
     ) -> None:
         self.options, self.pattern = options, pattern
-        self.near_nullspace, self.single_precision = near_nullspace, single_precision
+        self.near_nullspace, self.linear = coarse or CoarseSpaces()
+        self.single_precision = single_precision
         self.factored: Float[np.ndarray, " nnz"] | None = None
 
     def factor(self, values: Float[np.ndarray, " nnz"]) -> bool:
@@ -71,8 +87,14 @@ class Solver(ABC):
         self.factored = values if definite else None
         return definite
 
-    def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
+    def solve(
+        self, rhs: Float[np.ndarray, "size *k"], rtol: float = 0.0
+    ) -> Float[np.ndarray, "size *k"]:
         """Return the solution for one or many right-hand sides, with the last factorisation.
+
+        Args:
+            rhs: Right-hand sides.
+            rtol: Relative residual that suffices, for iterative solvers.
 
         Raises:
             IndefiniteError: An iterative solver met negative curvature.
@@ -81,13 +103,13 @@ class Solver(ABC):
         """
         if self.factored is None:
             raise RuntimeError("factor a positive definite matrix before solving")
-        return self._solve(rhs)
+        return self._solve(rhs, rtol)
 
     @abstractmethod
     def _factor(self, values: np.ndarray) -> bool: ...
 
     @abstractmethod
-    def _solve(self, rhs: np.ndarray) -> np.ndarray: ...
+    def _solve(self, rhs: np.ndarray, rtol: float) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
@@ -123,13 +145,13 @@ class SolverOptions(Options):
     def analyse(
         self,
         pattern: SymmetricPattern,
-        near_nullspace: Float[np.ndarray, "size modes"] | None = None,
+        coarse: CoarseSpaces | None = None,
         single_precision: bool = False,
     ) -> Solver:
         """Return a solver for a sparsity pattern; see `Solver` for the arguments."""
         options = self.resolve(pattern.size)
         single_precision = single_precision and options.has_single_precision
-        return options.solver(options, pattern, near_nullspace, single_precision)
+        return options.solver(options, pattern, coarse, single_precision)
 
 
 @dataclass(frozen=True)
@@ -149,7 +171,12 @@ def available_solvers() -> tuple[str, ...]:
     return tuple(n for n in SOLVERS.names() if n != "auto" and SOLVERS[n].available())
 
 
-def analyse(pattern: SymmetricPattern, solver: str | SolverOptions = "auto") -> Solver:
+def analyse(
+    pattern: SymmetricPattern,
+    solver: str | SolverOptions = "auto",
+    *,
+    single_precision: bool = False,
+) -> Solver:
     """Return a solver, given by name or by its settings, for a sparsity pattern."""
     options: SolverOptions = SOLVERS.build(solver)
-    return options.analyse(pattern)
+    return options.analyse(pattern, single_precision=single_precision)

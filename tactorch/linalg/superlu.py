@@ -32,7 +32,7 @@ class SuperLUSolver(Solver):
         self._lu: Any = _definite_lu(matrix, "NATURAL")
         return self._lu is not None
 
-    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+    def _solve(self, rhs: np.ndarray, _rtol: float) -> np.ndarray:
         out = np.empty_like(rhs, dtype=np.float64)
         out[self._order] = self._lu.solve(np.ascontiguousarray(rhs[self._order], dtype=np.float64))
         return out

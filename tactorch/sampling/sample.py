@@ -21,7 +21,7 @@ from tactorch.sampling.loop import LoopOptions, Observer, SamplingLoop, Update
 from tactorch.sampling.rules import Rule
 from tactorch.sampling.sources import Arrival, PressSource
 from tactorch.sampling.suggest import Suggester, SuggestOptions
-from tactorch.simulation.transfer import Transfer
+from tactorch.fem.transfer import Transfer
 from tactorch.uncertainty.select import posterior_at
 
 

@@ -14,7 +14,7 @@ from tactorch.fem.boundary import pressure_forces
 from tactorch.mesh import TetMesh, face_nodes
 from tactorch.simulation.patch import nodes_within, patch_forces
 from tactorch.simulation.plan import PressPlan, PressSite
-from tactorch.simulation.transfer import Transfer
+from tactorch.fem.transfer import Transfer
 
 Nodal = Float[np.ndarray, "nodes 3"]
 # Maximum relative difference of the total force on two meshes of a curved body; it is corrected.

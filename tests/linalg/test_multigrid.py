@@ -5,7 +5,7 @@ import pytest
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import SoftBody, Supports, make_material
-from tactorch.linalg import analyse
+from tactorch.linalg import CoarseSpaces, analyse
 from tactorch.linalg.iterative import Multigrid, MultigridSolver
 from tactorch.mesh import box_mesh, face_nodes
 
@@ -42,7 +42,7 @@ def iterations(solver: MultigridSolver, load: np.ndarray, monkeypatch) -> int:
 
 def test_rigid_modes_keep_iterations_few_and_the_answer_is_the_direct_one(monkeypatch):
     pattern, values, modes, load = stiffness(9)
-    with_modes = Multigrid().analyse(pattern, modes)
+    with_modes = Multigrid().analyse(pattern, CoarseSpaces(modes))
     with_modes.factor(values)
     without = Multigrid().analyse(pattern)
     without.factor(values)
@@ -60,18 +60,18 @@ def test_rigid_modes_keep_iterations_few_and_the_answer_is_the_direct_one(monkey
 
 def test_kept_aggregates_serve_new_values():
     pattern, values, modes, load = stiffness(7)
-    solver = Multigrid().analyse(pattern, modes)
+    solver = Multigrid().analyse(pattern, CoarseSpaces(modes))
     solver.factor(values)
     solver.factor(2.0 * values)
     twice = solver.solve(load)
-    fresh = Multigrid().analyse(pattern, modes)
+    fresh = Multigrid().analyse(pattern, CoarseSpaces(modes))
     fresh.factor(values)
     np.testing.assert_allclose(2.0 * twice, fresh.solve(load), rtol=0, atol=1e-9)
 
 
 def test_a_solve_that_does_not_get_there_says_so():
     pattern, values, modes, load = stiffness(7)
-    solver = Multigrid(max_iterations=2).analyse(pattern, modes)
+    solver = Multigrid(max_iterations=2).analyse(pattern, CoarseSpaces(modes))
     solver.factor(values)
     with pytest.raises(
         ConvergenceError, match=r"residual of .*2 iterations.*solver=pardiso.*solver.max_iterations"

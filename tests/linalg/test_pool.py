@@ -14,9 +14,9 @@ def analyses(monkeypatch) -> list[SymmetricPattern]:
     patterns: list[SymmetricPattern] = []
     analyse = SuperLU.analyse
 
-    def counted(self, pattern, near_nullspace=None, single_precision=False):
+    def counted(self, pattern, coarse=None, single_precision=False):
         patterns.append(pattern)
-        return analyse(self, pattern, near_nullspace, single_precision)
+        return analyse(self, pattern, coarse, single_precision)
 
     monkeypatch.setattr(SuperLU, "analyse", counted)
     return patterns

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.fem import NewtonOptions
+from tactorch.fem.transfer import Transfer
 from tactorch.inverse.data import group_by_contact
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.shapes.field import Ellipsoid, Sites
@@ -26,6 +28,8 @@ from tactorch.recording import Recording, prolong_recording
 
 _PER_CONTACT = 0.2  # longest edge at the rim of a contact, over the contact's radius
 _GROWTH = 1.0  # of the longest edge with the distance from the rim
+# Equilibria far more accurate than the noise of a sensor, by one or two steps from the common mesh.
+_NEWTON = NewtonOptions(rtol=1e-4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +38,7 @@ class Correction:
 
     Attributes:
         recording: Presses on the common mesh.
-        options: Element type, solver and settings of the equilibrium searches.
+        options: Element type, solver and noise.
         contacts: Presses of each contact, which differ by a factor, and its rim if it has one.
     """
 
@@ -112,14 +116,14 @@ class Correction:
         fitted = conform(refinement, surfaces)
         presses = tuple(self.recording.presses[i] for i in numbers)
         fine = prolong_recording(replace(self.recording, presses=presses), fitted.refinement)
-        problem = InverseProblem(replace(fine, mesh=fitted.mesh), **self.options)
+        problem = InverseProblem(replace(fine, mesh=fitted.mesh), **self.options, newton=_NEWTON)
         sites = Sites.of(problem.body.assembly)
         fractions = [
             np.where(side == 0, sites.fraction_inside(shape), side < 0)
             for shape, side in zip(shapes, fitted.sides, strict=True)
         ]
         youngs = np.exp(fit.field.log_youngs_of(fit.z, sites, fractions)).reshape(sites.shape)
-        extend, n = problem.body.discretisation.extend, refinement.coarse.n_points
-        displacements = [evaluation.displacements[i] for i in numbers]
-        starts = [extend(fitted.refinement.interpolate(u[:n])) for u in displacements]
+        common = evaluation.search(0).assembly.discretisation
+        transfer = Transfer.between(common, problem.body.discretisation.positions)
+        starts = [transfer(evaluation.displacements[i]) for i in numbers]
         return problem.evaluate(youngs, starts=starts, chained=True).reported

@@ -30,6 +30,7 @@ from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.inverse.shapes.sizing import contact_sizing
 from tactorch.inverse.starts import uniform_fit
+from tactorch.linalg import SOLVERS
 from tactorch.recording import Recording, refine_recording
 
 _log = logging.getLogger(__name__)
@@ -107,14 +108,10 @@ class _Search:
         if same:
             self._element = str(recording.provenance.get("element", settings.element))
         newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
-        options: dict[str, Any] = {
-            "solver": settings.solver,
-            "noise": settings.noise,
-            "newton": newton,
-        }
+        options: dict[str, Any] = {"solver": settings.solver, "noise": settings.noise}
 
         def problem(element: str, **more: Any) -> InverseProblem:
-            return InverseProblem(recording, element=element, **options, **more)
+            return InverseProblem(recording, element=element, newton=newton, **options, **more)
 
         self.quadratic = problem(self._element, derivative_rtol=_DERIVATIVE_RTOL)
         self.sites = Sites.of(self.quadratic.body.assembly)
@@ -123,6 +120,8 @@ class _Search:
         # Where the presses were computed on this mesh, it is the object.
         self._correction = None
         if not same:
+            if SOLVERS.name_of(type(SOLVERS.build(settings.solver))) == "auto":
+                options["solver"] = "p_multigrid"  # for few solves on each of several meshes
             self._correction = Correction.of(self.quadratic, element=self._element, **options)
         self._correction_mm = [np.zeros(count) for count in self.quadratic.data.counts]
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa

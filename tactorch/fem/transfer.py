@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.errors import MeshError
-from tactorch.fem import Discretisation
+from tactorch.fem.elements import Discretisation
 from tactorch.mesh import TetMesh, locate
 from tactorch.mesh.topology import LOCAL_EDGES
 

@@ -6,7 +6,7 @@ import pytest
 from tactorch.errors import MeshError
 from tactorch.fem import ELEMENTS, Discretisation
 from tactorch.mesh import box_mesh
-from tactorch.simulation.transfer import Transfer
+from tactorch.fem.transfer import Transfer
 
 Field = Callable[[np.ndarray], np.ndarray]
 RNG = np.random.default_rng(5)

