@@ -35,12 +35,12 @@ import numpy as np
 from machine import peak_gib
 
 from tactorch.fem import SoftBody, Supports, make_material
+from tactorch.fem.transfer import Transfer
 from tactorch.inverse import InverseProblem, NewtonCG, Settings, best_uniform, homogeneous, invert
 from tactorch.mesh import TetMesh, locate
 from tactorch.mesh.geometry import signed_volumes
 from tactorch.metrics import find_inclusion, position_error_mm, scores
 from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.fem.transfer import Transfer
 
 WHERE = "data/digibreast of the shared data (TACTORCH_SHARED or ../shared)"
 FAT, GLAND, LESION = 0.02, 0.05, 0.3  # MPa

@@ -29,6 +29,7 @@ from true_meshes import (
 
 from tactorch.fem import ELEMENTS, Discretisation, NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.boundary import pressure_forces
+from tactorch.fem.transfer import Transfer
 from tactorch.files import atomic_path, cache_folder
 from tactorch.mesh import (
     Box,
@@ -47,7 +48,6 @@ from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.simulation import noise_level
 from tactorch.simulation.patch import nodes_within, patch_forces
 from tactorch.simulation.plan import PressSite
-from tactorch.fem.transfer import Transfer
 
 FORMAT = 2  # of the cached recordings; raised when their computation changes
 VOXELS = 36

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody, Supports
+from tactorch.fem.transfer import Transfer
 from tactorch.inverse import Settings
 from tactorch.inverse.starts import START_MPA
 from tactorch.mesh import TetMesh
@@ -21,7 +22,6 @@ from tactorch.sampling.loop import LoopOptions, Observer, SamplingLoop, Update
 from tactorch.sampling.rules import Rule
 from tactorch.sampling.sources import Arrival, PressSource
 from tactorch.sampling.suggest import Suggester, SuggestOptions
-from tactorch.fem.transfer import Transfer
 from tactorch.uncertainty.select import posterior_at
 
 

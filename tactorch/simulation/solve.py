@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, Discretisation, SoftBody, Supports
 from tactorch.fem.boundary import pressure_forces
+from tactorch.fem.transfer import Transfer
 from tactorch.mesh import TetMesh, face_nodes
 from tactorch.simulation.patch import nodes_within, patch_forces
 from tactorch.simulation.plan import PressPlan, PressSite
-from tactorch.fem.transfer import Transfer
 
 Nodal = Float[np.ndarray, "nodes 3"]
 # Maximum relative difference of the total force on two meshes of a curved body; it is corrected.

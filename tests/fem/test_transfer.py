@@ -5,8 +5,8 @@ import pytest
 
 from tactorch.errors import MeshError
 from tactorch.fem import ELEMENTS, Discretisation
-from tactorch.mesh import box_mesh
 from tactorch.fem.transfer import Transfer
+from tactorch.mesh import box_mesh
 
 Field = Callable[[np.ndarray], np.ndarray]
 RNG = np.random.default_rng(5)

@@ -10,7 +10,7 @@ solution of a functional equation by deferred corrections", Numer. Math. 8 (1966
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -28,8 +28,43 @@ from tactorch.recording import Recording, prolong_recording
 
 _PER_CONTACT = 0.2  # longest edge at the rim of a contact, over the contact's radius
 _GROWTH = 1.0  # of the longest edge with the distance from the rim
+# Smallest load of a contact over its largest, between which changes are interpolated.
+_MIN_FACTOR, _MAX_FACTOR = 0.1, 0.8
 # Equilibria far more accurate than the noise of a sensor, by one or two steps from the common mesh.
 _NEWTON = NewtonOptions(rtol=1e-4)
+
+
+class _Ladder(NamedTuple):
+    """Presses of one contact, which differ by a factor.
+
+    Attributes:
+        factors: Displacement of each press over the largest.
+        ends: Presses of the smallest and largest displacement, or one press.
+    """
+
+    factors: dict[int, float]
+    ends: tuple[int, ...]
+
+    @staticmethod
+    def of(contact: Sequence[int], predicted: Sequence[Float[np.ndarray, " _"]]) -> "_Ladder":
+        """Return the presses of a contact, whose factors are projections of predictions."""
+        last = predicted[max(contact, key=lambda i: float(predicted[i] @ predicted[i]))]
+        factors = {i: float(predicted[i] @ last) / float(last @ last) for i in contact}
+        ends = (min(contact, key=factors.__getitem__), max(contact, key=factors.__getitem__))
+        distinct = _MIN_FACTOR < factors[ends[0]] < _MAX_FACTOR
+        return _Ladder(factors, ends if distinct else ends[1:])
+
+    def interpolate(
+        self, changes: Mapping[int, Float[np.ndarray, " _"]]
+    ) -> dict[int, Float[np.ndarray, " _"]]:
+        """Return the changes of all presses from those at the ends, which vanish without a load."""
+        *first, last = self.ends
+        slope = changes[last]
+        for i in first:
+            factor = self.factors[i]
+            slope = (changes[i] / factor - factor * changes[last]) / (1.0 - factor)
+        curvature = changes[last] - slope
+        return {i: factor * slope + factor**2 * curvature for i, factor in self.factors.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +99,8 @@ class Correction:
     def offsets(self, fit: ShapeFit, evaluation: Evaluation) -> list[Float[np.ndarray, " p"]]:
         """Return the predictions of the finer meshes less those of the common one, each press (mm).
 
-        Those of the largest displacement of each contact are computed, and scaled for the others by
-        the projection of their predictions on it. Contacts without a rim share a mesh, which is
-        fine at inclusions only.
+        Those of the smallest and largest load of each contact are computed, and interpolated for
+        the others. Contacts without a rim share a mesh.
 
         Args:
             fit: Model.
@@ -80,14 +114,14 @@ class Correction:
         before = [u.ravel()[i] for u, i in zip(evaluation.reported, index, strict=True)]
         offsets = [np.zeros_like(values) for values in before]
         for contacts, refinement in self._refinements(list(fit.field.shapes(fit.z))):
-            strongest = [max(c, key=lambda i: float(before[i] @ before[i])) for c in contacts]
-            predicted = self._predict(fit, evaluation, refinement, strongest)
-            for contact, i, displacement in zip(contacts, strongest, predicted, strict=True):
-                change = displacement.ravel()[index[i]] - before[i]
-                for k in contact:
-                    offsets[k] = (
-                        change * float(before[k] @ before[i]) / float(before[i] @ before[i])
-                    )
+            ladders = [_Ladder.of(contact, before) for contact in contacts]
+            solved = [press for ladder in ladders for press in ladder.ends]
+            predicted = self._predict(fit, evaluation, refinement, solved)
+            pairs = zip(solved, predicted, strict=True)
+            changes = {i: u.ravel()[index[i]] - before[i] for i, u in pairs}
+            for ladder in ladders:
+                for i, change in ladder.interpolate(changes).items():
+                    offsets[i] = change
         return offsets
 
     def _refinements(
