@@ -15,17 +15,18 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float
 
 from tactorch.config import option
+from tactorch.linalg.conjugate_gradients import conjugate_gradients
 from tactorch.linalg.iterative import IterativeSolver
 from tactorch.linalg.pattern import SymmetricPattern
-from tactorch.linalg.solver import Solver, SolverOptions, analyse
+from tactorch.linalg.solver import IndefiniteError, Solver, SolverOptions, analyse
 
 _Real = np.float32  # of the cycle, whose time is that of reading the matrix
 _BLOCK = 3  # unknowns of a node
 _DEGREE = 3  # of the polynomial
 _RANGE = 30.0  # of the eigenvalues that the polynomial reduces
-_POWER_STEPS = 15  # for the largest eigenvalue
+_POWER_STEPS = 30  # for the largest eigenvalue
 _MARGIN = 1.15  # of the largest eigenvalue, which these steps underestimate
-_MAX_CHANGE = 0.2  # of a diagonal entry, for which an earlier preconditioner serves
+_STALE_ITERATIONS = 4.0  # with the cycle of another matrix, for each digit and two more
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,19 +97,18 @@ class _Cycle:
 class PMultigridSolver(IterativeSolver):
     """Conjugate gradients with a V-cycle, which serves while the matrix changes little."""
 
-    _cycle: _Cycle | None = None
-    _diagonal: Float[np.ndarray, " size"]
+    _cycle: Any = None
+    _current = False  # whether the cycle is that of the present matrix
 
     def _factor(self, values: np.ndarray) -> bool:
-        values = values.copy()
-        diagonal = values[self.pattern.diagonal]
-        if np.any(diagonal <= 0.0):
+        if np.any(values[self.pattern.diagonal] <= 0.0):
             return False
-        self._values = values
-        if self._cycle is None or np.any(
-            np.abs(diagonal - self._diagonal) > _MAX_CHANGE * self._diagonal
-        ):
-            self._cycle, self._diagonal = self._new_cycle(self.pattern.full(values)), diagonal
+        self._values, self._current = values.copy(), False
+        return self._cycle is not None or self._renew()
+
+    def _renew(self) -> bool:
+        """Set up the cycle of the present matrix; False if it is found not positive definite."""
+        self._cycle, self._current = self._new_cycle(self.pattern.full(self._values)), True
         return self._cycle is not None
 
     def _new_cycle(self, matrix: sp.csr_matrix) -> _Cycle | None:
@@ -129,12 +129,21 @@ class PMultigridSolver(IterativeSolver):
         return _Cycle(smoother, interpolation, solver) if solver.factor(upper.data) else None
 
     def _solve(self, rhs: np.ndarray, rtol: float) -> np.ndarray:
-        assert self._cycle is not None
         if rhs.ndim > 1:
             columns = np.asarray(rhs, dtype=np.float64).T
             return np.stack([self._solve(column, rtol) for column in columns], axis=1)
         rhs = np.ascontiguousarray(rhs, dtype=np.float64)
-        return self._iterate(self._product, self._cycle, rhs, rtol)
+        if not self._current:
+            tolerance = max(rtol, self.options.rtol)
+            limit = int(_STALE_ITERATIONS * (2.0 - np.log10(tolerance)))
+            stale = conjugate_gradients(
+                self._product, self._cycle, rhs, rtol=tolerance, max_iterations=limit
+            )
+            if stale.converged:
+                return np.asarray(stale.solution)
+            if not self._renew():
+                raise IndefiniteError("the matrix is not positive definite")
+        return np.asarray(self._iterate(self._product, self._cycle, rhs, rtol))
 
     def _product(self, x: Any) -> Any:
         return self.pattern.product(self._values, x)

@@ -13,12 +13,18 @@ from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, find_shapes
-from tactorch.inverse.shapes.correction import Correction
+from tactorch.inverse.shapes.correction import Correction, _Ladder
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.search import _Search
-from tactorch.inverse.shapes.sizing import Rim, contact_sizing, inclusion_sizing
-from tactorch.mesh import box_mesh
+from tactorch.inverse.shapes.sizing import (
+    Rim,
+    contact_sizing,
+    crease_sizing,
+    inclusion_sizing,
+    observed_sizing,
+)
+from tactorch.mesh import box_mesh, face_nodes
 from tactorch.phantoms import make_phantom
 from tactorch.recording import refine_recording
 from tactorch.simulation import PressPlan, simulate
@@ -306,7 +312,7 @@ def test_the_correction_is_the_error_of_the_common_mesh():
     problem, fit, before = evaluate(recording)
     rim = Rim.of(recording.mesh, recording.presses[0].forces[:, 2] != 0)
     _, _, finest = evaluate(refine_recording(recording, rim.sizing(0.12, 0.9)))
-    correction = Correction.of(problem, element="tet10", newton=newton)
+    correction = Correction.of(problem, "tet10", "auto")
     offsets = correction.offsets(fit, before)
     n = recording.mesh.n_points
     for i, observation in enumerate(problem.data.observations):
@@ -315,20 +321,50 @@ def test_the_correction_is_the_error_of_the_common_mesh():
         assert np.linalg.norm(error - offsets[i]) < 0.35 * np.linalg.norm(error)
 
 
-def test_whole_sides_are_corrected_at_inclusions_only(recording):
+def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
     newton = NewtonOptions()
     problem = InverseProblem(recording, element="tet10", newton=newton)
-    correction = Correction.of(problem, element="tet10", newton=newton)
+    correction = Correction.of(problem, "tet10", "auto")
     assert not correction.has_rims
     assert [numbers for numbers, _ in correction.contacts] == [(0, 1), (2, 3)]
     prior = ShapePrior.of(recording.mesh, 0.2)
     uniform, evaluation = fit_shapes(problem, ShapeField(prior), np.zeros(1), max_iterations=0)
-    assert not np.concatenate(correction.offsets(uniform, evaluation)).any()
+    edges = np.linalg.norm(correction.offsets(uniform, evaluation)[1])
     field = ShapeField(prior, (False,))
     values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
     ball, evaluation = fit_shapes(problem, field, field.standard(values), max_iterations=0)
     low, high = (np.linalg.norm(o) for o in correction.offsets(ball, evaluation)[:2])
     assert 0.0 < low < high < 0.05 * np.linalg.norm(problem.data.observations[1].displacement)
+    assert 0.0 < edges < high
+
+
+def test_changes_between_two_loads_are_quadratic_in_the_load():
+    direction, curved = np.random.default_rng(0).standard_normal((2, 5))
+    loads = np.array([0.5, 1.0, 0.25, 0.75])
+    ladder = _Ladder.of(range(4), [np.zeros(5) + load for load in loads])
+    assert ladder.ends == (2, 1)
+    exact = [load * direction + load**2 * curved for load in loads]
+    found = ladder.interpolate({i: exact[i] for i in ladder.ends})
+    np.testing.assert_allclose([found[i] for i in range(4)], exact)
+    single = _Ladder.of([0, 1], [np.ones(5), -0.5 * np.ones(5)])  # pulled as well as pushed
+    assert single.ends == (0,)
+    found = single.interpolate({0: direction})
+    np.testing.assert_allclose(found[1], -0.5 * direction)
+
+
+def test_sharp_edges_and_surfaces_near_inclusions_have_short_edges():
+    lengths = crease_sizing(MESH)(np.array([[0.0, 5.0, 10.0], [5.0, 5.0, 10.0]]))
+    assert lengths[0] < 0.7
+    assert lengths[1] > 4.0
+    smooth = tetrahedralize(Sphere((0.0, 0.0, 0.0), 5.0), edge_length_mm=2.0)
+    assert crease_sizing(smooth) is None
+    ball = Ellipsoid((5.0, 5.0, 7.0), (2.0,) * 3, tuple(map(tuple, np.eye(3))), 5.0)
+    top = MESH.points[face_nodes(MESH, "z+")]
+    sizing = observed_sizing(top, [ball])
+    lengths = sizing(np.array([[5.0, 5.0, 10.0], [5.0, 5.0, 8.0]]))
+    assert lengths[0] == pytest.approx(0.25)  # a quarter of the gap
+    assert lengths[1] == pytest.approx(1.25)
+    assert observed_sizing(MESH.points[face_nodes(MESH, "z-")], [ball]) is None
 
 
 @pytest.mark.slow
@@ -344,7 +380,7 @@ def test_corrections_hold_at_inclusions():
     z = field.standard(np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.2), np.log(5.0)]))
     problem = InverseProblem(recording, element="tet10")
     fit, before = fit_shapes(problem, field, z, max_iterations=0)
-    (offset,) = Correction.of(problem, element="tet10").offsets(fit, before)
+    (offset,) = Correction.of(problem, "tet10", "auto").offsets(fit, before)
     # The reference does not follow the ball, but has small elements there.
     (ball,) = field.shapes(z)
     fine = refine_recording(recording, lambda points: 0.6 + 0.7 * np.abs(ball.distance(points)))

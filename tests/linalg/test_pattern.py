@@ -55,6 +55,20 @@ def test_slots_find_a_coupling_from_either_triangle(system):
     np.testing.assert_array_equal(pattern.slots(cols, rows), pattern.slots(rows, cols))
 
 
+@given(systems(), st.integers(1, 3))
+@settings(max_examples=60)
+def test_blocks_replace_every_coupling(system, size):
+    pattern, _, _, pairs = system
+    wide = pattern.blocks(size)
+    offsets = np.arange(size)
+    rows, cols = np.array([*pairs, *zip(*[range(pattern.size)] * 2, strict=True)]).T
+    rows = size * rows[:, None, None] + offsets[:, None] + 0 * offsets
+    cols = size * cols[:, None, None] + offsets + 0 * offsets[:, None]
+    expected = SymmetricPattern.from_pairs(size * pattern.size, rows, cols)
+    np.testing.assert_array_equal(wide.indptr, expected.indptr)
+    np.testing.assert_array_equal(wide.indices, expected.indices)
+
+
 def test_large_sizes_do_not_overflow():
     size = 100_000  # size^2 is beyond 32 bits
     rows = np.array([0, size - 2], dtype=np.int32)

@@ -1,27 +1,34 @@
 """Discretisation error of the presses at a model, from meshes that are finer where it needs that.
 
-Strains change within a fraction of the radius of a contact at its rim, and have a kink at the
-boundary of an inclusion. A mesh that is fine at all contacts and inclusions would make each fit
-slow. Instead each contact has a separate mesh, and the differences of their predictions at one
-model are added to those of the common mesh, as they change little with the model. The faces of
-these meshes follow the inclusions (deferred correction: V. Pereyra, "On improving an approximate
+Strains change within a fraction of the radius of a contact at its rim, have a kink at the boundary
+of an inclusion, and are singular where a support ends at an edge. A mesh that is fine at
+all would make each fit slow. Instead the differences of the predictions of finer meshes at
+one model are added to those of the common mesh, as they change little with the model. The faces of
+finer meshes follow the inclusions (deferred correction: V. Pereyra, "On improving an approximate
 solution of a functional equation by deferred corrections", Numer. Math. 8 (1966), 376-391).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.fem import NewtonOptions
 from tactorch.fem.transfer import Transfer
-from tactorch.inverse.data import group_by_contact
-from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse.data import NoiseModel, group_by_contact
+from tactorch.inverse.problem import Evaluation, InverseProblem, make_body
 from tactorch.inverse.shapes.field import Ellipsoid, Sites
 from tactorch.inverse.shapes.fit import ShapeFit
-from tactorch.inverse.shapes.sizing import Rim, inclusion_sizing, smallest
+from tactorch.inverse.shapes.sizing import (
+    Rim,
+    crease_sizing,
+    inclusion_sizing,
+    observed_sizing,
+    smallest,
+)
+from tactorch.linalg import SOLVERS, SolverOptions, map_cases
 from tactorch.mesh import Refinement, refine
 from tactorch.mesh.conform import ClosedSurface, conform
 from tactorch.recording import Recording, prolong_recording
@@ -73,23 +80,32 @@ class Correction:
 
     Attributes:
         recording: Presses on the common mesh.
-        options: Element type, solver and noise.
+        element: Element type.
+        solver: Linear solver of the finer meshes.
+        noise: Standard deviations for presses that do not state theirs.
         contacts: Presses of each contact, which differ by a factor, and its rim if it has one.
     """
 
     recording: Recording
-    options: Mapping[str, Any]
+    element: str
+    solver: str | SolverOptions
+    noise: NoiseModel
     contacts: tuple[tuple[tuple[int, ...], Rim | None], ...]
 
     @staticmethod
-    def of(problem: InverseProblem, **options: Any) -> "Correction":
-        """Return the correction for the contacts of a problem; `options` are those of the same."""
+    def of(problem: InverseProblem, element: str, solver: str | SolverOptions) -> "Correction":
+        """Return the correction for the contacts of a problem with this element and solver.
+
+        The solver "auto" is multigrid, for few solves on each of several meshes.
+        """
+        if SOLVERS.name_of(type(SOLVERS.build(solver))) == "auto":
+            solver = "p_multigrid"
         recording = problem.recording
         pairs = []
         for numbers in group_by_contact(recording.presses, problem.data.observations):
             loaded = (recording.presses[numbers[0]].forces != 0).any(axis=1)
             pairs.append((numbers, Rim.of(recording.mesh, loaded)))
-        return Correction(recording, options, tuple(pairs))
+        return Correction(recording, element, solver, problem.noise, tuple(pairs))
 
     @property
     def has_rims(self) -> bool:
@@ -115,10 +131,8 @@ class Correction:
         offsets = [np.zeros_like(values) for values in before]
         for contacts, refinement in self._refinements(list(fit.field.shapes(fit.z))):
             ladders = [_Ladder.of(contact, before) for contact in contacts]
-            solved = [press for ladder in ladders for press in ladder.ends]
-            predicted = self._predict(fit, evaluation, refinement, solved)
-            pairs = zip(solved, predicted, strict=True)
-            changes = {i: u.ravel()[index[i]] - before[i] for i, u in pairs}
+            predicted = self._predict(fit, evaluation, refinement, ladders)
+            changes = {i: u.ravel()[index[i]] - before[i] for i, u in predicted.items()}
             for ladder in ladders:
                 for i, change in ladder.interpolate(changes).items():
                     offsets[i] = change
@@ -128,9 +142,12 @@ class Correction:
         self, shapes: Sequence[Ellipsoid]
     ) -> list[tuple[list[tuple[int, ...]], Refinement]]:
         """Return finer meshes, and the contacts of each: one, or all those without a rim."""
-        mesh, sizing = self.recording.mesh, inclusion_sizing(shapes)
+        mesh, presses = self.recording.mesh, self.recording.presses
+        observed = np.logical_or.reduce([press.observed.any(axis=1) for press in presses])
+        near = observed_sizing(mesh.points[observed], shapes)
+        sizing = smallest(inclusion_sizing(shapes), near)
         whole = [numbers for numbers, rim in self.contacts if rim is None]
-        pairs = [(whole, refine(mesh, sizing))] if whole else []
+        pairs = [(whole, refine(mesh, smallest(sizing, crease_sizing(mesh))))] if whole else []
         for numbers, rim in self.contacts:
             if rim is not None:
                 fine = smallest(sizing, rim.sizing(_PER_CONTACT, _GROWTH))
@@ -142,22 +159,35 @@ class Correction:
         fit: ShapeFit,
         evaluation: Evaluation,
         refinement: Refinement,
-        numbers: Sequence[int],
-    ) -> list[Float[np.ndarray, "nodes 3"]]:
-        """Return the reported displacements of presses on a finer mesh."""
+        ladders: Sequence[_Ladder],
+    ) -> dict[int, Float[np.ndarray, "nodes 3"]]:
+        """Return the reported displacements of the presses at the ends of ladders."""
         shapes = list(fit.field.shapes(fit.z))
         surfaces = [ClosedSurface(s.distance, 4.0 / 3.0 * np.pi * s.radius_mm**3) for s in shapes]
         fitted = conform(refinement, surfaces)
-        presses = tuple(self.recording.presses[i] for i in numbers)
-        fine = prolong_recording(replace(self.recording, presses=presses), fitted.refinement)
-        problem = InverseProblem(replace(fine, mesh=fitted.mesh), **self.options, newton=_NEWTON)
-        sites = Sites.of(problem.body.assembly)
+        fine = replace(prolong_recording(self.recording, fitted.refinement), mesh=fitted.mesh)
+        body = make_body(fine, self.element, self.solver, _NEWTON)
+        sites = Sites.of(body.assembly)
         fractions = [
             np.where(side == 0, sites.fraction_inside(shape), side < 0)
             for shape, side in zip(shapes, fitted.sides, strict=True)
         ]
         youngs = np.exp(fit.field.log_youngs_of(fit.z, sites, fractions)).reshape(sites.shape)
         common = evaluation.search(0).assembly.discretisation
-        transfer = Transfer.between(common, problem.body.discretisation.positions)
-        starts = [transfer(evaluation.displacements[i]) for i in numbers]
-        return problem.evaluate(youngs, starts=starts, chained=True).reported
+        transfer = Transfer.between(common, body.discretisation.positions)
+
+        def solve(k: int) -> dict[int, np.ndarray]:
+            found: dict[int, np.ndarray] = {}
+            near, change = None, np.zeros((body.n_nodes, 3))
+            for i in ladders[k].ends:
+                one = replace(fine, presses=(fine.presses[i],))
+                problem = InverseProblem(one, body=body, noise=self.noise)
+                start = transfer(evaluation.displacements[i])
+                near = problem.evaluate(
+                    youngs, near, take_over=True, starts=[start + ladders[k].factors[i] * change]
+                )
+                change = (near.displacements[0] - start) / ladders[k].factors[i]
+                found[i] = near.reported[0]
+            return found
+
+        return {i: u for found in map_cases(solve, len(ladders)) for i, u in found.items()}

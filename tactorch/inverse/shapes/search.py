@@ -30,7 +30,6 @@ from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.inverse.shapes.sizing import contact_sizing
 from tactorch.inverse.starts import uniform_fit
-from tactorch.linalg import SOLVERS
 from tactorch.recording import Recording, refine_recording
 
 _log = logging.getLogger(__name__)
@@ -120,9 +119,7 @@ class _Search:
         # Where the presses were computed on this mesh, it is the object.
         self._correction = None
         if not same:
-            if SOLVERS.name_of(type(SOLVERS.build(settings.solver))) == "auto":
-                options["solver"] = "p_multigrid"  # for few solves on each of several meshes
-            self._correction = Correction.of(self.quadratic, element=self._element, **options)
+            self._correction = Correction.of(self.quadratic, self._element, settings.solver)
         self._correction_mm = [np.zeros(count) for count in self.quadratic.data.counts]
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.matched = MatchedFilter.of(self.linear, youngs)

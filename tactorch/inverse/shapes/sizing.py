@@ -1,4 +1,4 @@
-"""Edge lengths that the presses and the boundaries of inclusions need."""
+"""Edge lengths that the presses, the boundaries of inclusions and edges of the body need."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +14,14 @@ from tactorch.recording import Recording
 
 _PER_RADIUS = 0.5  # longest edge at the boundary of an inclusion, over its radius
 _GROWTH = 0.25  # of the longest edge with the distance from the boundary
+_PER_GAP = 0.25  # longest edge at the observed surface, over its distance from an inclusion
+_GAP_GROWTH = 0.5  # of the longest edge with the distance from the surface
+_NEAR = 2.0  # largest distance of the surface from an inclusion, over the inclusion's radius
+_MIN_GAP = 0.5  # smallest distance that edges follow, over the inclusion's radius
+_CREASE = 0.7  # cosine of the angle between the normals at a sharp edge
+_PER_SIZE = 0.06  # longest edge at a sharp edge, over the body's size
+_CREASE_GROWTH = 1.0  # of the longest edge with the distance from a sharp edge
+_POINTS_PER_EDGE = 9
 _PER_CONTACT = 0.5  # longest edge at the rim of a contact, over the contact's radius
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 
@@ -34,9 +42,57 @@ def inclusion_sizing(inclusions: Sequence[Ellipsoid]) -> Sizing:
     return sizing
 
 
-def smallest(first: Sizing, second: Sizing) -> Sizing:
-    """Return the shorter of two longest edges."""
-    return lambda points: np.minimum(first(points), second(points))
+def observed_sizing(
+    observed: Float[np.ndarray, "n 3"], inclusions: Sequence[Ellipsoid]
+) -> Sizing | None:
+    """Return the longest edges (mm) at points (mm): short where the surface is near inclusions.
+
+    Args:
+        observed: Observed points of the surface, mm.
+        inclusions: Inclusions of the model.
+
+    Returns:
+        The longest edges; None where no inclusion is near.
+    """
+    gaps, near = np.full(len(observed), np.inf), np.zeros(len(observed), dtype=bool)
+    for shape in inclusions:
+        distances = np.abs(shape.distance(observed))
+        near |= distances < _NEAR * shape.radius_mm
+        gaps = np.minimum(gaps, np.maximum(distances, _MIN_GAP * shape.radius_mm))
+    if not near.any():
+        return None
+    tree, gaps = cKDTree(observed[near]), gaps[near]
+
+    def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        distances, nearest = tree.query(points)
+        return np.asarray(_PER_GAP * gaps[nearest] + _GAP_GROWTH * distances)
+
+    return sizing
+
+
+def crease_sizing(mesh: TetMesh) -> Sizing | None:
+    """Return the longest edges (mm) at points (mm): short at sharp edges of the body.
+
+    Strains are singular where a supported face ends at an edge.
+    """
+    surface = mesh.surface
+    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T[::-1])  # the two triangles of each edge are neighbours in it
+    first, second = order.reshape(-1, 2).T
+    cosines = (surface.normals[first // 3] * surface.normals[second // 3]).sum(axis=1)
+    ends = mesh.points[edges[first[cosines < _CREASE]]]
+    if not len(ends):
+        return None
+    parts = np.linspace(0.0, 1.0, _POINTS_PER_EDGE)[:, None, None]
+    tree = cKDTree(((1.0 - parts) * ends[:, 0] + parts * ends[:, 1]).reshape(-1, 3))
+    shortest = _PER_SIZE * float(np.cbrt(mesh.volumes.sum()))
+    return lambda points: np.asarray(shortest + _CREASE_GROWTH * tree.query(points)[0])
+
+
+def smallest(*sizings: Sizing | None) -> Sizing:
+    """Return the shortest of longest edges, of which None is no limit."""
+    limits = [sizing for sizing in sizings if sizing is not None]
+    return lambda points: np.minimum.reduce([sizing(points) for sizing in limits])
 
 
 def contact_sizing(recording: Recording) -> Sizing:
