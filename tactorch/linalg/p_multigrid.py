@@ -1,9 +1,8 @@
 """Multigrid in the degree of the elements: quadratic ones, with linear ones as the coarse grid.
 
 A Chebyshev polynomial of the diagonal blocks smooths errors that linear elements cannot represent,
-and a direct solver removes the others. On a quarter of a million unknowns it takes a tenth of the
-time of a factorisation. References: J. Ronquist and A. T. Patera, "Spectral element multigrid",
-J. Sci. Comput. 2 (1987), 389-406; M. Adams, M. Brezina, J. Hu and R. Tuminaro, "Parallel multigrid
+and a direct solver removes the others. References: E. M. Ronquist and A. T. Patera, "Spectral element
+multigrid. I", J. Sci. Comput. 2 (1987), 389-406; M. Adams, M. Brezina, J. Hu and R. Tuminaro, "Parallel multigrid
 smoothing: polynomial versus Gauss-Seidel", J. Comput. Phys. 188 (2003), 593-610.
 """
 
@@ -60,7 +59,10 @@ class _Smoother:
         return np.asarray((self.inverse @ columns).reshape(residual.shape))
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
-        """Return the approximate solution for a right-hand side (Saad, 2003, algorithm 12.1)."""
+        """Return the approximate solution for a right-hand side.
+
+        Y. Saad, "Iterative methods for sparse linear systems", 2nd ed. (2003), algorithm 12.1.
+        """
         smallest = self.largest / _RANGE
         center, half = 0.5 * (self.largest + smallest), 0.5 * (self.largest - smallest)
         ratio = center / half
