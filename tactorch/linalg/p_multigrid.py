@@ -1,9 +1,10 @@
 """Multigrid in the degree of the elements: quadratic ones, with linear ones as the coarse grid.
 
 A Chebyshev polynomial of the diagonal blocks smooths errors that linear elements cannot represent,
-and a direct solver removes the others. References: E. M. Ronquist and A. T. Patera, "Spectral element
-multigrid. I", J. Sci. Comput. 2 (1987), 389-406; M. Adams, M. Brezina, J. Hu and R. Tuminaro, "Parallel multigrid
-smoothing: polynomial versus Gauss-Seidel", J. Comput. Phys. 188 (2003), 593-610.
+and a direct solver removes the others. References: E. M. Ronquist and A. T. Patera, "Spectral
+element multigrid. I", J. Sci. Comput. 2 (1987), 389-406; M. Adams, M. Brezina, J. Hu and R.
+Tuminaro, "Parallel multigrid smoothing: polynomial versus Gauss-Seidel", J. Comput. Phys. 188
+(2003), 593-610.
 """
 
 from dataclasses import dataclass
