@@ -16,7 +16,7 @@ from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, find_shapes
 from tactorch.inverse.shapes.correction import Correction, _Ladder
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.search import _Search
+from tactorch.inverse.shapes.search import Errors, _Model, _Search
 from tactorch.inverse.shapes.sizing import (
     Rim,
     contact_sizing,
@@ -336,6 +336,24 @@ def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
     low, high = (np.linalg.norm(o) for o in correction.offsets(ball, evaluation)[:2])
     assert 0.0 < low < high < 0.05 * np.linalg.norm(problem.data.observations[1].displacement)
     assert 0.0 < edges < high
+
+
+def test_the_covariance_of_a_ball_allows_for_ellipsoids(recording):
+    search = _Search(recording, Settings())
+    search._force_patterns = None
+    field = ShapeField(search.prior, (False,))
+    z = field.standard(np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)]))
+    problem = search.quadratic.with_data(search._data(Errors(0.0, 0.002)))
+    fit, evaluation = fit_shapes(problem, field, z, sites=search.sites, max_iterations=0)
+    wide = search.covariance(_Model(fit, evaluation, Errors(0.0, 0.002)))
+    assert wide.shape == fit.covariance.shape
+    assert np.linalg.eigvalsh(wide - fit.inflated_covariance).min() > -1e-6  # of solves to 2e-3
+    assert wide[4, 4] > 1.02 * fit.inflated_covariance[4, 4]
+    other = replace(field, distorted=(True,))
+    z = other.standard(np.concatenate([field.physical(fit.z), np.zeros(5)]))
+    full, _ = fit_shapes(problem, other, z, sites=search.sites, max_iterations=0)
+    precision = full.jacobian.T @ full.jacobian / max(1.0, fit.chi2) + np.eye(len(z))
+    np.testing.assert_allclose(wide, np.linalg.inv(precision)[:6, :6], rtol=1e-2, atol=1e-7)
 
 
 def test_changes_between_two_loads_are_quadratic_in_the_load():

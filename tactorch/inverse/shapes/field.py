@@ -233,7 +233,7 @@ class ShapeField:
         mean, deviation = self._scale
         return mean + deviation * z
 
-    def standard(self, values: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    def standard(self, values: Float[np.ndarray, "*k size"]) -> Float[np.ndarray, "*k size"]:
         """Return parameters in standard deviations; the inverse of `physical`."""
         mean, deviation = self._scale
         return (values - mean) / deviation

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from tactorch.inverse.shapes.field import Ellipsoid, ShapeField, ShapePrior, Sites
+from tactorch.inverse.shapes.posterior import posterior_samples
 
 _DRAWS = 1000
 
@@ -57,7 +58,7 @@ class ShapeReconstruction:
     Attributes:
         field: The family of the shapes, with the prior of its parameters.
         z: Most probable parameters, in standard deviations of the prior.
-        covariance: Their posterior covariance.
+        covariance: Their posterior covariance, where balls may be ellipsoids.
         chi2: Mean squared residual, in standard deviations.
         log_odds: For each inclusion, the log-evidence over that of the model without it.
         log_odds_any: The same for all inclusions together.
@@ -106,9 +107,11 @@ class ShapeReconstruction:
 
     @cached_property
     def samples(self) -> Float[np.ndarray, "draws size"]:
-        """Samples of the posterior, in standard deviations of the prior."""
-        rng = np.random.default_rng(0)
-        return rng.multivariate_normal(self.z, self.covariance, size=_DRAWS, method="eigh")
+        """Samples of the posterior, in standard deviations of the prior.
+
+        See `tactorch.inverse.shapes.posterior`.
+        """
+        return posterior_samples(self.field, self.z, self.covariance, _DRAWS)
 
     @cached_property
     def inclusions(self) -> list[ShapeInclusion]:

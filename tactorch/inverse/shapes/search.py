@@ -42,7 +42,7 @@ _DEGREES = (2, 4)  # of smooth backgrounds
 _FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 _MIN_POSE_DEVIATION = 0.002  # that of the discretisation of supports and inclusions
 _POSE_DEVIATIONS = (0.01, 0.05)
-_CORRECTION_DEVIATION = 0.3  # of the correction for the discretisation, over the correction
+_CORRECTION_DEVIATION = 0.3  # of the correction of each contact, over the correction
 _MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
 _MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
 _MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
@@ -186,14 +186,44 @@ class _Search:
     def _data(self, errors: Errors) -> DataModel:
         data = self.quadratic.data
         if self._correction is not None:
-            offsets = np.concatenate(self._correction_mm) * data.scale
-            data = data.with_errors(_CORRECTION_DEVIATION * offsets[:, None])
+            data = data.with_errors(_CORRECTION_DEVIATION * self._correction_patterns())
         if errors.pose:
             data = data.with_errors(errors.pose * self._pose_patterns)
         if errors.forces:
             assert self._force_patterns is not None
             data = data.with_errors(errors.forces * self._force_patterns)
         return data
+
+    def _correction_patterns(self) -> Float[np.ndarray, "data contacts"]:
+        """Return the corrections of each contact, in standard deviations of the white noise."""
+        assert self._correction is not None
+        columns = []
+        for numbers, _ in self._correction.contacts:
+            parts = [(k in numbers) * mm for k, mm in enumerate(self._correction_mm)]
+            columns.append(np.concatenate(parts) * self.quadratic.data.scale)
+        return np.column_stack(columns)
+
+    def covariance(self, model: _Model) -> Float[np.ndarray, "size size"]:
+        """Return the posterior covariance of a model, where balls may be ellipsoids.
+
+        The data of a ball's evidence do not exclude an ellipsoid, whose modulus and size are less
+        certain. Its distortions are marginalised.
+        """
+        fit = model.fit
+        if all(fit.field.distorted):
+            return fit.inflated_covariance
+        field = replace(fit.field, distorted=(True,) * len(fit.field.distorted))
+        values, parts, kept = fit.field.physical(fit.z), [], []
+        pairs = zip(fit.field.distorted, fit.field.parts, strict=True)
+        for distorted, part in pairs:
+            parts += [values[part], np.zeros(0 if distorted else 5)]
+            kept += [np.ones(part.stop - part.start, dtype=bool), np.zeros(len(parts[-1]), bool)]
+        background = slice(0, fit.field.n_background)
+        z = field.standard(np.concatenate([values[background], *parts]))
+        jacobian = ShapesOnSites(field, self.sites).at(z).jacobian(model.evaluation)
+        precision = jacobian.T @ jacobian / max(1.0, fit.chi2) + np.eye(len(z))
+        chosen = np.concatenate([np.ones(fit.field.n_background, dtype=bool), *kept])
+        return np.linalg.inv(precision)[np.ix_(chosen, chosen)]
 
     def propose(self, model: _Model, max_shapes: int) -> list[_Proposal]:
         """Return models that may be better than the present one, the best first."""
@@ -343,7 +373,7 @@ def find_shapes(
     each, any_ = search.log_odds(model)
     fit = model.fit
     return ShapeReconstruction(
-        fit.field, fit.z, fit.inflated_covariance, fit.chi2, each, any_,
+        fit.field, fit.z, search.covariance(model), fit.chi2, each, any_,
         *model.errors, search.unexplained(fit), tuple(history),
     )  # fmt: skip
 

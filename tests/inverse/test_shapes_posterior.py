@@ -1,0 +1,62 @@
+"""Samples of the posterior of shapes: their covariance, their skewness and their limits."""
+
+import numpy as np
+import pytest
+
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.posterior import posterior_samples
+from tactorch.mesh import box_mesh
+
+PRIOR = ShapePrior.of(box_mesh(10.0, 3), 0.2)
+FIELD = ShapeField(PRIOR, (False, True))
+
+
+def parameters(contrast: float, field: ShapeField = FIELD) -> np.ndarray:
+    """Return inclusions of 2 mm radius and one contrast."""
+    parts = [np.array([np.log(0.2)])]
+    for distorted in field.distorted:
+        ball = [5.0, 5.0, 6.0, np.log(2.0), np.log(contrast)]
+        parts.append(np.array([*ball, *[0.1] * (5 * distorted)]))
+    return field.standard(np.concatenate(parts))
+
+
+@pytest.mark.parametrize("contrast", [0.25, 1.0, 6.0])
+def test_small_deviations_are_those_of_the_covariance(contrast):
+    z, rng = parameters(contrast), np.random.default_rng(0)
+    root = 2e-3 * rng.standard_normal((len(z), len(z)))
+    covariance = root @ root.T
+    samples = posterior_samples(FIELD, z, covariance, 20_000)
+    assert samples.shape == (20_000, len(z))
+    deviation = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(samples.mean(axis=0), z, atol=0.1 * deviation.max())
+    scale = np.outer(deviation, deviation)
+    np.testing.assert_allclose(np.cov(samples.T) / scale, covariance / scale, atol=0.05)
+
+
+def test_a_radius_may_be_further_below_than_above():
+    field = ShapeField(PRIOR, (False,))
+    z = parameters(0.4, field)
+    index = field.parts[0].start + 3
+    covariance = 1e-6 * np.eye(len(z))
+    deviation = (field.physical(np.ones(len(z))) - field.physical(np.zeros(len(z))))[index]
+    covariance[index, index] = (0.15 / deviation) ** 2
+    radii = np.exp(field.physical(posterior_samples(field, z, covariance, 20_000))[:, index])
+    low, high = np.log(np.quantile(radii, [0.05, 0.95]) / 2.0)
+    assert low == pytest.approx(0.5 * np.log(1.0 - 1.645 * 0.3), abs=0.02)
+    assert high == pytest.approx(0.5 * np.log(1.0 + 1.645 * 0.3), abs=0.02)
+
+
+def test_impossible_radii_and_contrasts_are_left_out():
+    z = parameters(6.0)
+    samples = posterior_samples(FIELD, z, 0.3 * np.eye(len(z)), 500)
+    assert samples.shape == (500, len(z))
+    assert np.isfinite(samples).all()
+    assert np.abs(samples).max() <= max(4.0, np.abs(z).max() + 0.1)
+    again = posterior_samples(FIELD, z, 0.3 * np.eye(len(z)), 500)
+    np.testing.assert_array_equal(samples, again)
+
+
+def test_without_any_data_samples_are_those_of_the_logarithms():
+    z = parameters(6.0)
+    samples = posterior_samples(FIELD, z, 40.0 * np.eye(len(z)), 5_000)
+    np.testing.assert_allclose(samples.std(axis=0), np.sqrt(40.0), rtol=0.05)
