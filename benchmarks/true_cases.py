@@ -19,7 +19,6 @@ import numpy as np
 from true_meshes import (
     LabelledMesh,
     Sizing,
-    distance_from_sharp_edges,
     labels_at,
     make_truth_mesh,
     refine,
@@ -43,6 +42,7 @@ from tactorch.mesh import (
     TetMesh,
     face_nodes,
 )
+from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.phantoms import Gradient, Phantom, RandomField, make_phantom
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.simulation import noise_level

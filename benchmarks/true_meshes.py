@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from tactorch.mesh import Box, Shape, TetMesh
 from tactorch.mesh.geometry import signed_volumes
@@ -23,7 +22,6 @@ from tactorch.phantoms import Phantom
 MIN_VOLUME_FRACTION = 0.2  # of an element after its nodes are moved onto a surface
 MAX_MOVE = 0.3  # of a node onto a surface, in edge lengths
 MIN_MISSING, MAX_MISSING = 1e-4, 0.05  # fractions of a volume that chords leave out
-CREASE = 0.7  # cosine of the angle between the normals at a sharp edge
 VOLUME_POINTS = 128  # along each axis
 _MAX_PASSES = 60
 
@@ -95,19 +93,6 @@ def refine_everywhere(phantom: Phantom, coarse: LabelledMesh) -> LabelledMesh:
         points, tets, (labels, limits) = _bisect(phantom, points, tets, (labels, limits), large)
     points = _with_volumes(phantom, points, tets, labels)
     return LabelledMesh(TetMesh.create(points, tets, repair=False), labels)
-
-
-def distance_from_sharp_edges(mesh: TetMesh) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the distance (mm) of points from the edges where a mesh's surface has a crease."""
-    surface = mesh.surface
-    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edges.T[::-1])  # the two triangles of each edge are neighbours in it
-    first, second = order.reshape(-1, 2).T
-    cosines = (surface.normals[first // 3] * surface.normals[second // 3]).sum(axis=1)
-    ends = mesh.points[edges[first[cosines < CREASE]]]
-    parts = np.linspace(0.0, 1.0, 9)[:, None, None]
-    tree = cKDTree(((1.0 - parts) * ends[:, 0] + parts * ends[:, 1]).reshape(-1, 3))
-    return lambda points: np.asarray(tree.query(points)[0])
 
 
 def volume(shape: Shape, inside: Callable[[np.ndarray], np.ndarray] | None = None) -> float:

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 import torch
+from jaxtyping import Bool
 from torch import Tensor
 
 from tactorch.config import option
@@ -51,6 +52,12 @@ class IterativeSolver(Solver):
         return result.solution
 
 
+def fixed_unknowns(matrix: sp.csr_matrix) -> Bool[np.ndarray, " size"]:
+    """Return the unknowns whose rows have a diagonal entry only."""
+    sums = np.asarray(abs(matrix).sum(axis=1)).ravel()
+    return np.asarray(sums == np.abs(matrix.diagonal()))
+
+
 class MultigridSolver(IterativeSolver):
     """Conjugate gradients with multigrid; the aggregates of the first matrix are reused."""
 
@@ -79,8 +86,7 @@ class MultigridSolver(IterativeSolver):
 
     def _constrained_modes(self, modes: np.ndarray) -> np.ndarray:
         """Modes with the fixed unknowns (rows with a diagonal entry only) set to zero."""
-        sums = np.asarray(abs(self._matrix).sum(axis=1)).ravel()
-        return np.where((sums == np.abs(self._matrix.diagonal()))[:, None], 0.0, modes)
+        return np.where(fixed_unknowns(self._matrix)[:, None], 0.0, modes)
 
     def _solve(self, rhs: np.ndarray, rtol: float) -> np.ndarray:
         if rhs.ndim > 1:

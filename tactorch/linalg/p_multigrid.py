@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from tactorch.config import option
 from tactorch.linalg.conjugate_gradients import conjugate_gradients
-from tactorch.linalg.iterative import IterativeSolver
+from tactorch.linalg.iterative import IterativeSolver, fixed_unknowns
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.solver import IndefiniteError, Solver, SolverOptions, analyse
 
@@ -120,7 +120,7 @@ class PMultigridSolver(IterativeSolver):
             return None
         if interpolation is None:
             interpolation = sp.identity(self.pattern.size, format="csr")
-        free = ~_fixed(matrix)
+        free = ~fixed_unknowns(matrix)
         interpolation = sp.csr_matrix(sp.diags(free.astype(np.float64)) @ interpolation)
         coarse = sp.csr_matrix(interpolation.T @ matrix @ interpolation)
         # Columns of fixed unknowns only are zero.
@@ -150,12 +150,6 @@ class PMultigridSolver(IterativeSolver):
 
     def _product(self, x: Any) -> Any:
         return self.pattern.product(self._values, x)
-
-
-def _fixed(matrix: sp.csr_matrix) -> Bool[np.ndarray, " size"]:
-    """Return the unknowns whose rows have a diagonal entry only."""
-    sums = np.asarray(abs(matrix).sum(axis=1)).ravel()
-    return np.asarray(sums == np.abs(matrix.diagonal()))
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from tactorch.inverse.shapes.search import Errors, _Model, _Search
 from tactorch.inverse.shapes.sizing import (
     Rim,
     contact_sizing,
-    crease_sizing,
     inclusion_sizing,
     observed_sizing,
+    sharp_edge_sizing,
 )
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.phantoms import make_phantom
@@ -373,7 +373,7 @@ def test_changes_between_two_loads_are_quadratic_in_the_load():
 
 
 def test_sharp_edges_and_surfaces_near_inclusions_have_short_edges():
-    lengths = crease_sizing(MESH)(np.array([[0.0, 5.0, 10.0], [5.0, 5.0, 10.0]]))
+    lengths = sharp_edge_sizing(MESH)(np.array([[0.0, 5.0, 10.0], [5.0, 5.0, 10.0]]))
     assert lengths[0] < 0.7
     assert lengths[1] > 4.0
     ball = Ellipsoid((5.0, 5.0, 7.0), (2.0,) * 3, tuple(map(tuple, np.eye(3))), 5.0)

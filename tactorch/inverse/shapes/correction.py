@@ -23,12 +23,13 @@ from tactorch.inverse.shapes.field import Ellipsoid, Sites
 from tactorch.inverse.shapes.fit import ShapeFit
 from tactorch.inverse.shapes.sizing import (
     Rim,
-    crease_sizing,
     inclusion_sizing,
     observed_sizing,
+    sharp_edge_sizing,
     smallest,
 )
 from tactorch.linalg import SOLVERS, SolverOptions, map_cases
+from tactorch.linalg.solver import AutoSolver
 from tactorch.mesh import Refinement, refine
 from tactorch.mesh.conform import ClosedSurface, conform
 from tactorch.recording import Recording, prolong_recording
@@ -98,7 +99,7 @@ class Correction:
 
         The solver "auto" is multigrid, for few solves on each of several meshes.
         """
-        if SOLVERS.name_of(type(SOLVERS.build(solver))) == "auto":
+        if isinstance(SOLVERS.build(solver), AutoSolver):
             solver = "p_multigrid"
         recording = problem.recording
         pairs = []
@@ -147,7 +148,7 @@ class Correction:
         near = observed_sizing(mesh.points[observed], shapes)
         sizing = smallest(inclusion_sizing(shapes), near)
         whole = [numbers for numbers, rim in self.contacts if rim is None]
-        pairs = [(whole, refine(mesh, smallest(sizing, crease_sizing(mesh))))] if whole else []
+        pairs = [(whole, refine(mesh, smallest(sizing, sharp_edge_sizing(mesh))))] if whole else []
         for numbers, rim in self.contacts:
             if rim is not None:
                 fine = smallest(sizing, rim.sizing(_PER_CONTACT, _GROWTH))

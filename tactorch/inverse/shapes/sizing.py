@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from tactorch.inverse.shapes.field import Ellipsoid
 from tactorch.mesh import TetMesh
 from tactorch.mesh.refine import Sizing
+from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.recording import Recording
 
 _PER_RADIUS = 0.5  # longest edge at the boundary of an inclusion, over its radius
@@ -18,10 +19,8 @@ _PER_GAP = 0.25  # longest edge at the observed surface, over its distance from 
 _GAP_GROWTH = 0.5  # of the longest edge with the distance from the surface
 _NEAR = 2.0  # largest distance of the surface from an inclusion, over the inclusion's radius
 _MIN_GAP = 0.5  # smallest distance that edges follow, over the inclusion's radius
-_CREASE = 0.7  # cosine of the angle between the normals at a sharp edge
 _PER_SIZE = 0.06  # longest edge at a sharp edge, over the body's size
-_CREASE_GROWTH = 1.0  # of the longest edge with the distance from a sharp edge
-_POINTS_PER_EDGE = 9
+_SHARP_GROWTH = 1.0  # of the longest edge with the distance from a sharp edge
 _PER_CONTACT = 0.5  # longest edge at the rim of a contact, over the contact's radius
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 
@@ -70,23 +69,14 @@ def observed_sizing(
     return sizing
 
 
-def crease_sizing(mesh: TetMesh) -> Sizing | None:
+def sharp_edge_sizing(mesh: TetMesh) -> Sizing:
     """Return the longest edges (mm) at points (mm): short at sharp edges of the body.
 
     Strains are singular where a supported face ends at an edge.
     """
-    surface = mesh.surface
-    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edges.T[::-1])  # the two triangles of each edge are neighbours in it
-    first, second = order.reshape(-1, 2).T
-    cosines = (surface.normals[first // 3] * surface.normals[second // 3]).sum(axis=1)
-    ends = mesh.points[edges[first[cosines < _CREASE]]]
-    if not len(ends):
-        return None
-    parts = np.linspace(0.0, 1.0, _POINTS_PER_EDGE)[:, None, None]
-    tree = cKDTree(((1.0 - parts) * ends[:, 0] + parts * ends[:, 1]).reshape(-1, 3))
+    distance = distance_from_sharp_edges(mesh)
     shortest = _PER_SIZE * float(np.cbrt(mesh.volumes.sum()))
-    return lambda points: np.asarray(shortest + _CREASE_GROWTH * tree.query(points)[0])
+    return lambda points: shortest + _SHARP_GROWTH * distance(points)
 
 
 def smallest(*sizings: Sizing | None) -> Sizing:

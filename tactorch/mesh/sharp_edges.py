@@ -1,0 +1,30 @@
+"""Sharp edges of the surface of a mesh. Lengths in mm."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from tactorch.mesh.tetmesh import TetMesh
+
+_SHARP = 0.7  # cosine of the angle between the normals at a sharp edge
+_POINTS = 9  # on an edge, from which distances are measured
+
+
+def distance_from_sharp_edges(
+    mesh: TetMesh,
+) -> Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]]:
+    """Return the distance (mm) of points (mm) from the edges where the surface of a mesh is sharp.
+
+    It is infinite where there are none.
+    """
+    surface = mesh.surface
+    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T[::-1])  # the two triangles of each edge are neighbours in it
+    first, second = order.reshape(-1, 2).T
+    cosines = (surface.normals[first // 3] * surface.normals[second // 3]).sum(axis=1)
+    ends = mesh.points[edges[first[cosines < _SHARP]]]
+    parts = np.linspace(0.0, 1.0, _POINTS)[:, None, None]
+    tree = cKDTree(((1.0 - parts) * ends[:, 0] + parts * ends[:, 1]).reshape(-1, 3))
+    return lambda points: np.asarray(tree.query(points)[0])
