@@ -8,6 +8,7 @@ import pytest
 from tactorch.findings import Status, build_finding, build_shape_finding
 from tactorch.inverse.shapes import ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate
@@ -25,8 +26,13 @@ def recording():
 @pytest.fixture
 def shapes():
     """An ellipsoid of 0.8 MPa in 0.2 MPa, its parameters known to 2 % of the prior."""
-    z = FIELD.standard(np.array(VALUES))
-    return ShapeReconstruction(FIELD, z, 4e-4 * np.eye(len(z)), 1.0, (50.0,), 50.0)
+    return reconstruct(VALUES)
+
+
+def reconstruct(values):
+    z = FIELD.standard(np.array(values))
+    posterior = ShapePosterior(FIELD, z, np.zeros(len(z)), 4e-4 * np.eye(len(z)))
+    return ShapeReconstruction(FIELD, z, posterior, 1.0, (50.0,), 50.0)
 
 
 def test_a_shape_becomes_a_lump_with_intervals(recording, shapes):
@@ -48,9 +54,9 @@ def test_a_shape_becomes_a_lump_with_intervals(recording, shapes):
     assert "more than 99.9 %" in text
 
 
-def test_soft_shapes_are_soft(recording, shapes):
+def test_soft_shapes_are_soft(recording):
     values = [*VALUES[:5], np.log(0.25), *VALUES[6:]]
-    finding = build_shape_finding(recording, replace(shapes, z=FIELD.standard(np.array(values))))
+    finding = build_shape_finding(recording, reconstruct(values))
     assert finding.lumps[0].inclusion.side == "soft"
     assert "4 times as soft" in finding.text()
 
@@ -78,9 +84,9 @@ def test_a_map_that_is_not_to_be_trusted_cannot_tell(recording):
     assert finding.plain()["reasons"] == ["it is at its bounds."]
 
 
-def test_a_shape_between_elements_has_the_nearest_one(recording, shapes):
+def test_a_shape_between_elements_has_the_nearest_one(recording):
     values = [*VALUES[:4], np.log(0.05), *VALUES[5:]]
-    finding = build_shape_finding(recording, replace(shapes, z=FIELD.standard(np.array(values))))
+    finding = build_shape_finding(recording, reconstruct(values))
     assert finding.lumps[0].inclusion.elements.sum() == 1
 
 

@@ -13,7 +13,7 @@ from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, find_shapes
-from tactorch.inverse.shapes.correction import Correction, _Ladder
+from tactorch.inverse.shapes.correction import Correction, _LoadSeries
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.search import Errors, _Model, _Search
@@ -338,35 +338,42 @@ def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
     assert 0.0 < edges < high
 
 
-def test_the_covariance_of_a_ball_allows_for_ellipsoids(recording):
+def test_the_posterior_of_a_ball_is_that_of_an_ellipsoid(recording):
     search = _Search(recording, Settings())
     search._force_patterns = None
     field = ShapeField(search.prior, (False,))
-    z = field.standard(np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)]))
+    values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
     problem = search.quadratic.with_data(search._data(Errors(0.0, 0.002)))
-    fit, evaluation = fit_shapes(problem, field, z, sites=search.sites, max_iterations=0)
-    wide = search.covariance(_Model(fit, evaluation, Errors(0.0, 0.002)))
-    assert wide.shape == fit.covariance.shape
-    assert np.linalg.eigvalsh(wide - fit.inflated_covariance).min() > -1e-6  # of solves to 2e-3
-    assert wide[4, 4] > 1.02 * fit.inflated_covariance[4, 4]
+    fit, evaluation = fit_shapes(
+        problem, field, field.standard(values), sites=search.sites, max_iterations=0
+    )
+    posterior = search.posterior(_Model(fit, evaluation, Errors(0.0, 0.002)))
+    assert posterior.field.distorted == (True,)
+    assert posterior.covariance[4, 4] > 1.02 * fit.covariance[4, 4] * max(1.0, fit.chi2)
     other = replace(field, distorted=(True,))
-    z = other.standard(np.concatenate([field.physical(fit.z), np.zeros(5)]))
+    z = other.standard(np.concatenate([values, np.zeros(5)]))
+    np.testing.assert_array_equal(posterior.z, z)
     full, _ = fit_shapes(problem, other, z, sites=search.sites, max_iterations=0)
-    precision = full.jacobian.T @ full.jacobian / max(1.0, fit.chi2) + np.eye(len(z))
-    scale = np.sqrt(np.outer(np.diag(wide), np.diag(wide)))
-    exact = np.linalg.inv(precision)[:6, :6]
-    np.testing.assert_allclose(wide / scale, exact / scale, atol=0.02)
+    inflation = max(1.0, fit.chi2)
+    precision = full.jacobian.T @ full.jacobian / inflation + np.eye(len(z))
+    scale = np.sqrt(np.diag(posterior.covariance))
+    difference = posterior.covariance - np.linalg.inv(precision)
+    np.testing.assert_allclose(difference / np.outer(scale, scale), 0.0, atol=1e-2)
+    gradient = full.jacobian.T @ full.residuals / inflation + z
+    step = -np.linalg.solve(precision, gradient)
+    assert np.abs(step[-5:]).max() > 0.1 * scale[-5:].min()
+    np.testing.assert_allclose(posterior.step / scale, step / scale, atol=0.05)
 
 
 def test_changes_between_two_loads_are_quadratic_in_the_load():
     direction, curved = np.random.default_rng(0).standard_normal((2, 5))
     loads = np.array([0.5, 1.0, 0.25, 0.75])
-    ladder = _Ladder.of(range(4), [np.zeros(5) + load for load in loads])
-    assert ladder.ends == (2, 1)
+    series = _LoadSeries.of(range(4), [np.zeros(5) + load for load in loads])
+    assert series.ends == (2, 1)
     exact = [load * direction + load**2 * curved for load in loads]
-    found = ladder.interpolate({i: exact[i] for i in ladder.ends})
+    found = series.interpolate({i: exact[i] for i in series.ends})
     np.testing.assert_allclose([found[i] for i in range(4)], exact)
-    single = _Ladder.of([0, 1], [np.ones(5), -0.5 * np.ones(5)])  # pulled as well as pushed
+    single = _LoadSeries.of([0, 1], [np.ones(5), -0.5 * np.ones(5)])  # pulled as well as pushed
     assert single.ends == (0,)
     found = single.interpolate({0: direction})
     np.testing.assert_allclose(found[1], -0.5 * direction)

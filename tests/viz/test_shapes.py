@@ -6,6 +6,7 @@ import pytest
 from tactorch.errors import TactorchError
 from tactorch.inverse.shapes import ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.viz import shape_figure
 
@@ -16,7 +17,11 @@ FIELD = ShapeField(ShapePrior.of(MESH, 0.2), (False,))
 @pytest.fixture
 def shapes():
     z = FIELD.standard(np.array([np.log(0.2), 3.0, 5.0, 6.0, np.log(2.0), np.log(5.0)]))
-    return ShapeReconstruction(FIELD, z, 1e-4 * np.eye(6), 1.0, (50.0,), 50.0)
+    return ShapeReconstruction(FIELD, z, posterior(FIELD, z), 1.0, (50.0,), 50.0)
+
+
+def posterior(field, z):
+    return ShapePosterior(field, z, np.zeros(len(z)), 1e-4 * np.eye(len(z)))
 
 
 def test_boundaries_are_sharp_and_where_they_are(shapes):
@@ -46,7 +51,8 @@ def test_map_and_truth_are_rows(shapes):
 
 def test_without_inclusions_the_middle_is_shown():
     field = ShapeField(ShapePrior.of(MESH, 0.2))
-    result = ShapeReconstruction(field, np.zeros(1), 1e-4 * np.eye(1), 1.0, (), 0.0)
+    z = np.zeros(1)
+    result = ShapeReconstruction(field, z, posterior(field, z), 1.0, (), 0.0)
     titles = [axes.get_title() for axes in shape_figure(MESH, result).axes if axes.images]
     assert titles == ["x = 5.00 mm", "y = 5.00 mm", "z = 5.00 mm"]
 

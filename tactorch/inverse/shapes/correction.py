@@ -42,7 +42,7 @@ _MIN_FACTOR, _MAX_FACTOR = 0.1, 0.8
 _NEWTON = NewtonOptions(rtol=1e-4)
 
 
-class _Ladder(NamedTuple):
+class _LoadSeries(NamedTuple):
     """Presses of one contact, which differ by a factor.
 
     Attributes:
@@ -54,13 +54,13 @@ class _Ladder(NamedTuple):
     ends: tuple[int, ...]
 
     @staticmethod
-    def of(contact: Sequence[int], predicted: Sequence[Float[np.ndarray, " _"]]) -> "_Ladder":
+    def of(contact: Sequence[int], predicted: Sequence[Float[np.ndarray, " _"]]) -> "_LoadSeries":
         """Return the presses of a contact, whose factors are projections of predictions."""
         last = predicted[max(contact, key=lambda i: float(predicted[i] @ predicted[i]))]
         factors = {i: float(predicted[i] @ last) / float(last @ last) for i in contact}
         ends = (min(contact, key=factors.__getitem__), max(contact, key=factors.__getitem__))
         distinct = _MIN_FACTOR < factors[ends[0]] < _MAX_FACTOR
-        return _Ladder(factors, ends if distinct else ends[1:])
+        return _LoadSeries(factors, ends if distinct else ends[1:])
 
     def interpolate(
         self, changes: Mapping[int, Float[np.ndarray, " _"]]
@@ -131,11 +131,11 @@ class Correction:
         before = [u.ravel()[i] for u, i in zip(evaluation.reported, index, strict=True)]
         offsets = [np.zeros_like(values) for values in before]
         for contacts, refinement in self._refinements(list(fit.field.shapes(fit.z))):
-            ladders = [_Ladder.of(contact, before) for contact in contacts]
-            predicted = self._predict(fit, evaluation, refinement, ladders)
+            every = [_LoadSeries.of(contact, before) for contact in contacts]
+            predicted = self._predict(fit, evaluation, refinement, every)
             changes = {i: u.ravel()[index[i]] - before[i] for i, u in predicted.items()}
-            for ladder in ladders:
-                for i, change in ladder.interpolate(changes).items():
+            for series in every:
+                for i, change in series.interpolate(changes).items():
                     offsets[i] = change
         return offsets
 
@@ -160,9 +160,9 @@ class Correction:
         fit: ShapeFit,
         evaluation: Evaluation,
         refinement: Refinement,
-        ladders: Sequence[_Ladder],
+        every: Sequence[_LoadSeries],
     ) -> dict[int, Float[np.ndarray, "nodes 3"]]:
-        """Return the reported displacements of the presses at the ends of ladders."""
+        """Return the reported displacements of the presses at the ends of each series."""
         shapes = list(fit.field.shapes(fit.z))
         surfaces = [ClosedSurface(s.distance, 4.0 / 3.0 * np.pi * s.radius_mm**3) for s in shapes]
         fitted = conform(refinement, surfaces)
@@ -180,15 +180,15 @@ class Correction:
         def solve(k: int) -> dict[int, np.ndarray]:
             found: dict[int, np.ndarray] = {}
             near, change = None, np.zeros((body.n_nodes, 3))
-            for i in ladders[k].ends:
+            for i in every[k].ends:
                 one = replace(fine, presses=(fine.presses[i],))
                 problem = InverseProblem(one, body=body, noise=self.noise)
                 start = transfer(evaluation.displacements[i])
                 near = problem.evaluate(
-                    youngs, near, take_over=True, starts=[start + ladders[k].factors[i] * change]
+                    youngs, near, take_over=True, starts=[start + every[k].factors[i] * change]
                 )
-                change = (near.displacements[0] - start) / ladders[k].factors[i]
+                change = (near.displacements[0] - start) / every[k].factors[i]
                 found[i] = near.reported[0]
             return found
 
-        return {i: u for found in map_cases(solve, len(ladders)) for i, u in found.items()}
+        return {i: u for found in map_cases(solve, len(every)) for i, u in found.items()}

@@ -199,6 +199,20 @@ class ShapeField:
     distorted: tuple[bool, ...] = ()
     degree: int = 0
 
+    def plain(self) -> dict[str, Any]:
+        """Return plain JSON values; the inverse of `of`."""
+        return {
+            "prior": self.prior.plain(),
+            "distorted": list(self.distorted),
+            "degree": self.degree,
+        }
+
+    @staticmethod
+    def of(plain: Mapping[str, Any]) -> "ShapeField":
+        """Return the family from plain JSON values, of which others are left out."""
+        prior = ShapePrior.of_plain(plain["prior"])
+        return ShapeField(prior, tuple(plain["distorted"]), plain["degree"])
+
     @cached_property
     def _scale(self) -> tuple[np.ndarray, np.ndarray]:
         ball, spread = self.prior.ball()
@@ -214,6 +228,11 @@ class ShapeField:
     def size(self) -> int:
         """Number of parameters."""
         return len(self._scale[0])
+
+    @property
+    def deviation(self) -> Float[np.ndarray, " size"]:
+        """Standard deviations of the prior, mm and logarithms."""
+        return self._scale[1]
 
     @property
     def n_background(self) -> int:

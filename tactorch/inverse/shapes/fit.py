@@ -129,12 +129,6 @@ class ShapeFit:
     residuals: Float[np.ndarray, " data"]
     jacobian: Float[np.ndarray, "data size"]
 
-    @property
-    def inflated_covariance(self) -> Float[np.ndarray, "size size"]:
-        """Posterior covariance where residuals above the noise are counted as noise."""
-        precision = self.jacobian.T @ self.jacobian / max(1.0, self.chi2)
-        return np.linalg.inv(precision + np.eye(len(self.z)))
-
     def log_evidence(self, inflation: float = 1.0) -> float:
         """Return the log-evidence where the variance of the noise is `inflation` times as large.
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from tactorch.inverse.shapes.field import Ellipsoid, ShapeField, ShapePrior, Sites
-from tactorch.inverse.shapes.posterior import posterior_samples
+from tactorch.inverse.shapes.field import Ellipsoid, ShapeField, Sites
+from tactorch.inverse.shapes.posterior import ShapePosterior
 
 _DRAWS = 1000
 
@@ -58,7 +58,7 @@ class ShapeReconstruction:
     Attributes:
         field: The family of the shapes, with the prior of its parameters.
         z: Most probable parameters, in standard deviations of the prior.
-        covariance: Their posterior covariance, where balls may be ellipsoids.
+        posterior: Their posterior, where balls may be ellipsoids.
         chi2: Mean squared residual, in standard deviations.
         log_odds: For each inclusion, the log-evidence over that of the model without it.
         log_odds_any: The same for all inclusions together.
@@ -74,7 +74,7 @@ class ShapeReconstruction:
 
     field: ShapeField
     z: Float[np.ndarray, " size"]
-    covariance: Float[np.ndarray, "size size"]
+    posterior: ShapePosterior
     chi2: float
     log_odds: tuple[float, ...]
     log_odds_any: float
@@ -102,16 +102,16 @@ class ShapeReconstruction:
     ) -> Float[np.ndarray, " n"]:
         """Return the standard deviation of the logarithm of Young's modulus at points (mm)."""
         sites = Sites.at(points)
-        samples = [self.field.log_youngs(z, sites) for z in self.samples[:draws]]
-        return np.std(samples, axis=0)
+        field = self.posterior.field
+        return np.std([field.log_youngs(z, sites) for z in self.samples[:draws]], axis=0)
 
     @cached_property
     def samples(self) -> Float[np.ndarray, "draws size"]:
-        """Samples of the posterior, in standard deviations of the prior.
+        """Samples of the posterior, in standard deviations of the prior of `posterior.field`.
 
         See `tactorch.inverse.shapes.posterior`.
         """
-        return posterior_samples(self.field, self.z, self.covariance, _DRAWS)
+        return self.posterior.samples(_DRAWS)
 
     @cached_property
     def inclusions(self) -> list[ShapeInclusion]:
@@ -123,17 +123,15 @@ class ShapeReconstruction:
         return [inclusions[k] for k in order]
 
     def _inclusion(self, k: int, shape: Ellipsoid) -> ShapeInclusion:
-        start = self.field.parts[k].start
-        values, best = self.field.physical(self.samples), self.field.physical(self.z)
-        backgrounds = self.field.log_background(values, values[:, start : start + 3])
-        background = self.field.log_background(best[None], best[None, start : start + 3])[0]
-        contrasts = values[:, start + 4]
+        values, backgrounds = _values(self.posterior.field, self.samples, k)
+        (best,), (background,) = _values(self.field, self.z[None], k)
+        contrasts = values[:, 4]
         return ShapeInclusion(
             shape,
-            float(np.exp(background + best[start + 4])),
+            float(np.exp(background + best[4])),
             float(np.exp(background)),
-            tuple(values[:, start : start + 3].std(axis=0).tolist()),
-            _interval(np.exp(values[:, start + 3])),
+            tuple(values[:, :3].std(axis=0).tolist()),
+            _interval(np.exp(values[:, 3])),
             _interval(np.exp(backgrounds + contrasts)),
             _interval(np.exp(contrasts)),
             float(expit(self.log_odds[k])),
@@ -142,11 +140,9 @@ class ShapeReconstruction:
     def plain(self) -> dict[str, Any]:
         """Return plain JSON values; the inverse of `of`."""
         return {
-            "prior": self.field.prior.plain(),
-            "distorted": list(self.field.distorted),
-            "degree": self.field.degree,
+            **self.field.plain(),
             "z": self.z.tolist(),
-            "covariance": self.covariance.tolist(),
+            "posterior": self.posterior.plain(),
             "chi2": self.chi2,
             "log_odds": list(self.log_odds),
             "log_odds_any": self.log_odds_any,
@@ -159,11 +155,10 @@ class ShapeReconstruction:
     @staticmethod
     def of(plain: Mapping[str, Any]) -> "ShapeReconstruction":
         """Return the result from plain JSON values."""
-        prior = ShapePrior.of_plain(plain["prior"])
         return ShapeReconstruction(
-            ShapeField(prior, tuple(plain["distorted"]), plain["degree"]),
+            ShapeField.of(plain),
             np.array(plain["z"]),
-            np.array(plain["covariance"]),
+            ShapePosterior.of(plain["posterior"]),
             plain["chi2"],
             tuple(plain["log_odds"]),
             plain["log_odds_any"],
@@ -172,6 +167,15 @@ class ShapeReconstruction:
             plain["unexplained"],
             tuple(plain["history"]),
         )
+
+
+def _values(
+    field: ShapeField, z: Float[np.ndarray, "draws size"], k: int
+) -> tuple[Float[np.ndarray, "draws parameters"], Float[np.ndarray, " draws"]]:
+    """Return the parameters of inclusion k, and the background's log-modulus at its centre."""
+    values = field.physical(z)
+    own = values[:, field.parts[k]]
+    return own, field.log_background(values, own[:, :3])
 
 
 def _interval(values: Float[np.ndarray, " draws"]) -> Interval:

@@ -27,6 +27,7 @@ from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.matched import MatchedFilter
+from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.inverse.shapes.sizing import contact_sizing
 from tactorch.inverse.starts import uniform_fit
@@ -203,27 +204,21 @@ class _Search:
             columns.append(np.concatenate(parts) * self.quadratic.data.scale)
         return np.column_stack(columns)
 
-    def covariance(self, model: _Model) -> Float[np.ndarray, "size size"]:
-        """Return the posterior covariance of a model, where balls may be ellipsoids.
+    def posterior(self, model: _Model) -> ShapePosterior:
+        """Return the posterior of a model, where balls may be ellipsoids.
 
         The data of a ball's evidence do not exclude an ellipsoid, whose modulus and size are less
-        certain. Its distortions are marginalised.
+        certain, and differ. The model is linearised at the balls.
         """
         fit = model.fit
-        if all(fit.field.distorted):
-            return fit.inflated_covariance
-        field = replace(fit.field, distorted=(True,) * len(fit.field.distorted))
-        values, parts, kept = fit.field.physical(fit.z), [], []
-        pairs = zip(fit.field.distorted, fit.field.parts, strict=True)
-        for distorted, part in pairs:
-            parts += [values[part], np.zeros(0 if distorted else 5)]
-            kept += [np.ones(part.stop - part.start, dtype=bool), np.zeros(len(parts[-1]), bool)]
-        background = slice(0, fit.field.n_background)
-        z = field.standard(np.concatenate([values[background], *parts]))
+        field, z = fit.field, fit.z
+        for k in range(len(field.distorted)):
+            field, z = _distorted(field, z, k)
+        inflation = max(1.0, fit.chi2)
         jacobian = ShapesOnSites(field, self.sites).at(z).jacobian(model.evaluation)
-        precision = jacobian.T @ jacobian / max(1.0, fit.chi2) + np.eye(len(z))
-        chosen = np.concatenate([np.ones(fit.field.n_background, dtype=bool), *kept])
-        return np.linalg.inv(precision)[np.ix_(chosen, chosen)]
+        covariance = np.linalg.inv(jacobian.T @ jacobian / inflation + np.eye(len(z)))
+        gradient = jacobian.T @ fit.residuals / inflation + z
+        return ShapePosterior(field, z, -covariance @ gradient, covariance)
 
     def propose(self, model: _Model, max_shapes: int) -> list[_Proposal]:
         """Return models that may be better than the present one, the best first."""
@@ -314,7 +309,8 @@ class _Search:
                 break
         for k, distorted in enumerate(fit.field.distorted):
             if not distorted:
-                yield _Start(f"inclusion {k} as an ellipsoid", *_distorted(fit, k), errors)
+                other = _distorted(fit.field, fit.z, k)
+                yield _Start(f"inclusion {k} as an ellipsoid", *other, errors)
 
     def _further(self, fit: ShapeFit, errors: Errors) -> Iterator[_Start]:
         field = replace(fit.field, distorted=(*fit.field.distorted, False))
@@ -373,7 +369,7 @@ def find_shapes(
     each, any_ = search.log_odds(model)
     fit = model.fit
     return ShapeReconstruction(
-        fit.field, fit.z, search.covariance(model), fit.chi2, each, any_,
+        fit.field, fit.z, search.posterior(model), fit.chi2, each, any_,
         *model.errors, search.unexplained(fit), tuple(history),
     )  # fmt: skip
 
@@ -413,12 +409,17 @@ def _smoothed(fit: ShapeFit, degree: int) -> tuple[ShapeField, np.ndarray]:
     return field, field.standard(np.concatenate([values[:1], np.zeros(modes), inclusions]))
 
 
-def _distorted(fit: ShapeFit, inclusion: int) -> tuple[ShapeField, np.ndarray]:
-    """Return the model with a ball as an ellipsoid, and a start."""
-    distorted = tuple(d or i == inclusion for i, d in enumerate(fit.field.distorted))
-    field = replace(fit.field, distorted=distorted)
-    values, end = fit.field.physical(fit.z), fit.field.parts[inclusion].stop
-    return field, field.standard(np.concatenate([values[:end], np.zeros(5), values[end:]]))
+def _distorted(
+    field: ShapeField, z: Float[np.ndarray, " size"], inclusion: int
+) -> tuple[ShapeField, np.ndarray]:
+    """Return the model with an inclusion as an ellipsoid, at first of no distortion."""
+    if field.distorted[inclusion]:
+        return field, z
+    distorted = tuple(d or i == inclusion for i, d in enumerate(field.distorted))
+    values, end = field.physical(z), field.parts[inclusion].stop
+    values = np.concatenate([values[:end], np.zeros(5), values[end:]])
+    field = replace(field, distorted=distorted)
+    return field, field.standard(values)
 
 
 def _is_inside(start: _Start, proposal: _Proposal) -> bool:
