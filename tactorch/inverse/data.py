@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -71,22 +72,28 @@ class CorrelatedNoise:
 
     It whitens residuals whose covariance is the unit matrix plus B B^T. B has few columns, each the
     pattern of an error of unit standard deviation, in standard deviations of the white noise. With
-    B = U S V^T the symmetric root of the inverse is 1 - U (1 - (1 + S^2)^(-1/2)) U^T.
+    B^T B = V S^2 V^T and T = 1 + S^2 the symmetric root of the inverse is
+    1 - B V (T + T^(1/2))^(-1) V^T B^T.
     """
 
     def __init__(self, patterns: Float[np.ndarray, "data k"]) -> None:
-        self._basis, self._sizes, _ = np.linalg.svd(patterns, full_matrices=False)
-        self._loss = 1.0 - 1.0 / np.sqrt(1.0 + self._sizes**2)
+        self.patterns = patterns
 
-    @property
-    def patterns(self) -> Float[np.ndarray, "data k"]:
-        """Orthogonal patterns of the same covariance."""
-        return self._basis * self._sizes
+    @cached_property
+    def _modes(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+        """Eigenvalues T, and V."""
+        squares, vectors = np.linalg.eigh(self.patterns.T @ self.patterns)
+        return 1.0 + np.maximum(squares, 0.0), vectors
+
+    @cached_property
+    def _loss(self) -> Float[np.ndarray, "k k"]:
+        variances, vectors = self._modes
+        return (vectors / (variances + np.sqrt(variances))) @ vectors.T
 
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the covariance of the residuals."""
-        return float(np.log1p(self._sizes**2).sum())
+        return float(np.log(self._modes[0]).sum())
 
     def widened(self, factors: Float[np.ndarray, " data"]) -> "CorrelatedNoise":
         """Return the same errors relative to white noise that is `factors` times as large."""
@@ -95,9 +102,9 @@ class CorrelatedNoise:
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
         """Return whitened residuals or their derivatives; the operator is symmetric."""
         if values.ndim == 1:  # not by BLAS: see `tactorch.linalg.dense`
-            inner = self._loss * np.einsum("dk,d->k", self._basis, values)
-            return values - np.einsum("dk,k->d", self._basis, inner)
-        return values - self._basis @ (self._loss[:, None] * (self._basis.T @ values))
+            inner = np.einsum("kl,l->k", self._loss, np.einsum("dl,d->l", self.patterns, values))
+            return values - np.einsum("dk,k->d", self.patterns, inner)
+        return values - self.patterns @ (self._loss @ (self.patterns.T @ values))
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from tactorch.fem.assembly import Assembly
+from tactorch.inverse.shapes import strength
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
 
@@ -256,6 +257,21 @@ class ShapeField:
         """Return parameters in standard deviations; the inverse of `physical`."""
         mean, deviation = self._scale
         return (values - mean) / deviation
+
+    def moved(
+        self, z: Float[np.ndarray, " size"], step: Float[np.ndarray, " size"]
+    ) -> Float[np.ndarray, " size"]:
+        """Return the parameters after a step, on which the data depend nearly linearly.
+
+        Steps of squared radii and strengths of inclusions are straight, see
+        `tactorch.inverse.shapes.strength`, which is `z + step` to first order only.
+        """
+        values, change = self.physical(z), self.deviation * step
+        new = values + change
+        for part in self.parts:
+            logs = slice(part.start + 3, part.start + 5)
+            new[logs] = strength.moved(values[logs], change[logs])
+        return self.standard(new)
 
     def shapes(self, z: Float[np.ndarray, " size"]) -> Iterator[Ellipsoid]:
         """Yield the inclusions."""

@@ -244,7 +244,8 @@ class _State:
         changes = [np.tensordot(step, fields, 1) for fields in self._response[1]]
         starts = self.evaluation.moved(changes)
         with suppress(ConvergenceError):
-            return _State.at(problem, self.family, self.z + step, starts)
+            z = np.clip(self.family.shapes.moved(self.z, step), *self.family.limits)
+            return _State.at(problem, self.family, z, starts)
         return None
 
     def fit(self, problem: InverseProblem) -> ShapeFit:

@@ -1,12 +1,4 @@
-"""Samples of the posterior of shapes, in coordinates in which it is close to a normal distribution.
-
-From afar, a ball of radius R and contrast c acts by its strength R^3 (c - 1) / (c + 3/2) (J. D.
-Eshelby, "The determination of the elastic field of an ellipsoidal inclusion, and related problems",
-Proc. R. Soc. A 241 (1957), 376-396, for nearly incompressible bodies), and the next term of its
-field is larger by R^2. The data depend on the strength and on R^2 nearly linearly. The posterior of
-the logarithms is skewed instead: a radius that is estimated too large seems more certain than one
-that is estimated too small.
-"""
+"""The posterior of shapes, in coordinates in which it is close to a normal distribution."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.inverse.shapes import strength
 from tactorch.inverse.shapes.field import ShapeField
 
 _LIMIT = 4.0  # of the parameters, in standard deviations of the prior
@@ -47,23 +40,15 @@ class ShapePosterior:
         rng = np.random.default_rng(seed)
         values, deviation = self.field.physical(self.z), self.field.deviation
         point, jacobian = values.copy(), np.diag(deviation)
-        for part in self.field.parts:
-            radius, contrast = np.exp(values[part][3:5])
-            rows = slice(part.start + 3, part.start + 5)
-            strength = radius**3 * (contrast - 1.0) / (contrast + 1.5)
-            by_contrast = radius**3 * 2.5 * contrast / (contrast + 1.5) ** 2
-            by_logs = np.array([[2.0 * radius**2, 0.0], [3.0 * strength, by_contrast]])
-            point[rows] = radius**2, strength
-            jacobian[rows, rows] = by_logs * deviation[rows]
+        rows = [slice(part.start + 3, part.start + 5) for part in self.field.parts]
+        for row in rows:
+            point[row] = strength.from_logs(values[row])
+            jacobian[row, row] = strength.derivative(values[row]) * deviation[row]
         mean, spread = point + jacobian @ self.step, jacobian @ self.covariance @ jacobian.T
         wide = max(count, int(2 * count / _MIN_ACCEPTED))
         draws = rng.multivariate_normal(mean, spread, size=wide, method="eigh")
-        for part in self.field.parts:
-            square, strength = draws[:, part.start + 3], draws[:, part.start + 4]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                ratio = strength / np.maximum(square, 0.0) ** 1.5
-                draws[:, part.start + 4] = np.log((1.0 + 1.5 * ratio) / (1.0 - ratio))
-                draws[:, part.start + 3] = 0.5 * np.log(square)
+        for row in rows:
+            draws[:, row] = strength.to_logs(draws[:, row])
         with np.errstate(invalid="ignore"):
             standard = self.field.standard(draws)
             limit = np.maximum(_LIMIT, np.abs(self.z) + 0.1)

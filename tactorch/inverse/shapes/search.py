@@ -126,6 +126,7 @@ class _Search:
         self.matched = MatchedFilter.of(self.linear, youngs)
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._force_patterns: np.ndarray | None = None
+        self._noisy: dict[Errors, DataModel] = {}
         observations = self.quadratic.data.observations
         contacts = group_by_contact(recording.presses, observations)
         self._pose_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
@@ -151,10 +152,12 @@ class _Search:
             pairs = zip(self._correction_mm, offsets, strict=True)
             data = self.quadratic.data.shifted([old - new for old, new in pairs])
             self.quadratic, self._correction_mm = self.quadratic.with_data(data), offsets
+            self._noisy.clear()
             start = _Start("corrected", model.fit.field, model.fit.z, model.errors)
             return self.fit(start, model.evaluation.displacements, tolerance)
         except (ConfigError, ConvergenceError) as error:
             self.quadratic, self._correction_mm = before
+            self._noisy.clear()
             _log.warning("The error of the discretisation is not corrected: %s", error)
             return model
 
@@ -185,6 +188,12 @@ class _Search:
         return _Model(*fit, start.errors)
 
     def _data(self, errors: Errors) -> DataModel:
+        """Return the data with these errors; their covariances are computed once."""
+        if errors not in self._noisy:
+            self._noisy[errors] = self._with_errors(errors)
+        return self._noisy[errors]
+
+    def _with_errors(self, errors: Errors) -> DataModel:
         data = self.quadratic.data
         if self._correction is not None:
             data = data.with_errors(_CORRECTION_DEVIATION * self._correction_patterns())
