@@ -49,7 +49,7 @@ from tactorch.simulation import noise_level
 from tactorch.simulation.patch import nodes_within, patch_forces
 from tactorch.simulation.plan import PressSite
 
-FORMAT = 2  # of the cached recordings; raised when their computation changes
+FORMAT = 3  # of the cached recordings; raised when their computation changes
 VOXELS = 36
 N_RANDOM = 50  # objects of random shape
 MATERIAL = MaterialSpec("neo_hookean", 0.45)

@@ -14,7 +14,13 @@ import numpy as np
 from tactorch.errors import ConfigError, MeshError, TactorchError
 from tactorch.files import cache_folder, read_arrays, write_arrays
 from tactorch.mesh.checks import closed_surface
-from tactorch.mesh.geometry import bounding_box, bounding_diagonal, enclosed_volume, surface_area
+from tactorch.mesh.geometry import (
+    bounding_box,
+    bounding_diagonal,
+    enclosed_volume,
+    signed_volumes,
+    surface_area,
+)
 from tactorch.mesh.shapes import Box, Shape
 from tactorch.mesh.tetmesh import TetMesh, compact
 from tactorch.mesh.values import (
@@ -42,6 +48,7 @@ _MEAN_EDGE = (1.0 + np.sqrt(2.0)) / 2.0
 _FIVE = np.array([(0, 4, 2, 1), (6, 2, 4, 7), (5, 4, 1, 7), (3, 1, 2, 7), (1, 2, 7, 4)])
 # Kuhn's subdivision: the paths along the axes from corner 0 to corner 7.
 _SIX = [(0, 4, 6, 7), (0, 4, 7, 5), (0, 2, 7, 6), (0, 2, 3, 7), (0, 1, 5, 7), (0, 1, 7, 3)]
+_EPSILON = 1e-3  # width of fTetWild's envelope over the bounding box's diagonal
 _WORKER = Path(__file__).with_name("_tetwild_worker.py")
 
 
@@ -62,7 +69,8 @@ def mesh_shape(
         raise ConfigError("generator='structured' cannot follow inclusions; use 'tetwild'.")
     if generator == "tetwild" or inner or (generator == "auto" and not isinstance(shape, Box)):
         surfaces = [part.surface() for part in inner]
-        return tetrahedralize(*shape.surface(), length, inner=surfaces, cache=cache)
+        mesh = tetrahedralize(*shape.surface(), length, inner=surfaces, cache=cache)
+        return _with_plane_faces(mesh, shape) if isinstance(shape, Box) else mesh
     if not isinstance(shape, Box):
         raise ConfigError(
             f"generator='structured' meshes boxes only, not a {type(shape).__name__};"
@@ -76,6 +84,24 @@ def mesh_shape(
             f" (limit {MAX_CELLS:.0e}); choose a larger one, and check the units."
         )
     return box_mesh(shape.size_mm, counts.astype(int), center_mm=shape.center_mm, tets_per_cell=5)
+
+
+def _with_plane_faces(mesh: TetMesh, box: Box) -> TetMesh:
+    """Move the boundary nodes of a mesh of a box onto its faces and edges.
+
+    fTetWild leaves them within its envelope, so that faces are tilted and edges cut off a little.
+    The mesh remains where an element would be inverted.
+    """
+    low, high = box.bounds()
+    tolerance = 2.0 * _EPSILON * bounding_diagonal(box.bounds())
+    nodes, points = np.unique(mesh.surface.triangles), mesh.points.copy()
+    outer = points[nodes]
+    for plane in (low, high):
+        outer = np.where(np.abs(outer - plane) < tolerance, plane, outer)
+    points[nodes] = outer
+    if signed_volumes(points, mesh.tets).min() <= 0.0:
+        return mesh
+    return TetMesh.create(points, mesh.tets)
 
 
 def box_mesh(
@@ -135,7 +161,7 @@ def tetrahedralize(
     edge_length_mm: Real | None = None,
     *,
     relative_edge_length: Real = 0.1,
-    epsilon: Real = 1e-3,
+    epsilon: Real = _EPSILON,
     inner: Sequence[tuple[Rows, Rows]] = (),
     cache: bool = True,
 ) -> TetMesh:

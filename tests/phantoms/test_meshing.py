@@ -2,7 +2,16 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.mesh import Box, Cylinder, Sphere, TetMesh, face_nodes, select_face
+from tactorch.mesh import (
+    Box,
+    Cylinder,
+    Sphere,
+    TetMesh,
+    box_mesh,
+    face_nodes,
+    meshing,
+    select_face,
+)
 from tactorch.phantoms import Phantom, make_phantom
 
 
@@ -96,3 +105,20 @@ def test_conforming_mesh_follows_the_inclusion() -> None:
 def test_wrong_settings_are_refused(body: Box | Cylinder, settings: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Phantom(body, [(Sphere(radius_mm=0.1), 1.0)]).mesh(**settings)
+
+
+def test_faces_of_a_box_are_plane() -> None:
+    ball = Sphere((5.0, 5.0, 6.0), 2.0)
+    mesh = Phantom(Box((5.0,) * 3, (10.0, 10.0, 10.0)), [(ball, 1.0)]).mesh(2.0, conforming=True)
+    assert mesh.volumes.sum() == pytest.approx(1000.0, abs=1e-9)
+    nodes = np.unique(mesh.surface.triangles)
+    planes = np.minimum(np.abs(mesh.points[nodes]), np.abs(mesh.points[nodes] - 10.0))
+    assert planes.min(axis=1).max() == 0.0
+    areas = [mesh.surface.areas[mesh.surface.normals[:, a] > 0.99].sum() for a in range(3)]
+    np.testing.assert_allclose(areas, 100.0, rtol=1e-12)
+
+
+def test_a_mesh_remains_where_elements_would_be_inverted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(meshing, "_EPSILON", 0.2)
+    mesh = box_mesh(1.0, 4)
+    assert meshing._with_plane_faces(mesh, Box((0.5,) * 3, (1.0,) * 3)) is mesh
