@@ -198,7 +198,7 @@ def test_a_ball_is_found_with_its_modulus(recording):
     assert inclusion.radius_90_mm.low < shape.radius_mm < inclusion.radius_90_mm.high
     assert result.probability > 0.999
     assert result.force_deviation == 0.0
-    assert result.pose_deviation == 0.002
+    assert result.pose_deviation == 0.001
     assert result.unexplained < 0.01
     assert result.history[0]["model"] == "uniform"
     inside, outside = result.youngs_at(np.array([[5.0, 5.0, 6.0], [1.0, 1.0, 1.0]]))

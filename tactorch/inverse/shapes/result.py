@@ -65,7 +65,7 @@ class ShapeReconstruction:
         force_deviation: Relative deviation of the forces of each press by which the data are best
             explained; zero where the recorded forces agree with them.
         pose_deviation: Deviation of rigid motions at each contact, over the observed displacements;
-            at least 0.002 where the presses were not computed on the recording's mesh, for the
+            at least 0.001 where the presses were not computed on the recording's mesh, for the
             discretisation.
         unexplained: Root mean square of the residuals beyond their noise and the recognised errors
             of forces and poses, over that of the observed displacements.

@@ -41,8 +41,8 @@ _MAX_MODELS = 10  # one after the other
 _MAX_FITS = 3  # with quadratic elements, of proposals from one model
 _DEGREES = (2, 4)  # of smooth backgrounds
 _FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
-_MIN_POSE_DEVIATION = 0.002  # that of the discretisation of supports and inclusions
-_POSE_DEVIATIONS = (0.01, 0.05)
+_MIN_POSE_DEVIATION = 0.001  # that of the discretisation after its correction
+_POSE_DEVIATIONS = (0.002, 0.01, 0.05)
 _CORRECTION_DEVIATION = 0.3  # of the correction of each contact, over the correction
 _MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
 _MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
@@ -71,7 +71,7 @@ class Errors(NamedTuple):
                 yield f"forces wrong by {level:.0%}", self._replace(forces=level)
         for level in _POSE_DEVIATIONS:
             if level > self.pose:
-                yield f"poses wrong by {level:.0%}", self._replace(pose=level)
+                yield f"poses wrong by {level:.1%}", self._replace(pose=level)
 
 
 @dataclass(frozen=True, eq=False)
