@@ -31,13 +31,10 @@ The last line printed is one JSON object.
 
 import argparse
 import json
-import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +49,7 @@ from active_objects import (
     make_presser,
     material,
 )
-from machine import describe_machine
+from machine import describe_machine, map_in_processes
 
 from tactorch.inverse import GaussNewton, Settings
 from tactorch.mesh import TetMesh
@@ -119,13 +116,7 @@ def gather(
     work: Callable[[int], dict[str, "Run"]], seeds: Sequence[int], workers: int
 ) -> dict[str, list["Run"]]:
     """Run the seeds, in parallel with more than one worker; return runs by rule."""
-    if workers == 1:
-        found = [work(seed) for seed in seeds]
-    else:
-        # One thread each: processes that share cores hinder one another's threads.
-        os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            found = list(pool.map(work, seeds))
+    found = list(map_in_processes(work, seeds, workers))
     return {rule: [runs[rule] for runs in found] for rule in found[0]}
 
 

@@ -6,9 +6,14 @@ import platform
 import resource
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+Item, Result = TypeVar("Item"), TypeVar("Result")
 
 
 def describe_machine(packages: tuple[str, ...]) -> dict[str, str | int]:
@@ -60,12 +65,34 @@ def _version(package: str) -> str:
         return "not installed"
 
 
+def map_in_processes(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int
+) -> Iterator[Result]:
+    """Yield the results of the items in order; with more than one worker from parallel processes.
+
+    Each process has one thread: processes that share cores hinder one another's threads.
+    """
+    if workers == 1:
+        yield from map(work, items)
+        return
+    os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", NUMBA_NUM_THREADS="1")
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        try:
+            yield from pool.map(work, items)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
 class OtherWork:
-    """Meter of the processor time of other processes, from its construction on."""
+    """Meter of the processor time of other processes, from its construction on.
+
+    Processes that this one started count as its own once they have ended.
+    """
 
     def __init__(self) -> None:
         """Start."""
-        self._began = time.perf_counter(), _busy_seconds(), _stolen_seconds(), time.process_time()
+        self._began = time.perf_counter(), _busy_seconds(), _stolen_seconds(), _own_seconds()
 
     def share(self) -> float | None:
         """Return the share of all cores that other processes used; None where unknown."""
@@ -73,7 +100,7 @@ class OtherWork:
         now = _busy_seconds()
         if busy is None or now is None:
             return None
-        return self._of_cores((now - busy) - (time.process_time() - own))
+        return self._of_cores((now - busy) - (_own_seconds() - own))
 
     def stolen(self) -> float | None:
         """Share of all cores that the host of this (virtual) machine gave to its other guests.
@@ -87,6 +114,12 @@ class OtherWork:
         """Share of what all cores could have done since the start."""
         available = (time.perf_counter() - self._began[0]) * (os.cpu_count() or 1)
         return max(seconds, 0.0) / available
+
+
+def _own_seconds() -> float:
+    """Processor seconds of this process and of those that it started and that have ended."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
 
 
 def _busy_seconds() -> float | None:

@@ -2,7 +2,7 @@
 
     python benchmarks/true_objects.py [--set open|held_out|empty|random|all] [--only NAME...]
         [--method default|map|shapes] [--settings KEY=VALUE...] [--check] [--cache FOLDER]
-        [--out FOLDER]
+        [--out FOLDER] [--workers N]
 
 Each case is an object (balls of several depths, sizes and contrasts, a cone, an ellipsoid, two
 balls close together, a lump in layers, a dome and a breast with a lesion, bodies without
@@ -26,11 +26,12 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from machine import OtherWork, write_results
+from machine import OtherWork, map_in_processes, write_results
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 from scipy.special import ndtri
@@ -198,6 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--settings", nargs="+", default=[], metavar="KEY=VALUE")
     parser.add_argument("--check", action="store_true", help="check the truth meshes instead")
     parser.add_argument("--list", action="store_true", help="list the cases and stop")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
     parser.add_argument("--out", type=Path, help="folder for true_objects.json and .md")
     options = parser.parse_args(arguments)
@@ -212,10 +214,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     method, meter, results, lines = METHODS[options.method], OtherWork(), {}, [_HEADER]
     print(_HEADER, flush=True)
     try:
-        for case in cases:
-            print(f"{case.name} ...", file=sys.stderr, flush=True)
-            results[case.name] = run(case, method, settings, options.cache)
-            lines.append(_row(case.name, results[case.name]))
+        work = partial(run, method=method, settings=settings, cache=options.cache)
+        for case, scores in zip(cases, map_in_processes(work, cases, options.workers), strict=True):
+            results[case.name] = scores
+            lines.append(_row(case.name, scores))
             print(lines[-1], flush=True)
     except KeyboardInterrupt:
         print("Interrupted; the result has the cases up to here.", file=sys.stderr)
@@ -230,6 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "settings": options.settings,
         "set": options.set,
         "only": options.only,
+        "workers": options.workers,
         "other_work": load,
     }
     if options.out is not None:
@@ -274,6 +277,7 @@ def parse_settings(assignments: Sequence[str]) -> dict[str, Any]:
 
 def run(case: Case, method: Method, settings: Settings, cache: Path | None) -> dict[str, Any]:
     """Invert a case's recording and score the answer; a failure is recorded as such."""
+    print(f"{case.name} ...", file=sys.stderr, flush=True)
     recording = make_recording(case, cache)
     began = time.perf_counter()
     try:
