@@ -1,7 +1,7 @@
 """Design factors (Section IV-B, Table II): pressure, number of steps and sides, noise.
 
     python benchmarks/design_factors.py [--only CELL ...] [--out FOLDER] [--regularization NAME]
-        [--method map|shapes]
+        [--method map|shapes] [--workers N]
 
 The cells are those of `tactorch.reproduce.design`, which describes them; `tactorch reproduce
 table2` makes the table with default settings. This script also takes other priors.
@@ -16,15 +16,16 @@ Cramer-Rao bound. The last line printed is one JSON object with all figures.
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from machine import OtherWork, describe_machine
+from machine import OtherWork, describe_machine, map_in_processes
 
 from tactorch.inverse import Settings, invert
 from tactorch.inverse.problem import InverseProblem
@@ -62,21 +63,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--models", nargs="+", choices=list(MODELS), default=list(MODELS))
     parser.add_argument("--regularization", default=_DEFAULT, help="prior of all cells")
     parser.add_argument("--method", choices=("map", "shapes"), default="map")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--out", type=Path, help="folder for design_factors.json and .md")
     options = parser.parse_args(arguments)
-    known, meter, results = _paper(), OtherWork(), {}
+    known, meter, results = _paper(), OtherWork(), {model: {} for model in options.models}
     print(_header(), flush=True)
     lines = [_header()]
+    # Several columns of the paper's table have the same presses.
+    runs = list(dict.fromkeys((m, CELLS[name]) for m in options.models for name in options.only))
+    work = partial(run, method=options.method, prior=options.regularization)
+    found = dict(zip(runs, map_in_processes(work, runs, options.workers), strict=True))
     for model in options.models:
-        results[model] = {}
         for name in options.only:
-            cell: dict[str, Any] = {"paper": known.get(model, {}).get(COLUMNS.get(name, name))}
-            if options.method == "shapes":
-                cell |= {"same_mesh": None, "other_mesh": run_shapes(model, CELLS[name])}
-            else:
-                for mesh in ("same_mesh", "other_mesh"):
-                    same, prior = mesh == "same_mesh", options.regularization
-                    cell[mesh] = run_cell(model, CELLS[name], prior, same_mesh=same)
+            published = known.get(model, {}).get(COLUMNS.get(name, name))
+            cell = {"paper": published, **found[model, CELLS[name]]}
             results[model][name] = cell
             lines.append(_row(model, name, cell))
             print(lines[-1], flush=True)
@@ -90,7 +90,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(json.dumps(results))
 
 
-@cache
+def run(item: tuple[str, Cell], method: str, prior: str) -> dict[str, Any]:
+    """Run one cell of one model; the metrics for presses of the same mesh and of another."""
+    model, cell = item
+    print(f"# {model}, {cell}", file=sys.stderr, flush=True)
+    if method == "shapes":
+        return {"same_mesh": None, "other_mesh": run_shapes(model, cell)}
+    return {
+        f"{mesh}_mesh": run_cell(model, cell, prior, same_mesh=mesh == "same")
+        for mesh in ("same", "other")
+    }
+
+
 def run_cell(model: str, cell: Cell, prior: str, *, same_mesh: bool) -> dict[str, float]:
     """Simulate and invert one cell; returns the metrics of Table II and a few more."""
     recording = simulate_cell(model, cell, same_mesh=same_mesh)
@@ -111,7 +122,6 @@ def run_cell(model: str, cell: Cell, prior: str, *, same_mesh: bool) -> dict[str
     }
 
 
-@cache
 def run_shapes(model: str, cell: Cell) -> dict[str, Any]:
     """Press the object on a finer, conforming, quadratic mesh, and find its shapes."""
     phantom = make_phantom(MODELS[model])
