@@ -12,30 +12,16 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
-from torch.autograd import forward_ad
 
 from tactorch.fem.assembly import Assembly
 from tactorch.inverse.shapes import strength
+from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
 
 _SAMPLES = 6  # points of the lattice along an edge of an element
 _WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
-_VARIANCE = np.pi**2 / 12.0  # of the logistic distribution whose density is a boundary of width one
-# Orthonormal basis of symmetric matrices: the size, then five distortions of the same volume.
-_DIAGONALS = (
-    np.eye(3) / np.sqrt(3.0),
-    np.diag([1.0, -1.0, 0.0]) / np.sqrt(2.0),
-    np.diag([1.0, 1.0, -2.0]) / np.sqrt(6.0),
-)
-_SHEARS = tuple(
-    (np.outer(a, b) + np.outer(b, a)) / np.sqrt(2.0)
-    for a, b in ((np.eye(3)[i], np.eye(3)[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
-)
-_BASIS = np.stack([*_DIAGONALS, *_SHEARS])
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,8 +263,7 @@ class ShapeField:
         """Yield the inclusions."""
         values = self.physical(z)
         for part in self.parts:
-            stretch = _log_stretch(torch.from_numpy(values[part])).numpy()
-            logs, vectors = np.linalg.eigh(stretch)
+            logs, vectors = np.linalg.eigh(_geometry(values[part]).log_stretch)
             order = np.argsort(-logs)
             yield Ellipsoid(
                 tuple(values[part][:3].tolist()),
@@ -307,10 +292,9 @@ class ShapeField:
         values = self.physical(z)
         out = self._background(sites) @ values[: self.n_background]
         for part in self.parts:
-            inclusion = torch.from_numpy(values[part])
-            near = _near(values[part], sites)
-            fraction = _fraction(inclusion, *_tensors(sites, near)).numpy()
-            out[near] += values[part][4] * fraction
+            inclusion = _geometry(values[part])
+            near = _near(inclusion, sites)
+            out[near] += values[part][4] * inclusion.fraction(sites.points[near], sites.width[near])
         return out
 
     def log_youngs_of(
@@ -332,13 +316,12 @@ class ShapeField:
         out = np.zeros((len(sites.points), self.size))
         out[:, : self.n_background] = self._background(sites)
         for part in self.parts:
-            inclusion, near = torch.from_numpy(values[part]), _near(values[part], sites)
-            tensors = _tensors(sites, near)
-            with forward_ad.dual_level():
-                for k, direction in enumerate(torch.eye(len(inclusion), dtype=torch.float64)):
-                    x = forward_ad.make_dual(inclusion, direction)
-                    excess = forward_ad.unpack_dual(x[4] * _fraction(x, *tensors))
-                    out[near, part.start + k] = excess.tangent.numpy()
+            inclusion, contrast = _geometry(values[part]), values[part][4]
+            near = _near(inclusion, sites)
+            fraction, slopes = inclusion.derivative(sites.points[near], sites.width[near])
+            columns = np.arange(part.start, part.stop)
+            out[near, part.start + 4] = fraction
+            out[np.ix_(near, np.delete(columns, 4))] = contrast * slopes
         return out * deviation
 
 
@@ -349,40 +332,13 @@ def _wave_numbers(degree: int) -> Float[np.ndarray, "modes 3"]:
     return np.array(modes, dtype=np.float64).reshape(-1, 3)
 
 
-def _near(inclusion: np.ndarray, sites: Sites) -> np.ndarray:
+def _geometry(inclusion: Float[np.ndarray, " parameters"]) -> Geometry:
+    """Return the geometry of an inclusion of these parameters, mm and logarithms."""
+    return Geometry(inclusion[:3], float(inclusion[3]), inclusion[5:])
+
+
+def _near(inclusion: Geometry, sites: Sites) -> np.ndarray:
     """Indices of the volumes that may touch an inclusion."""
-    stretch = _log_stretch(torch.from_numpy(inclusion)).numpy()
-    reach = np.exp(np.linalg.eigvalsh(stretch)[-1]) + 4.0 * sites.width
-    distance = np.linalg.norm(sites.points - inclusion[:3], axis=2).min(axis=1)
+    reach = np.exp(np.linalg.eigvalsh(inclusion.log_stretch)[-1]) + 4.0 * sites.width
+    distance = np.linalg.norm(sites.points - inclusion.center, axis=2).min(axis=1)
     return np.flatnonzero(distance < reach)
-
-
-def _tensors(sites: Sites, near: np.ndarray) -> tuple[Tensor, Tensor]:
-    return torch.from_numpy(sites.points[near]), torch.from_numpy(sites.width[near])
-
-
-def _log_stretch(inclusion: Tensor) -> Tensor:
-    """Logarithm of the matrix that maps the unit ball to the inclusion (mm)."""
-    one = torch.eye(3, dtype=torch.float64)
-    if len(inclusion) == 5:
-        return inclusion[3] * one
-    basis = torch.from_numpy(_BASIS[1:])
-    return inclusion[3] * one + torch.einsum("k,kij->ij", inclusion[5:], basis)
-
-
-def _fraction(inclusion: Tensor, points: Tensor, width: Tensor) -> Tensor:
-    """Fraction of each volume inside an inclusion, with a boundary of a width (mm)."""
-    offset = points - inclusion[:3]
-    if len(inclusion) == 5:
-        distance = torch.sqrt((offset * offset).sum(-1) + 1e-12) - torch.exp(inclusion[3])
-    else:  # to first order, exact for a ball
-        inverse = torch.matrix_exp(-_log_stretch(inclusion))
-        unit = offset @ inverse
-        level = torch.sqrt((unit * unit).sum(-1) + 1e-12)
-        slope = torch.sqrt(((unit @ inverse) ** 2).sum(-1) + 1e-12)
-        distance = (level - 1.0) * level / slope
-    if float(width.max() if len(width) else 0.0) == 0.0:
-        return (distance < 0).to(torch.float64).mean(-1)
-    # A smooth boundary would enlarge the volume of a ball, by its curvature.
-    distance = distance + (_VARIANCE * width * width / torch.exp(inclusion[3]))[:, None]
-    return torch.sigmoid(-2.0 * distance / width[:, None]).mean(-1)
