@@ -180,22 +180,23 @@ class Rotated(Shape):
     turn_deg: Vector = checked(vector, ORIGIN)
 
     def signed_distance(self, points: Points) -> Distances:
-        return self.of.signed_distance(self._rotate(points, self._matrix()))
+        return self.of.signed_distance(self._rotate(points, self.matrix()))
 
     def contains(self, points: Points) -> Inside:
-        return self.of.contains(self._rotate(points, self._matrix()))
+        return self.of.contains(self._rotate(points, self.matrix()))
 
     def bounds(self) -> Corners:
         low, high = self.of.bounds()
-        half = np.abs(self._matrix()) @ (high - low) / 2
+        half = np.abs(self.matrix()) @ (high - low) / 2
         return np.stack(((low + high) / 2 - half, (low + high) / 2 + half))
 
     def surface(self, segments: int = 48) -> TriangleSurface:
         vertices, triangles = self.of.surface(segments)
-        return self._rotate(vertices, self._matrix().T), triangles
+        return self._rotate(vertices, self.matrix().T), triangles
 
-    def _matrix(self) -> Float[np.ndarray, "3 3"]:
-        return Rotation.from_rotvec(np.array(self.turn_deg), degrees=True).as_matrix()
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        """Return the rotation matrix."""
+        return Rotation.from_rotvec(np.array(self.turn_deg), degrees=True).asmatrix()
 
     def _rotate(self, points: Points, matrix: Float[np.ndarray, "3 3"]) -> Points:
         center = self.of.bounds().mean(axis=0)

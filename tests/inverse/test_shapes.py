@@ -16,6 +16,7 @@ from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, find_shapes
 from tactorch.inverse.shapes.correction import Correction, _LoadSeries
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
+from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.search import Errors, _Model, _Search
 from tactorch.inverse.shapes.sizing import (
     Rim,
@@ -24,7 +25,8 @@ from tactorch.inverse.shapes.sizing import (
     observed_sizing,
     sharp_edge_sizing,
 )
-from tactorch.mesh import box_mesh, face_nodes
+from tactorch.mesh import Ellipsoid as EllipsoidShape
+from tactorch.mesh import Rotated, box_mesh, face_nodes
 from tactorch.phantoms import make_phantom
 from tactorch.recording import refine_recording
 from tactorch.simulation import PressPlan, simulate
@@ -87,6 +89,18 @@ def test_the_jacobian_is_that_of_the_field(problem, distorted):
     for k, step in enumerate(1e-5 * np.eye(field.size)):
         slope = (field.log_youngs(z + step, sites) - field.log_youngs(z - step, sites)) / 2e-5
         np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-7)
+
+
+def test_the_geometry_of_a_rotated_ellipsoid_is_where_the_shape_is():
+    radii, center = np.array([2.0, 1.2, 0.8]), np.array([5.0, 4.0, 6.0])
+    shape = Rotated(EllipsoidShape(tuple(center), tuple(radii)), (20.0, 50.0, -70.0))
+    turn = shape.matrix()
+    geometry = Geometry.of(center, turn @ np.diag(np.log(radii)) @ turn.T)
+    assert np.exp(geometry.log_radius) == pytest.approx(np.cbrt(radii.prod()))
+    points = center + np.random.default_rng(0).uniform(-2.5, 2.5, (5000, 3))
+    inside = geometry.fraction(points[:, None], np.zeros(len(points)))
+    np.testing.assert_array_equal(inside > 0.5, shape.contains(points))
+    assert 0.1 < inside.mean() < 0.3
 
 
 @pytest.mark.parametrize("distorted", [False, True])

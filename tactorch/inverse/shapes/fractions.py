@@ -41,6 +41,12 @@ class Geometry(NamedTuple):
     log_radius: float
     distortions: Float[np.ndarray, " k"]
 
+    @staticmethod
+    def of(center: Float[np.ndarray, "3"], log_stretch: Float[np.ndarray, "3 3"]) -> "Geometry":
+        """Return the ellipsoid of a centre (mm) and a symmetric matrix, see `log_stretch`."""
+        distortions = np.tensordot(_BASIS, log_stretch, 2)
+        return Geometry(center, float(np.trace(log_stretch)) / 3.0, distortions)
+
     @property
     def log_stretch(self) -> Float[np.ndarray, "3 3"]:
         """Logarithm of the matrix that maps the unit ball to the ellipsoid (mm)."""

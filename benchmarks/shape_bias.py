@@ -1,0 +1,156 @@
+"""Bias of the shape model at the true parameters of the random objects of `true_objects.py`.
+
+    python benchmarks/shape_bias.py [--count 8] [--only OBJECT...] [--cache FOLDER] [--workers N]
+        [--out FOLDER]
+
+The model of `find_shapes` is evaluated at the true ball or ellipsoid on the recording's mesh, with
+and without the correction of the discretisation. The bias is the Gauss-Newton step from there for
+presses without noise, which would be zero if the model and the solution of the truth were exact; it
+is given for the logarithms of modulus and radius and for the centre, beside the standard deviation
+for the white noise of the case. `z` is the same step for presses with noise, over its deviation:
+the error of an efficient estimator.
+
+The last line printed is one JSON object.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from machine import OtherWork, map_in_processes, write_results
+from true_cases import RANDOM_CASES, Case, make_recording
+
+from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.shapes.correction import Correction
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.fit import fit_shapes
+from tactorch.inverse.shapes.fractions import Geometry
+from tactorch.mesh import Ellipsoid, Rotated, Sphere
+
+PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
+_ELEMENT, _NO_NOISE_DB = "tet10", 250.0
+_HEADER = (
+    "| case | E, MPa | bias of log E: uncorrected | corrected | deviation | bias of log R: "
+    "uncorrected | corrected | deviation | largest bias of the centre / deviation: uncorrected | "
+    "corrected | z of log E |\n|" + "---|" * 11
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the cases and print the table and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--count", type=int, default=8, help="number of cases, from the first")
+    parser.add_argument("--only", nargs="+", metavar="OBJECT", help="objects by name")
+    parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes")
+    parser.add_argument("--out", type=Path, help="folder for shape_bias.json and .md")
+    options = parser.parse_args(arguments)
+    cases = RANDOM_CASES[: options.count]
+    if options.only:
+        cases = tuple(case for case in RANDOM_CASES if case.object in options.only)
+    meter, lines, results = OtherWork(), [_HEADER], {}
+    print(_HEADER, flush=True)
+    work = partial(run, cache=options.cache)
+    for case, found in zip(cases, map_in_processes(work, cases, options.workers), strict=True):
+        results[case.name] = found
+        lines.append(_row(case.name, found))
+        print(lines[-1], flush=True)
+    result = {"cases": results, "other_work": meter.share()}
+    if options.out is not None:
+        write_results(options.out, "shape_bias", lines, result, PACKAGES)
+    print(json.dumps(result))
+
+
+def run(case: Case, cache: Path | None) -> dict[str, Any]:
+    """Return biases and deviations at the true parameters of one case."""
+    noisy = make_recording(case, cache)
+    exact = make_recording(replace(case, snr_db=_NO_NOISE_DB), cache)
+    # The displacements without noise, with the stated deviation of the noise.
+    pairs = zip(noisy.presses, exact.presses, strict=True)
+    presses = [replace(press, displacement=clean.displacement) for press, clean in pairs]
+    clean = replace(noisy, presses=tuple(presses))
+    problem = InverseProblem(clean, element=_ELEMENT)
+    field, z = _truth(case, ShapePrior.of(noisy.mesh, float(case.body.phantom.youngs_mpa)))
+    fit, evaluation = fit_shapes(problem, field, z, max_iterations=0)
+    offsets = Correction.of(problem, _ELEMENT, "auto").offsets(fit, evaluation)
+    jacobian = fit.jacobian * (1.0 / field.deviation)
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    noise = InverseProblem(noisy, body=problem.body).data
+
+    def step(data: Any) -> np.ndarray:
+        residuals = evaluation.with_data(data).residuals
+        return np.asarray(-covariance @ (jacobian.T @ residuals))
+
+    data = problem.data
+    steps = {
+        "uncorrected": step(data),
+        "corrected": step(data.shifted([-offset for offset in offsets])),
+        "noisy": step(noise.shifted([-offset for offset in offsets])),
+    }
+    return {
+        "youngs_mpa": float(case.body.phantom.inclusions[0][1]),
+        **{name: _scores(field, values, covariance) for name, values in steps.items()},
+    }
+
+
+def _truth(case: Case, prior: ShapePrior) -> tuple[ShapeField, np.ndarray]:
+    """Return the field and the parameters of the true ball or ellipsoid."""
+    ((shape, youngs),) = case.body.phantom.inclusions
+    background = float(case.body.phantom.youngs_mpa)
+    turn = shape.matrix() if isinstance(shape, Rotated) else np.eye(3)
+    inner = shape.of if isinstance(shape, Rotated) else shape
+    if isinstance(inner, Sphere):
+        extents = [np.log(inner.radius_mm)]
+        distortions: list[float] = []
+    else:
+        assert isinstance(inner, Ellipsoid)
+        logs = turn @ np.diag(np.log(inner.radii_mm)) @ turn.T
+        geometry = Geometry.of(np.array(inner.center_mm), logs)
+        extents, distortions = [geometry.log_radius], geometry.distortions.tolist()
+    contrast = np.log(youngs / background)
+    values = [np.log(background), *inner.center_mm, *extents, contrast, *distortions]
+    field = ShapeField(prior, (bool(distortions),))
+    return field, field.standard(np.array(values))
+
+
+def _scores(field: ShapeField, step: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
+    """Return a step in log-modulus, log-radius and centre (mm), and over its deviation."""
+    start = field.parts[0].start
+    # The modulus is that of the background times the contrast.
+    youngs = np.zeros((1, len(step)))
+    youngs[0, [0, start + 4]] = 1.0
+    rows = {
+        "log_youngs": youngs,
+        "log_radius": np.eye(len(step))[[start + 3]],
+        "center": np.eye(len(step))[start : start + 3],
+    }
+    scores = {}
+    for name, row in rows.items():
+        change, deviation = row @ step, np.sqrt(np.diag(row @ covariance @ row.T))
+        largest = int(np.abs(change / deviation).argmax())
+        scores[name] = {
+            "step": float(change[largest]),
+            "deviation": float(deviation[largest]),
+            "relative": float(change[largest] / deviation[largest]),
+        }
+    return scores
+
+
+def _row(name: str, found: dict[str, Any]) -> str:
+    before, after = found["uncorrected"], found["corrected"]
+    figures = [f"{found['youngs_mpa']:.3g}"]
+    for quantity in ("log_youngs", "log_radius"):
+        figures += [f"{each[quantity]['step']:.3f}" for each in (before, after)]
+        figures.append(f"{after[quantity]['deviation']:.3f}")
+    figures += [f"{each['center']['relative']:.2f}" for each in (before, after)]
+    figures.append(f"{found['noisy']['log_youngs']['relative']:.2f}")
+    return f"| {' | '.join([name, *figures])} |"
+
+
+if __name__ == "__main__":
+    main()
