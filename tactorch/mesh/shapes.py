@@ -196,7 +196,7 @@ class Rotated(Shape):
 
     def matrix(self) -> Float[np.ndarray, "3 3"]:
         """Return the rotation matrix."""
-        return Rotation.from_rotvec(np.array(self.turn_deg), degrees=True).asmatrix()
+        return Rotation.from_rotvec(np.array(self.turn_deg), degrees=True).as_matrix()
 
     def _rotate(self, points: Points, matrix: Float[np.ndarray, "3 3"]) -> Points:
         center = self.of.bounds().mean(axis=0)
