@@ -201,7 +201,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--list", action="store_true", help="list the cases and stop")
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
-    parser.add_argument("--out", type=Path, help="folder for true_objects.json and .md")
+    parser.add_argument("--out", type=Path, help="folder for true_objects[_SET].json and .md")
     options = parser.parse_args(arguments)
     cases = choose_cases(options.set, options.only)
     if options.list:
@@ -236,7 +236,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "other_work": load,
     }
     if options.out is not None:
-        write_results(options.out, "true_objects", lines, result, PACKAGES)
+        name = "true_objects" if options.set == "open" else f"true_objects_{options.set}"
+        write_results(options.out, name, lines, result, PACKAGES)
     print(json.dumps(result))
 
 
