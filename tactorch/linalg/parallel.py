@@ -1,8 +1,8 @@
 """Independent load cases in threads, and the number of threads they use."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from typing import TypeVar
@@ -50,53 +50,15 @@ def map_cases(work: Callable[[int], T], count: int) -> list[T]:
     Kernels and solvers release the GIL. The threads inherit the caller's context. A call within a
     case shares the caller's threads: all nested calls together use `worker_count()` at most.
     """
-    chains = map_chains(lambda case, _step, _before: work(case), [1] * count)
-    return [result for (result,) in chains]
-
-
-def map_chains(work: Callable[[int, int, T | None], T], lengths: Sequence[int]) -> list[list[T]]:
-    """Run chains of load cases in threads, each case with the result of the one before it.
-
-    The first cases of all chains run before the second ones, and so on. Threads are those of
-    `map_cases`.
-
-    Args:
-        work: Called with the chain, the step in it, and the result of the step before (None at
-            first).
-        lengths: Number of steps of each chain.
-
-    Returns:
-        The results of each chain.
-    """
     available = worker_count()
-    workers = min(len(lengths), available)
-    steps = sorted((step, chain) for chain, length in enumerate(lengths) for step in range(length))
+    workers = min(count, available)
     if workers <= 1:
-        results: dict[tuple[int, int], T] = {}
-        for chain, length in enumerate(lengths):
-            for step in range(length):
-                results[chain, step] = work(chain, step, results.get((chain, step - 1)))
-        return _by_chain(results, lengths)
-    futures: dict[tuple[int, int], Future[T]] = {}
+        return list(map(work, range(count)))
 
-    def run(chain: int, step: int) -> T:
-        # Cases start in the order of their submission: the one before runs or has ended.
-        before = futures[chain, step - 1].result() if step else None
+    def run(i: int) -> T:
         with single_threaded(), limit_workers(available // workers):
-            return work(chain, step, before)
+            return work(i)
 
+    contexts = [copy_context() for _ in range(count)]
     with ThreadPoolExecutor(workers) as pool:
-        for step, chain in steps:
-            futures[chain, step] = pool.submit(copy_context().run, run, chain, step)
-        try:
-            results = {case: future.result() for case, future in futures.items()}
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return _by_chain(results, lengths)
-
-
-def _by_chain(results: dict[tuple[int, int], T], lengths: Sequence[int]) -> list[list[T]]:
-    return [
-        [results[chain, step] for step in range(length)] for chain, length in enumerate(lengths)
-    ]
+        return list(pool.map(lambda i: contexts[i].run(run, i), range(count)))

@@ -5,7 +5,7 @@ from contextvars import ContextVar
 
 import pytest
 
-from tactorch.linalg import limit_workers, map_cases, map_chains, parallel
+from tactorch.linalg import limit_workers, map_cases, parallel
 from tactorch.linalg.parallel import worker_count
 
 
@@ -54,42 +54,3 @@ def test_threads_inherit_the_limit_and_the_context() -> None:
 
 def test_results_come_in_the_order_of_the_cases() -> None:
     assert map_cases(lambda i: i * i, 20) == [i * i for i in range(20)]
-
-
-@pytest.mark.parametrize("workers", [1, 2, 8])
-def test_each_case_of_a_chain_has_the_result_of_the_one_before(workers: int) -> None:
-    def work(chain: int, step: int, before: list[int] | None) -> list[int]:
-        return [*(before or [10 * chain]), step]
-
-    with limit_workers(workers):
-        chains = map_chains(work, [3, 0, 1, 2, 2])
-    assert [len(chain) for chain in chains] == [3, 0, 1, 2, 2]
-    assert chains[0] == [[0, 0], [0, 0, 1], [0, 0, 1, 2]]
-    assert chains[4] == [[40, 0], [40, 0, 1]]
-
-
-def test_chains_share_the_threads_evenly() -> None:
-    """Three chains of two cases take three times as long as a case with two threads, not four."""
-    lock, done = threading.Lock(), list[tuple[int, int]]()
-    together = threading.Barrier(2, timeout=5.0)
-
-    def work(chain: int, step: int, before: None) -> None:
-        together.wait()
-        with lock:
-            done.append((chain, step))
-
-    with limit_workers(2):
-        map_chains(work, [2, 2, 2])  # a thread that were left alone would break the barrier
-    assert sorted(done) == [(chain, step) for chain in range(3) for step in range(2)]
-
-
-def test_an_error_in_a_chain_ends_the_others() -> None:
-    started = list[tuple[int, int]]()
-
-    def work(chain: int, step: int, before: None) -> None:
-        started.append((chain, step))
-        raise ValueError(f"chain {chain} at step {step}")
-
-    with limit_workers(2), pytest.raises(ValueError, match="chain 0 at step 0"):
-        map_chains(work, [5] * 20)
-    assert all(step == 0 for _, step in started)

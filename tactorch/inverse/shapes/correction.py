@@ -28,7 +28,7 @@ from tactorch.inverse.shapes.sizing import (
     sharp_edge_sizing,
     smallest,
 )
-from tactorch.linalg import SOLVERS, SolverOptions, map_chains
+from tactorch.linalg import SOLVERS, SolverOptions, map_cases
 from tactorch.linalg.solver import AutoSolver
 from tactorch.mesh import Refinement, refine
 from tactorch.mesh.conform import ClosedSurface, conform
@@ -177,31 +177,18 @@ class Correction:
         common = evaluation.search(0).assembly.discretisation
         transfer = Transfer.between(common, body.discretisation.positions)
 
-        def solve(k: int, end: int, before: _Solved | None) -> _Solved:
-            i, factor = every[k].ends[end], every[k].factors[every[k].ends[end]]
-            problem = InverseProblem(
-                replace(fine, presses=(fine.presses[i],)), body=body, noise=self.noise
-            )
-            common = transfer(evaluation.displacements[i])
-            start = common if before is None else common + factor * before.change
-            near = before and before.evaluation
-            solved = problem.evaluate(youngs, near, take_over=True, starts=[start])
-            change = (solved.displacements[0] - common) / factor
-            # Its factorisation is of use to the next press alone.
-            last = end == len(every[k].ends) - 1
-            return _Solved(solved.reported[0], change, None if last else solved)
+        def solve(k: int) -> dict[int, np.ndarray]:
+            found: dict[int, np.ndarray] = {}
+            near, change = None, np.zeros((body.n_nodes, 3))
+            for i in every[k].ends:
+                one = replace(fine, presses=(fine.presses[i],))
+                problem = InverseProblem(one, body=body, noise=self.noise)
+                start = transfer(evaluation.displacements[i])
+                near = problem.evaluate(
+                    youngs, near, take_over=True, starts=[start + every[k].factors[i] * change]
+                )
+                change = (near.displacements[0] - start) / every[k].factors[i]
+                found[i] = near.reported[0]
+            return found
 
-        chains = map_chains(solve, [len(series.ends) for series in every])
-        return {
-            i: solved.reported
-            for series, chain in zip(every, chains, strict=True)
-            for i, solved in zip(series.ends, chain, strict=True)
-        }
-
-
-class _Solved(NamedTuple):
-    """Equilibrium of a press on a finer mesh."""
-
-    reported: Float[np.ndarray, "points 3"]  # its displacement on the recording's mesh, mm
-    change: Float[np.ndarray, "nodes 3"]  # from the common mesh's displacement, by unit factor
-    evaluation: Evaluation | None
+        return {i: u for found in map_cases(solve, len(every)) for i, u in found.items()}
