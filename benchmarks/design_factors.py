@@ -72,9 +72,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Several columns of the paper's table have the same presses.
     runs = list(dict.fromkeys((m, CELLS[name]) for m in options.models for name in options.only))
     work = partial(run, method=options.method, prior=options.regularization)
-    found = dict(zip(runs, map_in_processes(work, runs, options.workers), strict=True))
+    finished = zip(runs, map_in_processes(work, runs, options.workers), strict=True)
+    found: dict[tuple[str, Cell], dict[str, Any]] = {}
     for model in options.models:
         for name in options.only:
+            while (model, CELLS[name]) not in found:
+                found.update([next(finished)])
             published = known.get(model, {}).get(COLUMNS.get(name, name))
             cell = {"paper": published, **found[model, CELLS[name]]}
             results[model][name] = cell

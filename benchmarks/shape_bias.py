@@ -25,6 +25,7 @@ import numpy as np
 from machine import OtherWork, map_in_processes, write_results
 from true_cases import RANDOM_CASES, Case, make_recording
 
+from tactorch.inverse.data import DataModel
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
@@ -72,25 +73,25 @@ def run(case: Case, cache: Path | None) -> dict[str, Any]:
     exact = make_recording(replace(case, snr_db=_NO_NOISE_DB), cache)
     # The displacements without noise, with the stated deviation of the noise.
     pairs = zip(noisy.presses, exact.presses, strict=True)
-    presses = [replace(press, displacement=clean.displacement) for press, clean in pairs]
-    clean = replace(noisy, presses=tuple(presses))
+    presses = tuple(replace(press, displacement=other.displacement) for press, other in pairs)
+    clean = replace(noisy, presses=presses)
     problem = InverseProblem(clean, element=_ELEMENT)
     field, z = _truth(case, ShapePrior.of(noisy.mesh, float(case.body.phantom.youngs_mpa)))
     fit, evaluation = fit_shapes(problem, field, z, max_iterations=0)
     offsets = Correction.of(problem, _ELEMENT, "auto").offsets(fit, evaluation)
-    jacobian = fit.jacobian * (1.0 / field.deviation)
+    jacobian = fit.jacobian / field.deviation
     covariance = np.linalg.inv(jacobian.T @ jacobian)
-    noise = InverseProblem(noisy, body=problem.body).data
+    with_noise = InverseProblem(noisy, body=problem.body).data
 
-    def step(data: Any) -> np.ndarray:
+    def step(data: DataModel) -> np.ndarray:
         residuals = evaluation.with_data(data).residuals
         return np.asarray(-covariance @ (jacobian.T @ residuals))
 
-    data = problem.data
+    corrections = [-offset for offset in offsets]
     steps = {
-        "uncorrected": step(data),
-        "corrected": step(data.shifted([-offset for offset in offsets])),
-        "noisy": step(noise.shifted([-offset for offset in offsets])),
+        "uncorrected": step(problem.data),
+        "corrected": step(problem.data.shifted(corrections)),
+        "noisy": step(with_noise.shifted(corrections)),
     }
     return {
         "youngs_mpa": float(case.body.phantom.inclusions[0][1]),
