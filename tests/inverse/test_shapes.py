@@ -134,7 +134,7 @@ def test_a_smooth_background_varies_by_its_modes():
     values = np.zeros(10)
     values[0] = np.log(0.2)
     points = np.random.default_rng(0).uniform(0.0, 10.0, (20, 3))
-    modes = PRIOR.modes_at(points, 2)
+    modes = PRIOR.modes_at(points, field.waves)
     for k in range(1, 10):
         values[k] = 0.3
         expected = np.log(0.2) + 0.3 * modes[:, k - 1]
@@ -143,7 +143,7 @@ def test_a_smooth_background_varies_by_its_modes():
         shared = np.tile(values, (len(points), 1))
         np.testing.assert_allclose(field.log_background(shared, points), expected)
         values[k] = 0.0
-    along_z = PRIOR.modes_at(np.array([[5.0, 5.0, 0.0], [5.0, 5.0, 10.0]]), 2)
+    along_z = PRIOR.modes_at(np.array([[5.0, 5.0, 0.0], [5.0, 5.0, 10.0]]), field.waves)
     assert np.any(np.isclose(along_z[0], 1.0) & np.isclose(along_z[1], -1.0))
 
 

@@ -1,4 +1,4 @@
-"""Ellipsoids in a smooth background as a field of Young's modulus.
+"""Ellipsoids in a smooth or layered background as a field of Young's modulus.
 
 The logarithm of the modulus at a quadrature point is that of the background plus, for each
 inclusion, its log-contrast times the fraction of the point's volume inside the inclusion: the
@@ -148,17 +148,19 @@ class ShapePrior:
         low, high = (np.array(values.pop(name)) for name in ("low_mm", "high_mm"))
         return ShapePrior(low, high, **values)
 
-    def mode_deviations(self, degree: int) -> Float[np.ndarray, " modes"]:
-        """Return the deviation of the amplitude of each mode of a smooth background."""
-        return self.mode / np.linalg.norm(_wave_numbers(degree), axis=1)
+    def mode_deviations(self, waves: Float[np.ndarray, "modes 3"]) -> Float[np.ndarray, " modes"]:
+        """Return the deviation of the amplitude of each mode of a varying background.
+
+        The amplitudes of the modes of a step, too, fall with the wave number.
+        """
+        return self.mode / np.linalg.norm(waves, axis=1)
 
     def modes_at(
-        self, points: Float[np.ndarray, "n 3"], degree: int
+        self, points: Float[np.ndarray, "n 3"], waves: Float[np.ndarray, "modes 3"]
     ) -> Float[np.ndarray, "n modes"]:
-        """Return the modes of a smooth background at points: cosines in the bounding box."""
+        """Return the modes of a varying background at points: cosines in the bounding box."""
         relative = (points - self.low_mm) / (self.high_mm - self.low_mm)
-        waves = np.cos(np.pi * _wave_numbers(degree) * relative[:, None, :])
-        modes: np.ndarray = waves.prod(axis=2)
+        modes: np.ndarray = np.cos(np.pi * waves * relative[:, None, :]).prod(axis=2)
         return modes
 
     def ball(self) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +172,7 @@ class ShapePrior:
 
 @dataclass(frozen=True, eq=False)
 class ShapeField:
-    """A number of inclusions in a uniform or smooth background.
+    """A number of inclusions in a uniform, smooth or layered background.
 
     The parameters are in standard deviations of the prior: the log-modulus of the background, and
     the amplitudes of its modes; for each inclusion its centre, log-radius and log-contrast, and for
@@ -179,12 +181,15 @@ class ShapeField:
     Attributes:
         prior: Prior of the parameters.
         distorted: For each inclusion, whether it is an ellipsoid rather than a ball.
-        degree: Largest sum of the wave numbers of a mode of the background; 0 if it is uniform.
+        degree: Largest sum of the wave numbers along x, y and z of a mode of the background.
+        layers: Largest wave numbers of further modes along x, y or z alone, for layers across that
+            axis.
     """
 
     prior: ShapePrior
     distorted: tuple[bool, ...] = ()
     degree: int = 0
+    layers: tuple[int, int, int] = (0, 0, 0)
 
     def plain(self) -> dict[str, Any]:
         """Return plain JSON values; the inverse of `of`."""
@@ -192,19 +197,26 @@ class ShapeField:
             "prior": self.prior.plain(),
             "distorted": list(self.distorted),
             "degree": self.degree,
+            "layers": list(self.layers),
         }
 
     @staticmethod
     def of(plain: Mapping[str, Any]) -> "ShapeField":
         """Return the family from plain JSON values, of which others are left out."""
         prior = ShapePrior.of_plain(plain["prior"])
-        return ShapeField(prior, tuple(plain["distorted"]), plain["degree"])
+        layers = tuple(plain.get("layers", (0, 0, 0)))
+        return ShapeField(prior, tuple(plain["distorted"]), plain["degree"], layers)
+
+    @property
+    def waves(self) -> Float[np.ndarray, "modes 3"]:
+        """Wave numbers of the modes of the background along x, y and z; none if it is uniform."""
+        return _wave_numbers(self.degree, self.layers)
 
     @cached_property
     def _scale(self) -> tuple[np.ndarray, np.ndarray]:
         ball, spread = self.prior.ball()
         mean, deviation = [self.prior.log_background], [self.prior.background]
-        modes = self.prior.mode_deviations(self.degree).tolist()
+        modes = self.prior.mode_deviations(self.waves).tolist()
         mean, deviation = mean + [0.0] * len(modes), deviation + modes
         for distorted in self.distorted:
             mean += [*ball, *[0.0] * (5 * distorted)]
@@ -224,7 +236,7 @@ class ShapeField:
     @property
     def n_background(self) -> int:
         """Number of parameters of the background."""
-        return 1 + len(_wave_numbers(self.degree))
+        return 1 + len(self.waves)
 
     @property
     def parts(self) -> list[slice]:
@@ -279,13 +291,13 @@ class ShapeField:
 
         `values` are in mm and logarithms; see `physical`.
         """
-        modes = self.prior.modes_at(points, self.degree)
+        modes = self.prior.modes_at(points, self.waves)
         return values[:, 0] + (modes * values[:, 1 : self.n_background]).sum(axis=1)
 
     def _background(self, sites: Sites) -> Float[np.ndarray, "volumes k"]:
         """Derivative of the background's log-modulus by its parameters."""
         one = np.ones((len(sites.points), 1))
-        return np.hstack([one, self.prior.modes_at(sites.centers, self.degree)])
+        return np.hstack([one, self.prior.modes_at(sites.centers, self.waves)])
 
     def log_youngs(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
         """Return the log-modulus of each volume, log MPa."""
@@ -326,10 +338,12 @@ class ShapeField:
 
 
 @cache
-def _wave_numbers(degree: int) -> Float[np.ndarray, "modes 3"]:
-    """Wave numbers of the modes of a smooth background along x, y and z."""
-    modes = [k for k in np.ndindex(*[degree + 1] * 3) if 1 <= sum(k) <= degree]
-    return np.array(modes, dtype=np.float64).reshape(-1, 3)
+def _wave_numbers(degree: int, layers: tuple[int, int, int]) -> Float[np.ndarray, "modes 3"]:
+    modes = [np.zeros((0, 3))]
+    modes += [np.array([k], float) for k in np.ndindex(*[degree + 1] * 3) if 1 <= sum(k) <= degree]
+    for axis, largest in zip(np.eye(3), layers, strict=True):
+        modes.append(np.outer(np.arange(degree + 1, largest + 1), axis))
+    return np.concatenate(modes)
 
 
 def _geometry(inclusion: Float[np.ndarray, " parameters"]) -> Geometry:

@@ -1,18 +1,18 @@
 """The search for inclusions: proposals by linear elements, decisions by quadratic ones.
 
-A model is a background, uniform or smooth, with a number of balls and ellipsoids, and deviations
-of the recorded forces and poses. From a model others follow: with a further ball where a matched
-filter sees one in the residuals, with a smooth background, with a ball as an ellipsoid, or with
-larger errors of the forces or poses. Each is fitted with linear elements, whose data are shifted so
-that they agree with quadratic elements at the present model. They are then fitted with quadratic
-elements, the best first, and the first that raises the evidence enough is accepted.
+A model is a background, uniform, smooth or layered, with a number of balls and ellipsoids, and
+deviations of the recorded forces and poses. From a model others follow: with a further ball where a
+matched filter sees one in the residuals, with a background of more modes, with a ball as an
+ellipsoid, or with larger errors of the forces or poses. Each is fitted with linear elements, whose
+data are shifted so that they agree with quadratic elements at the present model. They are then
+fitted with quadratic elements, the best first, and the first that raises the evidence enough is
+accepted.
 """
 
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,9 +40,13 @@ _MAX_SHAPES = 4
 _MAX_MODELS = 10  # one after the other
 _MAX_FITS = 3  # with quadratic elements, of proposals from one model
 _DEGREES = (2, 4)  # of smooth backgrounds
+_LAYERS = 8  # largest wave number of layers
 _FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 _MIN_POSE_DEVIATION = 0.001  # that of the discretisation after its correction
 _POSE_DEVIATIONS = (0.002, 0.01, 0.05)
+# Error of the discretisation that remains after its correction, over the displacements. It is the
+# same in all presses of a contact.
+_DISCRETISATION = 1e-3
 _CORRECTION_DEVIATION = 0.3  # of the correction of each contact, over the correction
 _MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
 _MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
@@ -64,13 +68,13 @@ class Errors(NamedTuple):
     forces: float  # of the forces of each press
     pose: float  # of rigid motions at each place, over the observed displacements
 
-    def larger(self) -> Iterator["tuple[str, Errors]"]:
-        """Yield errors that are larger in one respect, with their descriptions."""
-        for level in _FORCE_DEVIATIONS:
-            if level > self.forces:
+    def others(self, least: "Errors") -> Iterator["tuple[str, Errors]"]:
+        """Yield errors that differ in one respect, at least these, with their descriptions."""
+        for level in (least.forces, *_FORCE_DEVIATIONS):
+            if level != self.forces:
                 yield f"forces wrong by {level:.0%}", self._replace(forces=level)
-        for level in _POSE_DEVIATIONS:
-            if level > self.pose:
+        for level in (least.pose, *_POSE_DEVIATIONS):
+            if level != self.pose:
                 yield f"poses wrong by {level:.1%}", self._replace(pose=level)
 
 
@@ -84,11 +88,23 @@ class _Start:
     errors: Errors
 
 
+class _Trial(NamedTuple):
+    """Evidence of a model that is fitted with linear elements, or to linearised predictions."""
+
+    chi2: float
+    misfit: float
+    complexity: float  # the negative log-evidence but for the misfit
+
+    def log_evidence(self, inflation: float) -> float:
+        """Return the log-evidence where the variance of the noise is `inflation` times as large."""
+        return -self.misfit / inflation - self.complexity
+
+
 @dataclass(frozen=True, eq=False)
 class _Proposal(_Start):
-    """A model fitted with linear elements."""
+    """A model with the evidence of its trial."""
 
-    gain: float  # of the log-evidence, over the present model
+    trial: _Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +124,12 @@ class _Search:
         if same:
             self._element = str(recording.provenance.get("element", settings.element))
         newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
-        options: dict[str, Any] = {"solver": settings.solver, "noise": settings.noise}
+        noise = settings.noise
+        if not same:
+            floor = _DISCRETISATION * np.sqrt(len(recording.presses) / _n_contacts(recording))
+            noise = replace(noise, relative=max(noise.relative, float(floor)))
+        self._floored = noise.floored(recording)
+        options: dict[str, Any] = {"solver": settings.solver, "noise": noise}
 
         def problem(element: str, **more: Any) -> InverseProblem:
             return InverseProblem(recording, element=element, newton=newton, **options, **more)
@@ -121,6 +142,7 @@ class _Search:
         self._correction = None
         if not same:
             self._correction = Correction.of(self.quadratic, self._element, settings.solver)
+        self._least_errors = Errors(0.0, 0.0 if same else _MIN_POSE_DEVIATION)
         self._correction_mm = [np.zeros(count) for count in self.quadratic.data.counts]
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.matched = MatchedFilter.of(self.linear, youngs)
@@ -130,6 +152,13 @@ class _Search:
         observations = self.quadratic.data.observations
         contacts = group_by_contact(recording.presses, observations)
         self._pose_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
+
+    def precise(self, model: _Model) -> _Model:
+        """Return the model corrected for the discretisation, if the noise may be less than that.
+
+        Otherwise the search would explain the error of the discretisation by more inclusions.
+        """
+        return self._corrected(model) if self._correction and self._floored else model
 
     def final(self, model: _Model) -> _Model:
         """Return the model fitted closely, with predictions corrected for the discretisation."""
@@ -166,8 +195,7 @@ class _Search:
         youngs = np.full(self.linear.n_elements, np.exp(self.prior.log_background))
         extend, coarse = self.quadratic.body.discretisation.extend, self.linear.evaluate(youngs)
         self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / _FORCE_DEVIATIONS[-1])
-        errors = Errors(0.0, 0.0 if self._correction is None else _MIN_POSE_DEVIATION)
-        start = _Start("uniform", ShapeField(self.prior), np.zeros(1), errors)
+        start = _Start("uniform", ShapeField(self.prior), np.zeros(1), self._least_errors)
         model = self.fit(start, [extend(u) for u in coarse.displacements])
         if self._correction is None or not self._correction.has_rims:
             return model
@@ -230,39 +258,57 @@ class _Search:
         return ShapePosterior(field, z, -covariance @ gradient, covariance)
 
     def propose(self, model: _Model, max_shapes: int) -> list[_Proposal]:
-        """Return models that may be better than the present one, the best first."""
-        fit, proposals = model.fit, list[_Proposal]()
-        offsets = self._offsets(model)
-        proposals += self._larger_errors(model)
+        """Return models that seem better than the present one, the best first.
+
+        They are compared at the noise of the one that explains the data best: at the noise that the
+        present model would need, the differences between them are lost.
+        """
+        fit, offsets = model.fit, self._offsets(model)
+        proposals = list(self._other_errors(model))
         for start in self._starts(model, max_shapes):
             # A start inside a ball that was fitted already would lead to it again.
             if not any(_is_inside(start, proposal) for proposal in proposals):
-                gain, z = self._try(start, model, offsets)
-                _log.debug("proposal: %s, gain %.4g", start.what, gain)
+                trial, z = self._try(start, model, offsets)
                 if len(start.field.distorted) > len(fit.field.distorted):
                     z = _moderate(start.field, z)
-                proposals.append(_Proposal(start.what, start.field, z, start.errors, gain))
-        return sorted(proposals, key=attrgetter("gain"), reverse=True)
+                proposals.append(_Proposal(start.what, start.field, z, start.errors, trial))
+        inflation = max(1.0, min([fit.chi2, *(p.trial.chi2 for p in proposals)]))
+        gains = [p.trial.log_evidence(inflation) - fit.log_evidence(inflation) for p in proposals]
+        for proposal, gain in zip(proposals, gains, strict=True):
+            chi2 = proposal.trial.chi2
+            _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", proposal.what, chi2, gain)
+        best = sorted(zip(gains, range(len(gains)), proposals, strict=True), reverse=True)
+        return [proposal for gain, _, proposal in best if gain > _MIN_GAIN]
 
-    def _larger_errors(self, model: _Model) -> list[_Proposal]:
-        """Return the model with larger errors of the data; the gains are linearised."""
-        fit, proposals = model.fit, []
-        raw = model.evaluation.with_data(self.quadratic.data)
-        jacobian = ShapesOnSites(fit.field, self.sites).at(fit.z).jacobian(raw)
-        inflation = max(1.0, fit.chi2)
-        for what, errors in model.errors.larger():
-            data = self._data(errors)
-            residuals, columns = data.whiten(raw.residuals), data.whiten(jacobian)
-            precision = columns.T @ columns / inflation + np.eye(len(fit.z))
-            gradient = columns.T @ residuals / inflation + fit.z
-            step = -np.linalg.solve(precision, gradient)
-            value = 0.5 * (residuals @ residuals / inflation + fit.z @ fit.z + gradient @ step)
-            logs = np.linalg.slogdet(columns.T @ columns + np.eye(len(fit.z)))[1]
-            evidence = -value - 0.5 * (logs + data.log_determinant)
-            gain = float(evidence - fit.log_evidence(inflation))
-            _log.debug("proposal: %s, gain %.4g", what, gain)
-            proposals.append(_Proposal(what, fit.field, fit.z, errors, gain))
-        return proposals
+    def _other_errors(self, model: _Model) -> Iterator[_Proposal]:
+        """Yield the model with other errors of the data; the fits are linearised."""
+        fit = model.fit
+        jacobian = ShapesOnSites(fit.field, self.sites).at(fit.z).jacobian(self._raw(model))
+        for what, errors in model.errors.others(self._least_errors):
+            trial = self._linearised(model, fit.z, jacobian, errors)
+            yield _Proposal(what, fit.field, fit.z, errors, trial)
+
+    def _raw(self, model: _Model) -> Evaluation:
+        """Return the predictions of a model with the residuals of white noise."""
+        return model.evaluation.with_data(self.quadratic.data)
+
+    def _linearised(
+        self,
+        model: _Model,
+        z: Float[np.ndarray, " size"],
+        jacobian: Float[np.ndarray, "data size"],
+        errors: Errors,
+    ) -> _Trial:
+        """Return the evidence of the linearised model at z, by which its map is the present one."""
+        data, inflation = self._data(errors), max(1.0, model.fit.chi2)
+        residuals, columns = data.whiten(self._raw(model).residuals), data.whiten(jacobian)
+        hessian = columns.T @ columns
+        gradient = columns.T @ residuals / inflation + z
+        step = -np.linalg.solve(hessian / inflation + np.eye(len(z)), gradient)
+        residuals, z = residuals + columns @ step, z + step
+        logs = np.linalg.slogdet(hessian + np.eye(len(z)))[1] + data.log_determinant
+        squares = float(residuals @ residuals)
+        return _Trial(squares / len(residuals), 0.5 * squares, 0.5 * float(z @ z + logs))
 
     def unexplained(self, fit: ShapeFit) -> float:
         """Return the root mean square of the residuals beyond their noise, over the data's."""
@@ -272,34 +318,30 @@ class _Search:
 
     def log_odds(self, model: _Model) -> tuple[tuple[float, ...], float]:
         """Return the log-evidence of a model over those without an inclusion, or without any."""
-        field, offsets = model.fit.field, self._offsets(model)
-        values, count = field.physical(model.fit.z), len(field.parts)
+        count, offsets = len(model.fit.field.parts), self._offsets(model)
 
         def without(removed: Sequence[int]) -> float:
-            kept = [k for k in range(count) if k not in removed]
-            fewer = replace(field, distorted=tuple(field.distorted[k] for k in kept))
-            parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
-            z = fewer.standard(np.concatenate(parts))
-            start = _Start(f"without {removed}", fewer, z, model.errors)
-            return min(-self._try(start, model, offsets)[0], _MAX_LOG_ODDS)
+            start = _Start(f"without {removed}", *_without(model.fit, removed), model.errors)
+            inflation, (trial, _) = max(1.0, model.fit.chi2), self._try(start, model, offsets)
+            odds = model.fit.log_evidence(inflation) - trial.log_evidence(inflation)
+            return min(odds, _MAX_LOG_ODDS)
 
         each = tuple(without([k]) for k in range(count))
         return each, (each[0] if count == 1 else without(range(count)) if count else 0.0)
 
     def _try(
         self, start: _Start, model: _Model, offsets: list[np.ndarray]
-    ) -> tuple[float, np.ndarray]:
-        """Fit with linear elements; return the gain of the log-evidence, and the parameters."""
-        inflation = max(1.0, model.fit.chi2)
+    ) -> tuple[_Trial, np.ndarray]:
+        """Fit with linear elements; return the evidence, and the parameters."""
         problem = self.linear.with_data(self._data(start.errors).shifted(offsets))
         try:
-            trial, _ = fit_shapes(
+            fit, _ = fit_shapes(
                 problem, start.field, start.z, sites=self.linear_sites,
                 max_iterations=_TRIAL_STEPS, tolerance=_TOLERANCE,
             )  # fmt: skip
         except ConvergenceError:
-            return -np.inf, start.z
-        return trial.log_evidence(inflation) - model.fit.log_evidence(inflation), trial.z
+            return _Trial(np.inf, np.inf, 0.0), start.z
+        return _Trial(fit.chi2, fit.misfit, -fit.log_evidence(np.inf)), fit.z
 
     def _offsets(self, model: _Model) -> list[np.ndarray]:
         """Return predictions of linear less those of quadratic elements at a model, mm."""
@@ -314,12 +356,33 @@ class _Search:
             yield from self._further(fit, errors)
         for degree in _DEGREES:
             if degree > fit.field.degree:
-                yield _Start(f"background of degree {degree}", *_smoothed(fit, degree), errors)
+                yield _Start(f"background of degree {degree}", *_varied(fit, degree=degree), errors)
                 break
+        yield from self._layers(model)
         for k, distorted in enumerate(fit.field.distorted):
+            # A further part of the model may explain what an inclusion was found for.
+            if len(fit.field.distorted) > 1 or len(fit.field.waves):
+                yield _Start(f"inclusion {k} removed", *_without(fit, [k]), errors)
             if not distorted:
                 other = _distorted(fit.field, fit.z, k)
                 yield _Start(f"inclusion {k} as an ellipsoid", *other, errors)
+
+    def _layers(self, model: _Model) -> Iterator[_Start]:
+        """Yield the model with layers across the axis that explains most, if there are none yet."""
+        fit, raw, starts = model.fit, self._raw(model), list[tuple[float, int, _Start]]()
+        for axis in range(3) if not any(fit.field.layers) else ():
+            layers = tuple(_LAYERS if k == axis else 0 for k in range(3))
+            field, z = _varied(fit, layers=layers)
+            jacobian = ShapesOnSites(field, self.sites).at(z).jacobian(raw)
+            evidence = self._linearised(model, z, jacobian, model.errors).log_evidence(
+                max(1.0, fit.chi2)
+            )
+            start = _Start(f"layers across {'xyz'[axis]}", field, z, model.errors)
+            starts.append((evidence, axis, start))
+        if starts:
+            evidence, _, best = max(starts)
+            if evidence > fit.log_evidence(max(1.0, fit.chi2)):
+                yield best
 
     def _further(self, fit: ShapeFit, errors: Errors) -> Iterator[_Start]:
         field = replace(fit.field, distorted=(*fit.field.distorted, False))
@@ -364,10 +427,11 @@ def find_shapes(
     _log.info("uniform body: chi2 %.4g", model.fit.chi2)
     for _ in range(_MAX_MODELS):
         proposals = search.propose(model, max_shapes)
-        accepted = _accept(search, model, [p for p in proposals if p.gain > _MIN_GAIN])
+        accepted = _accept(search, model, proposals)
         if accepted is None:
             break
         proposal, model = accepted
+        model = search.precise(model)
         history.append(_record(proposal.what, model))
     try:
         model = search.final(model)
@@ -386,6 +450,10 @@ def find_shapes(
 def _same_model(recording: Recording) -> bool:
     """Whether the presses were computed on the recording's mesh, which then is the object."""
     return bool(recording.provenance.get("inverse_crime"))
+
+
+def _n_contacts(recording: Recording) -> int:
+    return len({(press.forces != 0).any(axis=1).tobytes() for press in recording.presses})
 
 
 def _record(what: str, model: _Model) -> dict[str, Any]:
@@ -408,14 +476,22 @@ def _accept(
     return None
 
 
-def _smoothed(fit: ShapeFit, degree: int) -> tuple[ShapeField, np.ndarray]:
-    """Return the model with a smoother background, and a start."""
-    field = replace(fit.field, degree=degree)
-    modes = field.n_background - 1
-    values = fit.field.physical(fit.z)
-    inclusions = values[fit.field.n_background :]
-    # Modes of different degrees are in different order; all start at zero.
-    return field, field.standard(np.concatenate([values[:1], np.zeros(modes), inclusions]))
+def _varied(fit: ShapeFit, **background: Any) -> tuple[ShapeField, np.ndarray]:
+    """Return the model with more modes of the background, which start at zero."""
+    field = replace(fit.field, **background)
+    old = fit.field.physical(fit.z)
+    known = dict(zip(map(tuple, fit.field.waves), old[1 : fit.field.n_background], strict=True))
+    modes = [known.get(tuple(wave), 0.0) for wave in field.waves]
+    return field, field.standard(np.array([old[0], *modes, *old[fit.field.n_background :]]))
+
+
+def _without(fit: ShapeFit, removed: Sequence[int]) -> tuple[ShapeField, np.ndarray]:
+    """Return the model without some of its inclusions, and a start."""
+    field, values = fit.field, fit.field.physical(fit.z)
+    kept = [k for k in range(len(field.parts)) if k not in removed]
+    fewer = replace(field, distorted=tuple(field.distorted[k] for k in kept))
+    parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
+    return fewer, fewer.standard(np.concatenate(parts))
 
 
 def _distorted(
