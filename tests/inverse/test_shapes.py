@@ -1,4 +1,4 @@
-"""Inclusions as shapes: field, derivatives, evidence and search."""
+"""Inclusions as shapes: field, derivatives, evidence and presses."""
 
 import json
 from dataclasses import replace
@@ -17,7 +17,9 @@ from tactorch.inverse.shapes.correction import Correction, _LoadSeries
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.fractions import Geometry
-from tactorch.inverse.shapes.search import Errors, _Model, _Search
+from tactorch.inverse.shapes.model import Errors, Model
+from tactorch.inverse.shapes.problem import ShapeProblem
+from tactorch.inverse.shapes.search import make_posterior
 from tactorch.inverse.shapes.sizing import (
     Rim,
     contact_sizing,
@@ -266,8 +268,8 @@ def test_errors_of_the_pose_are_recognised(uniform_recording):
 
 def test_a_correction_that_fails_leaves_the_model(recording, monkeypatch, caplog):
     """The second correction fails: data and model are those of the first."""
-    search = _Search(recording, Settings())
-    model = search.uniform()
+    presses = ShapeProblem(recording, Settings())
+    model = presses.uniform()
     calls = []
 
     def offsets(self, fit, evaluation):
@@ -277,17 +279,17 @@ def test_a_correction_that_fails_leaves_the_model(recording, monkeypatch, caplog
         return [np.full(len(o.index), 0.01 * len(calls)) for o in evaluation.data.observations]
 
     monkeypatch.setattr(Correction, "offsets", offsets)
-    before = search.quadratic.data.observations[0].displacement
-    corrected = search._corrected(model)
-    np.testing.assert_allclose(search.quadratic.data.observations[0].displacement, before - 0.01)
-    corrected = search._corrected(corrected)
-    np.testing.assert_allclose(search.quadratic.data.observations[0].displacement, before - 0.02)
-    assert search._corrected(corrected) is corrected
-    np.testing.assert_allclose(search.quadratic.data.observations[0].displacement, before - 0.02)
+    before = presses.quadratic.data.observations[0].displacement
+    corrected = presses.corrected(model)
+    np.testing.assert_allclose(presses.quadratic.data.observations[0].displacement, before - 0.01)
+    corrected = presses.corrected(corrected)
+    np.testing.assert_allclose(presses.quadratic.data.observations[0].displacement, before - 0.02)
+    assert presses.corrected(corrected) is corrected
+    np.testing.assert_allclose(presses.quadratic.data.observations[0].displacement, before - 0.02)
     assert "not corrected: no equilibrium" in caplog.text
     calls[:] = calls[:2]
     shifted = replace(corrected.fit, z=corrected.fit.z + 0.3)
-    final = search.final(replace(corrected, fit=shifted))  # fails too; fitted closely all the same
+    final = presses.final(replace(corrected, fit=shifted))  # fails too; fitted closely all the same
     np.testing.assert_allclose(final.fit.z, corrected.fit.z, atol=0.01)
 
 
@@ -353,21 +355,21 @@ def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
 
 
 def test_the_posterior_of_a_ball_is_that_of_an_ellipsoid(recording):
-    search = _Search(recording, Settings())
-    search._force_patterns = None
-    field = ShapeField(search.prior, (False,))
+    presses = ShapeProblem(recording, Settings())
+    presses._force_patterns = None
+    field = ShapeField(presses.prior, (False,))
     values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
-    problem = search.quadratic.with_data(search._data(Errors(0.0, 0.002)))
+    problem = presses.quadratic.with_data(presses.data(Errors(0.0, 0.002)))
     fit, evaluation = fit_shapes(
-        problem, field, field.standard(values), sites=search.sites, max_iterations=0
+        problem, field, field.standard(values), sites=presses.sites, max_iterations=0
     )
-    posterior = search.posterior(_Model(fit, evaluation, Errors(0.0, 0.002)))
+    posterior = make_posterior(presses, Model(fit, evaluation, Errors(0.0, 0.002)))
     assert posterior.field.distorted == (True,)
     assert posterior.covariance[4, 4] > 1.02 * fit.covariance[4, 4] * max(1.0, fit.chi2)
     other = replace(field, distorted=(True,))
     z = other.standard(np.concatenate([values, np.zeros(5)]))
     np.testing.assert_array_equal(posterior.z, z)
-    full, _ = fit_shapes(problem, other, z, sites=search.sites, max_iterations=0)
+    full, _ = fit_shapes(problem, other, z, sites=presses.sites, max_iterations=0)
     inflation = max(1.0, fit.chi2)
     precision = full.jacobian.T @ full.jacobian / inflation + np.eye(len(z))
     scale = np.sqrt(np.diag(posterior.covariance))

@@ -1,0 +1,123 @@
+"""Models of the search for shapes: fields with errors of the data, and what follows from them."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.inverse.problem import Evaluation
+from tactorch.inverse.shapes.field import ShapeField
+from tactorch.inverse.shapes.fit import ShapeFit
+
+FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
+MIN_POSE_DEVIATION = 0.001  # that of the discretisation after its correction
+_POSE_DEVIATIONS = (0.002, 0.01, 0.05)
+MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
+_MAX_START_CONTRAST = 1.0  # log-contrast of a start with quadratic elements
+
+
+class Errors(NamedTuple):
+    """Relative deviations of errors that the data have in common."""
+
+    forces: float  # of the forces of each press
+    pose: float  # of rigid motions at each place, over the observed displacements
+
+    def others(self, least: "Errors") -> Iterator["tuple[str, Errors]"]:
+        """Yield errors that differ in one respect, at least these, with their descriptions."""
+        for level in (least.forces, *FORCE_DEVIATIONS):
+            if level != self.forces:
+                yield f"forces wrong by {level:.0%}", self._replace(forces=level)
+        for level in (least.pose, *_POSE_DEVIATIONS):
+            if level != self.pose:
+                yield f"poses wrong by {level:.1%}", self._replace(pose=level)
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A model to be fitted."""
+
+    what: str
+    field: ShapeField
+    z: Float[np.ndarray, " size"]
+    errors: Errors
+
+
+class Trial(NamedTuple):
+    """Evidence of a model that is fitted with linear elements, or to linearised predictions."""
+
+    chi2: float
+    misfit: float
+    complexity: float  # the negative log-evidence but for the misfit
+
+    def log_evidence(self, inflation: float) -> float:
+        """Return the log-evidence where the variance of the noise is `inflation` times as large."""
+        return -self.misfit / inflation - self.complexity
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal(Start):
+    """A model with the evidence of its trial."""
+
+    trial: Trial
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model fitted with quadratic elements."""
+
+    fit: ShapeFit
+    evaluation: Evaluation
+    errors: Errors
+
+
+def varied(
+    field: ShapeField, z: Float[np.ndarray, " size"], **background: Any
+) -> tuple[ShapeField, np.ndarray]:
+    """Return the model with more modes of the background, which start at zero."""
+    more = replace(field, **background)
+    values, end = field.physical(z), field.n_background
+    known = dict(zip(map(tuple, field.waves), values[1:end], strict=True))
+    modes = [known.get(tuple(wave), 0.0) for wave in more.waves]
+    return more, more.standard(np.array([values[0], *modes, *values[end:]]))
+
+
+def without(
+    field: ShapeField, z: Float[np.ndarray, " size"], removed: Sequence[int]
+) -> tuple[ShapeField, np.ndarray]:
+    """Return the model without some of its inclusions."""
+    kept, values = [k for k in range(len(field.parts)) if k not in removed], field.physical(z)
+    fewer = replace(field, distorted=tuple(field.distorted[k] for k in kept))
+    parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
+    return fewer, fewer.standard(np.concatenate(parts))
+
+
+def as_ellipsoid(
+    field: ShapeField, z: Float[np.ndarray, " size"], inclusion: int
+) -> tuple[ShapeField, np.ndarray]:
+    """Return the model with an inclusion as an ellipsoid, at first of no distortion."""
+    if field.distorted[inclusion]:
+        return field, z
+    distorted = tuple(d or i == inclusion for i, d in enumerate(field.distorted))
+    values, end = field.physical(z), field.parts[inclusion].stop
+    values = np.concatenate([values[:end], np.zeros(5), values[end:]])
+    field = replace(field, distorted=distorted)
+    return field, field.standard(values)
+
+
+def moderate(field: ShapeField, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    """Return the model with the last ball of moderate contrast and of the same far field.
+
+    A ball in a uniform strain acts from afar by its volume times (c - 1) / (c + 3/2), with c its
+    contrast (Eshelby, 1957, for nearly incompressible bodies). Where the contrast is large the
+    data hardly depend on it, and the steps of a fit become small.
+    """
+    values = field.physical(z)
+    radius, contrast = field.parts[-1].start + 3, field.parts[-1].start + 4
+    log = np.clip(values[contrast], -_MAX_START_CONTRAST, _MAX_START_CONTRAST)
+    old, new = ((np.exp(x) - 1.0) / (np.exp(x) + 1.5) for x in (values[contrast], log))
+    if old != new:
+        values[radius] += np.log(old / new) / 3.0
+        values[contrast] = log
+    return field.standard(values)

@@ -1,0 +1,245 @@
+"""The presses of a search for shapes: predictions, data with their errors, fits and trials."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.fem import NewtonOptions
+from tactorch.inverse.data import DataModel, Observation, group_by_contact, rigid_patterns
+from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse.settings import Settings
+from tactorch.inverse.shapes.correction import Correction
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
+from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
+from tactorch.inverse.shapes.matched import MatchedFilter
+from tactorch.inverse.shapes.model import (
+    FORCE_DEVIATIONS,
+    MIN_POSE_DEVIATION,
+    Errors,
+    Model,
+    Start,
+    Trial,
+)
+from tactorch.inverse.starts import uniform_fit
+from tactorch.recording import Recording
+
+_log = logging.getLogger(__name__)
+_TRIAL_STEPS = 8  # of Gauss-Newton with linear elements
+# Error of the discretisation that remains after its correction, over the displacements. It is the
+# same in all presses of a contact.
+_DISCRETISATION = 1e-3
+_CORRECTION_DEVIATION = 0.3  # of the correction of each contact, over the correction
+_MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
+_DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives
+_ROUGH_TOLERANCE, _TOLERANCE = 0.5, 0.02  # of fits; rough with quadratic elements, but the last
+_RTOL = 1e-6  # of equilibria: far below the noise of a sensor
+
+
+class ShapeProblem:
+    """The presses with quadratic elements and with linear ones.
+
+    Attributes:
+        quadratic: The presses with quadratic elements, on which models are judged.
+        linear: The presses with linear elements, on which they are tried.
+        sites: Volumes of the quadrature points of the quadratic elements.
+        prior: Prior of the parameters of shapes.
+        matched: Matched filter for balls.
+        least_errors: Errors of the data in the simplest model.
+    """
+
+    def __init__(self, recording: Recording, settings: Settings) -> None:
+        same, self._element = is_same_model(recording), "tet10"
+        if same:
+            self._element = str(recording.provenance.get("element", settings.element))
+        newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
+        unscaled = [Observation.of(press, 1.0) for press in recording.presses]
+        contacts, noise = group_by_contact(recording.presses, unscaled), settings.noise
+        if not same:
+            floor = _DISCRETISATION * np.sqrt(len(recording.presses) / len(contacts))
+            noise = replace(noise, relative=max(noise.relative, float(floor)))
+        self._floored = noise.floored(recording)
+        options: dict[str, Any] = {"solver": settings.solver, "noise": noise}
+
+        def problem(element: str, **more: Any) -> InverseProblem:
+            return InverseProblem(recording, element=element, newton=newton, **options, **more)
+
+        self.quadratic = problem(self._element, derivative_rtol=_DERIVATIVE_RTOL)
+        self.sites = Sites.of(self.quadratic.body.assembly)
+        self.linear = problem("tet4")
+        self._linear_sites = Sites.of(self.linear.body.assembly)
+        # Where the presses were computed on this mesh, it is the object.
+        self._correction = None
+        if not same:
+            self._correction = Correction.of(self.quadratic, self._element, settings.solver)
+        self.least_errors = Errors(0.0, 0.0 if same else MIN_POSE_DEVIATION)
+        self._correction_mm = [np.zeros(count) for count in self.quadratic.data.counts]
+        youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
+        self.matched = MatchedFilter.of(self.linear, youngs)
+        self.prior = ShapePrior.of(recording.mesh, youngs)
+        self._force_patterns: np.ndarray | None = None
+        self._noisy: dict[Errors, DataModel] = {}
+        observations = self.quadratic.data.observations
+        self._pose_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
+
+    def uniform(self) -> Model:
+        """Fit the uniform body with quadratic elements."""
+        youngs = np.full(self.linear.n_elements, np.exp(self.prior.log_background))
+        extend, coarse = self.quadratic.body.discretisation.extend, self.linear.evaluate(youngs)
+        self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / FORCE_DEVIATIONS[-1])
+        start = Start("uniform", ShapeField(self.prior), np.zeros(1), self.least_errors)
+        model = self.fit(start, [extend(u) for u in coarse.displacements])
+        if self._correction is None or not self._correction.has_rims:
+            return model
+        return self.corrected(model)
+
+    def fit(
+        self,
+        start: Start,
+        displacements: Sequence[Float[np.ndarray, "nodes 3"]],
+        tolerance: float = _ROUGH_TOLERANCE,
+    ) -> Model:
+        """Fit with quadratic elements, from these displacements."""
+        problem = self.quadratic.with_data(self.data(start.errors))
+        fit = fit_shapes(
+            problem, start.field, start.z, sites=self.sites, starts=displacements,
+            tolerance=tolerance,
+        )  # fmt: skip
+        return Model(*fit, start.errors)
+
+    def precise(self, model: Model) -> Model:
+        """Return the model corrected for the discretisation, if the noise may be less than that.
+
+        Otherwise the search would explain the error of the discretisation by more inclusions.
+        """
+        return self.corrected(model) if self._correction and self._floored else model
+
+    def final(self, model: Model) -> Model:
+        """Return the model fitted closely, with predictions corrected for the discretisation."""
+        if self._correction is not None:
+            corrected = self.corrected(model, _TOLERANCE)
+            if corrected is not model:
+                return corrected
+        start = Start("final", model.fit.field, model.fit.z, model.errors)
+        return self.fit(start, model.evaluation.displacements, _TOLERANCE)
+
+    def corrected(self, model: Model, tolerance: float = _ROUGH_TOLERANCE) -> Model:
+        """Return the model fitted to data that are shifted by the error of the discretisation.
+
+        The model remains, with a warning, where a finer mesh fails.
+        """
+        assert self._correction is not None
+        before = self.quadratic, self._correction_mm
+        try:
+            offsets = self._correction.offsets(model.fit, model.evaluation)
+            pairs = zip(self._correction_mm, offsets, strict=True)
+            data = self.quadratic.data.shifted([old - new for old, new in pairs])
+            self.quadratic, self._correction_mm = self.quadratic.with_data(data), offsets
+            self._noisy.clear()
+            start = Start("corrected", model.fit.field, model.fit.z, model.errors)
+            return self.fit(start, model.evaluation.displacements, tolerance)
+        except (ConfigError, ConvergenceError) as error:
+            self.quadratic, self._correction_mm = before
+            self._noisy.clear()
+            _log.warning("The error of the discretisation is not corrected: %s", error)
+            return model
+
+    def try_model(self, start: Start, offsets: list[np.ndarray]) -> tuple[Trial, np.ndarray]:
+        """Fit with linear elements, whose predictions have errors; return evidence and parameters.
+
+        Args:
+            start: Model and parameters to start from.
+            offsets: See `offsets`.
+        """
+        problem = self.linear.with_data(self.data(start.errors).shifted(offsets))
+        try:
+            fit, _ = fit_shapes(
+                problem, start.field, start.z, sites=self._linear_sites,
+                max_iterations=_TRIAL_STEPS, tolerance=_TOLERANCE,
+            )  # fmt: skip
+        except ConvergenceError:
+            return Trial(np.inf, np.inf, 0.0), start.z
+        return Trial(fit.chi2, fit.misfit, -fit.log_evidence(np.inf)), fit.z
+
+    def offsets(self, model: Model) -> list[np.ndarray]:
+        """Return predictions of linear less those of quadratic elements at a model, mm."""
+        field = ShapesOnSites(model.fit.field, self._linear_sites).at(model.fit.z)
+        coarse, observations = self.linear.evaluate(field.youngs), self.quadratic.data.observations
+        pairs = zip(coarse.reported, model.evaluation.reported, observations, strict=True)
+        return [(u - v).ravel()[o.index] for u, v, o in pairs]
+
+    def jacobian(
+        self, model: Model, field: ShapeField, z: Float[np.ndarray, " size"]
+    ) -> Float[np.ndarray, "data size"]:
+        """Return the derivatives of the residuals of white noise, at the map of a model.
+
+        Args:
+            model: The model.
+            field: A field, maybe with further parameters.
+            z: Its parameters, for which its map is that of the model.
+        """
+        return ShapesOnSites(field, self.sites).at(z).jacobian(self._raw(model))
+
+    def linearised(
+        self,
+        model: Model,
+        z: Float[np.ndarray, " size"],
+        jacobian: Float[np.ndarray, "data size"],
+        errors: Errors,
+    ) -> Trial:
+        """Return the evidence of a linearised model with these errors of the data.
+
+        Args:
+            model: The model about which it is linearised.
+            z: Parameters for which its map is that of the model.
+            jacobian: Their derivatives, see `jacobian`.
+            errors: Errors of the data.
+        """
+        data, inflation = self.data(errors), max(1.0, model.fit.chi2)
+        residuals, columns = data.whiten(self._raw(model).residuals), data.whiten(jacobian)
+        hessian = columns.T @ columns
+        gradient = columns.T @ residuals / inflation + z
+        step = -np.linalg.solve(hessian / inflation + np.eye(len(z)), gradient)
+        residuals, z = residuals + columns @ step, z + step
+        logs = np.linalg.slogdet(hessian + np.eye(len(z)))[1] + data.log_determinant
+        squares = float(residuals @ residuals)
+        return Trial(squares / len(residuals), 0.5 * squares, 0.5 * float(z @ z + logs))
+
+    def _raw(self, model: Model) -> Evaluation:
+        """Return the predictions of a model with the residuals of white noise."""
+        return model.evaluation.with_data(self.quadratic.data)
+
+    def data(self, errors: Errors) -> DataModel:
+        """Return the data with these errors; their covariances are computed once."""
+        if errors not in self._noisy:
+            self._noisy[errors] = self._with_errors(errors)
+        return self._noisy[errors]
+
+    def _with_errors(self, errors: Errors) -> DataModel:
+        data = self.quadratic.data
+        if self._correction is not None:
+            data = data.with_errors(_CORRECTION_DEVIATION * self._correction_patterns())
+        if errors.pose:
+            data = data.with_errors(errors.pose * self._pose_patterns)
+        if errors.forces:
+            assert self._force_patterns is not None
+            data = data.with_errors(errors.forces * self._force_patterns)
+        return data
+
+    def _correction_patterns(self) -> Float[np.ndarray, "data contacts"]:
+        """Return the corrections of each contact, in standard deviations of the white noise."""
+        assert self._correction is not None
+        columns = []
+        for numbers, _ in self._correction.contacts:
+            parts = [(k in numbers) * mm for k, mm in enumerate(self._correction_mm)]
+            columns.append(np.concatenate(parts) * self.quadratic.data.scale)
+        return np.column_stack(columns)
+
+
+def is_same_model(recording: Recording) -> bool:
+    """Return whether the recording's mesh, on which the presses were computed, is the object."""
+    return bool(recording.provenance.get("inverse_crime"))

@@ -1,0 +1,122 @@
+"""Proposals of the search for shapes: models that may be better than the present one."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from tactorch.inverse.shapes.model import (
+    MIN_GAIN,
+    Model,
+    Proposal,
+    Start,
+    as_ellipsoid,
+    moderate,
+    varied,
+    without,
+)
+from tactorch.inverse.shapes.problem import ShapeProblem
+
+_log = logging.getLogger(__name__)
+_STARTS = 3  # fits of each further inclusion
+_DEGREES = (2, 4)  # of smooth backgrounds
+_LAYERS = 8  # largest wave number of layers
+# Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
+# reduces that of pure noise by six or so.
+_MIN_CANDIDATE_GAIN = 8.0
+_START_CONTRAST = (0.3, 1.5)  # range of the log-contrast of a start
+_SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball
+
+
+def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Proposal]:
+    """Return models that seem better than the present one, the best first.
+
+    They are compared at the noise of the one that explains the data best: at the noise that the
+    present model would need, the differences between them are lost.
+    """
+    fit, offsets = model.fit, problem.offsets(model)
+    proposals = list(_with_other_errors(problem, model))
+    for start in _starts(problem, model, max_shapes):
+        # A start inside a ball that was fitted already would lead to it again.
+        if not any(_is_inside(start, proposal) for proposal in proposals):
+            trial, z = problem.try_model(start, offsets)
+            if len(start.field.distorted) > len(fit.field.distorted):
+                z = moderate(start.field, z)
+            proposals.append(Proposal(start.what, start.field, z, start.errors, trial))
+    inflation = max(1.0, min([fit.chi2, *(p.trial.chi2 for p in proposals)]))
+    gains = [p.trial.log_evidence(inflation) - fit.log_evidence(inflation) for p in proposals]
+    for proposal, gain in zip(proposals, gains, strict=True):
+        chi2 = proposal.trial.chi2
+        _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", proposal.what, chi2, gain)
+    order = np.argsort(gains)[::-1]
+    return [proposals[k] for k in order if gains[k] > MIN_GAIN]
+
+
+def _with_other_errors(problem: ShapeProblem, model: Model) -> Iterator[Proposal]:
+    """Yield the model with other errors of the data; the fits are linearised."""
+    fit = model.fit
+    jacobian = problem.jacobian(model, fit.field, fit.z)
+    for what, errors in model.errors.others(problem.least_errors):
+        trial = problem.linearised(model, fit.z, jacobian, errors)
+        yield Proposal(what, fit.field, fit.z, errors, trial)
+
+
+def _starts(problem: ShapeProblem, model: Model, max_shapes: int) -> Iterator[Start]:
+    field, z, errors = model.fit.field, model.fit.z, model.errors
+    if len(field.distorted) < max_shapes:
+        yield from _further(problem, model)
+    for degree in _DEGREES:
+        if degree > field.degree:
+            yield Start(f"background of degree {degree}", *varied(field, z, degree=degree), errors)
+            break
+    if not any(field.layers):
+        yield from _layers(problem, model)
+    for k, distorted in enumerate(field.distorted):
+        # A further part of the model may explain what an inclusion was found for.
+        if len(field.distorted) > 1 or len(field.waves):
+            yield Start(f"inclusion {k} removed", *without(field, z, [k]), errors)
+        if not distorted:
+            yield Start(f"inclusion {k} as an ellipsoid", *as_ellipsoid(field, z, k), errors)
+
+
+def _layers(problem: ShapeProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with layers across the axis that explains most, by linearised fits."""
+    inflation = max(1.0, model.fit.chi2)
+    best, best_evidence = None, model.fit.log_evidence(inflation)
+    for axis in range(3):
+        layers = tuple(_LAYERS if k == axis else 0 for k in range(3))
+        field, z = varied(model.fit.field, model.fit.z, layers=layers)
+        jacobian = problem.jacobian(model, field, z)
+        trial = problem.linearised(model, z, jacobian, model.errors)
+        if trial.log_evidence(inflation) > best_evidence:
+            best = Start(f"layers across {'xyz'[axis]}", field, z, model.errors)
+            best_evidence = trial.log_evidence(inflation)
+    if best:
+        yield best
+
+
+def _further(problem: ShapeProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with a further ball, at the places where it would explain most."""
+    fit, data = model.fit, problem.data(model.errors)
+    field = replace(fit.field, distorted=(*fit.field.distorted, False))
+    for candidate in problem.matched.best(fit.residuals, fit.jacobian, data, _STARTS):
+        if candidate.gain < _MIN_CANDIDATE_GAIN:
+            return
+        size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
+        contrast = np.copysign(size, candidate.log_contrast)
+        ball = [*candidate.center_mm, np.log(candidate.radius_mm), contrast]
+        z = field.standard(np.concatenate([fit.field.physical(fit.z), ball]))
+        what = f"ball at {np.round(candidate.center_mm, 1).tolist()} mm"
+        yield Start(what, field, z, model.errors)
+
+
+def _is_inside(start: Start, proposal: Proposal) -> bool:
+    """Whether both are with a further ball, whose centres are near each other."""
+    field = proposal.field
+    if not (start.what.startswith("ball") and proposal.what.startswith("ball")):
+        return False
+    first, end = field.parts[-1].start, field.parts[-1].start + 3
+    centers = (field.physical(z)[first:end] for z in (start.z, proposal.z))
+    radius = np.exp(field.physical(proposal.z)[end])
+    return bool(np.linalg.norm(np.subtract(*centers)) < _SAME * radius)
