@@ -43,7 +43,7 @@ from tactorch.mesh import (
     face_nodes,
 )
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
-from tactorch.phantoms import Gradient, Phantom, RandomField, make_phantom
+from tactorch.phantoms import Gradient, Layers, Phantom, RandomField, make_phantom
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.simulation import noise_level
 from tactorch.simulation.patch import nodes_within, patch_forces
@@ -59,6 +59,7 @@ LUMP_PER_RADIUS = 0.4  # edge length of the truth mesh at a lump, over its small
 # Edge length of the truth mesh at sharp edges, over the body's size: where a supported face ends
 # the strain is singular.
 CREASE_PER_SIZE = 0.035
+LEVEL_MM = 0.5  # edge length of the truth mesh at interfaces of layers that reach the sides
 RECORDED_PER_RADIUS = 0.3  # edge length of the recording's mesh under a contact, over its radius
 Point = tuple[float, float, float]
 _FLANK = 0.5  # smallest cosine between a finger's push and the surface under it
@@ -237,6 +238,7 @@ class Body:
         from_crease = distance_from_sharp_edges(outline)
         crease_mm = CREASE_PER_SIZE * float(np.cbrt(outline.volumes.sum()))
         edges = []
+        levels = self._levels()
         for k, (shape, _) in enumerate(self.phantom.inclusions):
             radius = float(np.ptp(shape.bounds(), axis=0).min()) / 2
             lump_mm = LUMP_PER_RADIUS * radius if k in self.lumps else np.inf
@@ -246,11 +248,19 @@ class Body:
             out = np.minimum(1.6 * self.truth_edge_mm, crease_mm + 0.8 * from_crease(points))
             for shape, edge in edges:
                 out = np.minimum(out, edge + 0.4 * np.abs(shape.signed_distance(points)))
+            for level in levels:
+                out = np.minimum(out, LEVEL_MM + 0.4 * np.abs(points[:, 2] - level))
             if presses.refined_mm is not None:
                 out = np.minimum(out, presses.sizing(presses.refined_mm, 0.5)(points))
             return out
 
         return sizes
+
+
+    def _levels(self) -> tuple[float, ...]:
+        """Heights of the interfaces of layers that reach the sides, which no faces follow."""
+        background = self.phantom.youngs_mpa
+        return background.levels_mm if isinstance(background, Layers) else ()
 
 
 @dataclass(frozen=True)
@@ -410,6 +420,9 @@ OBJECTS: dict[str, Callable[[], Body]] = {
         (Rotated(Ellipsoid((5.3, 4.6, 5.6), (2.6, 1.5, 1.3)), (20.0, 0.0, 35.0)), 2.0)
     ),
     "layers_ball": _layered,
+    "skin_ball": lambda: _cube(
+        (Sphere((4.2, 5.6, 5.5), 1.7), 1.0), youngs=Layers((2.8, 8.2), (0.4, 0.2, 0.12))
+    ),
     "dome": lambda: _dome((Ellipsoid((2.5, 1.0, 5.6), (2.4, 2.0, 1.7)), 0.5)),
     "breast": lambda: _breast((Sphere((7.0, 4.0, 12.0), 6.0), 0.25)),
     "uniform": lambda: _cube(),
@@ -445,6 +458,7 @@ CASES: tuple[Case, ...] = (
     Case("faint_ball", "sides", 30.0),
     Case("two_balls", "sides", 40.0),
     Case("layers_ball", "sides", 40.0),
+    Case("skin_ball", "sides", 40.0),
     Case("dome", "fingers", 40.0),
     Case("breast", "palpation", 40.0),
     Case("uniform", "sides", 30.0),

@@ -17,7 +17,7 @@ from tactorch.inverse.shapes.correction import Correction, _LoadSeries
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.fractions import Geometry
-from tactorch.inverse.shapes.model import Errors, Model
+from tactorch.inverse.shapes.model import Errors, Model, as_ellipsoid, varied, without
 from tactorch.inverse.shapes.problem import ShapeProblem
 from tactorch.inverse.shapes.search import make_posterior
 from tactorch.inverse.shapes.sizing import (
@@ -149,6 +149,47 @@ def test_a_smooth_background_varies_by_its_modes():
     assert np.any(np.isclose(along_z[0], 1.0) & np.isclose(along_z[1], -1.0))
 
 
+def test_layers_are_modes_along_one_axis():
+    layered = ShapeField(PRIOR, (), layers=(0, 0, 3))
+    np.testing.assert_array_equal(layered.waves, [[0, 0, 1], [0, 0, 2], [0, 0, 3]])
+    both = ShapeField(PRIOR, (), degree=2, layers=(0, 0, 3))
+    assert both.n_background == 1 + 9 + 1
+    assert len({tuple(wave) for wave in both.waves}) == 10
+    assert ShapeField.of(json.loads(json.dumps(both.plain()))).layers == (0, 0, 3)
+    plain = both.plain()
+    del plain["layers"]  # as in files of earlier versions
+    assert ShapeField.of(plain).layers == (0, 0, 0)
+
+
+def test_models_are_changed_without_a_change_of_what_remains():
+    """Modes and ellipsoids that are added start at the same map; removals leave the others."""
+    field = ShapeField(PRIOR, (True, False), layers=(0, 0, 3))
+    rng = np.random.default_rng(0)
+    z = 0.3 * rng.standard_normal(field.size)
+    sites = Sites.at(rng.uniform(0.0, 10.0, (200, 3)))
+    before = field.log_youngs(z, sites)
+    for other, same in (
+        varied(field, z, degree=2),
+        varied(field, z, layers=(4, 0, 8)),
+        as_ellipsoid(field, z, 1),
+    ):
+        assert other.size > field.size
+        np.testing.assert_allclose(other.log_youngs(same, sites), before, atol=1e-12)
+    fewer, rest = without(field, z, [0])
+    assert fewer.distorted == (False,)
+    first, second = field.shapes(z)
+    assert list(fewer.shapes(rest)) == [second]
+    outside = ~first.contains(sites.centers)
+    np.testing.assert_allclose(fewer.log_youngs(rest, sites)[outside], before[outside])
+
+
+def test_other_errors_differ_in_one_respect():
+    others = dict(Errors(0.05, 0.001).others(Errors(0.0, 0.001)))
+    assert {errors.forces for errors in others.values()} == {0.0, 0.02, 0.05, 0.1}
+    assert {errors.pose for errors in others.values()} == {0.001, 0.002, 0.01, 0.05}
+    assert all((e.forces == 0.05) != (e.pose == 0.001) for e in others.values())
+
+
 def test_distance_and_inside_agree():
     (shape,) = ShapeField(PRIOR, (True,)).shapes(
         ShapeField(PRIOR, (True,)).standard(np.array(VALUES[True]))
@@ -225,6 +266,31 @@ def test_a_ball_is_found_with_its_modulus(recording):
     again = ShapeReconstruction.of(json.loads(json.dumps(result.plain())))
     assert again.inclusions == result.inclusions
     assert again.plain() == result.plain()
+
+
+@pytest.mark.slow
+def test_presses_without_noise_have_no_spurious_parts():
+    """The error of the discretisation is not explained by further inclusions."""
+    phantom = make_phantom("cube_sphere", depth=0.4, radius=0.25)
+    fine = phantom.mesh(1.0, conforming=True)
+    exact = simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10")
+    result = find_shapes(exact, max_shapes=3)
+    (inclusion,) = result.inclusions
+    assert inclusion.youngs_mpa == pytest.approx(1.0, rel=0.15)
+    assert inclusion.shape.radius_mm == pytest.approx(2.5, rel=0.03)
+    assert result.field.n_background == 1
+
+
+def test_layers_are_no_inclusions():
+    phantom = make_phantom("cube_layers")
+    fine = box_mesh(10.0, 8, tets_per_cell=5)
+    recording = simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0)
+    result = find_shapes(recording, max_shapes=2)
+    assert result.inclusions == []
+    assert result.field.layers == (0, 0, 8)
+    heights = np.linspace(0.3, 9.7, 50)
+    points = np.column_stack([np.full((50, 2), 5.0), heights])
+    assert np.corrcoef(result.youngs_at(points), phantom.youngs_at(points))[0, 1] > 0.9
 
 
 def test_nothing_is_found_in_a_uniform_body(uniform_recording):
