@@ -473,6 +473,7 @@ CASES: tuple[Case, ...] = (
     Case("ellipsoid", "sides", 40.0, held_out=True),
     Case("two_balls", "patches", 40.0, held_out=True),
     Case("layers_ball", "sides", 30.0, "forces", held_out=True),
+    Case("skin_ball", "sides", 30.0, held_out=True),
     Case("dome", "fingers", 40.0, "places", held_out=True),
     Case("breast", "palpation", 30.0, held_out=True),
     Case("uniform", "patches", 40.0, held_out=True),
