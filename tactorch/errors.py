@@ -27,3 +27,7 @@ class ConfigError(TactorchError):
 
 class ConvergenceError(TactorchError):
     """Equilibrium was not found: the load collapses the object, or nothing holds it."""
+
+
+class Cancelled(TactorchError):
+    """A computation was ended by its caller before it had a result."""

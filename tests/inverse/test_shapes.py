@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.errors import Cancelled, ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, NewtonOptions
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
@@ -43,6 +43,12 @@ def recording():
     phantom = make_phantom("cube_sphere", depth=0.4, radius=0.25)
     fine = phantom.mesh(1.5, conforming=True)
     return simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0)
+
+
+@pytest.fixture(scope="module")
+def found(recording):
+    """Shapes of the recording."""
+    return find_shapes(recording, max_shapes=2)
 
 
 @pytest.fixture(scope="module")
@@ -241,9 +247,8 @@ def test_the_evidence_is_the_integral_of_the_likelihood(problem, sites):
     assert fit.log_evidence() == pytest.approx(integral, abs=0.05)
 
 
-def test_a_ball_is_found_with_its_modulus(recording):
-    result = find_shapes(recording, max_shapes=2)
-    (inclusion,) = result.inclusions
+def test_a_ball_is_found_with_its_modulus(found):
+    result, (inclusion,) = found, found.inclusions
     shape = inclusion.shape
     assert np.linalg.norm(np.array(shape.center_mm) - [5.0, 5.0, 6.0]) < 0.2
     assert shape.radius_mm == pytest.approx(2.5, rel=0.1)
@@ -266,6 +271,42 @@ def test_a_ball_is_found_with_its_modulus(recording):
     again = ShapeReconstruction.of(json.loads(json.dumps(result.plain())))
     assert again.inclusions == result.inclusions
     assert again.plain() == result.plain()
+
+
+def test_a_search_continues_from_the_model_of_other_presses(recording, found):
+    """It does not start from a uniform body, and keeps what the other presses showed."""
+    fewer = replace(recording, presses=recording.presses[2:])
+    result = find_shapes(fewer, max_shapes=1, start=found)
+    assert result.history[0]["model"] == "the model before"
+    assert result.history[0]["chi2"] < 2.0
+    (inclusion,) = result.inclusions
+    assert np.linalg.norm(np.array(inclusion.shape.center_mm) - [5.0, 5.0, 6.0]) < 0.3
+    assert inclusion.shape.radius_mm == pytest.approx(2.5, rel=0.1)
+
+
+def test_a_start_that_the_presses_contradict_is_removed(uniform_recording):
+    """A ball of an earlier search is not kept where further presses show none."""
+    nothing = find_shapes(uniform_recording, max_shapes=2)
+    field = replace(nothing.field, distorted=(False,))
+    values = np.array([np.log(0.2), 4.0, 5.0, 6.0, np.log(2.0), np.log(2.0)])
+    ball = replace(nothing, field=field, z=field.standard(values))
+    result = find_shapes(uniform_recording, max_shapes=2, start=ball)
+    assert [entry["model"] for entry in result.history[:2]] == [
+        "the model before", "inclusion 0 removed",
+    ]  # fmt: skip
+    assert result.inclusions == []
+
+
+def test_a_search_can_be_stopped(recording):
+    calls = []
+
+    def stop():
+        calls.append(None)
+        return len(calls) > 3
+
+    with pytest.raises(Cancelled, match="stopped before it had a result"):
+        find_shapes(recording, max_shapes=1, stop=stop)
+    assert len(calls) == 4
 
 
 @pytest.mark.slow

@@ -1,14 +1,14 @@
 """The presses of a search for shapes: predictions, data with their errors, fits and trials."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.errors import Cancelled, ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import DataModel, Observation, group_by_contact, rigid_patterns
 from tactorch.inverse.problem import Evaluation, InverseProblem
@@ -25,6 +25,7 @@ from tactorch.inverse.shapes.model import (
     Start,
     Trial,
 )
+from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.inverse.starts import uniform_fit
 from tactorch.recording import Recording
 
@@ -43,6 +44,11 @@ _RTOL = 1e-6  # of equilibria: far below the noise of a sensor
 class ShapeProblem:
     """The presses with quadratic elements and with linear ones.
 
+    Args:
+        recording: The presses.
+        settings: Noise, solver, bounds and equilibrium search are used.
+        stop: Called before each fit and correction, which raise `Cancelled` where it is true.
+
     Attributes:
         quadratic: The presses with quadratic elements, on which models are judged.
         linear: The presses with linear elements, on which they are tried.
@@ -52,7 +58,10 @@ class ShapeProblem:
         least_errors: Errors of the data in the simplest model.
     """
 
-    def __init__(self, recording: Recording, settings: Settings) -> None:
+    def __init__(
+        self, recording: Recording, settings: Settings, stop: Callable[[], bool] = lambda: False
+    ) -> None:
+        self._stop = stop
         same, self._element = is_same_model(recording), "tet10"
         if same:
             self._element = str(recording.provenance.get("element", settings.element))
@@ -88,14 +97,29 @@ class ShapeProblem:
 
     def uniform(self) -> Model:
         """Fit the uniform body with quadratic elements."""
-        youngs = np.full(self.linear.n_elements, np.exp(self.prior.log_background))
-        extend, coarse = self.quadratic.body.discretisation.extend, self.linear.evaluate(youngs)
+        return self.first(Start("uniform", ShapeField(self.prior), np.zeros(1), self.least_errors))
+
+    def first(self, start: Start) -> Model:
+        """Fit the first model of a search with quadratic elements.
+
+        Raises:
+            ConvergenceError: it has no equilibrium under the recorded forces.
+        """
+        extend, field = self.quadratic.body.discretisation.extend, start.field
+        youngs = ShapesOnSites(field, self._linear_sites).at(start.z).youngs
+        coarse = self.linear.evaluate(youngs)
         self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / FORCE_DEVIATIONS[-1])
-        start = Start("uniform", ShapeField(self.prior), np.zeros(1), self.least_errors)
         model = self.fit(start, [extend(u) for u in coarse.displacements])
         if self._correction is None or not self._correction.has_rims:
             return model
         return self.corrected(model)
+
+    def continued(self, result: ShapeReconstruction) -> Start:
+        """Return the model of a search on other presses of the same object."""
+        field = replace(result.field, prior=self.prior)
+        z = field.standard(result.field.physical(result.z))
+        pose = max(result.pose_deviation, self.least_errors.pose)
+        return Start("the model before", field, z, Errors(result.force_deviation, pose))
 
     def fit(
         self,
@@ -104,6 +128,7 @@ class ShapeProblem:
         tolerance: float = _ROUGH_TOLERANCE,
     ) -> Model:
         """Fit with quadratic elements, from these displacements."""
+        self._check()
         problem = self.quadratic.with_data(self.data(start.errors))
         fit = fit_shapes(
             problem, start.field, start.z, sites=self.sites, starts=displacements,
@@ -132,6 +157,7 @@ class ShapeProblem:
 
         The model remains, with a warning, where a finer mesh fails.
         """
+        self._check()
         assert self._correction is not None
         before = self.quadratic, self._correction_mm
         try:
@@ -155,6 +181,7 @@ class ShapeProblem:
             start: Model and parameters to start from.
             offsets: See `offsets`.
         """
+        self._check()
         problem = self.linear.with_data(self.data(start.errors).shifted(offsets))
         try:
             fit, _ = fit_shapes(
@@ -208,6 +235,10 @@ class ShapeProblem:
         logs = np.linalg.slogdet(hessian + np.eye(len(z)))[1] + data.log_determinant
         squares = float(residuals @ residuals)
         return Trial(squares / len(residuals), 0.5 * squares, 0.5 * float(z @ z + logs))
+
+    def _check(self) -> None:
+        if self._stop():
+            raise Cancelled("The search for inclusions was stopped before it had a result.")
 
     def _raw(self, model: Model) -> Evaluation:
         """Return the predictions of a model with the residuals of white noise."""

@@ -73,9 +73,8 @@ def _starts(problem: ShapeProblem, model: Model, max_shapes: int) -> Iterator[St
     if not any(field.layers):
         yield from _layers(problem, model)
     for k, distorted in enumerate(field.distorted):
-        # A further part of the model may explain what an inclusion was found for.
-        if len(field.distorted) > 1 or len(field.waves):
-            yield Start(f"inclusion {k} removed", *without(field, z, [k]), errors)
+        # A further part of the model, or further presses, may explain what it was found for.
+        yield Start(f"inclusion {k} removed", *without(field, z, [k]), errors)
         if not distorted:
             yield Start(f"inclusion {k} as an ellipsoid", *as_ellipsoid(field, z, k), errors)
 

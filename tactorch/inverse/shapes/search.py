@@ -10,7 +10,7 @@ accepted.
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -42,7 +42,12 @@ _MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
 
 
 def find_shapes(
-    recording: Recording, settings: Settings | None = None, *, max_shapes: int = _MAX_SHAPES
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    max_shapes: int = _MAX_SHAPES,
+    start: ShapeReconstruction | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> ShapeReconstruction:
     """Find the inclusions that the presses determine, with the number that the evidence supports.
 
@@ -55,8 +60,12 @@ def find_shapes(
             corrected by finer meshes there and at inclusions, unless the provenance states that the
             presses were computed on the recording's mesh.
         max_shapes: Largest number of inclusions.
+        start: Result for other presses on the object, such as the earlier ones of a session, from
+            whose model the search starts; by default it starts from a uniform body.
+        stop: Called before each fit; where it is true the search raises `Cancelled`.
 
     Raises:
+        Cancelled: see `stop`.
         ConfigError: a setting cannot be used.
         ConvergenceError: with no uniform modulus do all presses have an equilibrium, or linear
             elements have none where quadratic ones have.
@@ -64,10 +73,8 @@ def find_shapes(
     settings = settings or Settings()
     if not is_same_model(recording):
         recording = refine_recording(recording, contact_sizing(recording))
-    problem = ShapeProblem(recording, settings)
-    model = problem.uniform()
-    history = [_record("uniform", model)]
-    _log.info("uniform body: chi2 %.4g", model.fit.chi2)
+    problem = ShapeProblem(recording, settings, stop)
+    model, history = _first(problem, start)
     for _ in range(_MAX_MODELS):
         accepted = _accept(problem, model, propose(problem, model, max_shapes))
         if accepted is None:
@@ -86,6 +93,22 @@ def find_shapes(
         fit.field, fit.z, make_posterior(problem, model), fit.chi2, *_log_odds(problem, model),
         *model.errors, _unexplained(problem, fit), tuple(history),
     )  # fmt: skip
+
+
+def _first(
+    problem: ShapeProblem, before: ShapeReconstruction | None
+) -> tuple[Model, list[dict[str, Any]]]:
+    """Fit the model of an earlier result, or where there is none a uniform body."""
+    what, model = "uniform", None
+    if before is not None:
+        start = problem.continued(before)
+        try:
+            what, model = start.what, problem.first(start)
+        except ConvergenceError as error:
+            _log.info("the search starts anew, for %s fails: %s", start.what, error)
+    model = model or problem.uniform()
+    _log.info("%s: chi2 %.4g", what, model.fit.chi2)
+    return model, [_record(what, model)]
 
 
 def _record(what: str, model: Model) -> dict[str, Any]:
