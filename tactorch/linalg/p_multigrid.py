@@ -15,13 +15,12 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.config import option
+from tactorch.linalg.blocks import SIZE, BlockMatrix, Real, times_diagonal
 from tactorch.linalg.conjugate_gradients import conjugate_gradients
 from tactorch.linalg.iterative import IterativeSolver, fixed_unknowns
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.solver import IndefiniteError, Solver, SolverOptions, analyse
 
-_Real = np.float32  # of the cycle, whose time is that of reading the matrix
-_BLOCK = 3  # unknowns of a node
 _DEGREE = 3  # of the polynomial
 _RANGE = 30.0  # of the eigenvalues that the polynomial reduces
 _POWER_STEPS = 30  # for the largest eigenvalue
@@ -33,31 +32,34 @@ _STALE_ITERATIONS = 4.0  # with the cycle of another matrix, for each digit and 
 class _Smoother:
     """Chebyshev polynomial of a matrix with the inverse of its diagonal blocks."""
 
-    matrix: sp.bsr_matrix
+    matrix: BlockMatrix | sp.csr_matrix
     inverse: Float[np.ndarray, "blocks b b"]
     largest: float
 
     @staticmethod
     def of(matrix: sp.csr_matrix) -> "_Smoother | None":
         """Return the smoother; None if a diagonal block is not positive definite."""
-        size = _BLOCK if matrix.shape[0] % _BLOCK == 0 else 1
+        size = SIZE if matrix.shape[0] % SIZE == 0 else 1
         blocks = matrix.tobsr((size, size))
+        blocks.sort_indices()
         rows = np.repeat(np.arange(len(blocks.indptr) - 1), np.diff(blocks.indptr))
         diagonal = blocks.data[rows == blocks.indices]
         if not np.linalg.eigvalsh(diagonal).min() > 0.0:
             return None
-        blocks, inverse = blocks.astype(_Real), np.linalg.inv(diagonal).astype(_Real)
-        smoother, largest = _Smoother(blocks, inverse, 1.0), 1.0
-        vector = np.random.default_rng(0).standard_normal(matrix.shape[0]).astype(_Real)
+        inverse = np.linalg.inv(diagonal).astype(Real)
+        single = BlockMatrix.of(blocks) if size == SIZE else matrix.astype(Real)
+        smoother, largest = _Smoother(single, inverse, 1.0), 1.0
+        vector = np.random.default_rng(0).standard_normal(matrix.shape[0]).astype(Real)
         for _ in range(_POWER_STEPS):
-            vector = smoother._scaled(blocks @ vector)
+            vector = smoother._scaled(single @ vector)
             largest = float(np.sqrt(np.square(vector).sum()))
             vector /= largest
-        return _Smoother(blocks, inverse, _MARGIN * largest)
+        return _Smoother(single, inverse, _MARGIN * largest)
 
     def _scaled(self, residual: np.ndarray) -> np.ndarray:
-        columns = residual.reshape(len(self.inverse), -1, 1)
-        return np.asarray((self.inverse @ columns).reshape(residual.shape))
+        if len(self.inverse) == len(residual):
+            return np.asarray(self.inverse.ravel() * residual)
+        return times_diagonal(self.inverse, residual)
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         """Return the approximate solution for a right-hand side.
@@ -88,11 +90,11 @@ class _Cycle:
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         unit = float(np.abs(residual).max()) or 1.0
-        b = (residual / unit).astype(_Real)
+        b = (residual / unit).astype(Real)
         solution = self.smoother(b)
         matrix, interpolation = self.smoother.matrix, self.interpolation
         coarse = interpolation.T @ (b - matrix @ solution)
-        solution += (interpolation @ self.coarse.solve(coarse)).astype(_Real)
+        solution += (interpolation @ self.coarse.solve(coarse)).astype(Real)
         solution += self.smoother(b - matrix @ solution)
         return unit * solution.astype(np.float64)
 
