@@ -7,7 +7,7 @@ det(C)) / 2 with H = J^T J + 1 and the covariance C of the data (MacKay, Informa
 Inference, and Learning Algorithms, 2003, chapter 28), up to a constant of the data.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -144,8 +144,10 @@ def fit_shapes(
     *,
     sites: Sites | None = None,
     starts: Sequence[Float[np.ndarray, "nodes 3"]] | None = None,
+    evaluation: Evaluation | None = None,
     max_iterations: int = 20,
     tolerance: float = 0.02,
+    give_up: Callable[[ShapeFit, float], bool] = lambda fit, fall: False,
 ) -> tuple[ShapeFit, Evaluation]:
     """Fit shapes to the presses of a problem.
 
@@ -155,21 +157,28 @@ def fit_shapes(
         start: Parameters to start from, in standard deviations of the prior.
         sites: Volumes of the quadrature points, where they exist already.
         starts: Displacement of each press from which the equilibria start, mm.
+        evaluation: The equilibria at the start, where they exist already.
         max_iterations: Limit of Gauss-Newton steps.
         tolerance: Predicted fall of the objective, over chi2 if that exceeds one, at which to stop.
             The parameters are then within some sqrt(2 tolerance) posterior standard deviations of
             the optimum. It also stops below a fall of 0.5 where errors of the derivatives prevent
             a descent.
+        give_up: Called before each step with the present fit and the predicted fall of the
+            objective; where it is true the fit ends there.
 
     Raises:
         ConvergenceError: the start has no equilibrium under the recorded forces.
     """
     family = ShapesOnSites(field, sites or Sites.of(problem.body.assembly))
-    state = _State.at(problem, family, np.clip(start, *family.limits), starts)
+    if evaluation is None:
+        state = _State.at(problem, family, np.clip(start, *family.limits), starts)
+    else:
+        state = _State(family, _ShapesPoint(family, start), evaluation.with_data(problem.data))
     damping = _DAMPING
     for _ in range(max_iterations):
+        fall = state.predicted_fall(state.newton_step())
         predicted = state.predicted_fall(state.step(0.0)) / max(1.0, state.evaluation.chi2)
-        if predicted <= tolerance:
+        if predicted <= tolerance or give_up(state.fit(problem), fall):
             break
         for _ in range(_MAX_TRIALS):
             step = state.step(damping)
@@ -226,12 +235,17 @@ class _State:
         jacobian = self._response[0]
         return jacobian.T @ jacobian + np.eye(len(self.z))
 
-    def step(self, damping: float) -> Vector:
-        """Return the damped step, shortened to where linearisation is meaningful, within bounds."""
+    def newton_step(self, damping: float = 0.0) -> Vector:
+        """Return the damped step of the parameters that are not at a bound."""
         free = projected_gradient(self.z, self._gradient, self.family.limits) != 0.0
         hessian = self._hessian + damping * np.diag(np.diag(self._hessian))
         step = np.zeros_like(self.z)
         step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], self._gradient[free])
+        return step
+
+    def step(self, damping: float) -> Vector:
+        """Return the damped step, shortened to where linearisation is meaningful, within bounds."""
+        step = self.newton_step(damping)
         step /= max(1.0, float((np.abs(step) / self.family.max_step).max()))
         return np.clip(self.z + step, *self.family.limits) - self.z
 

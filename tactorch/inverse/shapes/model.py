@@ -72,6 +72,16 @@ class Model:
     errors: Errors
 
 
+def gain(fit: ShapeFit, rival: ShapeFit) -> float:
+    """Return the log-evidence of a fit over that of another one.
+
+    They are compared at the noise of the one that explains the data better, but at least at the
+    stated noise.
+    """
+    inflation = max(1.0, min(fit.chi2, rival.chi2))
+    return fit.log_evidence(inflation) - rival.log_evidence(inflation)
+
+
 def varied(
     field: ShapeField, z: Float[np.ndarray, " size"], **background: Any
 ) -> tuple[ShapeField, np.ndarray]:

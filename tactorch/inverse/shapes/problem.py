@@ -15,7 +15,7 @@ from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
-from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
+from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.model import (
     FORCE_DEVIATIONS,
@@ -24,12 +24,14 @@ from tactorch.inverse.shapes.model import (
     Model,
     Start,
     Trial,
+    gain,
 )
 from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.inverse.starts import uniform_fit
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
+_OPTIMISM = 1.5  # falls of the objective over those of its quadratic model, at best
 _TRIAL_STEPS = 8  # of Gauss-Newton with linear elements
 # Error of the discretisation that remains after its correction, over the displacements. It is the
 # same in all presses of a contact.
@@ -92,6 +94,7 @@ class ShapeProblem:
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._force_patterns: np.ndarray | None = None
         self._noisy: dict[Errors, DataModel] = {}
+        self._last: tuple[ShapeFit, Evaluation] | None = None
         observations = self.quadratic.data.observations
         self._pose_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
 
@@ -135,6 +138,46 @@ class ShapeProblem:
             tolerance=tolerance,
         )  # fmt: skip
         return Model(*fit, start.errors)
+
+    def challenge(self, start: Start, model: Model) -> Model:
+        """Fit a proposal with quadratic elements, as far as it may have more evidence than a model.
+
+        A fit that will hardly have more ends early: before its first step, whose gain is predicted
+        by the derivatives of linear elements, or between steps.
+        """
+        self._check()
+        problem = self.quadratic.with_data(self.data(start.errors))
+
+        def is_worse(fit: ShapeFit, fall: float) -> bool:
+            misfit = max(0.0, fit.misfit - _OPTIMISM * fall)
+            best = replace(fit, misfit=misfit, chi2=2.0 * misfit / len(fit.residuals))
+            return gain(best, model.fit) < 0.0
+
+        family = ShapesOnSites(start.field, self.sites)
+        z = np.clip(start.z, *family.limits)
+        evaluation = problem.evaluate(family.at(z).youngs, starts=model.evaluation.displacements)
+        first = Model(self._coarse_fit(start, z, evaluation), evaluation, start.errors)
+        if is_worse(first.fit, _predicted_fall(first.fit)):
+            return first
+        fit = fit_shapes(
+            problem, start.field, z, sites=self.sites, evaluation=evaluation,
+            tolerance=_ROUGH_TOLERANCE, give_up=is_worse,
+        )  # fmt: skip
+        return Model(*fit, start.errors)
+
+    def _coarse_fit(
+        self, start: Start, z: Float[np.ndarray, " size"], evaluation: Evaluation
+    ) -> ShapeFit:
+        """Return predictions of quadratic elements as a fit with derivatives of linear ones."""
+        point = ShapesOnSites(start.field, self._linear_sites).at(z)
+        data = self.data(start.errors)
+        columns = point.jacobian(self.linear.evaluate(point.youngs).with_data(data))
+        hessian, residuals = columns.T @ columns + np.eye(len(z)), evaluation.residuals
+        determinant = float(np.linalg.slogdet(hessian)[1]) + data.log_determinant
+        return ShapeFit(
+            start.field, z, np.linalg.inv(hessian), evaluation.chi2,
+            0.5 * float(residuals @ residuals), 0.5 * determinant, residuals, columns,
+        )  # fmt: skip
 
     def precise(self, model: Model) -> Model:
         """Return the model corrected for the discretisation, if the noise may be less than that.
@@ -194,22 +237,34 @@ class ShapeProblem:
 
     def offsets(self, model: Model) -> list[np.ndarray]:
         """Return predictions of linear less those of quadratic elements at a model, mm."""
-        field = ShapesOnSites(model.fit.field, self._linear_sites).at(model.fit.z)
-        coarse, observations = self.linear.evaluate(field.youngs), self.quadratic.data.observations
+        coarse, observations = self._coarse(model), self.quadratic.data.observations
         pairs = zip(coarse.reported, model.evaluation.reported, observations, strict=True)
         return [(u - v).ravel()[o.index] for u, v, o in pairs]
 
-    def jacobian(
+    def jacobian(self, model: Model) -> Float[np.ndarray, "data size"]:
+        """Return the derivatives of the residuals of white noise by a model's parameters."""
+        field = ShapesOnSites(model.fit.field, self.sites)
+        return field.at(model.fit.z).jacobian(self._raw(model))
+
+    def coarse_jacobian(
         self, model: Model, field: ShapeField, z: Float[np.ndarray, " size"]
     ) -> Float[np.ndarray, "data size"]:
-        """Return the derivatives of the residuals of white noise, at the map of a model.
+        """Return the derivatives of the residuals of white noise, by linear elements.
 
         Args:
             model: The model.
             field: A field, maybe with further parameters.
             z: Its parameters, for which its map is that of the model.
         """
-        return ShapesOnSites(field, self.sites).at(z).jacobian(self._raw(model))
+        coarse = self._coarse(model).with_data(self.quadratic.data)
+        return ShapesOnSites(field, self._linear_sites).at(z).jacobian(coarse)
+
+    def _coarse(self, model: Model) -> Evaluation:
+        """Return the predictions of linear elements; those of the last model are kept."""
+        if self._last is None or self._last[0] is not model.fit:
+            field = ShapesOnSites(model.fit.field, self._linear_sites).at(model.fit.z)
+            self._last = model.fit, self.linear.evaluate(field.youngs)
+        return self._last[1]
 
     def linearised(
         self,
@@ -269,6 +324,12 @@ class ShapeProblem:
             parts = [(k in numbers) * mm for k, mm in enumerate(self._correction_mm)]
             columns.append(np.concatenate(parts) * self.quadratic.data.scale)
         return np.column_stack(columns)
+
+
+def _predicted_fall(fit: ShapeFit) -> float:
+    """Return the fall of the objective by a Gauss-Newton step."""
+    gradient = fit.jacobian.T @ fit.residuals + fit.z
+    return 0.5 * float(gradient @ fit.covariance @ gradient)
 
 
 def is_same_model(recording: Recording) -> bool:

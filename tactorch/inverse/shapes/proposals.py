@@ -56,7 +56,7 @@ def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Propos
 def _with_other_errors(problem: ShapeProblem, model: Model) -> Iterator[Proposal]:
     """Yield the model with other errors of the data; the fits are linearised."""
     fit = model.fit
-    jacobian = problem.jacobian(model, fit.field, fit.z)
+    jacobian = problem.jacobian(model)
     for what, errors in model.errors.others(problem.least_errors):
         trial = problem.linearised(model, fit.z, jacobian, errors)
         yield Proposal(what, fit.field, fit.z, errors, trial)
@@ -86,7 +86,7 @@ def _layers(problem: ShapeProblem, model: Model) -> Iterator[Start]:
     for axis in range(3):
         layers = tuple(_LAYERS if k == axis else 0 for k in range(3))
         field, z = varied(model.fit.field, model.fit.z, layers=layers)
-        jacobian = problem.jacobian(model, field, z)
+        jacobian = problem.coarse_jacobian(model, field, z)
         trial = problem.linearised(model, z, jacobian, model.errors)
         if trial.log_evidence(inflation) > best_evidence:
             best = Start(f"layers across {'xyz'[axis]}", field, z, model.errors)

@@ -25,6 +25,7 @@ from tactorch.inverse.shapes.model import (
     Proposal,
     Start,
     as_ellipsoid,
+    gain,
     without,
 )
 from tactorch.inverse.shapes.posterior import ShapePosterior
@@ -122,11 +123,10 @@ def _accept(
     """Fit proposals with quadratic elements until one has more evidence than the model."""
     for proposal in proposals[:_MAX_FITS]:
         with suppress(ConvergenceError):
-            trial = problem.fit(proposal, model.evaluation.displacements)
-            inflation = max(1.0, min(model.fit.chi2, trial.fit.chi2))
-            gain = trial.fit.log_evidence(inflation) - model.fit.log_evidence(inflation)
-            _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, gain)
-            if gain > MIN_GAIN:
+            trial = problem.challenge(proposal, model)
+            change = gain(trial.fit, model.fit)
+            _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
+            if change > MIN_GAIN:
                 return proposal, trial
     return None
 
