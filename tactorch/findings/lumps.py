@@ -1,9 +1,4 @@
-"""Lumps of a map, by a threshold that is robust to outlier elements.
-
-In the logarithm of the moduli, two levels minimise the absolute deviation: background and lump,
-each a volume-weighted median. The threshold is half way between them, iterated to convergence
-(Ridler and Calvard, 1978). Elements at a bound therefore do not move it.
-"""
+"""Lumps of a map: the connected regions of its segmentation (`tactorch.metrics.segment`)."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,19 +7,16 @@ from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
 from tactorch.metrics.segment import (
-    MIN_CONTRAST,
     Side,
     check_field,
     connected_parts,
-    neighbourhood_mean,
+    segment,
     volume_mean,
     weighted_median,
 )
 
 Field = Float[np.ndarray, " m"]
 Mask = Bool[np.ndarray, " m"]
-_MAX_VOLUME_FRACTION = 0.5  # a larger region is background
-_MAX_ITERATIONS, _CANDIDATE_LEVELS = 50, 100
 _MIN_RELATIVE_CONTRAST = 0.2  # log-contrast over that of the most conspicuous lump
 
 
@@ -56,7 +48,7 @@ def find_lumps(
             "and 0 to below 1."
         )
     sides: tuple[Side, ...] = ("stiff", "soft") if side is None else (side,)
-    masks = {kind: _segment(mesh, youngs, kind) for kind in sides}
+    masks = {kind: segment(mesh, youngs, kind) for kind in sides}
     rest = ~np.any(list(masks.values()), axis=0)
     # In noise without a background, every element may be stiff or soft.
     background = weighted_median(youngs, mesh.volumes)
@@ -76,42 +68,6 @@ def find_lumps(
 def find_lump(mesh: TetMesh, youngs: Field) -> Inclusion | None:
     """Find the most conspicuous of `find_lumps`; None where nothing stands out."""
     return next(iter(find_lumps(mesh, youngs, max_lumps=1)), None)
-
-
-def _segment(mesh: TetMesh, youngs: Field, side: Side) -> Mask:
-    sign = 1.0 if side == "stiff" else -1.0
-    values, volumes = sign * np.log(youngs), mesh.volumes
-    background = weighted_median(values, volumes)
-    highest = float(neighbourhood_mean(mesh, values).max())
-    mask = np.zeros(len(values), dtype=bool)
-    if highest - background < np.log1p(MIN_CONTRAST):
-        return mask
-    level = _level(values, volumes, background)
-    for _ in range(_MAX_ITERATIONS):
-        moved = values > (background + level) / 2
-        too_large = volumes[moved].sum() > _MAX_VOLUME_FRACTION * volumes.sum()
-        if not moved.any() or too_large or (moved == mask).all():
-            break
-        mask = moved
-        level = weighted_median(values[mask], volumes[mask])
-        background = weighted_median(values[~mask], volumes[~mask])
-    return mask
-
-
-def _level(values: Field, volumes: Field, background: float) -> float:
-    """Return the second level that minimises the absolute deviation, given the background."""
-    fractions = (np.arange(_CANDIDATE_LEVELS) + 0.5) / _CANDIDATE_LEVELS
-    best_gain, best_level = -np.inf, float(values.max())
-    for cut in background + (values.max() - background) * fractions:
-        above = values > cut
-        if volumes[above].sum() > _MAX_VOLUME_FRACTION * volumes.sum():
-            continue
-        level = weighted_median(values[above], volumes[above])
-        reduction = values[above] - background - np.abs(values[above] - level)
-        gain = float(volumes[above] @ reduction)
-        if gain > best_gain:
-            best_gain, best_level = gain, level
-    return best_level
 
 
 def _measure(mesh: TetMesh, youngs: Field, mask: Mask, side: Side, background: float) -> Inclusion:

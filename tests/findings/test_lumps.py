@@ -9,6 +9,7 @@ from tactorch.errors import ConfigError, MeshError
 from tactorch.findings import Status, build_finding, find_lumps
 from tactorch.findings.finding import measure_depth
 from tactorch.mesh import box_mesh, face_nodes
+from tactorch.metrics import dice, position_error_mm
 from tactorch.recording import MaterialSpec, Press, Recording
 
 MESH = box_mesh(10.0, 8)
@@ -45,6 +46,26 @@ def test_wild_elements_do_not_move_the_threshold(inside, side):
     (lump,) = find_lumps(MESH, youngs)
     assert lump.side == side
     assert np.array_equal(lump.elements, mask)
+
+
+@pytest.mark.parametrize("blur_mm", [0.5, 1.5, 3.0])
+def test_scores_measure_the_lump_that_is_found(blur_mm):
+    """A blurred map with some elements at the bounds: one segmentation for both."""
+    center = np.array([4.0, 5.0, 6.0])
+    distance = np.linalg.norm(MESH.centroids - center, axis=1)
+    truth = np.where(distance < 2.2, 1.0, 0.2)
+    youngs = 0.2 * np.exp(np.log(3.0) / (1.0 + np.exp((distance - 2.6) / (0.3 * blur_mm))))
+    youngs[np.flatnonzero(distance < 1.5)[::9]] = 50.0
+    (lump,) = find_lumps(MESH, youngs)
+    inside = truth > 0.5
+    volumes, both = MESH.volumes, lump.elements & inside
+    overlap = 2.0 * volumes[both].sum() / (volumes[lump.elements].sum() + volumes[inside].sum())
+    assert dice(MESH, youngs, truth) == pytest.approx(overlap)
+    assert dice(MESH, youngs, truth) < 1.0
+    center_mm = volumes[lump.elements] @ MESH.centroids[lump.elements] / lump.volume_mm3
+    true_mm = volumes[inside] @ MESH.centroids[inside] / volumes[inside].sum()
+    error = np.linalg.norm(center_mm - true_mm)
+    assert position_error_mm(MESH, youngs, truth) == pytest.approx(error)
 
 
 def test_two_lumps_of_either_kind_are_ranked_by_contrast_and_size():
