@@ -17,7 +17,8 @@ all cores, which other processes affect less; `host` is the share of all cores t
 virtual machine gave to other guests (a dash where unknown). Updates have a time limit; a row `at
 rest` is of the converged map, while no press waits. The last rows compare the map after the last
 press with an inversion of the complete recording from 0.2 MPa (`invert`), and with `invert` started
-from the last map. Only the scores use the truth. The last line printed is one JSON object.
+from the last map. No shapes are fitted. Only the scores use the truth. The last line printed is one
+JSON object.
 """
 
 import argparse
@@ -163,7 +164,7 @@ def session(name: str, rule: str) -> dict[str, Any]:
         folder, path = Path(place) / "run", Path(place) / "session.h5"
         folder.mkdir()
         count = len(recording.presses)
-        options = LoopOptions(poll_seconds=0.05, max_presses=count)
+        options = LoopOptions(poll_seconds=0.05, max_presses=count, shapes=False)
         with Robot(folder, path, recording) as robot:
             suggester = Suggester(Settings(), SuggestOptions(rule=rule))
             ended = SamplingLoop(

@@ -374,7 +374,7 @@ def inversion_mesh() -> TetMesh:
 
 def inverted(place: Path) -> dict[str, float]:
     """Invert and locate the ball: the weighted centre of the moduli above half of the contrast."""
-    tactorch("invert", f"recording={place}/recording.h5", f"run_dir={place}/invert")
+    tactorch("invert", f"recording={place}/recording.h5", f"run_dir={place}/invert", "find=false")
     found = Reconstruction.load(place / "invert" / "reconstruction.h5")
     mesh = found.mesh
     inside = np.linalg.norm(mesh.centroids - BALL_MM, axis=1) < 2.0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tactorch.fem import SoftBody, Supports, make_material
-    from tactorch.findings import build_finding, find_lump
+    from tactorch.findings import build_finding, find, find_lump
     from tactorch.importers import import_published
     from tactorch.inverse import GaussNewton, Reconstruction, Settings, find_shapes, invert
     from tactorch.mesh import TetMesh, read_mesh, tetrahedralize
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tactorch.simulation import PressPlan, simulate
 
 _HOMES = {
-    "tactorch.findings": ("find_lump", "build_finding"),
+    "tactorch.findings": ("find", "find_lump", "build_finding"),
     "tactorch.fem": ("SoftBody", "Supports", "make_material"),
     "tactorch.importers": ("import_published",),
     "tactorch.inverse": ("GaussNewton", "Reconstruction", "Settings", "find_shapes", "invert"),
@@ -44,6 +44,7 @@ __all__ = [
     "Supports",
     "TetMesh",
     "build_finding",
+    "find",
     "find_inclusion",
     "find_lump",
     "find_shapes",

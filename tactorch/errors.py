@@ -29,5 +29,5 @@ class ConvergenceError(TactorchError):
     """Equilibrium was not found: the load collapses the object, or nothing holds it."""
 
 
-class Cancelled(TactorchError):
+class CancelledError(TactorchError):
     """A computation was ended by its caller before it had a result."""

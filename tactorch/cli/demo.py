@@ -4,15 +4,14 @@
                                                    finer mesh and with noise, then inverted
     tactorch demo source=published path=FOLDER     a published case
 
-The run folder gets recording.h5 and the same files as those of `tactorch invert` and `tactorch
-find`.
+The run folder gets recording.h5 and the same files as those of `tactorch invert`.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tactorch.cli import find, invert
+from tactorch.cli import invert
 from tactorch.cli.console import log
 from tactorch.cli.settings import CommandOptions, run_folder, select
 from tactorch.cli.simulate import SimulationOptions, simulate_recording
@@ -34,7 +33,6 @@ class DemoOptions(SimulationOptions, invert.InversionOptions, CommandOptions):
     fine_element: Literal["tet4", "tet10"] | None = option(
         "tet10", "Element type of the simulation; null: element"
     )
-    find: bool = option(True, "Fit inclusions to the presses after the inversion")
     run_dir: str = option("outputs/demo", "Folder of the results and the log")
 
 
@@ -50,8 +48,4 @@ def run(options: DemoOptions) -> Reconstruction:
     path = run_folder() / "recording.h5"
     recording.save(path)
     log.info("%s\n", recording.summary())
-    result = invert.run(select(options, invert.InvertOptions, recording=path, check_units=False))
-    if options.find:
-        log.info("")
-        find.run(select(options, find.FindOptions, run=run_folder(), check_units=False))
-    return result
+    return invert.run(select(options, invert.InvertOptions, recording=path, check_units=False))

@@ -4,27 +4,29 @@
     tactorch find run=runs/gauss_newton shapes=false uncertainty=false
     tactorch find runs/gauss_newton recognizer=runs/recognizer
 
-Inclusions with sharp boundaries are fitted to the presses, as many as their evidence supports. With
-shapes=false the lumps are regions of the run's map. The text is printed, and written with its
-numbers to finding.txt and finding.json in the run's folder; the shapes are written to shapes.json,
-which `tactorch report` reads, and drawn in shapes.png beside the map.
+Inclusions with sharp boundaries are fitted to the presses, as many as their evidence supports, as
+by `tactorch invert` after the inversion. With shapes=false the lumps are regions of the run's map.
+The text is printed, and written with its numbers to finding.txt and finding.json in the run's
+folder; the shapes are written to shapes.json, which `tactorch report` reads, and drawn beside the
+map in shapes.png.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tactorch.cli.console import log
 from tactorch.cli.report import with_settings
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
-from tactorch.errors import ConfigError, ConvergenceError, FileError
+from tactorch.errors import FileError
 from tactorch.files import write_file, write_json
-from tactorch.findings import Finding, build_finding, build_shape_finding
-from tactorch.inverse import find_shapes, settings_from
+from tactorch.findings import SHAPES, Finding, find
+from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction
 from tactorch.recording import Recording
-from tactorch.report import SHAPES, Run, load_run
-from tactorch.uncertainty import GaussianPosterior, compute_posterior
-from tactorch.uncertainty.select import UNCOMPUTABLE
+from tactorch.report import load_run
+
+PICTURE = "shapes.png"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,61 +61,74 @@ def run(options: FindOptions) -> Finding:
         raise FileError(
             f"{inverted.missing} Give recording=FILE.h5: depths are measured from its presses."
         )
-    out, youngs = options.out or folder, inverted.result.youngs
-    for name in (SHAPES, "shapes.png"):  # of an earlier search: the report would show it
-        (out / name).unlink(missing_ok=True)
-    finding = _find_shapes(inverted, inverted.recording, options, out) if options.shapes else None
-    if finding is None:
-        finding = _find_regions(inverted, inverted.recording, options)
-    values, text = finding.plain(), finding.text()
-    if options.recognizer is not None:
-        from tactorch.findings.recognition import load_recognizer, recognise
+    return find_and_write(
+        inverted.recording,
+        inverted.result,
+        with_settings(inverted).settings,
+        options.out or folder,
+        recognizer=options.recognizer,
+        shapes=options.shapes,
+        uncertainty=options.uncertainty,
+        max_lumps=options.max_lumps,
+        plots=options.plots,
+    )
 
-        network = load_recognizer(str(options.recognizer))
-        probabilities = recognise(inverted.result.mesh, youngs, network)
-        values["shapes"] = probabilities
-        shapes = ", ".join(f"{name} {share:.0%}" for name, share in probabilities.items())
-        text += f"\nOf the shapes that the recognizer knows it looks like: {shapes}."
+
+def find_and_write(
+    recording: Recording,
+    reconstruction: Reconstruction,
+    settings: Settings | None,
+    out: Path,
+    *,
+    recognizer: Path | None = None,
+    plots: bool = True,
+    **search: Any,
+) -> Finding:
+    """Find the lumps under the presses of an inversion, write and print them.
+
+    Args:
+        recording: The presses.
+        reconstruction: Their map.
+        settings: Settings of the inversion; None for those of the reconstruction.
+        out: Folder of the files.
+        recognizer: Run or checkpoint of a recognizer, to name the shape.
+        plots: Whether shapes.png is drawn.
+        search: Arguments of `tactorch.find`.
+    """
+    for name in (SHAPES, PICTURE):  # of an earlier search: the report would show it
+        (out / name).unlink(missing_ok=True)
+    if search.get("shapes", True):
+        log.info("Fitting inclusions to the presses ...")
+    finding = find(recording, reconstruction, settings, **search)
+    if finding.shapes is not None:
+        write_json(out / SHAPES, finding.shapes.plain())
+        if plots:
+            _draw(recording, reconstruction, finding.shapes, out / PICTURE)
+    values, text = finding.plain(), finding.text()
+    if recognizer is not None:
+        values["shapes"], sentence = _recognise(recognizer, reconstruction)
+        text += f"\n{sentence}"
     write_json(out / "finding.json", values)
     write_file(out / "finding.txt", f"{text}\n")
     log.info("%s", text)
     return finding
 
 
-def _find_shapes(run: Run, recording: Recording, options: FindOptions, out: Path) -> Finding | None:
-    """Fit shapes to the presses; None, with the reason in the log, where this fails."""
-    log.info("Fitting inclusions to the presses ...")
-    try:
-        settings = with_settings(run).settings or settings_from(run.result.config)
-        shapes = find_shapes(recording, settings, max_shapes=options.max_lumps)
-    except (ConfigError, ConvergenceError) as error:
-        log.warning("no shapes can be fitted, lumps are regions of the map: %s", error)
-        return None
-    write_json(out / SHAPES, shapes.plain())
-    if options.plots:
-        from tactorch.viz import save_figure, shape_figure
+def _draw(
+    recording: Recording, reconstruction: Reconstruction, shapes: ShapeReconstruction, path: Path
+) -> None:
+    from tactorch.viz import save_figure, shape_figure
 
-        figure = shape_figure(
-            recording.mesh, shapes, youngs=run.result.youngs, truth=recording.truth
-        )
-        log.info("picture: %s", save_figure(figure, out / "shapes.png"))
-    return build_shape_finding(recording, shapes)
+    figure = shape_figure(
+        recording.mesh, shapes, youngs=reconstruction.youngs, truth=recording.truth
+    )
+    log.info("picture: %s", save_figure(figure, path))
 
 
-def _find_regions(run: Run, recording: Recording, options: FindOptions) -> Finding:
-    posterior = _posterior(run, recording) if options.uncertainty else None
-    return build_finding(
-        recording, run.result.youngs, posterior,
-        max_lumps=options.max_lumps, reasons=run.result.warnings,
-    )  # fmt: skip
+def _recognise(recognizer: Path, result: Reconstruction) -> tuple[dict[str, float], str]:
+    """Return the probabilities of the shapes that a recognizer knows, also as a sentence."""
+    from tactorch.findings.recognition import load_recognizer, recognise
 
-
-def _posterior(run: Run, recording: Recording) -> GaussianPosterior | None:
-    """Return the posterior of the map; None, with the reason in the log, where it has none."""
-    try:
-        settings = with_settings(run).settings or settings_from(run.result.config)
-        return compute_posterior(recording, run.result, settings)
-    except UNCOMPUTABLE as error:
-        reason = str(error) or "not enough memory"
-        log.warning("the confidence cannot be computed: %s", reason)
-        return None
+    probabilities = recognise(result.mesh, result.youngs, load_recognizer(str(recognizer)))
+    shares = ", ".join(f"{name} {share:.0%}" for name, share in probabilities.items())
+    return probabilities, f"Of the shapes that the recognizer knows it looks like: {shares}."

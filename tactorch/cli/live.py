@@ -6,7 +6,8 @@
     tactorch live replay=FILE.h5                                no robot: replays a recording
 
 Append presses with tactorch.recording.append_press. Open live.html in the run folder: it updates
-itself. The folder also gets live.png, reconstruction.h5 and history.jsonl.
+itself. While no press waits, inclusions with sharp boundaries are fitted to all presses. The folder
+also gets live.png, reconstruction.h5, shapes.json and history.jsonl.
 """
 
 from collections.abc import Iterator
@@ -17,12 +18,11 @@ from threading import Event, Thread
 from typing import Literal
 
 from tactorch.cli.console import log, log_text
-from tactorch.cli.live_view import PAGE, Screen
+from tactorch.cli.live_view import PAGE, Screen, finding_text
 from tactorch.cli.outputs import score_table
 from tactorch.cli.settings import CommandOptions, UnitCheck, run_folder, select
 from tactorch.config import option
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import Settings, Start, homogeneous
 from tactorch.inverse.starts import START_MPA, Uniform
 from tactorch.recording import Recording
@@ -88,7 +88,7 @@ def run(options: LiveOptions) -> LoopResult:
     log.info("The run ended: %s.", result.reason)
     update = result.update
     if update is not None:
-        log.info("%s", summarize_inclusion(update.lump, update.entry["youngs_median_mpa"]))
+        log.info("%s", finding_text(update))
         if update.recording.truth is not None:
             log_text(score_table(update.recording, {"live": update.youngs})[1])
     log.info("results: %s", out / PAGE)

@@ -1,6 +1,7 @@
 """Display of a live run: a table at a terminal, log lines elsewhere, a figure and a page."""
 
 import base64
+import logging
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ from jinja2 import Environment, StrictUndefined
 
 from tactorch.cli.console import is_no_iteration, log, terminal_log
 from tactorch.files import write_file
-from tactorch.findings.text import summarize_inclusion, summarize_plain
+from tactorch.findings.text import describe_finding, summarize_finding, summarize_plain
 from tactorch.sampling import LoopResult, Observer, Update
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 PAGE, PICTURE = "live.html", "live.png"
-COLUMNS = ("press", "seconds", "chi2", "inclusion", "deviation", "next press")
+COLUMNS = ("press", "seconds", "chi2", "finding", "deviation", "next press")
 _ROWS = 14  # of the table at a terminal
 _NOTES = 3
 _PAGE_TEMPLATE = """\
@@ -33,7 +34,7 @@ body { font: 15px/1.45 system-ui, sans-serif; color: #1b1f24; margin: 1.5rem aut
        padding: 0 1rem; }
 h1 { font-size: 1.25rem; margin: 0; }
 .status { color: #57606a; margin: 0.2rem 0 1rem; }
-.finding { font-size: 1.1rem; font-weight: 600; margin: 0.4rem 0; }
+.finding { font-size: 1.1rem; font-weight: 600; margin: 0.4rem 0; white-space: pre-line; }
 .next { font-size: 1.1rem; margin: 0.4rem 0 1rem; color: #8a1f63; }
 .note { background: #fff4e5; border-left: 4px solid #d55e00; padding: 0.3rem 0.7rem; }
 img { width: 100%; height: auto; }
@@ -75,7 +76,7 @@ class Screen(Observer):
         """Start the table, at a terminal."""
         at_terminal = sys.stdout.isatty()
         # A table replaces all log lines.
-        is_shown = (lambda record: False) if at_terminal else is_no_iteration
+        is_shown = (lambda record: False) if at_terminal else _is_event
         self._stack.enter_context(terminal_log(is_shown))
         if at_terminal:
             from rich.live import Live
@@ -98,6 +99,7 @@ class Screen(Observer):
         """See `Observer.resumed`."""
         self._entries = [dict(entry) for entry in history]
         presses = history[-1]["press"] if history else 0
+        self._finding = _summarize(history[-1]) if history else ""
         self._status = f"continues a run of {presses} presses"
         log.info("continuing a run of %d presses in %s", presses, self._folder)
         self._show()
@@ -111,10 +113,10 @@ class Screen(Observer):
     def updated(self, update: Update) -> None:
         """See `Observer.updated`."""
         self._entries.append(update.entry)
-        self._finding = summarize_inclusion(update.lump, update.entry["youngs_median_mpa"])
+        self._finding = finding_text(update)
         self._status = f"{update.entry['press']} presses; choosing the next place"
-        number, seconds, chi2, lump = _cells(update.entry)[:4]
-        log.info("press %s: %s, chi2 %s, %s", number, seconds, chi2, lump)
+        number, seconds, chi2, finding = _cells(update.entry)[:4]
+        log.info("press %s: %s, chi2 %s, %s", number, seconds, chi2, finding)
         self._refresh()
         self._draw(update)
         self._show()
@@ -125,6 +127,13 @@ class Screen(Observer):
         log.info("  deviation %s; next press %s", *_cells(update.entry)[4:])
         if update.suggestion is not None and update.suggestion.patch is not None:
             self._draw(update)
+        self._show()
+
+    def found(self, update: Update) -> None:
+        """See `Observer.found`."""
+        self._finding = finding_text(update)
+        log.info("press %s, shapes: %s", update.entry["press"], self._finding)
+        self._draw(update)
         self._show()
 
     def ended(self, result: LoopResult) -> None:
@@ -139,11 +148,12 @@ class Screen(Observer):
         from tactorch.viz.slices import live_figure
 
         patch = None if update.suggestion is None else update.suggestion.patch
+        lump = next(iter(update.finding.lumps), None)
         figure = live_figure(
             update.recording.mesh,
             update.youngs,
             pressed=np.sum([np.abs(press.forces) for press in update.recording.presses], axis=0),
-            inclusion_mm=None if update.lump is None else update.lump.center_mm,
+            inclusion_mm=None if lump is None else lump.inclusion.center_mm,
             next_mm=None if patch is None else patch.center,
             inward=None if patch is None else patch.inward,
             radius_mm=0.0 if patch is None else float(patch.radius_mm),
@@ -187,16 +197,36 @@ class Screen(Observer):
         return table
 
 
+def finding_text(update: Update) -> str:
+    """Return the finding of an update, and of how many presses it is if not of all."""
+    return describe_finding(update.finding, update.finding_presses, update.entry["press"])
+
+
+def _is_event(record: logging.LogRecord) -> bool:
+    """Return whether a log record is other than a step of an inversion or a search for shapes."""
+    is_step = record.name.startswith("tactorch.inverse.shapes") and record.levelno <= logging.INFO
+    return is_no_iteration(record) and not is_step
+
+
 def _cells(entry: dict[str, Any]) -> tuple[str, ...]:
     """Return the cells of a history entry, in the order of `COLUMNS`."""
     return (
         str(entry["press"]) if entry["names"] else f"{entry['press']}, refined",
         f"{entry['seconds']:.1f} s",
         f"{entry['chi2']:.2g}",
-        summarize_plain(entry["inclusion"], entry["youngs_median_mpa"]),
+        _summarize(entry),
         _format_deviation(entry),
         _format_suggestion(entry),
     )
+
+
+def _summarize(entry: Mapping[str, Any]) -> str:
+    """Return the finding of an entry; of runs of earlier versions, the inclusion of its map."""
+    if "finding" not in entry:
+        return summarize_plain(entry["inclusion"], entry["youngs_median_mpa"])
+    presses = entry["finding_presses"]
+    fewer = "" if presses == entry["press"] else f"; of the first {presses} presses"
+    return summarize_finding(entry["finding"]) + fewer
 
 
 def _format_deviation(entry: dict[str, Any]) -> str:

@@ -12,12 +12,11 @@ from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.resume import CHECKPOINT
 from tactorch.errors import FileError
 from tactorch.files import write_file, write_json
-from tactorch.findings import find_lump
+from tactorch.findings import SHAPES, Finding, find_lump
 from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import NuisanceEstimate, Reconstruction
 from tactorch.metrics import Inclusion, scores
 from tactorch.recording import Recording
-from tactorch.report.runs import SHAPES
 
 History = Sequence[Mapping[str, Any]]
 
@@ -67,29 +66,54 @@ def write_outputs(
     others: Mapping[str, History] | None = None,
     plots: bool = True,
 ) -> None:
-    """Write map, pictures, summary and text; print the text."""
+    """Write map, pictures and summary of an inversion; print the summary."""
     reconstruction.save(out / "reconstruction.h5")
     reconstruction.write_vtu(out / "reconstruction.vtu", recording.truth)
-    inclusion = find_lump(recording.mesh, reconstruction.youngs)
-    summary = summarise(recording, reconstruction, inclusion, source)
-    write_json(out / "summary.json", summary)
-    text = describe(recording, reconstruction, inclusion, summary)
-    parts: list[str | Table] = [text]
-    if recording.truth is not None:
-        parts += ["", score_table(recording, {"reconstruction": reconstruction.youngs})[1]]
-    texts = [part.text() if isinstance(part, Table) else part for part in parts]
-    write_file(out / "summary.txt", "\n".join(texts) + "\n")
-    log_text("", *parts)
+    log_text("", *write_summary(out, recording, reconstruction, source=source))
     if plots:
         for path in _draw(out, recording, reconstruction, others or {}):
             log.info("picture: %s", path)
     log.info("results: %s", out)
 
 
+def write_summary(
+    out: Path,
+    recording: Recording,
+    reconstruction: Reconstruction,
+    *,
+    source: str,
+    finding: Finding | None = None,
+) -> list[str | Table]:
+    """Write summary.json and summary.txt, with the finding where there is one; return the text."""
+    inclusion = None
+    if not reconstruction.warnings:
+        inclusion = find_lump(recording.mesh, reconstruction.youngs)
+    summary = summarise(recording, reconstruction, inclusion, source)
+    if finding is not None:
+        summary["finding"] = finding.plain()
+    write_json(out / "summary.json", summary)
+    parts: list[str | Table] = [describe(recording, reconstruction, inclusion, summary)]
+    if recording.truth is not None:
+        parts += ["", score_table(recording, {"reconstruction": reconstruction.youngs})[1]]
+    if finding is not None:
+        parts += ["", "Finding:", finding.text()]
+    texts = [part.text() if isinstance(part, Table) else part for part in parts]
+    write_file(out / "summary.txt", "\n".join(texts) + "\n")
+    return parts
+
+
 def summarise(
     recording: Recording, reconstruction: Reconstruction, inclusion: Inclusion | None, source: str
 ) -> dict[str, Any]:
-    """Return the numbers of a run, with scores where there is a truth."""
+    """Return the numbers of a run, with scores where there is a truth.
+
+    Args:
+        recording: The presses.
+        reconstruction: Result of their inversion.
+        inclusion: Most conspicuous inclusion of the map; None if there is none, or if the map is
+            not to be trusted.
+        source: Path of the recording.
+    """
     last, youngs = reconstruction.history[-1], reconstruction.youngs
     summary: dict[str, Any] = {
         "recording": source,
@@ -120,13 +144,13 @@ def describe(
     inclusion: Inclusion | None,
     summary: Mapping[str, Any],
 ) -> str:
-    """Return a summary of the map in words."""
+    """Return a summary of the map in words; see `summarise`."""
     lines = [
         f"{summary['optimizer']}: {summary['iterations']} iterations in "
         f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
         f"Displacements are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations "
         f"(misfit {summary['misfit']:.3g} mm2).",
-        summarize_inclusion(inclusion, summary["youngs_median_mpa"]),
+        *_describe_map(reconstruction, inclusion),
         *(_describe_estimate(name, value) for name, value in reconstruction.nuisance.items()),
         *(f"DO NOT TRUST THIS MAP: {warning}" for warning in reconstruction.warnings),
     ]
@@ -136,6 +160,14 @@ def describe(
             median = float(np.median(recording.truth))
             lines.append("In truth: " + summarize_inclusion(true, median))
     return "\n".join(lines)
+
+
+def _describe_map(reconstruction: Reconstruction, inclusion: Inclusion | None) -> list[str]:
+    """Return the inclusion of the map as a sentence; none of a map that is not to be trusted."""
+    if reconstruction.warnings:
+        return []
+    median = float(np.median(reconstruction.youngs))
+    return ["In the map: " + summarize_inclusion(inclusion, median)]
 
 
 def _describe_estimate(name: str, estimate: NuisanceEstimate) -> str:

@@ -11,6 +11,7 @@ from scipy.special import ndtr, ndtri
 
 from tactorch.errors import ConfigError
 from tactorch.findings.lumps import Mask, adjacent_elements, find_lumps
+from tactorch.inverse import ShapeReconstruction
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
 from tactorch.metrics.segment import Side, volume_mean
@@ -190,7 +191,9 @@ class Finding:
         background_mpa: Young's modulus of the background, MPa.
         reasons: Reasons for which the presses cannot tell, as sentences; usually none.
         probability: Probability that there is any lump; None where it was not computed.
-        notes: Sentences on errors of the recording that the presses show.
+        notes: Sentences on errors of the recording that the presses show, and on what could not be
+            computed.
+        shapes: Shapes that the lumps describe; None if they are regions of a map.
     """
 
     lumps: tuple[Lump, ...]
@@ -198,6 +201,7 @@ class Finding:
     reasons: tuple[str, ...] = ()
     probability: float | None = None
     notes: tuple[str, ...] = ()
+    shapes: ShapeReconstruction | None = None
 
     @property
     def status(self) -> Status:

@@ -31,13 +31,13 @@ def build_shape_finding(recording: Recording, result: ShapeReconstruction) -> Fi
             f"the best model leaves {result.unexplained:.0%} of the displacements unexplained. "
             "Check the forces, the supports and the shape of the object, and the stated noise."
         )
-        return Finding((), background, (reason,), probability, notes)
+        return Finding((), background, (reason,), probability, notes, result)
     lumps = tuple(
         _lump(recording, inclusion)
         for inclusion in result.inclusions
         if inclusion.probability >= _MIN_PROBABILITY
     )
-    return Finding(lumps, background, (), probability, notes)
+    return Finding(lumps, background, (), probability, notes, result)
 
 
 def _notes(result: ShapeReconstruction) -> tuple[str, ...]:

@@ -1,11 +1,11 @@
 """Text of findings, shared by the command line, the report and live runs."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tactorch.findings.finding import Lump
+from tactorch.findings.finding import Finding, Lump, Status
 from tactorch.metrics import Inclusion
 
 
@@ -15,6 +15,15 @@ class Fact(NamedTuple):
     label: str
     value: str
     note: str = ""
+
+
+def describe_finding(finding: Finding, presses: int, total: int) -> str:
+    """Return the text of a finding, and whether it is of the map or of fewer presses than all."""
+    if presses < total:
+        return f"Of the first {presses} of {total} presses:\n{finding.text()}"
+    if finding.shapes is None and finding.lumps:
+        return f"In the map:\n{finding.text()}"
+    return finding.text()
 
 
 def headline(inclusion: Inclusion | None) -> str:
@@ -68,14 +77,30 @@ def summarize_inclusion(inclusion: Inclusion | None, median_mpa: float) -> str:
 
 
 def summarize_plain(values: Mapping[str, Any] | None, median_mpa: float) -> str:
-    """Return a table cell for an inclusion in plain values, as of `Inclusion.plain`."""
+    """Return a table cell for an inclusion in plain values, with its 90 % intervals.
+
+    Args:
+        values: Values of `Inclusion.plain` or `Lump.plain`; None if there is no inclusion.
+        median_mpa: Young's modulus of the object then, MPa.
+    """
     if values is None:
         return f"none; {median_mpa:.3g} MPa"
+    radius = _interval(values.get("equivalent_radius_90_mm"))
+    youngs = _interval(values.get("mean_90_mpa"))
     return (
         f"{values['side']} at {_point(values['center_mm'])}, radius "
-        f"{values['equivalent_radius_mm']:.1f} mm: {values['mean_mpa']:.3g} MPa in "
+        f"{values['equivalent_radius_mm']:.1f}{radius} mm: {values['mean_mpa']:.3g}{youngs} MPa in "
         f"{values['background_mpa']:.3g}"
     )
+
+
+def summarize_finding(values: Mapping[str, Any]) -> str:
+    """Return a table cell for a finding in plain values, as of `Finding.plain`."""
+    if values["status"] == Status.UNKNOWN:
+        return "cannot tell"
+    first, *others = values["lumps"] or [None]
+    more = f"; {len(others)} more" if others else ""
+    return summarize_plain(first, values["background_mpa"]) + more
 
 
 def _probability(lump: Lump) -> Fact:
@@ -91,6 +116,10 @@ def _probability(lump: Lump) -> Fact:
         f"noise and prior; {confidence.bound_text(side)}; standard deviation of its centre "
         f"{deviation:.2g} mm",
     )
+
+
+def _interval(ends: Sequence[float] | None) -> str:
+    return "" if ends is None else f" ({ends[0]:.2g} to {ends[1]:.2g})"
 
 
 def _point(center_mm: Any, digits: int = 1) -> str:

@@ -1,6 +1,7 @@
 """Self-contained HTML report of one inversion, or of several side by side."""
 
-from tactorch.report.runs import SHAPES, Run, load_run, run_names
+from tactorch.findings import SHAPES
+from tactorch.report.runs import Run, load_run, run_names
 from tactorch.report.write import write_report
 
 __all__ = ["SHAPES", "Run", "load_run", "run_names", "write_report"]

@@ -7,11 +7,11 @@ from typing import Any
 
 from tactorch.errors import FileError, RecordingError, TactorchError
 from tactorch.files import read_json, require_file, require_folder
+from tactorch.findings import SHAPES
 from tactorch.inverse import NoiseModel, Reconstruction, Settings, ShapeReconstruction
 from tactorch.recording import Recording
 from tactorch.text import one_line
 
-SHAPES = "shapes.json"  # the shapes that `tactorch find` fitted to the presses of a run
 _FILES = ("reconstruction.h5", "summary.json")  # of a finished inversion
 _LOG_LINES = 200
 _MAX_NAME_LENGTH = 255

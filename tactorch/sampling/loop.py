@@ -3,7 +3,7 @@
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -12,13 +12,20 @@ from typing import Any
 import numpy as np
 
 from tactorch.config import Options, option, to_mapping
-from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
+from tactorch.errors import (
+    CancelledError,
+    ConfigError,
+    ConvergenceError,
+    FileError,
+    RecordingError,
+)
 from tactorch.files import read_arrays, write_arrays, write_file
-from tactorch.findings import find_lump
+from tactorch.findings import Finding, find_lump
 from tactorch.inverse import IncrementalInversion, IncrementalResult, Settings, Start, StopReason
 from tactorch.inverse.starts import START_MPA
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
+from tactorch.sampling.inclusions import InclusionSearch
 from tactorch.sampling.sources import Arrival, PressSource
 from tactorch.sampling.suggest import Suggester, Suggestion
 
@@ -42,6 +49,11 @@ class LoopOptions(Options):
     idle_seconds: float | None = option(
         None, "Time without a new press after which the run ends", unit="s", gt=0
     )
+    shapes: bool = option(
+        True,
+        "Fit inclusions with sharp boundaries to the presses while none waits; false: lumps are "
+        "regions of the map",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +64,19 @@ class Update:
         recording: All presses so far.
         solution: Result of the inversion; its history is that of this update.
         lump: Most conspicuous lump of the map; None if none stands out.
+        finding: Lumps of the shapes that were fitted last, or of the map.
+        finding_presses: Number of presses that the finding is of, the first ones of the recording.
         entry: Line of the history, plain values: press (number so far), names, seconds,
-            iterations, chi2, weight, inclusion, deviation, next and more.
+            iterations, chi2, weight, inclusion, finding, finding_presses, searched (whether shapes
+            were fitted to all presses), deviation, next and more.
         suggestion: Suggested next press; None until it is known.
     """
 
     recording: Recording
     solution: IncrementalResult
     lump: Inclusion | None
+    finding: Finding
+    finding_presses: int
     entry: dict[str, Any]
     suggestion: Suggestion | None = None
 
@@ -93,6 +110,12 @@ class Update:
         )
         return update
 
+    def found(self, finding: Finding) -> "Update":
+        """Return the update with the finding of a search in all presses, also in its entry."""
+        count = len(self.recording.presses)
+        self.entry.update(finding=finding.plain(), finding_presses=count, searched=True)
+        return replace(self, finding=finding, finding_presses=count)
+
     def _rms(self, elements: np.ndarray) -> float | None:
         deviation = None if self.suggestion is None else self.suggestion.deviation
         if deviation is None or not elements.any():
@@ -118,6 +141,9 @@ class Observer:
 
     def suggested(self, update: Update) -> None:
         """The next press was suggested."""
+
+    def found(self, update: Update) -> None:
+        """Shapes were fitted to all presses, or cannot be: the finding is of all presses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +213,7 @@ class SamplingLoop:
         suggester: Suggests the next press; expected error by default.
         start_mpa: Start of the first inversion.
         restart: See `IncrementalInversion`; for presses on request. A press that cannot be inverted
-            then raises, and is otherwise reported and skipped.
+            then raises, and is otherwise reported and skipped. No shapes are fitted.
         target_deviation: Root mean square deviation of the parameters at which the loop ends.
     """
 
@@ -210,6 +236,8 @@ class SamplingLoop:
         self._max_presses = self._options.max_presses or sys.maxsize
         digest = _digest(to_mapping(replace(settings, max_seconds=None)))
         self._store = None if folder is None else Store(folder, digest)
+        self._inclusions = InclusionSearch(settings, folder)
+        self._fits_shapes = self._options.shapes and not restart
         self._waiting: list[Arrival] = []
         self._done: list[Arrival] = []
         self._history: list[dict[str, Any]] = []
@@ -220,10 +248,11 @@ class SamplingLoop:
         """Run to the end; Ctrl-C ends it with the last complete update, or raises without any."""
         try:
             self._resume()
-            self._refine_and_suggest()  # a run that was killed may not have come to it
+            self._use_idle_time()  # a run that was killed may not have come to it
             reason = self._follow()
             if not self._restart:  # it would carry out another press
                 self._refine_and_suggest()
+                self._find(stop=lambda: False)
         except KeyboardInterrupt:
             if not self._history:
                 raise
@@ -238,7 +267,7 @@ class SamplingLoop:
                 count = min(options.max_batch, self._max_presses - len(self._done))
                 batch, self._waiting = self._waiting[:count], self._waiting[count:]
                 self._add(batch)
-                self._refine_and_suggest()
+                self._use_idle_time()
                 last = time.monotonic()
                 continue
             idle = time.monotonic() - last
@@ -301,6 +330,11 @@ class SamplingLoop:
         self._done += batch
         self._publish(solution, [a.key for a in batch], time.perf_counter() - started)
 
+    def _use_idle_time(self) -> None:
+        """Refine the map, suggest a press and fit shapes, until a press waits."""
+        self._refine_and_suggest()
+        self._find(stop=self._press_waits)
+
     def _refine_and_suggest(self) -> None:
         """Refine the map and suggest a press, unless a press waits."""
         if not self._press_waits():
@@ -316,13 +350,32 @@ class SamplingLoop:
             for observer in self._observers:
                 observer.suggested(self._update)
 
+    def _find(self, stop: Callable[[], bool]) -> None:
+        """Fit shapes to all presses, once for each number of them."""
+        update = self._update
+        if update is None or not self._lacks_shapes() or stop():
+            return
+        try:
+            finding = self._inclusions.search(update.recording, update.solution.result, stop)
+        except CancelledError:
+            return
+        self._update = update.found(finding)
+        self._save()
+        for observer in self._observers:
+            observer.found(self._update)
+
+    def _lacks_shapes(self) -> bool:
+        """Whether shapes are still to be fitted to the presses of the last update."""
+        return self._fits_shapes and not self._history[-1].get("searched", False)
+
     def _refine(self) -> None:
         """Continue an update that ended at its limit, until a press comes."""
         inversion, update = self._inversion, self._update
         if inversion is None or (update is not None and update.solution.converged):
             return
         last = self._history[-1]
-        if update is None and last["settled"] and "next" in last:
+        is_complete = last["settled"] and "next" in last and not self._lacks_shapes()
+        if update is None and is_complete:
             return
         started = time.perf_counter()
         solution = inversion.refine(stop=self._press_waits)
@@ -332,6 +385,8 @@ class SamplingLoop:
         assert self._inversion is not None
         result, recording = solution.result, self._inversion.recording
         lump = find_lump(recording.mesh, result.youngs)
+        finding, finding_presses = self._inclusions.present(recording, result)
+        searched = not names and bool(self._history) and self._history[-1].get("searched", False)
         entry = {
             "press": len(self._done),
             "names": names,
@@ -343,9 +398,12 @@ class SamplingLoop:
             "weight": solution.weight,
             "youngs_median_mpa": float(np.median(result.youngs)),
             "inclusion": None if lump is None else lump.plain(),
+            "finding": finding.plain(),
+            "finding_presses": finding_presses,
+            "searched": searched,
         }
         self._history.append(entry)
-        self._update = Update(recording, solution, lump, entry)
+        self._update = Update(recording, solution, lump, finding, finding_presses, entry)
         self._save()
         if self._store is not None:
             result.save(self._store.folder / RESULT)
@@ -366,6 +424,7 @@ class SamplingLoop:
     def _resume(self) -> None:
         saved = None if self._store is None else self._store.load()
         if saved is None:
+            self._inclusions.clear()
             return
         state, digests, history = saved
         arrivals = self._await(list(digests))
@@ -382,6 +441,7 @@ class SamplingLoop:
                 )
         self._inversion, self._done = self._make_inversion(), arrivals
         self._inversion.restore([arrival.press for arrival in arrivals], state)
+        self._inclusions.restore(self._inversion.recording)
         self._history = history
         self._save()
         for observer in self._observers:

@@ -11,7 +11,7 @@ import pytest
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 
-QUICK = ("plots=false", "optimizer.max_iterations=2")
+QUICK = ("plots=false", "find=false", "optimizer.max_iterations=2")
 TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=null", "press.steps=1")
 NUMBERS = ("seconds", "iterations", "misfit", "rmse_mpa", "pearson", "ssim", "psnr")
 
@@ -67,7 +67,7 @@ def test_invert_leaves_map_and_summary(
     folder = tmp_path / "run"
     done = tactorch(
         "invert", f"recording={recording}", f"optimizer={optimizer}", f"run_dir={folder}",
-        brief, "plots=false",
+        brief, "plots=false", "find=false",
     )  # fmt: skip
     assert done.status == 0, done.err
     summary = summary_of(folder)
@@ -88,7 +88,7 @@ def test_a_map_at_its_bounds_is_told(
     """The body has 0.2 MPa, so that a bound above it holds nearly all of the map."""
     done = tactorch(
         "invert", f"recording={recording}", f"run_dir={tmp_path}", f"bounds.lower={lower}",
-        "initialization.start_mpa=0.4", "optimizer.max_iterations=5", "plots=false",
+        "initialization.start_mpa=0.4", "optimizer.max_iterations=5", "plots=false", "find=false",
     )  # fmt: skip
     assert done.status == 0, done.err
     content = (tmp_path / "summary.txt").read_text()
@@ -117,7 +117,7 @@ def test_run_folder_tells_how_it_came_about(tactorch: Any, recording: Path, tmp_
 def test_pictures_are_drawn_with_other_runs_beside(
     tactorch: Any, recording: Path, tmp_path: Path
 ) -> None:
-    run = ("invert", f"recording={recording}", "optimizer.max_iterations=1")
+    run = ("invert", f"recording={recording}", "optimizer.max_iterations=1", "find=false")
     assert tactorch(*run, "run_dir=a/0", "plots=false").status == 0
     # Runs of one optimizer in folders of one name still are curves of their own.
     shutil.copytree("a/0", "b/0")
@@ -187,7 +187,7 @@ def test_jobs_of_a_sweep_do_not_overwrite_each_other(tactorch: Any) -> None:
 
 
 def test_demo_simulates_and_inverts(tactorch: Any) -> None:
-    done = tactorch("demo", *TINY, "press=top", "plots=false", "optimizer.max_iterations=2")
+    done = tactorch("demo", *TINY, "press=top", *QUICK)
     assert done.status == 0, done.err
     assert "inclusion" in done.out
     assert summary_of(Path("outputs/demo"))["recording"].endswith("outputs/demo/recording.h5")
@@ -195,9 +195,12 @@ def test_demo_simulates_and_inverts(tactorch: Any) -> None:
 
 
 def test_demo_runs_on_a_published_case(tactorch: Any, published: Path) -> None:
-    done = tactorch("demo", "source=published", f"path={published}", "run_dir=d", *QUICK)
+    quick = (*QUICK, "find=true")
+    done = tactorch("demo", "source=published", f"path={published}", "run_dir=d", *quick)
     assert done.status == 0, done.err
-    assert summary_of(Path("d"))["elements"] == 40
+    summary = summary_of(Path("d"))
+    assert summary["elements"] == 40
+    assert summary["finding"] == json.loads(Path("d/finding.json").read_text())
 
 
 def test_second_run_in_a_folder_leaves_nothing_of_the_first(tactorch: Any, recording: Path) -> None:
@@ -221,8 +224,9 @@ def test_wrong_setting_spares_the_results_in_the_folder(tactorch: Any, recording
 
 def test_time_limit_keeps_the_best_map(tactorch: Any, recording: Path) -> None:
     done = tactorch(
-        "invert", f"recording={recording}", "run_dir=run", "plots=false", "max_seconds=1e-6"
-    )
+        "invert", f"recording={recording}", "run_dir=run", "plots=false", "find=false",
+        "max_seconds=1e-6",
+    )  # fmt: skip
     assert done.status == 0, done.err
     assert summary_of(Path("run"))["stop_reason"] == "time limit reached"
 

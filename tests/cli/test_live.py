@@ -1,13 +1,20 @@
+import html
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from tactorch.inverse import Reconstruction
+from tactorch.cli.live_view import Screen
+from tactorch.findings import Confidence, Finding, Lump
+from tactorch.inverse import IncrementalResult, Reconstruction
+from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
+from tactorch.sampling import Update
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +29,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-QUICK = ("pause_seconds=0", "poll_seconds=0.01", "max_iterations=2", "suggest.candidates=4")
+QUICK = (
+    *("pause_seconds=0", "poll_seconds=0.01", "max_iterations=2", "suggest.candidates=4"),
+    "shapes=false",
+)
 
 
 @pytest.mark.slow
@@ -67,6 +77,93 @@ def test_the_page_loads_itself_anew_until_the_end(
     assert done.status == 0, done.err
     assert '<meta http-equiv="refresh"' in pages[0]
     assert "<img" not in pages[0]
+
+
+def test_shapes_are_found_and_shown(tactorch: Callable[..., Any], recording_file: Path) -> None:
+    given = ("idle_seconds=0.01", "shapes=true", "suggest.rule=none", "plots=false", "run_dir=run")
+    done = tactorch("live", f"recording={recording_file}", *QUICK, *given)
+    assert done.status == 0, done.err
+    history = [json.loads(line) for line in Path("run/history.jsonl").read_text().splitlines()]
+    finding = history[-1]["finding"]
+    assert history[-1]["finding_presses"] == 2
+    assert finding["probability"] is not None
+    assert "press 2, shapes: " in done.out
+    page = Path("run/live.html").read_text()
+    texts = {"found": " lump at (", "nothing found": "Nothing found", "cannot tell": "Cannot tell"}
+    text = texts[finding["status"]]
+    assert text in page
+    assert text in done.out.split("The run ended: ")[0]
+    assert text in done.out.split("The run ended: ")[1]
+    assert (Path("run") / "shapes.json").is_file()
+    assert "log-evidence" not in done.out  # the steps of the search are in the log file
+    assert "log-evidence" in Path("run/live.log").read_text()
+
+
+class Screens:
+    """Updates of two presses with a ball, shown on a page."""
+
+    def __init__(self, folder: Path, recording: Recording) -> None:
+        self.folder, self._recording = folder, recording
+        self.screen = Screen(folder, Path("session.h5"), plots=False)
+
+    def update(self, presses: int, finding: Finding, total: int = 2) -> Update:
+        entry = {
+            "press": total, "names": ["x"], "seconds": 1.0, "chi2": 1.0, "inclusion": None,
+            "youngs_median_mpa": 0.2, "finding": finding.plain(), "finding_presses": presses,
+        }  # fmt: skip
+        nothing: Any = None
+        solution = IncrementalResult(nothing, nothing, 0.0, True)
+        return Update(self._recording, solution, None, finding, presses, entry)
+
+    def page(self) -> str:
+        return html.unescape((self.folder / "live.html").read_text())
+
+
+@pytest.fixture
+def screens(tmp_path: Path, recording: Path) -> Screens:
+    return Screens(tmp_path, Recording.load(recording))
+
+
+def a_ball(screens: Screens) -> Finding:
+    inside = np.zeros(screens._recording.mesh.n_tets, dtype=bool)
+    inside[:3] = True
+    center, interval = np.array([5.0, 5.0, 6.0]), (1.9, 2.1)
+    inclusion = Inclusion(center, 33.5, 2.0, 0.94, 0.2, inside, "stiff")
+    confidence = Confidence(0.9999, (3.7, 6.0), np.full(3, 0.01), interval, (0.74, 1.2))
+    return Finding((Lump(inclusion, np.full(3, 4.0), None, confidence),), 0.2)
+
+
+def test_the_finding_is_shown_with_its_intervals_and_of_how_many_presses_it_is(
+    screens: Screens,
+) -> None:
+    finding = a_ball(screens)
+    screens.screen.updated(screens.update(1, finding))
+    page = screens.page()
+    assert f"Of the first 1 of 2 presses:\n{finding.text()}" in page
+    cell = "radius 2.0 (1.9 to 2.1) mm: 0.94 (0.74 to 1.2) MPa in 0.2"
+    assert f"{cell}; of the first 1 presses</td>" in page
+    screens.screen.found(screens.update(2, replace(finding, probability=1.0)))
+    page = screens.page()
+    assert "Of the first" not in page
+    assert finding.text() in page
+    assert "90 % intervals are 1.9 to 2.1 mm" in page
+
+
+def test_the_page_says_that_the_presses_cannot_tell(screens: Screens) -> None:
+    finding = Finding((), 0.2, ("40% of the map is at a bound.",))
+    screens.screen.updated(screens.update(2, finding))
+    page = screens.page()
+    assert "Cannot tell whether there is a lump: 40% of the map is at a bound." in page
+    assert "<td>cannot tell</td>" in page
+
+
+def test_a_continued_run_shows_its_last_finding(screens: Screens) -> None:
+    entry = screens.update(2, a_ball(screens)).entry
+    older = {name: entry[name] for name in entry if not name.startswith("finding")}
+    screens.screen.resumed([older | {"press": 1}, entry])
+    page = screens.page()
+    assert page.count("stiff at (5.0, 5.0, 6.0) mm, radius 2.0 (1.9 to 2.1) mm") == 2
+    assert "<td>none; 0.2 MPa</td>" in page  # the entry of an earlier version
 
 
 def test_at_a_terminal_there_is_a_table(

@@ -12,7 +12,10 @@ import pytest
 
 from tactorch.inverse import Monitor, Reconstruction
 
-RUN = ("plots=false", "run_dir=run", "regularization.weight=5", "optimizer.tolerance=1e-9")
+RUN = (
+    *("plots=false", "find=false", "run_dir=run"),
+    *("regularization.weight=5", "optimizer.tolerance=1e-9"),
+)
 
 
 def load(folder: str = "run") -> Reconstruction:
@@ -75,8 +78,8 @@ def test_a_run_stopped_before_its_first_checkpoint_starts_anew(
 
 def test_resume_repeats_the_settings_of_the_run(tactorch: Any, recording: Path) -> None:
     tactorch(
-        "invert", f"recording={recording}", "run_dir=run", "plots=false", "optimizer=lbfgs",
-        "optimizer.max_iterations=2",
+        "invert", f"recording={recording}", "run_dir=run", "plots=false", "find=false",
+        "optimizer=lbfgs", "optimizer.max_iterations=2",
     )  # fmt: skip
     done = tactorch("invert", "resume=run", "optimizer.max_iterations=3", "run_dir=further")
     assert done.status == 0, done.err

@@ -90,7 +90,13 @@ def test_a_recording_grows_as_contacts_end(
     assert [press.name for press in recording.presses] == ["contact 1, 2.png", "contact 1, 3.png"]
     assert recording.provenance["sensor"] == "drawn"
     assert "contact 1: 2 presses up to" in done.out + done.err
-    quick = ("max_presses=2", "plots=false", "suggest.rule=none", f"run_dir={tmp_path / 'live'}")
+    quick = (
+        "max_presses=2",
+        "plots=false",
+        "shapes=false",
+        "suggest.rule=none",
+        f"run_dir={tmp_path / 'live'}",
+    )
     followed = tactorch("live", f"recording={out}", *quick)
     assert followed.status == 0, followed.err
     assert (tmp_path / "live" / "reconstruction.h5").is_file()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from tactorch.errors import Cancelled, ConfigError, ConvergenceError
+from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, NewtonOptions
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
@@ -304,7 +304,7 @@ def test_a_search_can_be_stopped(recording):
         calls.append(None)
         return len(calls) > 3
 
-    with pytest.raises(Cancelled, match="stopped before it had a result"):
+    with pytest.raises(CancelledError, match="stopped before it had a result"):
         find_shapes(recording, max_shapes=1, stop=stop)
     assert len(calls) == 4
 
@@ -379,7 +379,7 @@ def test_a_correction_that_fails_leaves_the_model(recording, monkeypatch, caplog
     model = presses.uniform()
     calls = []
 
-    def offsets(self, fit, evaluation):
+    def offsets(self, fit, evaluation, check):
         calls.append(fit)
         if len(calls) == 3:
             raise ConvergenceError("no equilibrium")

@@ -33,6 +33,7 @@ class Memory(Observer):
         self.notes: list[str] = []
         self.maps: list[Update] = []
         self.suggestions: list[Update] = []
+        self.findings: list[Update] = []
         self.history: list[Mapping[str, Any]] = []
         self.waits = 0
 
@@ -50,6 +51,9 @@ class Memory(Observer):
 
     def suggested(self, update: Update) -> None:
         self.suggestions.append(update)
+
+    def found(self, update: Update) -> None:
+        self.findings.append(update)
 
 
 @pytest.fixture(scope="session")
@@ -96,7 +100,7 @@ class Live:
         """Follow until nothing comes any more, one press at a time."""
         settings, view = settings or Settings(), view or self.view
         usual = {"idle_seconds": 0.05, "poll_seconds": 0.01, "max_batch": 1, "max_iterations": 3}
-        usual["update_seconds"] = None
+        usual |= {"update_seconds": None, "shapes": False}
         suggest = suggest or SuggestOptions(rule=rule, candidates=6)
         return SamplingLoop(
             RecordingSource(self.path, report=view.show_message),

@@ -139,6 +139,15 @@ def test_information_is_of_the_data_the_press_would_have(
     np.testing.assert_allclose(state.credibility[large], expected[large], rtol=rtol)
 
 
+def test_no_shapes_are_fitted(
+    run: Callable[..., list[Step]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searches: list[object] = []
+    monkeypatch.setattr("tactorch.findings.search.find_shapes", lambda *a, **k: searches.append(a))
+    assert len(run(UniformGrid(2), 2)) == 2
+    assert not searches
+
+
 def test_nuisance_parameters_are_refused(run: Callable[..., list[Step]]) -> None:
     with pytest.raises(ConfigError, match="nuisance"):
         run(UniformGrid(2), 2, settings=replace(SETTINGS, nuisance=NuisancePrior(poisson=0.02)))

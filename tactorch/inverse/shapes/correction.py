@@ -8,7 +8,7 @@ finer meshes follow the inclusions (deferred correction: V. Pereyra, "On improvi
 solution of a functional equation by deferred corrections", Numer. Math. 8 (1966), 376-391).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -113,7 +113,9 @@ class Correction:
         """Whether some contact ends within a face."""
         return any(rim is not None for _, rim in self.contacts)
 
-    def offsets(self, fit: ShapeFit, evaluation: Evaluation) -> list[Float[np.ndarray, " p"]]:
+    def offsets(
+        self, fit: ShapeFit, evaluation: Evaluation, check: Callable[[], None] = lambda: None
+    ) -> list[Float[np.ndarray, " p"]]:
         """Return the predictions of the finer meshes less those of the common one, each press (mm).
 
         Those of the smallest and largest load of each contact are computed, and interpolated for
@@ -122,6 +124,7 @@ class Correction:
         Args:
             fit: Model.
             evaluation: Its predictions on the common mesh.
+            check: Called before each mesh and each equilibrium; what it raises ends the correction.
 
         Raises:
             ConvergenceError: a press has no equilibrium on its finer mesh.
@@ -131,8 +134,9 @@ class Correction:
         before = [u.ravel()[i] for u, i in zip(evaluation.reported, index, strict=True)]
         offsets = [np.zeros_like(values) for values in before]
         for contacts, refinement in self._refinements(list(fit.field.shapes(fit.z))):
+            check()
             every = [_LoadSeries.of(contact, before) for contact in contacts]
-            predicted = self._predict(fit, evaluation, refinement, every)
+            predicted = self._predict(fit, evaluation, refinement, every, check)
             changes = {i: u.ravel()[index[i]] - before[i] for i, u in predicted.items()}
             for series in every:
                 for i, change in series.interpolate(changes).items():
@@ -161,6 +165,7 @@ class Correction:
         evaluation: Evaluation,
         refinement: Refinement,
         every: Sequence[_LoadSeries],
+        check: Callable[[], None],
     ) -> dict[int, Float[np.ndarray, "nodes 3"]]:
         """Return the reported displacements of the presses at the ends of each series."""
         shapes = list(fit.field.shapes(fit.z))
@@ -181,6 +186,7 @@ class Correction:
             found: dict[int, np.ndarray] = {}
             near, change = None, np.zeros((body.n_nodes, 3))
             for i in every[k].ends:
+                check()
                 one = replace(fine, presses=(fine.presses[i],))
                 problem = InverseProblem(one, body=body, noise=self.noise)
                 start = transfer(evaluation.displacements[i])

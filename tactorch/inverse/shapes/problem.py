@@ -3,12 +3,13 @@
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import Cancelled, ConfigError, ConvergenceError
+from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import DataModel, Observation, group_by_contact, rigid_patterns
 from tactorch.inverse.problem import Evaluation, InverseProblem
@@ -49,7 +50,8 @@ class ShapeProblem:
     Args:
         recording: The presses.
         settings: Noise, solver, bounds and equilibrium search are used.
-        stop: Called before each fit and correction, which raise `Cancelled` where it is true.
+        stop: Called before each step of a fit and each equilibrium of a correction, by one thread
+            at a time; where it is true they raise `CancelledError`.
 
     Attributes:
         quadratic: The presses with quadratic elements, on which models are judged.
@@ -63,7 +65,7 @@ class ShapeProblem:
     def __init__(
         self, recording: Recording, settings: Settings, stop: Callable[[], bool] = lambda: False
     ) -> None:
-        self._stop = stop
+        self._stop, self._lock = stop, Lock()
         same, self._element = is_same_model(recording), "tet10"
         if same:
             self._element = str(recording.provenance.get("element", settings.element))
@@ -135,7 +137,7 @@ class ShapeProblem:
         problem = self.quadratic.with_data(self.data(start.errors))
         fit = fit_shapes(
             problem, start.field, start.z, sites=self.sites, starts=displacements,
-            tolerance=tolerance,
+            tolerance=tolerance, give_up=self._never,
         )  # fmt: skip
         return Model(*fit, start.errors)
 
@@ -149,6 +151,7 @@ class ShapeProblem:
         problem = self.quadratic.with_data(self.data(start.errors))
 
         def is_worse(fit: ShapeFit, fall: float) -> bool:
+            self._check()
             misfit = max(0.0, fit.misfit - _OPTIMISM * fall)
             best = replace(fit, misfit=misfit, chi2=2.0 * misfit / len(fit.residuals))
             return gain(best, model.fit) < 0.0
@@ -204,7 +207,7 @@ class ShapeProblem:
         assert self._correction is not None
         before = self.quadratic, self._correction_mm
         try:
-            offsets = self._correction.offsets(model.fit, model.evaluation)
+            offsets = self._correction.offsets(model.fit, model.evaluation, self._check)
             pairs = zip(self._correction_mm, offsets, strict=True)
             data = self.quadratic.data.shifted([old - new for old, new in pairs])
             self.quadratic, self._correction_mm = self.quadratic.with_data(data), offsets
@@ -229,7 +232,7 @@ class ShapeProblem:
         try:
             fit, _ = fit_shapes(
                 problem, start.field, start.z, sites=self._linear_sites,
-                max_iterations=_TRIAL_STEPS, tolerance=_TOLERANCE,
+                max_iterations=_TRIAL_STEPS, tolerance=_TOLERANCE, give_up=self._never,
             )  # fmt: skip
         except ConvergenceError:
             return Trial(np.inf, np.inf, 0.0), start.z
@@ -291,9 +294,16 @@ class ShapeProblem:
         squares = float(residuals @ residuals)
         return Trial(squares / len(residuals), 0.5 * squares, 0.5 * float(z @ z + logs))
 
+    def _never(self, fit: ShapeFit, fall: float) -> bool:
+        """Return that a fit is not given up, unless the search is stopped."""
+        self._check()
+        return False
+
     def _check(self) -> None:
-        if self._stop():
-            raise Cancelled("The search for inclusions was stopped before it had a result.")
+        with self._lock:  # presses are solved in threads
+            is_stopped = self._stop()
+        if is_stopped:
+            raise CancelledError("The search for inclusions was stopped before it had a result.")
 
     def _raw(self, model: Model) -> Evaluation:
         """Return the predictions of a model with the residuals of white noise."""

@@ -63,10 +63,10 @@ def find_shapes(
         max_shapes: Largest number of inclusions.
         start: Result for other presses on the object, such as the earlier ones of a session, from
             whose model the search starts; by default it starts from a uniform body.
-        stop: Called before each fit; where it is true the search raises `Cancelled`.
+        stop: Called before each step of a fit; where it is true the search raises `CancelledError`.
 
     Raises:
-        Cancelled: see `stop`.
+        CancelledError: see `stop`.
         ConfigError: a setting cannot be used.
         ConvergenceError: with no uniform modulus do all presses have an equilibrium, or linear
             elements have none where quadratic ones have.
@@ -106,7 +106,7 @@ def _first(
         try:
             what, model = start.what, problem.first(start)
         except ConvergenceError as error:
-            _log.info("the search starts anew, for %s fails: %s", start.what, error)
+            _log.info("%s fails, and the search starts from a uniform body: %s", start.what, error)
     model = model or problem.uniform()
     _log.info("%s: chi2 %.4g", what, model.fit.chi2)
     return model, [_record(what, model)]

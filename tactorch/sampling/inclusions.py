@@ -1,0 +1,87 @@
+"""The finding of a growing recording: shapes that are fitted to its presses, else its map's."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from tactorch.errors import FileError
+from tactorch.files import read_json, write_json
+from tactorch.findings import SHAPES, Finding, build_shape_finding, find
+from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction
+from tactorch.recording import Recording
+
+_COUNT = "presses"  # in the file of the shapes: the number of presses that they are fitted to
+
+
+class InclusionSearch:
+    """Shapes of a growing recording, each fitted from those before.
+
+    The shapes are kept in a file, with the number of presses that they are fitted to.
+
+    Args:
+        settings: Settings of the inversions.
+        folder: Folder of the run; None keeps no file.
+    """
+
+    def __init__(self, settings: Settings, folder: str | Path | None) -> None:
+        self._settings = settings
+        self._path = None if folder is None else Path(folder) / SHAPES
+        self._last: tuple[Finding, int] | None = None  # of shapes, and of how many presses
+
+    def present(self, recording: Recording, reconstruction: Reconstruction) -> tuple[Finding, int]:
+        """Return the finding before a search, and the number of presses that it is of.
+
+        It is of the last shapes, if there are any. Those of fewer presses give way to a map that
+        cannot be trusted, as the new presses may contradict them.
+
+        Args:
+            recording: All presses.
+            reconstruction: Their map.
+        """
+        count, last = len(recording.presses), self._last
+        if last is not None and (last[1] == count or not reconstruction.warnings):
+            return last
+        return find(recording, reconstruction, shapes=False, uncertainty=False), count
+
+    def search(
+        self, recording: Recording, reconstruction: Reconstruction, stop: Callable[[], bool]
+    ) -> Finding:
+        """Fit shapes to all presses, and return their finding; that of the map where this fails.
+
+        Raises:
+            CancelledError: `stop` returned True.
+        """
+        finding = find(
+            recording, reconstruction, self._settings,
+            uncertainty=False, start=self._shapes, stop=stop,
+        )  # fmt: skip
+        if finding.shapes is not None:
+            self._last = finding, len(recording.presses)
+            if self._path is not None:
+                write_json(self._path, {**finding.shapes.plain(), _COUNT: self._last[1]})
+        return finding
+
+    def restore(self, recording: Recording) -> None:
+        """Read the shapes of a run that is continued; those that cannot be read are ignored.
+
+        Args:
+            recording: All presses of the run.
+        """
+        if self._path is None or not self._path.is_file():
+            return
+        try:
+            values = read_json(self._path, "shapes", "delete it.")
+            shapes, count = ShapeReconstruction.of(values), int(values[_COUNT])
+        except (FileError, KeyError, TypeError, ValueError):
+            return
+        if 0 < count <= len(recording.presses):
+            finding = build_shape_finding(recording.select(range(count)), shapes)
+            self._last = finding, count
+
+    def clear(self) -> None:
+        """Remove the shapes of an earlier run."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+    @property
+    def _shapes(self) -> ShapeReconstruction | None:
+        return None if self._last is None else self._last[0].shapes
