@@ -19,6 +19,8 @@ from tactorch.uncertainty.select import UNCOMPUTABLE
 
 #: File of the fitted shapes in the folder of a run.
 SHAPES = "shapes.json"
+#: Elements up to which `find` fits shapes, whose quadratic elements have eight times the unknowns.
+MAX_ELEMENTS = 20_000
 
 
 def find(
@@ -34,9 +36,9 @@ def find(
 ) -> Finding:
     """Find the lumps under the presses of a recording.
 
-    Lumps are shapes that are fitted to the presses, see `find_shapes`. Without `shapes`, or where
-    the fit fails, they are regions of the map; a note of the finding states the reason of a
-    failure.
+    Lumps are shapes that are fitted to the presses, see `find_shapes`. Without `shapes`, where the
+    fit fails, or on meshes of more than 20,000 elements, they are regions of the map; a note of the
+    finding states the reason.
 
     Args:
         recording: Presses; the truth is not read.
@@ -66,6 +68,7 @@ def find(
     if shapes:
         try:
             chosen = _settings(reconstruction, settings)
+            _check_size(recording)
             fitted = find_shapes(recording, chosen, max_shapes=max_lumps, start=start, stop=stop)
             return build_shape_finding(recording, fitted)
         except CancelledError:
@@ -77,6 +80,15 @@ def find(
     assert reconstruction is not None
     finding = _find_regions(recording, reconstruction, settings, max_lumps, uncertainty)
     return replace(finding, notes=(*notes, *finding.notes))
+
+
+def _check_size(recording: Recording) -> None:
+    count = recording.mesh.n_tets
+    if count > MAX_ELEMENTS:
+        raise ConfigError(
+            f"the mesh has {count} elements, more than {MAX_ELEMENTS}, and the fits would take long "
+            "and much memory; call tactorch.find_shapes to fit them all the same"
+        )
 
 
 def _find_regions(

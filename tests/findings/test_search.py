@@ -151,3 +151,22 @@ def test_wrong_arguments_are_refused(recording: Recording, result: Reconstructio
         find(recording, shapes=False)
     with pytest.raises(ConfigError, match="max_lumps=0"):
         find(recording, result, max_lumps=0)
+
+
+def test_a_large_mesh_has_the_finding_of_its_map(
+    recording: Recording,
+    result: Reconstruction,
+    shapes: ShapeReconstruction,
+    replace_search: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls = replace_search(shapes)
+    monkeypatch.setattr("tactorch.findings.search.MAX_ELEMENTS", recording.mesh.n_tets - 1)
+    finding = find(recording, result, uncertainty=False)
+    assert finding.shapes is None
+    assert f"the mesh has {recording.mesh.n_tets} elements" in finding.notes[0]
+    assert not calls
+    with pytest.raises(ConfigError, match="find_shapes to fit them all the same"):
+        find(recording)
+    monkeypatch.setattr("tactorch.findings.search.MAX_ELEMENTS", recording.mesh.n_tets)
+    assert find(recording, result).shapes is shapes
