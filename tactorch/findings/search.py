@@ -86,8 +86,8 @@ def _check_size(recording: Recording) -> None:
     count = recording.mesh.n_tets
     if count > MAX_ELEMENTS:
         raise ConfigError(
-            f"the mesh has {count} elements, more than {MAX_ELEMENTS}, and the fits would take long "
-            "and much memory; call tactorch.find_shapes to fit them all the same"
+            f"the mesh has {count} elements, more than {MAX_ELEMENTS}, and the fits would take "
+            "much time and memory; call tactorch.find_shapes to fit them all the same"
         )
 
 

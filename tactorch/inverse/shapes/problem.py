@@ -38,6 +38,7 @@ _TRIAL_STEPS = 8  # of Gauss-Newton with linear elements
 # same in all presses of a contact.
 _DISCRETISATION = 1e-3
 _CORRECTION_DEVIATION = 0.3  # of the correction of each contact, over the correction
+_SAME_MODEL = 1.0  # change of a parameter that a correction outlasts, in standard deviations
 _MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
 _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives
 _ROUGH_TOLERANCE, _TOLERANCE = 0.5, 0.02  # of fits; rough with quadratic elements, but the last
@@ -75,7 +76,6 @@ class ShapeProblem:
         if not same:
             floor = _DISCRETISATION * np.sqrt(len(recording.presses) / len(contacts))
             noise = replace(noise, relative=max(noise.relative, float(floor)))
-        self._floored = noise.floored(recording)
         options: dict[str, Any] = {"solver": settings.solver, "noise": noise}
 
         def problem(element: str, **more: Any) -> InverseProblem:
@@ -90,6 +90,7 @@ class ShapeProblem:
         if not same:
             self._correction = Correction.of(self.quadratic, self._element, settings.solver)
         self.least_errors = Errors(0.0, 0.0 if same else MIN_POSE_DEVIATION)
+        self._corrected_at: ShapeFit | None = None
         self._correction_mm = [np.zeros(count) for count in self.quadratic.data.counts]
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.matched = MatchedFilter.of(self.linear, youngs)
@@ -183,20 +184,31 @@ class ShapeProblem:
         )  # fmt: skip
 
     def precise(self, model: Model) -> Model:
-        """Return the model corrected for the discretisation, if the noise may be less than that.
+        """Return a model of the search corrected for the discretisation.
 
-        Otherwise the search would explain the error of the discretisation by more inclusions.
+        Otherwise the search would explain the error of the discretisation by more inclusions, or by
+        a background that varies.
         """
-        return self.corrected(model) if self._correction and self._floored else model
+        if self._correction is None or self._is_corrected(model.fit):
+            return model
+        return self.corrected(model)
 
     def final(self, model: Model) -> Model:
         """Return the model fitted closely, with predictions corrected for the discretisation."""
-        if self._correction is not None:
+        start = Start("final", model.fit.field, model.fit.z, model.errors)
+        if self._correction is not None and not self._is_corrected(model.fit):
             corrected = self.corrected(model, _TOLERANCE)
             if corrected is not model:
                 return corrected
-        start = Start("final", model.fit.field, model.fit.z, model.errors)
         return self.fit(start, model.evaluation.displacements, _TOLERANCE)
+
+    def _is_corrected(self, fit: ShapeFit) -> bool:
+        """Whether the last correction was computed at nearly the same parameters."""
+        last = self._corrected_at
+        if last is None or (last.field is not fit.field):
+            return False
+        deviations = np.sqrt(np.diag(fit.covariance))
+        return bool((np.abs(fit.z - last.z) <= _SAME_MODEL * deviations).all())
 
     def corrected(self, model: Model, tolerance: float = _ROUGH_TOLERANCE) -> Model:
         """Return the model fitted to data that are shifted by the error of the discretisation.
@@ -213,7 +225,9 @@ class ShapeProblem:
             self.quadratic, self._correction_mm = self.quadratic.with_data(data), offsets
             self._noisy.clear()
             start = Start("corrected", model.fit.field, model.fit.z, model.errors)
-            return self.fit(start, model.evaluation.displacements, tolerance)
+            corrected = self.fit(start, model.evaluation.displacements, tolerance)
+            self._corrected_at = model.fit
+            return corrected
         except (ConfigError, ConvergenceError) as error:
             self.quadratic, self._correction_mm = before
             self._noisy.clear()
