@@ -38,6 +38,7 @@ _TRIAL_STEPS = 8  # of Gauss-Newton with linear elements
 # same in all presses of a contact.
 _DISCRETISATION = 1e-3
 _CORRECTION_DEVIATION = 0.3  # of the correction of each contact, over the correction
+_MAX_ROUGH_CHI2 = 3.0  # of models that are corrected during the search
 _SAME_MODEL = 1.0  # change of a parameter that a correction outlasts, in standard deviations
 _MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
 _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives
@@ -98,6 +99,7 @@ class ShapeProblem:
         self._force_patterns: np.ndarray | None = None
         self._noisy: dict[Errors, DataModel] = {}
         self._last: tuple[ShapeFit, Evaluation] | None = None
+        self._floored = noise.floored(recording)
         observations = self.quadratic.data.observations
         self._pose_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
 
@@ -187,9 +189,11 @@ class ShapeProblem:
         """Return a model of the search corrected for the discretisation.
 
         Otherwise the search would explain the error of the discretisation by more inclusions, or by
-        a background that varies.
+        a background that varies. A model that leaves much more than the noise unexplained is not
+        corrected yet, unless the noise may be less than the error of the discretisation.
         """
-        if self._correction is None or self._is_corrected(model.fit):
+        is_rough = model.fit.chi2 > _MAX_ROUGH_CHI2 and not self._floored
+        if self._correction is None or is_rough or self._is_corrected(model.fit):
             return model
         return self.corrected(model)
 

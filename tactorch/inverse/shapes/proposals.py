@@ -32,8 +32,10 @@ _SAME = 2.0  # distance of centres, in radii, below which two starts are of the 
 def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Proposal]:
     """Return models that seem better than the present one, the best first.
 
-    They are compared at the noise of the one that explains the data best: at the noise that the
-    present model would need, the differences between them are lost.
+    Whether they are better is judged at the noise of the one that explains the data best: at the
+    noise that the present model would need, small differences are lost. They are ordered by their
+    evidence at the latter, which prefers an inclusion to large errors of the forces that explain
+    as much.
     """
     fit, offsets = model.fit, problem.offsets(model)
     proposals = list(_with_other_errors(problem, model))
@@ -46,10 +48,11 @@ def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Propos
             proposals.append(Proposal(start.what, start.field, z, start.errors, trial))
     inflation = max(1.0, min([fit.chi2, *(p.trial.chi2 for p in proposals)]))
     gains = [p.trial.log_evidence(inflation) - fit.log_evidence(inflation) for p in proposals]
+    ranks = [p.trial.log_evidence(max(1.0, fit.chi2)) for p in proposals]
     for proposal, gain in zip(proposals, gains, strict=True):
         chi2 = proposal.trial.chi2
         _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", proposal.what, chi2, gain)
-    order = np.argsort(gains)[::-1]
+    order = np.argsort(ranks)[::-1]
     return [proposals[k] for k in order if gains[k] > MIN_GAIN]
 
 
