@@ -256,7 +256,6 @@ class Body:
 
         return sizes
 
-
     def _levels(self) -> tuple[float, ...]:
         """Heights of the interfaces of layers that reach the sides, which no faces follow."""
         background = self.phantom.youngs_mpa

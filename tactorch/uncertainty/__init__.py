@@ -1,7 +1,8 @@
 """Uncertainty of a map of Young's modulus: credibility, posteriors and their coverage.
 
 `compute_posterior` chooses among `LaplacePosterior`, `LowRankPosterior` (large meshes) and
-`variational_posterior` (total variation, with estimated scales).
+`variational_posterior` (total variation, with estimated scales). `sample_shapes` checks the
+intervals of `find_shapes` by samples.
 """
 
 from tactorch.uncertainty.coverage import Coverage, calibration_curve, calibration_error, coverage
@@ -10,6 +11,7 @@ from tactorch.uncertainty.laplace import GaussianPosterior, LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
 from tactorch.uncertainty.select import compute_posterior
 from tactorch.uncertainty.sensitivity import credibility, layer_profile, sensitivity_matrix
+from tactorch.uncertainty.shapes import ShapeIntervals, ShapeSamples, sample_shapes
 from tactorch.uncertainty.variational import VariationalPosterior, variational_posterior
 
 __all__ = [
@@ -18,6 +20,8 @@ __all__ = [
     "GaussianState",
     "LaplacePosterior",
     "LowRankPosterior",
+    "ShapeIntervals",
+    "ShapeSamples",
     "VariationalPosterior",
     "calibration_curve",
     "calibration_error",
@@ -25,6 +29,7 @@ __all__ = [
     "coverage",
     "credibility",
     "layer_profile",
+    "sample_shapes",
     "sensitivity_matrix",
     "variational_posterior",
 ]

@@ -57,7 +57,7 @@ class ShapesOnSites(ModulusField):
         """Largest change of each coefficient in one damped Newton step."""
         return np.full(self.size, _MAX_STEP)
 
-    def at(self, x: Vector) -> FieldPoint:
+    def at(self, x: Vector) -> "_ShapesPoint":
         """Return the field with these coefficients."""
         return _ShapesPoint(self, x)
 

@@ -22,6 +22,33 @@ class Interval(NamedTuple):
     high: float
 
 
+class InclusionValues(NamedTuple):
+    """An inclusion of each of several draws of the parameters of shapes.
+
+    Attributes:
+        center_mm: Centre, mm.
+        radius_mm: Radius of the ball of the same volume, mm.
+        youngs_mpa: Young's modulus, MPa.
+        background_mpa: Young's modulus of the background at the centre, MPa.
+        contrast: Young's modulus over that of the background.
+    """
+
+    center_mm: Float[np.ndarray, "draws 3"]
+    radius_mm: Float[np.ndarray, " draws"]
+    youngs_mpa: Float[np.ndarray, " draws"]
+    background_mpa: Float[np.ndarray, " draws"]
+    contrast: Float[np.ndarray, " draws"]
+
+    @staticmethod
+    def of(field: ShapeField, z: Float[np.ndarray, "draws size"], k: int) -> "InclusionValues":
+        """Return inclusion k of each draw, in standard deviations of the field's prior."""
+        values = field.physical(z)
+        own = values[:, field.parts[k]]
+        background, contrast = field.log_background(values, own[:, :3]), own[:, 4]
+        logs = (own[:, 3], background + contrast, background, contrast)
+        return InclusionValues(own[:, :3], *map(np.exp, logs))
+
+
 @dataclass(frozen=True)
 class ShapeInclusion:
     """An inclusion with its uncertainty.
@@ -119,21 +146,24 @@ class ShapeReconstruction:
         inclusions = [
             self._inclusion(k, shape) for k, shape in enumerate(self.field.shapes(self.z))
         ]
-        order = np.argsort(-np.array(self.log_odds), kind="stable")
-        return [inclusions[k] for k in order]
+        return [inclusions[k] for k in self.order]
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """Numbers of `inclusions` among those of the field."""
+        return tuple(np.argsort(-np.array(self.log_odds), kind="stable").tolist())
 
     def _inclusion(self, k: int, shape: Ellipsoid) -> ShapeInclusion:
-        values, backgrounds = _values(self.posterior.field, self.samples, k)
-        (best,), (background,) = _values(self.field, self.z[None], k)
-        contrasts = values[:, 4]
+        draws = InclusionValues.of(self.posterior.field, self.samples, k)
+        best = InclusionValues.of(self.field, self.z[None], k)
         return ShapeInclusion(
             shape,
-            float(np.exp(background + best[4])),
-            float(np.exp(background)),
-            tuple(values[:, :3].std(axis=0).tolist()),
-            _interval(np.exp(values[:, 3])),
-            _interval(np.exp(backgrounds + contrasts)),
-            _interval(np.exp(contrasts)),
+            float(best.youngs_mpa[0]),
+            float(best.background_mpa[0]),
+            tuple(draws.center_mm.std(axis=0).tolist()),
+            _interval(draws.radius_mm),
+            _interval(draws.youngs_mpa),
+            _interval(draws.contrast),
             float(expit(self.log_odds[k])),
         )
 
@@ -167,15 +197,6 @@ class ShapeReconstruction:
             plain["unexplained"],
             tuple(plain["history"]),
         )
-
-
-def _values(
-    field: ShapeField, z: Float[np.ndarray, "draws size"], k: int
-) -> tuple[Float[np.ndarray, "draws parameters"], Float[np.ndarray, " draws"]]:
-    """Return the parameters of inclusion k, and the background's log-modulus at its centre."""
-    values = field.physical(z)
-    own = values[:, field.parts[k]]
-    return own, field.log_background(values, own[:, :3])
 
 
 def _interval(values: Float[np.ndarray, " draws"]) -> Interval:

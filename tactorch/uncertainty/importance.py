@@ -1,0 +1,198 @@
+"""Adaptive importance sampling of a posterior with few parameters, and its diagnostics.
+
+Draws of a proposal q have the weights p / q, normalised to sum to one (self-normalised importance
+sampling: A. B. Owen, Monte Carlo theory, methods and examples, 2013, chapter 9). The first proposal
+is a multivariate Student t distribution about a normal approximation, whose heavier tails bound the
+weights. Later ones have the mean and covariance of the weighted draws so far, and each draw is
+weighted by the mixture of all proposals (J.-M. Cornuet, J.-M. Marin, A. Mira and C. P. Robert,
+"Adaptive multiple importance sampling", Scand. J. Stat. 39 (2012), 798-812).
+
+Two figures show whether the weights can be trusted: the effective sample size, and the shape k of
+the generalised Pareto distribution of the largest weights, of which moments of an order above 1 / k
+are infinite (A. Vehtari, D. Simpson, A. Gelman, Y. Yao and J. Gabry, "Pareto smoothed importance
+sampling", J. Mach. Learn. Res. 25 (2024), 1-58).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import gammaln, logsumexp, softmax
+
+from tactorch.errors import ConvergenceError
+from tactorch.inverse.shapes.posterior import Normal
+
+_DEGREES = 5.0  # of freedom of the proposals: tails that are heavier than normal ones
+_ROUNDS = 6  # of draws, each from another proposal
+_TRIALS, _MIN_POSSIBLE = 20_000, 0.01  # draws that show which fraction of them is possible
+# Draws for which the covariance of the first proposal counts, over the number of parameters.
+_FIRST = 2.0
+_PRIOR_K, _PRIOR_TAIL = 0.5, 10.0  # prior mean of k, and the number of weights that it counts for
+_MIN_TAIL = 5  # largest weights to which a Pareto distribution is fitted
+
+IsPossible = Callable[[Float[np.ndarray, "k size"]], Bool[np.ndarray, " k"]]
+LogDensity = Callable[[Float[np.ndarray, " size"]], float]
+
+
+def importance_sample(
+    first: Normal, log_target: LogDensity, is_possible: IsPossible, draws: int, seed: int = 0
+) -> tuple[Float[np.ndarray, "draws size"], Float[np.ndarray, " draws"]]:
+    """Return draws and the logarithms of their weights, whose sum is one.
+
+    Args:
+        first: Approximation of the target.
+        log_target: Logarithm of the target's density, up to a constant; minus infinity where the
+            density is zero.
+        is_possible: Whether the density may be above zero; other values are not drawn.
+        draws: Number of draws.
+        seed: Seed of the draws.
+
+    Raises:
+        ConvergenceError: the density is zero at all draws, or hardly any values are possible.
+    """
+    rng, proposals = np.random.default_rng(seed), [Student(first, is_possible)]
+    if proposals[0].possible < _MIN_POSSIBLE:
+        raise ConvergenceError("Hardly any values about the approximate posterior are possible.")
+    x, logs = np.zeros((0, len(first.mean))), np.zeros(0)
+    counts = [len(part) for part in np.array_split(np.arange(draws), min(_ROUNDS, draws))]
+    for round_, count in enumerate(counts, start=1):
+        new = proposals[-1].draw(count, rng)
+        x = np.concatenate([x, new])
+        logs = np.concatenate([logs, [log_target(one) for one in new]])
+        log_weights = logs - _mixture(proposals, counts[:round_], x)
+        if round_ < len(counts):
+            fitted = Student(_fit(first, x, log_weights), is_possible)
+            proposals.append(fitted if fitted.possible > _MIN_POSSIBLE else proposals[0])
+    total = logsumexp(log_weights)
+    if not np.isfinite(total):
+        raise ConvergenceError("The density of the posterior is zero at all draws.")
+    return x, log_weights - total
+
+
+@dataclass(frozen=True, eq=False)
+class Student:
+    """Multivariate Student t distribution of five degrees of freedom, of possible values only.
+
+    Attributes:
+        normal: Normal distribution whose mean and covariance are the centre and the scale.
+        is_possible: Whether values are possible.
+    """
+
+    normal: Normal
+    is_possible: IsPossible
+
+    def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
+        """Return draws."""
+        found = np.zeros((0, len(self.normal.mean)))
+        while len(found) < count:
+            x = self._draw(count, rng)
+            found = np.concatenate([found, x[self.is_possible(x)]])
+        return found[:count]
+
+    def log_density(self, x: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
+        """Return the logarithm of the density of possible values.
+
+        It integrates to one within the error of the estimate of `possible`.
+        """
+        size, squares = x.shape[1], (self.normal.standardised(x) ** 2).sum(axis=1)
+        power = 0.5 * (_DEGREES + size)
+        constant = gammaln(power) - gammaln(0.5 * _DEGREES) - 0.5 * size * np.log(np.pi * _DEGREES)
+        constant -= self.normal.log_volume + np.log(self.possible)
+        return constant - power * np.log1p(squares / _DEGREES)
+
+    @cached_property
+    def possible(self) -> float:
+        """Fraction of possible values under the distribution of all, estimated by draws."""
+        x = self._draw(_TRIALS, np.random.default_rng(0))
+        return float(self.is_possible(x).mean())
+
+    def _draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
+        noise = rng.standard_normal((count, len(self.normal.mean)))
+        noise *= np.sqrt(_DEGREES / rng.chisquare(_DEGREES, count))[:, None]
+        return self.normal.mean + noise @ self.normal.root.T
+
+
+def _mixture(
+    proposals: Sequence[Student], counts: Sequence[int], x: Float[np.ndarray, "k size"]
+) -> Float[np.ndarray, " k"]:
+    """Return the logarithm of the density of all draws, so many from each proposal."""
+    shares = np.log(counts) - np.log(np.sum(counts))
+    each = [share + one.log_density(x) for share, one in zip(shares, proposals, strict=True)]
+    return logsumexp(each, axis=0)
+
+
+def _fit(
+    first: Normal, x: Float[np.ndarray, "k size"], log_weights: Float[np.ndarray, " k"]
+) -> Normal:
+    """Return a normal distribution of the mean of draws, and of their covariance and a first one.
+
+    The fewer effective draws there are, the nearer is the covariance to the first one.
+    """
+    if not np.isfinite(log_weights).any():
+        return first
+    weights, effective = softmax(log_weights), effective_size(log_weights)
+    mean = weights @ x
+    offsets = x - mean
+    share = effective / (effective + _FIRST * x.shape[1])
+    covariance = share * (weights[:, None] * offsets).T @ offsets
+    covariance += (1.0 - share) * first.root @ first.root.T
+    return Normal(mean, np.linalg.cholesky(covariance))
+
+
+def effective_size(log_weights: Float[np.ndarray, " draws"]) -> float:
+    """Return the effective sample size (sum w)^2 / sum w^2 (Owen, section 9.3)."""
+    weights = softmax(log_weights)
+    return float(1.0 / (weights @ weights))
+
+
+def pareto_shape(log_weights: Float[np.ndarray, " draws"]) -> float:
+    """Return the shape k of the generalised Pareto distribution of the largest weights.
+
+    It is fitted to the min(draws / 5, 3 sqrt(draws)) largest weights less the next one, by the
+    estimate of J. Zhang and M. A. Stephens, "A new and efficient estimation method for the
+    generalized Pareto distribution", Technometrics 51 (2009), 316-325, with the prior of Vehtari et
+    al. (2024). It is infinite where fewer than five weights exceed that one, and minus infinity
+    where none does, because they are equal.
+    """
+    count = int(np.ceil(min(0.2 * len(log_weights), 3.0 * np.sqrt(len(log_weights)))))
+    relative = np.exp(np.sort(log_weights) - log_weights.max())
+    excess = relative[-count:] - relative[-count - 1]
+    excess = excess[excess > 0.0]
+    if not len(excess):
+        return -np.inf
+    if len(excess) < _MIN_TAIL:
+        return np.inf
+    k, weight = _zhang_stephens(excess), len(excess) / (len(excess) + _PRIOR_TAIL)
+    return weight * k + (1.0 - weight) * _PRIOR_K
+
+
+def _zhang_stephens(x: Float[np.ndarray, " tail"]) -> float:
+    """Return the shape k of a generalised Pareto distribution from ascending values.
+
+    It is that of the mean of b = -k / scale over its profile likelihood, at points of its prior.
+    """
+    n, points = len(x), 30 + int(np.sqrt(len(x)))
+    quartile = x[int(0.25 * n + 0.5) - 1]
+    b = 1.0 - np.sqrt(points / (np.arange(points) + 0.5))
+    b = 1.0 / x[-1] + b / (3.0 * quartile)
+    k = np.log1p(-b[:, None] * x).mean(axis=1)
+    likelihood = n * (np.log(-b / k) - k - 1.0)
+    mean = softmax(likelihood) @ b
+    return float(np.log1p(-mean * x).mean())
+
+
+def weighted_quantile(
+    values: Float[np.ndarray, " draws"],
+    weights: Float[np.ndarray, " draws"],
+    levels: Sequence[float],
+) -> Float[np.ndarray, " levels"]:
+    """Return quantiles at levels between 0 and 1.
+
+    The distribution function is linear between the values, at each of which it is the weight below
+    plus half the value's own.
+    """
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return np.interp(np.asarray(levels) * weights.sum(), below, values[order])

@@ -1,0 +1,305 @@
+"""Samples of the posterior of shapes, by importance sampling with exact predictions.
+
+The posterior of the parameters z of shapes, in standard deviations of their prior, is
+p(z) ~ exp(-(|r(z)|^2 / s + |z|^2) / 2), with the residuals r of the presses' equilibria and the
+inflation s = max(1, chi2) of the variance of the noise. `ShapePosterior` is an approximation in
+which r is linearised, normal in coordinates of the shapes. Here it is the first proposal of
+importance sampling, with an equilibrium of each press for each draw; see
+`tactorch.uncertainty.importance`.
+"""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse.monitor import progress
+from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse.settings import Settings
+from tactorch.inverse.shapes import Interval, ShapeReconstruction
+from tactorch.inverse.shapes.field import ShapeField
+from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
+from tactorch.inverse.shapes.model import Errors, Model
+from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
+from tactorch.inverse.shapes.result import InclusionValues
+from tactorch.inverse.shapes.sizing import contact_sizing
+from tactorch.recording import Recording, refine_recording
+from tactorch.uncertainty.importance import (
+    LogDensity,
+    effective_size,
+    importance_sample,
+    pareto_shape,
+    weighted_quantile,
+)
+
+_log = logging.getLogger(__name__)
+_MIN_EFFECTIVE = 20.0  # draws, for a central 90 % interval
+_MAX_K = 0.7  # with many draws
+
+
+class ShapeIntervals(NamedTuple):
+    """Central 90 % intervals of an inclusion.
+
+    Attributes:
+        center_90_mm: Intervals of the centre along x, y and z, mm.
+        radius_90_mm: Interval of the radius of the ball of the same volume, mm.
+        youngs_90_mpa: Interval of Young's modulus, MPa.
+        contrast_90: Interval of Young's modulus over that of the background.
+    """
+
+    center_90_mm: tuple[Interval, Interval, Interval]
+    radius_90_mm: Interval
+    youngs_90_mpa: Interval
+    contrast_90: Interval
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeSamples:
+    """Weighted draws of the posterior of shapes.
+
+    Attributes:
+        field: The family of the shapes, with the prior of its parameters.
+        z: Parameters of each draw, in standard deviations of the prior.
+        log_weights: Logarithms of the weights, whose sum is one; minus infinity where a press has
+            no equilibrium.
+        order: Numbers of the result's `inclusions` among those of the field.
+    """
+
+    field: ShapeField
+    z: Float[np.ndarray, "draws size"]
+    log_weights: Float[np.ndarray, " draws"]
+    order: tuple[int, ...]
+
+    @property
+    def failed(self) -> int:
+        """Number of draws in which a press has no equilibrium."""
+        return int(np.isneginf(self.log_weights).sum())
+
+    @cached_property
+    def weights(self) -> Float[np.ndarray, " draws"]:
+        """Weights of the draws, whose sum is one."""
+        return np.exp(self.log_weights)
+
+    @property
+    def effective_size(self) -> float:
+        """Effective sample size 1 / sum w^2: of as many equal weights."""
+        return effective_size(self.log_weights)
+
+    @cached_property
+    def k_hat(self) -> float:
+        """Pareto shape of the largest weights, see `tactorch.uncertainty.importance`."""
+        return pareto_shape(self.log_weights)
+
+    @property
+    def reliable(self) -> bool:
+        """Whether the effective sample size is 20 or more, and k below its limit.
+
+        The limit is min(1 - 1 / log10(draws), 0.7), above which means converge too slowly (Vehtari
+        et al., 2024).
+        """
+        limit = min(1.0 - 1.0 / np.log10(max(len(self.weights), 10)), _MAX_K)
+        return bool(self.effective_size >= _MIN_EFFECTIVE and self.k_hat < limit)
+
+    def quantile(self, values: Float[np.ndarray, " draws"], levels: Sequence[float]) -> np.ndarray:
+        """Return the weighted quantiles of a value of each draw, at levels between 0 and 1."""
+        return weighted_quantile(values, self.weights, levels)
+
+    def inclusion(self, number: int) -> InclusionValues:
+        """Return one of the inclusions in each draw, numbered as `inclusions` of the result."""
+        return InclusionValues.of(self.field, self.z, self.order[number])
+
+    def intervals(self) -> list[ShapeIntervals]:
+        """Return central 90 % intervals of each inclusion, in the order of those of the result."""
+        return [self._intervals(self.inclusion(number)) for number in range(len(self.order))]
+
+    def _intervals(self, values: InclusionValues) -> ShapeIntervals:
+        def interval(of: Float[np.ndarray, " draws"]) -> Interval:
+            return Interval(*self.quantile(of, (0.05, 0.95)).tolist())
+
+        x, y, z = map(interval, values.center_mm.T)
+        others = (values.radius_mm, values.youngs_mpa, values.contrast)
+        return ShapeIntervals((x, y, z), *map(interval, others))
+
+    def plain(self) -> dict[str, Any]:
+        """Return plain JSON values; the inverse of `of`."""
+        logs = self.log_weights.tolist()
+        return {
+            **self.field.plain(),
+            "z": self.z.tolist(),
+            "log_weights": [log if np.isfinite(log) else None for log in logs],
+            "order": list(self.order),
+        }
+
+    @staticmethod
+    def of(plain: Mapping[str, Any]) -> "ShapeSamples":
+        """Return the samples from plain JSON values."""
+        logs = np.array([-np.inf if log is None else log for log in plain["log_weights"]])
+        return ShapeSamples(ShapeField.of(plain), np.array(plain["z"]), logs, tuple(plain["order"]))
+
+
+def sample_shapes(
+    recording: Recording,
+    result: ShapeReconstruction,
+    settings: Settings | None = None,
+    *,
+    draws: int = 200,
+    seed: int = 0,
+    show_progress: bool | None = None,
+) -> ShapeSamples:
+    """Return weighted draws of the posterior of shapes, with the exact predictions of each.
+
+    Balls may be ellipsoids, as in `result.posterior`. The deviations of forces and poses are those
+    of the result. The predictions are corrected for the discretisation at the most probable shapes
+    of the result, those of `find_shapes` at nearly the same ones, and the effects of errors of the
+    forces are those on a uniform body. A warning is logged where the weights are not reliable, see
+    `ShapeSamples.reliable`.
+
+    Args:
+        recording: The presses.
+        result: Their shapes, of `find_shapes`.
+        settings: The settings of `find_shapes`.
+        draws: Number of draws.
+        seed: Seed of the draws.
+        show_progress: Whether to show a progress line; by default at a terminal.
+
+    Raises:
+        ConfigError: a setting cannot be used, or there are fewer than two draws.
+        ConvergenceError: a press has no equilibrium at the result, on the mesh or on the finer
+            ones of the correction, or no draw has one.
+    """
+    if draws < 2:
+        raise ConfigError(f"draws={draws} must be 2 or more.")
+    with progress("draws of the posterior", show_progress) as update:
+        exact = _ExactPosterior.of(recording, result, settings or Settings(), update)
+        draw = sample_posterior(result.posterior, exact.log_density, draws, seed)
+    samples = ShapeSamples(result.posterior.field, *draw, result.order)
+    if not samples.reliable:
+        _log.warning(
+            "The samples of the posterior of shapes are not reliable: an effective sample size of "
+            "%.3g of %d, k %.2g. Use more draws.",
+            samples.effective_size,
+            draws,
+            samples.k_hat,
+        )
+    return samples
+
+
+def sample_posterior(
+    approximation: ShapePosterior, log_target: LogDensity, draws: int, seed: int = 0
+) -> tuple[Float[np.ndarray, "draws size"], Float[np.ndarray, " draws"]]:
+    """Return draws of parameters of shapes, and the logarithms of their weights.
+
+    Args:
+        approximation: Approximate posterior, within whose limits the draws are.
+        log_target: Logarithm of the density of the exact one at parameters, up to a constant; minus
+            infinity where the density is zero.
+        draws: Number of draws.
+        seed: Seed of the draws.
+
+    Raises:
+        ConvergenceError: see `tactorch.uncertainty.importance.importance_sample`.
+    """
+
+    def log_density(x: Float[np.ndarray, " size"]) -> float:
+        z = approximation.parameters(x[None])
+        return log_target(z[0]) - float(approximation.log_jacobian(z)[0])
+
+    def is_possible(x: Float[np.ndarray, "k size"]) -> Bool[np.ndarray, " k"]:
+        return approximation.within_limits(approximation.parameters(x))
+
+    x, log_weights = importance_sample(approximation.normal, log_density, is_possible, draws, seed)
+    return approximation.parameters(x), log_weights
+
+
+@dataclass(frozen=True, eq=False)
+class _ExactPosterior:
+    """The posterior of shapes at presses, as a function of their parameters.
+
+    Attributes:
+        problem: The presses, with the data, errors and corrections of the result.
+        family: The shapes, of which all may be ellipsoids.
+        approximation: The normal posterior.
+        evaluation: Predictions at the parameters at which that is linearised.
+        fields: Their derivatives by the parameters, for each press, mm.
+        inflation: Variance of the noise over the stated one.
+        update: Called with a record of each evaluation.
+    """
+
+    problem: InverseProblem
+    family: ShapesOnSites
+    approximation: ShapePosterior
+    evaluation: Evaluation
+    fields: Sequence[Float[np.ndarray, "size nodes 3"]]
+    inflation: float
+    update: Callable[[dict[str, Any]], None]
+
+    @staticmethod
+    def of(
+        recording: Recording,
+        result: ShapeReconstruction,
+        settings: Settings,
+        update: Callable[[dict[str, Any]], None] = lambda record: None,
+    ) -> "_ExactPosterior":
+        """Return the posterior with the data, errors and corrections of a result."""
+        if not is_same_model(recording):
+            recording = refine_recording(recording, contact_sizing(recording))
+        problem, approximation = ShapeProblem(recording, settings), result.posterior
+        evaluation = _predict(problem, result)
+        family = ShapesOnSites(approximation.field, problem.sites)
+        _, fields = evaluation.linear_response(family.at(approximation.z).changes)
+        quadratic = problem.quadratic.with_data(evaluation.data)
+        quadratic.evaluations = 0
+        inflation = max(1.0, result.chi2)
+        return _ExactPosterior(
+            quadratic, family, approximation, evaluation, fields, inflation, update
+        )
+
+    def log_density(self, z: Float[np.ndarray, " size"]) -> float:
+        """Return the logarithm of the density, up to a constant.
+
+        It is minus infinity where a press has no equilibrium.
+        """
+        try:
+            evaluation = self.problem.evaluate(self.family.at(z).youngs, starts=self._starts(z))
+        except ConvergenceError as error:
+            _log.debug("no equilibrium at a draw: %s", error)
+            return -np.inf
+        self.update({"iteration": self.problem.evaluations, "misfit": evaluation.misfit_mm2})
+        residuals = evaluation.residuals
+        return -0.5 * float(residuals @ residuals / self.inflation + z @ z)
+
+    def _starts(self, z: Float[np.ndarray, " size"]) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return the linearised displacements, on which few steps of an equilibrium search remain.
+
+        They are linear in the coordinates of the normal posterior.
+        """
+        normal, pair = self.approximation.normal, np.array([self.approximation.z, z])
+        before, after = normal.standardised(self.approximation.coordinates(pair))
+        change = np.linalg.cholesky(self.approximation.covariance) @ (after - before)
+        return self.evaluation.moved([np.tensordot(change, fields, 1) for fields in self.fields])
+
+
+def _predict(problem: ShapeProblem, result: ShapeReconstruction) -> Evaluation:
+    """Return the predictions at a result with its errors of the data, which are corrected.
+
+    Raises:
+        ConvergenceError: a press has no equilibrium, on the mesh or on the finer ones.
+    """
+    errors = Errors(result.force_deviation, result.pose_deviation)
+    if errors.forces:
+        problem.uniform()  # whose predictions give the effects of errors of the forces
+    quadratic = problem.quadratic.with_data(problem.data(errors))
+    field, z = result.posterior.field, result.posterior.z
+    model = Model(*fit_shapes(quadratic, field, z, sites=problem.sites, max_iterations=0), errors)
+    if is_same_model(problem.quadratic.recording):
+        return model.evaluation
+    corrected = problem.corrected(model, np.inf)  # the parameters remain
+    if corrected is model:
+        raise ConvergenceError("The error of the discretisation cannot be computed; see the log.")
+    return corrected.evaluation

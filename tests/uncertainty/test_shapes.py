@@ -1,0 +1,342 @@
+"""Samples of the posterior of shapes: densities, weights, and agreement where it is normal."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import genpareto
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse import InverseProblem, Settings
+from tactorch.inverse.shapes import ShapeReconstruction
+from tactorch.inverse.shapes.correction import Correction
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.fit import fit_shapes
+from tactorch.inverse.shapes.model import Errors, Model, Start
+from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.shapes.problem import ShapeProblem
+from tactorch.inverse.shapes.result import InclusionValues
+from tactorch.inverse.shapes.search import make_posterior
+from tactorch.mesh import box_mesh
+from tactorch.phantoms import make_phantom
+from tactorch.simulation import PressPlan, simulate
+from tactorch.uncertainty import ShapeSamples, sample_shapes
+from tactorch.uncertainty.shapes import _ExactPosterior, sample_posterior
+
+MESH = box_mesh(10.0, 3, tets_per_cell=5)
+PRIOR = ShapePrior.of(MESH, 0.2)
+BALL = ShapeField(PRIOR, (False,))
+VALUES = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
+QUANTITIES = ("E", "R", "x", "y", "z")
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Two presses on a ball, computed by the model itself, with noise of 60 dB."""
+    plan = PressPlan(("z+", "x+"), (0.02,))
+    uniform = simulate(make_phantom("uniform_cube"), plan, mesh=MESH, element="tet10")
+    problem = InverseProblem(uniform, element="tet10")
+    _, evaluation = fit_shapes(problem, BALL, BALL.standard(VALUES), max_iterations=0)
+    rng, presses = np.random.default_rng(0), []
+    for press, reported in zip(uniform.presses, evaluation.reported, strict=True):
+        predicted = np.where(press.observed, reported[: MESH.n_points], press.displacement)
+        sigma = 1e-3 * float(np.sqrt(np.mean(predicted[press.observed] ** 2)))
+        noisy = predicted + sigma * rng.standard_normal(predicted.shape)
+        presses.append(replace(press, displacement=noisy, noise_mm=sigma))
+    return replace(uniform, presses=tuple(presses))
+
+
+def reconstruct(presses: ShapeProblem, model: Model) -> ShapeReconstruction:
+    """Return the result of a search that ends at a model of one ball."""
+    fit, posterior = model.fit, make_posterior(presses, model)
+    return ShapeReconstruction(fit.field, fit.z, posterior, fit.chi2, (9.0,), 9.0, *model.errors)
+
+
+@pytest.fixture(scope="module")
+def result(recording):
+    presses = ShapeProblem(recording, Settings())
+    field = ShapeField(presses.prior, (False,))
+    fit = fit_shapes(presses.quadratic, field, field.standard(VALUES), sites=presses.sites)
+    return reconstruct(presses, Model(*fit, presses.least_errors))
+
+
+def quantities(values: InclusionValues) -> dict[str, np.ndarray]:
+    columns = (np.log(values.youngs_mpa), values.radius_mm, *values.center_mm.T)
+    return dict(zip(QUANTITIES, columns, strict=True))
+
+
+def disagreement(samples: ShapeSamples, result: ShapeReconstruction) -> float:
+    """Return the largest difference of means and deviations from the fast posterior, in errors."""
+    fast = quantities(InclusionValues.of(result.posterior.field, result.samples, 0))
+    exact, error = quantities(samples.inclusion(0)), 1.0 / np.sqrt(samples.effective_size)
+    differences = []
+    for name in QUANTITIES:
+        mean = samples.weights @ exact[name]
+        deviation = np.sqrt(samples.weights @ (exact[name] - mean) ** 2)
+        differences.append((mean - fast[name].mean()) / (error * deviation))
+        differences.append(np.log(deviation / fast[name].std()) / (error / np.sqrt(2.0)))
+    return float(np.abs(differences).max())
+
+
+@pytest.fixture(scope="module")
+def samples(recording, result):
+    return sample_shapes(recording, result, draws=150)
+
+
+def test_samples_are_those_of_the_normal_posterior_where_noise_is_small(samples, result):
+    assert samples.reliable
+    assert samples.failed == 0
+    assert samples.effective_size > 0.4 * len(samples.z)
+    assert samples.k_hat < 0.5
+    assert disagreement(samples, result) < 3.0
+
+
+def test_the_true_ball_is_within_the_samples(samples):
+    (intervals,) = samples.intervals()
+    values = samples.inclusion(0)
+    for axis, true in enumerate((5.0, 5.0, 6.0)):
+        low, high = intervals.center_90_mm[axis]
+        assert low - 0.5 * (high - low) < true < high + 0.5 * (high - low)
+    assert samples.quantile(values.radius_mm, [0.001])[0] < 2.5
+    assert samples.quantile(values.radius_mm, [0.999])[0] > 2.5
+    assert intervals.radius_90_mm == tuple(samples.quantile(values.radius_mm, [0.05, 0.95]))
+    assert intervals.youngs_90_mpa == tuple(samples.quantile(values.youngs_mpa, [0.05, 0.95]))
+    assert intervals.contrast_90 == tuple(samples.quantile(values.contrast, [0.05, 0.95]))
+    assert 0.9 < intervals.youngs_90_mpa.low < intervals.youngs_90_mpa.high < 1.1
+
+
+def test_samples_correct_a_wrong_proposal(recording, result):
+    """The fast posterior with too large a covariance, and its radius 1.2 deviations too large."""
+    right, radius = result.posterior, result.posterior.field.parts[0].start + 3
+    aside = right.covariance[radius] / np.sqrt(right.covariance[radius, radius])
+    wrong = replace(right, covariance=1.5 * right.covariance, step=right.step + 1.2 * aside)
+    samples = sample_shapes(recording, replace(result, posterior=wrong), draws=200, seed=1)
+    assert samples.reliable
+    assert disagreement(samples, result) < 3.0
+    first = replace(samples, z=samples.z[:30], log_weights=np.full(30, -np.log(30.0)))
+    assert disagreement(first, result) > 4.5  # draws of the proposal itself
+
+
+def test_searches_start_near_the_equilibria(recording, result):
+    exact = _ExactPosterior.of(recording, result, Settings())
+    z = result.samples[0]
+    evaluation = exact.problem.evaluate(exact.family.at(z).youngs)
+    starts, before = exact._starts(z), exact.evaluation.displacements
+    for start, u, old in zip(starts, evaluation.displacements, before, strict=True):
+        assert np.linalg.norm(start - u) < 0.05 * np.linalg.norm(old - u)
+
+
+def test_noise_beyond_the_stated_one_widens_the_samples(recording, result, samples):
+    """Four times the mean squared residual: twice the deviations."""
+    wide = replace(
+        result,
+        chi2=4.0,
+        posterior=replace(result.posterior, covariance=4.0 * result.posterior.covariance),
+    )
+    radius, weights = samples.inclusion(0).radius_mm, samples.weights
+    narrow = np.sqrt(weights @ (radius - weights @ radius) ** 2)
+    other = sample_shapes(recording, wide, draws=100)
+    radius, weights = other.inclusion(0).radius_mm, other.weights
+    assert np.sqrt(weights @ (radius - weights @ radius) ** 2) / narrow == pytest.approx(2, rel=0.2)
+
+
+def test_seeds_determine_the_samples(recording, result):
+    first, again, other = (
+        sample_shapes(recording, result, draws=12, seed=seed) for seed in (3, 3, 4)
+    )
+    np.testing.assert_array_equal(first.z, again.z)
+    np.testing.assert_array_equal(first.log_weights, again.log_weights)
+    assert not np.isin(first.z, other.z).any()
+
+
+def test_few_draws_are_not_reliable(recording, result, caplog):
+    samples = sample_shapes(recording, result, draws=10)
+    assert not samples.reliable
+    assert "not reliable" in caplog.text
+    with pytest.raises(ConfigError, match="draws=1"):
+        sample_shapes(recording, result, draws=1)
+
+
+def test_the_predictions_are_those_of_the_search(recording, monkeypatch):
+    """Another mesh, whose correction is a fixed share of the predictions, and both errors."""
+
+    def offsets(self, fit, evaluation, check):
+        index = [observation.index for observation in evaluation.data.observations]
+        return [0.002 * u.ravel()[i] for u, i in zip(evaluation.reported, index, strict=True)]
+
+    monkeypatch.setattr(Correction, "offsets", offsets)
+    other = replace(recording, provenance={})
+    presses = ShapeProblem(other, Settings())
+    displacements = presses.uniform().evaluation.displacements
+    field = ShapeField(presses.prior, (False,))
+    start = Start("ball", field, field.standard(VALUES), Errors(0.02, 0.002))
+    model = presses.final(presses.fit(start, displacements))
+    result = reconstruct(presses, model)
+    exact = _ExactPosterior.of(other, result, Settings())
+    data = exact.evaluation.data
+    assert data.log_determinant == pytest.approx(model.evaluation.data.log_determinant, abs=1e-3)
+    np.testing.assert_allclose(exact.evaluation.residuals, model.fit.residuals, atol=2e-3)
+    z = result.posterior.z
+    assert exact.log_density(z) == pytest.approx(-0.5 * (2.0 * model.fit.misfit + z @ z), abs=1e-2)
+
+    def fails(self, fit, evaluation, check):
+        raise ConvergenceError("no equilibrium")
+
+    monkeypatch.setattr(Correction, "offsets", fails)
+    with pytest.raises(ConvergenceError, match="discretisation"):
+        _ExactPosterior.of(other, result, Settings())
+
+
+def test_draws_without_equilibrium_have_no_weight(recording, result, monkeypatch):
+    evaluate, calls = InverseProblem.evaluate, []
+
+    def sometimes(*args, **options):
+        calls.append(args)
+        if len(calls) > 10 and len(calls) % 3 == 0:
+            raise ConvergenceError("no equilibrium")
+        return evaluate(*args, **options)
+
+    monkeypatch.setattr(InverseProblem, "evaluate", sometimes)
+    samples = sample_shapes(recording, result, draws=30)
+    assert 0 < samples.failed < 15
+    np.testing.assert_array_equal(samples.weights == 0.0, np.isneginf(samples.log_weights))
+    assert samples.weights.sum() == pytest.approx(1.0)
+    again = ShapeSamples.of(json.loads(json.dumps(samples.plain(), allow_nan=False)))
+    assert again.failed == samples.failed == (samples.weights == 0.0).sum()
+    np.testing.assert_array_equal(again.log_weights, samples.log_weights)
+    assert again.intervals() == samples.intervals()
+    with pytest.raises(ConvergenceError, match="zero at all draws"):
+        sample_posterior(result.posterior, lambda z: -np.inf, 5)
+
+
+def skewed(contrast: float, size: float = 0.3, field: ShapeField = BALL) -> ShapePosterior:
+    """Return a posterior whose radius and contrast are uncertain, with correlations."""
+    z = field.standard(np.array([*VALUES[:5], np.log(contrast), *[0.1] * (field.size - 6)]))
+    root = np.random.default_rng(2).standard_normal((field.size, field.size))
+    covariance = size**2 * (0.3 * root @ root.T / field.size + 0.7 * np.eye(field.size))
+    return ShapePosterior(field, z, 0.1 * size * root[0], covariance)
+
+
+def uncertain_radius(contrast: float, size: float, others: float = 0.05) -> ShapePosterior:
+    """Return a posterior in which radius and contrast are correlated with each other only."""
+    z = BALL.standard(np.array([*VALUES[:5], np.log(contrast)]))
+    covariance = np.diag(np.r_[np.full(4, others), size, size] ** 2)
+    covariance[4, 5] = covariance[5, 4] = -0.5 * size**2
+    return ShapePosterior(BALL, z, np.array([0.1, 0, 0, 0, 0.1 * size, -0.2 * size]), covariance)
+
+
+POSTERIORS = {
+    "soft": skewed(0.3),
+    "stiff": skewed(5.0),
+    "ellipsoid": skewed(2.0, 0.15, ShapeField(PRIOR, (True,))),
+    "logarithms": skewed(5.0, 8.0),
+}
+
+
+@pytest.mark.parametrize(
+    ("posterior", "is_linear", "reach"),
+    [
+        (uncertain_radius(0.3, 0.3), True, 4.0),
+        (uncertain_radius(5.0, 0.7), True, 4.0),  # a quarter of the normal samples are left out
+        (uncertain_radius(5.0, 5.0, 10.0), False, 25.0),
+    ],
+)
+def test_the_density_is_that_of_the_samples(posterior, is_linear, reach):
+    """Its integral over radius and contrast is one, and its marginals are those of the samples."""
+    assert posterior.is_linear == is_linear
+    grid, z = np.linspace(-reach, reach, 142)[1:-1], posterior.samples(20_000)
+    points = np.tile(posterior.z + posterior.step, (len(grid) ** 2, 1))
+    points[:, 4:] = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    masses = np.exp(posterior.log_density(points)).reshape(len(grid), -1) * np.ptp(grid[:2]) ** 2
+    # The others are independent of these, and at their means.
+    masses *= np.sqrt(np.prod(2.0 * np.pi * np.diag(posterior.covariance)[:4]))
+    if is_linear:
+        assert np.isneginf(posterior.log_density(np.full((1, 6), 4.5))[0])
+    assert masses.sum() == pytest.approx(1.0, abs=0.01)
+    for axis in (0, 1):
+        mass = masses.sum(axis=1 - axis)
+        below = np.searchsorted(np.sort(z[:, 4 + axis]), grid) / len(z)
+        np.testing.assert_allclose(np.cumsum(mass) - 0.5 * mass, below, atol=0.015)
+
+
+@pytest.mark.parametrize("name", POSTERIORS)
+def test_coordinates_are_inverted_and_have_their_jacobian(name):
+    posterior = POSTERIORS[name]
+    z = posterior.samples(3)
+    x = posterior.coordinates(z)
+    np.testing.assert_allclose(posterior.parameters(x), z, atol=1e-10)
+    for one, log in zip(z, posterior.log_jacobian(z), strict=True):
+        steps = 1e-5 * np.eye(len(one))
+        slopes = (posterior.coordinates(one + steps) - posterior.coordinates(one - steps)) / 2e-5
+        sign, expected = np.linalg.slogdet(slopes)
+        assert sign == 1.0
+        assert log == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["soft", "stiff"])
+def test_weights_correct_a_skewed_proposal(name):
+    """A proposal that is twice as wide, and aside; the target is known."""
+    right = POSTERIORS[name]
+    aside = right.step + 0.5 * np.sqrt(np.diag(right.covariance))
+    wrong = replace(right, covariance=2.0 * right.covariance, step=aside)
+
+    def log_target(z):
+        return float(right.log_density(z[None])[0])
+
+    z, logs = sample_posterior(wrong, log_target, 5_000)
+    expected, weights = right.samples(20_000), np.exp(logs)
+    assert weights.sum() == pytest.approx(1.0)
+    deviation = expected.std(axis=0)
+    mean = weights @ z
+    np.testing.assert_allclose((mean - expected.mean(axis=0)) / deviation, 0.0, atol=0.12)
+    np.testing.assert_allclose(np.sqrt(weights @ (z - mean) ** 2) / deviation, 1.0, atol=0.1)
+    # The first ones are of the proposal itself.
+    assert np.abs((z[:800].mean(axis=0) - expected.mean(axis=0)) / deviation).max() > 0.3
+
+
+def test_the_limit_of_k_falls_with_the_number_of_draws():
+    weights = np.log(genpareto(0.62).rvs(100_000, random_state=np.random.default_rng(1)))
+
+    def samples(logs):
+        logs = logs - np.log(np.exp(logs).sum())
+        return ShapeSamples(BALL, np.zeros((len(logs), BALL.size)), logs, (0,))
+
+    many = samples(weights)
+    assert many.reliable
+    few = samples(np.quantile(weights, (np.arange(200) + 0.5) / 200))
+    assert few.effective_size > 20.0
+    assert few.k_hat == pytest.approx(0.6, abs=0.15)
+    assert few.k_hat > 1.0 - 1.0 / np.log10(200)
+    assert not few.reliable
+    one = samples(np.r_[np.zeros(199), np.log(400.0)])
+    assert one.effective_size < 20.0
+    assert not one.reliable
+
+
+def test_inclusions_are_in_the_order_of_the_result():
+    field = ShapeField(PRIOR, (False, False))
+    second = [4.0, 5.0, 6.0, np.log(1.5), 0.7]
+    z = field.standard(np.array([*VALUES, *second]))
+    posterior = ShapePosterior(field, z, np.zeros(11), 1e-6 * np.eye(11))
+    result = ShapeReconstruction(field, z, posterior, 1.0, (5.0, 8.0), 13.0)
+    samples = ShapeSamples(field, np.tile(z, (40, 1)), np.full(40, -np.log(40.0)), result.order)
+    assert result.order == (1, 0)
+    for inclusion, intervals in zip(result.inclusions, samples.intervals(), strict=True):
+        assert intervals.radius_90_mm.low == pytest.approx(inclusion.shape.radius_mm)
+        assert intervals.contrast_90.high == pytest.approx(inclusion.shape.contrast)
+        assert intervals.youngs_90_mpa.low == pytest.approx(inclusion.youngs_mpa)
+        assert intervals.center_90_mm[0].low == pytest.approx(inclusion.shape.center_mm[0])
+
+
+def test_a_body_without_inclusion_has_samples_too(recording):
+    presses = ShapeProblem(recording, Settings())
+    model = presses.uniform()
+    posterior = make_posterior(presses, model)
+    fit = model.fit
+    result = ShapeReconstruction(fit.field, fit.z, posterior, fit.chi2, (), 0.0)
+    samples = sample_shapes(recording, result, draws=40)
+    assert samples.intervals() == []
+    mean = samples.weights @ samples.z[:, 0]
+    deviation = np.sqrt(posterior.covariance[0, 0])
+    assert mean == pytest.approx((posterior.z + posterior.step)[0], abs=0.6 * deviation)
