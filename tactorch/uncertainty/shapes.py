@@ -155,7 +155,7 @@ def sample_shapes(
     """Return weighted draws of the posterior of shapes, with the exact predictions of each.
 
     Balls may be ellipsoids, as in `result.posterior`. The deviations of forces and poses are those
-    of the result. The predictions are corrected for the discretisation at the most probable shapes
+    of the result. The predictions are corrected for the discretisation at the best shapes
     of the result, those of `find_shapes` at nearly the same ones, and the effects of errors of the
     forces are those on a uniform body. A warning is logged where the weights are not reliable, see
     `ShapeSamples.reliable`.
