@@ -1,11 +1,11 @@
 """Adaptive importance sampling of a posterior with few parameters, and its diagnostics.
 
 Draws of a proposal q have the weights p / q, normalised to sum to one (self-normalised importance
-sampling: A. B. Owen, Monte Carlo theory, methods and examples, 2013, chapter 9). The first proposal
-is a multivariate Student t distribution about a normal approximation, whose heavier tails bound the
-weights. Later ones have the mean and covariance of the weighted draws so far, and each draw is
-weighted by the mixture of all proposals (J.-M. Cornuet, J.-M. Marin, A. Mira and C. P. Robert,
-"Adaptive multiple importance sampling", Scand. J. Stat. 39 (2012), 798-812).
+sampling: A. B. Owen, Monte Carlo theory, methods and examples, 2013, chapter 9). The first
+proposals are given. Later ones are multivariate Student t distributions, whose tails are heavier
+than normal ones, with the mean and covariance of the weighted draws so far. Each draw is weighted
+by the mixture of all proposals (J.-M. Cornuet, J.-M. Marin, A. Mira and C. P. Robert, "Adaptive
+multiple importance sampling", Scand. J. Stat. 39 (2012), 798-812).
 
 Two figures show whether the weights can be trusted: the effective sample size, and the shape k of
 the generalised Pareto distribution of the largest weights, of which moments of an order above 1 / k
@@ -13,6 +13,7 @@ are infinite (A. Vehtari, D. Simpson, A. Gelman, Y. Yao and J. Gabry, "Pareto sm
 sampling", J. Mach. Learn. Res. 25 (2024), 1-58).
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,10 +26,9 @@ from tactorch.errors import ConvergenceError
 from tactorch.inverse.shapes.posterior import Normal
 
 _DEGREES = 5.0  # of freedom of the proposals: tails that are heavier than normal ones
-_ROUNDS = 6  # of draws, each from another proposal
+_FITTED = 2  # proposals that are fitted to the draws before, one after the other
 _TRIALS, _MIN_POSSIBLE = 20_000, 0.01  # draws that show which fraction of them is possible
-# Draws for which the covariance of the first proposal counts, over the number of parameters.
-_FIRST = 2.0
+_PRIOR_DRAWS = 2.0  # for which a given covariance counts, over the number of parameters
 _PRIOR_K, _PRIOR_TAIL = 0.5, 10.0  # prior mean of k, and the number of weights that it counts for
 _MIN_TAIL = 5  # largest weights to which a Pareto distribution is fitted
 
@@ -36,35 +36,50 @@ IsPossible = Callable[[Float[np.ndarray, "k size"]], Bool[np.ndarray, " k"]]
 LogDensity = Callable[[Float[np.ndarray, " size"]], float]
 
 
+class Proposal(ABC):
+    """A distribution from which draws are made."""
+
+    @abstractmethod
+    def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
+        """Return draws."""
+
+    @abstractmethod
+    def log_density(self, x: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
+        """Return the logarithm of the density of values that may be drawn."""
+
+
 def importance_sample(
-    first: Normal, log_target: LogDensity, is_possible: IsPossible, draws: int, seed: int = 0
+    first: Sequence[Proposal],
+    fitted: "Student",
+    log_target: LogDensity,
+    draws: int,
+    seed: int = 0,
 ) -> tuple[Float[np.ndarray, "draws size"], Float[np.ndarray, " draws"]]:
     """Return draws and the logarithms of their weights, whose sum is one.
 
+    As many are of each of the first proposals and of two later ones.
+
     Args:
-        first: Approximation of the target.
+        first: First proposals.
+        fitted: A distribution like the later ones, whose covariance counts for a few draws.
         log_target: Logarithm of the target's density, up to a constant; minus infinity where the
             density is zero.
-        is_possible: Whether the density may be above zero; other values are not drawn.
         draws: Number of draws.
         seed: Seed of the draws.
 
     Raises:
         ConvergenceError: the density is zero at all draws, or hardly any values are possible.
     """
-    rng, proposals = np.random.default_rng(seed), [Student(first, is_possible)]
-    if proposals[0].possible < _MIN_POSSIBLE:
-        raise ConvergenceError("Hardly any values about the approximate posterior are possible.")
-    x, logs = np.zeros((0, len(first.mean))), np.zeros(0)
-    counts = [len(part) for part in np.array_split(np.arange(draws), min(_ROUNDS, draws))]
-    for round_, count in enumerate(counts, start=1):
-        new = proposals[-1].draw(count, rng)
+    rng, proposals = np.random.default_rng(seed), list(first)
+    x, logs = np.zeros((0, len(fitted.normal.mean))), np.zeros(0)
+    counts = [len(part) for part in np.array_split(np.arange(draws), len(first) + _FITTED)]
+    for k, count in enumerate(counts):
+        if k >= len(first):
+            proposals.append(fitted.to(x, logs - _mixture(proposals, counts[:k], x)))
+        new = proposals[k].draw(count, rng)
         x = np.concatenate([x, new])
         logs = np.concatenate([logs, [log_target(one) for one in new]])
-        log_weights = logs - _mixture(proposals, counts[:round_], x)
-        if round_ < len(counts):
-            fitted = Student(_fit(first, x, log_weights), is_possible)
-            proposals.append(fitted if fitted.possible > _MIN_POSSIBLE else proposals[0])
+    log_weights = logs - _mixture(proposals, counts, x)
     total = logsumexp(log_weights)
     if not np.isfinite(total):
         raise ConvergenceError("The density of the posterior is zero at all draws.")
@@ -72,7 +87,7 @@ def importance_sample(
 
 
 @dataclass(frozen=True, eq=False)
-class Student:
+class Student(Proposal):
     """Multivariate Student t distribution of five degrees of freedom, of possible values only.
 
     Attributes:
@@ -84,10 +99,16 @@ class Student:
     is_possible: IsPossible
 
     def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
-        """Return draws."""
+        """Return draws.
+
+        Raises:
+            ConvergenceError: hardly any values are possible.
+        """
+        if self.possible < _MIN_POSSIBLE:
+            raise ConvergenceError("Hardly any values about an approximate posterior are possible.")
         found = np.zeros((0, len(self.normal.mean)))
         while len(found) < count:
-            x = self._draw(count, rng)
+            x = self._draw(max(count, 1), rng)
             found = np.concatenate([found, x[self.is_possible(x)]])
         return found[:count]
 
@@ -108,6 +129,22 @@ class Student:
         x = self._draw(_TRIALS, np.random.default_rng(0))
         return float(self.is_possible(x).mean())
 
+    def to(self, x: Float[np.ndarray, "k size"], log_weights: Float[np.ndarray, " k"]) -> "Student":
+        """Return the distribution with the mean and covariance of weighted draws.
+
+        The fewer effective draws there are, the nearer is the covariance to the present one.
+        """
+        if not np.isfinite(log_weights).any():
+            return self
+        weights, effective = softmax(log_weights), effective_size(log_weights)
+        mean, root = weights @ x, self.normal.root
+        offsets = x - mean
+        share = effective / (effective + _PRIOR_DRAWS * x.shape[1])
+        covariance = share * (weights[:, None] * offsets).T @ offsets
+        covariance += (1.0 - share) * root @ root.T
+        other = Student(Normal(mean, np.linalg.cholesky(covariance)), self.is_possible)
+        return other if other.possible > _MIN_POSSIBLE else self
+
     def _draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
         noise = rng.standard_normal((count, len(self.normal.mean)))
         noise *= np.sqrt(_DEGREES / rng.chisquare(_DEGREES, count))[:, None]
@@ -115,30 +152,12 @@ class Student:
 
 
 def _mixture(
-    proposals: Sequence[Student], counts: Sequence[int], x: Float[np.ndarray, "k size"]
+    proposals: Sequence[Proposal], counts: Sequence[int], x: Float[np.ndarray, "k size"]
 ) -> Float[np.ndarray, " k"]:
     """Return the logarithm of the density of all draws, so many from each proposal."""
-    shares = np.log(counts) - np.log(np.sum(counts))
-    each = [share + one.log_density(x) for share, one in zip(shares, proposals, strict=True)]
+    used = [(n, one) for n, one in zip(counts, proposals, strict=True) if n]
+    each = [np.log(n / sum(counts)) + one.log_density(x) for n, one in used]
     return logsumexp(each, axis=0)
-
-
-def _fit(
-    first: Normal, x: Float[np.ndarray, "k size"], log_weights: Float[np.ndarray, " k"]
-) -> Normal:
-    """Return a normal distribution of the mean of draws, and of their covariance and a first one.
-
-    The fewer effective draws there are, the nearer is the covariance to the first one.
-    """
-    if not np.isfinite(log_weights).any():
-        return first
-    weights, effective = softmax(log_weights), effective_size(log_weights)
-    mean = weights @ x
-    offsets = x - mean
-    share = effective / (effective + _FIRST * x.shape[1])
-    covariance = share * (weights[:, None] * offsets).T @ offsets
-    covariance += (1.0 - share) * first.root @ first.root.T
-    return Normal(mean, np.linalg.cholesky(covariance))
 
 
 def effective_size(log_weights: Float[np.ndarray, " draws"]) -> float:

@@ -25,13 +25,15 @@ from tactorch.inverse.shapes import Interval, ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.model import Errors, Model
-from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.shapes.posterior import Normal, ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.result import InclusionValues
 from tactorch.inverse.shapes.sizing import contact_sizing
 from tactorch.recording import Recording, refine_recording
 from tactorch.uncertainty.importance import (
     LogDensity,
+    Proposal,
+    Student,
     effective_size,
     importance_sample,
     pareto_shape,
@@ -41,6 +43,7 @@ from tactorch.uncertainty.importance import (
 _log = logging.getLogger(__name__)
 _MIN_EFFECTIVE = 20.0  # draws, for a central 90 % interval
 _MAX_K = 0.7  # with many draws
+_MOMENT_SAMPLES = 5_000  # of the approximate posterior, of which the moments are
 
 
 class ShapeIntervals(NamedTuple):
@@ -195,6 +198,10 @@ def sample_posterior(
 ) -> tuple[Float[np.ndarray, "draws size"], Float[np.ndarray, " draws"]]:
     """Return draws of parameters of shapes, and the logarithms of their weights.
 
+    The first proposals are Student t distributions about the normal posterior, in its coordinates,
+    and in the logarithms, with the moments of the samples of the approximation: the first has the
+    shape of the posterior near its maximum, and the second reaches inclusions of large contrast.
+
     Args:
         approximation: Approximate posterior, within whose limits the draws are.
         log_target: Logarithm of the density of the exact one at parameters, up to a constant; minus
@@ -203,18 +210,34 @@ def sample_posterior(
         seed: Seed of the draws.
 
     Raises:
-        ConvergenceError: see `tactorch.uncertainty.importance.importance_sample`.
+        ConvergenceError: the density is zero at all draws, or hardly any have a radius and a
+            contrast.
     """
+    z = approximation.samples(_MOMENT_SAMPLES)
+    normal = Normal(z.mean(axis=0), np.linalg.cholesky(np.atleast_2d(np.cov(z.T))))
+    wide = Student(normal, approximation.within_limits)
+    return importance_sample([_InCoordinates(approximation), wide], wide, log_target, draws, seed)
 
-    def log_density(x: Float[np.ndarray, " size"]) -> float:
-        z = approximation.parameters(x[None])
-        return log_target(z[0]) - float(approximation.log_jacobian(z)[0])
 
-    def is_possible(x: Float[np.ndarray, "k size"]) -> Bool[np.ndarray, " k"]:
-        return approximation.within_limits(approximation.parameters(x))
+@dataclass(frozen=True, eq=False)
+class _InCoordinates(Proposal):
+    """Student t distribution about a posterior in its coordinates, within its limits."""
 
-    x, log_weights = importance_sample(approximation.normal, log_density, is_possible, draws, seed)
-    return approximation.parameters(x), log_weights
+    posterior: ShapePosterior
+
+    @cached_property
+    def _student(self) -> Student:
+        return Student(self.posterior.normal, self._is_possible)
+
+    def _is_possible(self, x: Float[np.ndarray, "k size"]) -> Bool[np.ndarray, " k"]:
+        return self.posterior.within_limits(self.posterior.parameters(x))
+
+    def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
+        return self.posterior.parameters(self._student.draw(count, rng))
+
+    def log_density(self, x: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
+        coordinates = self.posterior.coordinates(x)
+        return self._student.log_density(coordinates) + self.posterior.log_jacobian(x)
 
 
 @dataclass(frozen=True, eq=False)

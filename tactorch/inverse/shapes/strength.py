@@ -30,12 +30,13 @@ def to_logs(linear: Float[np.ndarray, "*k 2"]) -> Float[np.ndarray, "*k 2"]:
         return np.stack([0.5 * np.log(square), log_contrast], axis=-1)
 
 
-def derivative(logs: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2 2"]:
+def derivative(logs: Float[np.ndarray, "*k 2"]) -> Float[np.ndarray, "*k 2 2"]:
     """Return the derivative of `from_logs`."""
-    radius, contrast = np.exp(logs)
-    square, strength = from_logs(logs)
+    radius, contrast = np.moveaxis(np.exp(logs), -1, 0)
+    square, strength = np.moveaxis(from_logs(logs), -1, 0)
     by_contrast = radius**3 * (1.0 + _POISSON_TERM) * contrast / (contrast + _POISSON_TERM) ** 2
-    return np.array([[2.0 * square, 0.0], [3.0 * strength, by_contrast]])
+    rows = [[2.0 * square, np.zeros_like(square)], [3.0 * strength, by_contrast]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def moved(logs: Float[np.ndarray, "2"], step: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
