@@ -56,7 +56,8 @@ def test_a_radius_may_be_further_below_than_above():
         values[:, rows] = strength.to_logs(line)
         points = field.standard(values)
     linear = z + change[:, None] * np.eye(len(z))[index] / field.deviation[index]
-        # Across the line, the likelihood is of constant width in squared radius and strength.
+    # Across the line, the likelihood is of constant width in squared radius and strength.
+    with np.errstate(invalid="ignore"):
         widths = 1.0 / np.linalg.det(strength.derivative(values[:, rows]))
     priors = 0.5 * (linear**2).sum(axis=1) - 0.5 * (points**2).sum(axis=1)
     density = np.exp(-0.5 * (change / 0.15) ** 2 + priors) * widths
