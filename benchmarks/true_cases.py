@@ -61,6 +61,9 @@ LUMP_PER_RADIUS = 0.4  # edge length of the truth mesh at a lump, over its small
 CREASE_PER_SIZE = 0.035
 LEVEL_MM = 0.5  # edge length of the truth mesh at interfaces of layers that reach the sides
 RECORDED_PER_RADIUS = 0.3  # edge length of the recording's mesh under a contact, over its radius
+# Edge length of the truth mesh at the rim of a patch, over its radius, and its growth with the
+# distance: the pressure ends there, and the strain is singular.
+RIM_PER_RADIUS, RIM_GROWTH = 0.05, 0.6
 Point = tuple[float, float, float]
 _FLANK = 0.5  # smallest cosine between a finger's push and the surface under it
 _FINGER_POINTS = 8  # along the edge of a triangle, for the pressure of a finger
@@ -100,6 +103,21 @@ class Contact:
     def direction(self) -> np.ndarray:
         """Unit vector of the push."""
         return self.site.direction if self.inward is None else np.array(self.inward)
+
+    @property
+    def has_sharp_rim(self) -> bool:
+        """Whether the pressure ends with a jump within a face."""
+        return self.kind == "patch"
+
+    def beyond(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances of points from the cylinder of a patch or finger, and depths, mm.
+
+        The distances are negative within the cylinder.
+        """
+        offsets = points - np.array(self.center_mm)
+        depth = offsets @ self.direction
+        across = np.linalg.norm(offsets - np.outer(depth, self.direction), axis=1)
+        return across - float(self.radius_mm or 0.0), depth
 
     def shifted(self, shift: np.ndarray) -> "Contact":
         """Return the contact at another place."""
@@ -188,14 +206,28 @@ class Presses:
         def sizes(points: np.ndarray) -> np.ndarray:
             out = np.full(len(points), np.inf)
             for contact in self.contacts:
-                offsets = points - np.array(contact.center_mm)
-                depth = offsets @ contact.direction
-                across = np.linalg.norm(offsets - np.outer(depth, contact.direction), axis=1)
-                beyond = np.maximum(across - float(contact.radius_mm or 0.0), 0.0)
-                out = np.minimum(out, edge_mm + growth * np.hypot(beyond, depth))
+                beyond, depth = contact.beyond(points)
+                out = np.minimum(out, edge_mm + growth * np.hypot(np.maximum(beyond, 0.0), depth))
             return out
 
         return sizes
+
+    def rims(self, points: np.ndarray) -> np.ndarray:
+        """Return the edge length of the truth mesh by the rims of patches, infinite without any."""
+        out = np.full(len(points), np.inf)
+        for contact in self.contacts:
+            if contact.has_sharp_rim:
+                assert contact.radius_mm is not None
+                distances = np.hypot(*contact.beyond(points))
+                out = np.minimum(out, RIM_PER_RADIUS * contact.radius_mm + RIM_GROWTH * distances)
+        return out
+
+    @property
+    def parts(self) -> "tuple[Presses, ...]":
+        """Presses that are solved on a truth mesh of their own: each patch, or all of them."""
+        if not any(contact.has_sharp_rim for contact in self.contacts):
+            return (self,)
+        return tuple(replace(self, contacts=(contact,)) for contact in self.contacts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +284,7 @@ class Body:
                 out = np.minimum(out, LEVEL_MM + 0.4 * np.abs(points[:, 2] - level))
             if presses.refined_mm is not None:
                 out = np.minimum(out, presses.sizing(presses.refined_mm, 0.5)(points))
-            return out
+            return np.minimum(out, presses.rims(points))
 
         return sizes
 
@@ -514,6 +546,7 @@ class Solution:
             **({"lumps": LUMP_PER_RADIUS} if body.lumps else {}),
             "creases": CREASE_PER_SIZE,
             **({"recorded_mm": presses.recorded_mm} if presses.recorded_mm else {}),
+            **({"rims": [RIM_PER_RADIUS, RIM_GROWTH]} if len(presses.parts) > 1 else {}),
             "presses": asdict(presses),
             "misplaced": self.misplaced_mm,
             "material": [MATERIAL.name, MATERIAL.poisson, SPRING_N_PER_MM],
@@ -536,8 +569,10 @@ class Solution:
         """Solve the presses on the truth mesh."""
         body, presses = OBJECTS[self.object](), PRESSES[self.presses]
         mesh = body.mesh(presses)
-        truth = make_truth_mesh(body.phantom, body.truth_edge_mm, body.sizing(presses))
-        motions = self._motions(body, presses, mesh, truth, presses.pressures)
+        motions = []
+        for part in presses.parts:
+            truth = make_truth_mesh(body.phantom, body.truth_edge_mm, body.sizing(part))
+            motions += self._motions(body, part, mesh, truth, presses.pressures)
         recorded = []
         discretisation = Discretisation(mesh, ELEMENTS["tet4"])
         for contact, motion in zip(presses.contacts, motions, strict=True):
@@ -569,20 +604,23 @@ class Solution:
         of all contacts.
         """
         body, presses = OBJECTS[self.object](), PRESSES[self.presses]
-        recording = self.recording(cache)
-        truth = make_truth_mesh(body.phantom, body.truth_edge_mm, body.sizing(presses))
-        finer = refine_everywhere(body.phantom, truth)
-        top = presses.pressures[-1:]
-        motions = self._motions(body, presses, recording.mesh, finer, top)
-        steps, changes = len(presses.pressures), []
-        for k, motion in enumerate(motions):
-            press = recording.presses[(k + 1) * steps - 1]
-            before = press.displacement[press.observed]
-            change = motion[0][press.observed] - before
-            changes.append(float(np.sqrt(np.mean(change**2) / np.mean(before**2))))
+        recording, steps = self.recording(cache), len(presses.pressures)
+        changes, elements, refined = [], 0, 0
+        top = recording.presses[steps - 1 :: steps]
+        for part in presses.parts:
+            truth = make_truth_mesh(body.phantom, body.truth_edge_mm, body.sizing(part))
+            finer = refine_everywhere(body.phantom, truth)
+            elements = max(elements, truth.mesh.n_tets)
+            refined = max(refined, finer.mesh.n_tets)
+            pressures = presses.pressures[-1:]
+            for (motion,) in self._motions(body, part, recording.mesh, finer, pressures):
+                press = top[len(changes)]
+                before = press.displacement[press.observed]
+                change = motion[press.observed] - before
+                changes.append(float(np.sqrt(np.mean(change**2) / np.mean(before**2))))
         return {
-            "elements": truth.mesh.n_tets,
-            "refined_elements": finer.mesh.n_tets,
+            "elements": elements,
+            "refined_elements": refined,
             "change": max(changes),
             "median_change": float(np.median(changes)),
         }
