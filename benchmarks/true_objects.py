@@ -162,6 +162,7 @@ def invert_by_shapes(recording: Recording, settings: Settings) -> Answer:
         "inclusions": [vars(i) | {"shape": vars(i.shape)} for i in result.inclusions],
         "force_deviation": result.force_deviation,
         "pose_deviation": result.pose_deviation,
+        "rim_deviation": result.rim_deviation,
         "degree": result.field.degree,
         "history": result.history,
     }

@@ -30,9 +30,6 @@ class DemoOptions(SimulationOptions, invert.InversionOptions, CommandOptions):
     path: Path | None = option(None, "Folder of the published case, for source=published")
     format: Any = option("published", "Format of the published case", section="format")
     mesh: MeshSize = option(factory=MeshSize, help="Meshes", preset="conforming")
-    fine_element: Literal["tet4", "tet10"] | None = option(
-        "tet10", "Element type of the simulation; null: element"
-    )
     run_dir: str = option("outputs/demo", "Folder of the results and the log")
 
 

@@ -17,7 +17,8 @@ from tactorch.cli.settings import CommandOptions, material_spec, run_folder
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.fem import MATERIALS  # noqa: F401  (the registry of the section)
-from tactorch.linalg import SOLVERS  # noqa: F401
+from tactorch.linalg import SOLVERS
+from tactorch.linalg.solver import AutoSolver
 from tactorch.phantoms import MeshSize
 from tactorch.phantoms.library import PHANTOMS  # noqa: F401
 from tactorch.recording import Recording
@@ -35,7 +36,7 @@ class SimulationOptions(Options):
     solver: Any = option("auto", "Linear solver", section="solver")
     element: Literal["tet4", "tet10"] = option("tet4", "Element type")
     fine_element: Literal["tet4", "tet10"] | None = option(
-        None, "Element type of the simulation; null: element"
+        None, "Element type of the simulation; null: tet10 on a mesh of its own, else element"
     )
     samples: int = option(
         4, "Samples per edge that average the modulus over cut elements; 1: centroid", ge=1
@@ -68,6 +69,11 @@ def simulate_recording(options: SimulationOptions) -> Recording:
     except ConfigError as error:  # of shapes, which do not name the setting
         raise ConfigError(f"phantom: {error}") from error
     mesh, fine = options.mesh.build(phantom)
+    # Linear elements are too stiff to stand for the object on a mesh of their own.
+    element = options.fine_element or (options.element if fine is None else "tet10")
+    solver = options.solver
+    if element == "tet10" and isinstance(SOLVERS.build(solver), AutoSolver):
+        solver = "p_multigrid"
     with progress("simulating", "presses") as update:
         return simulate(
             phantom,
@@ -76,8 +82,8 @@ def simulate_recording(options: SimulationOptions) -> Recording:
             mesh=mesh,
             fine_mesh=fine,
             samples=options.samples,
-            element=options.fine_element or options.element,
-            solver=options.solver,
+            element=element,
+            solver=solver,
             snr_db=options.snr_db,
             seed=options.seed,
             progress=update,

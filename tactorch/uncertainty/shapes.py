@@ -1,10 +1,11 @@
 """Samples of the posterior of shapes, by importance sampling with exact predictions.
 
 The posterior of the parameters z of shapes, in standard deviations of their prior, is
-p(z) ~ exp(-(|r(z)|^2 / s + |z|^2) / 2), with the residuals r of the presses' equilibria and the
-inflation s = max(1, chi2) of the variance of the noise. `ShapePosterior` is an approximation in
-which r is linearised, normal in coordinates of the shapes. Here it is the first proposal of
-importance sampling, with an equilibrium of each press for each draw; see
+p(z) ~ exp(-(|r(z)|^2 / s + |z|^2) / 2) J(z), with the residuals r of the presses' equilibria, the
+inflation s = max(1, chi2) of the variance of the noise, and the determinant J of the derivative of
+the coordinates of `ShapePosterior`, in which the prior is flat beside the normal one.
+`ShapePosterior` is an approximation in which r is linearised, normal in these coordinates. Here it
+is the first proposal of importance sampling, with an equilibrium of each press for each draw; see
 `tactorch.uncertainty.importance`.
 """
 
@@ -295,7 +296,8 @@ class _ExactPosterior:
             return -np.inf
         self.update({"iteration": self.problem.evaluations, "misfit": evaluation.misfit_mm2})
         residuals = evaluation.residuals
-        return -0.5 * float(residuals @ residuals / self.inflation + z @ z)
+        log_jacobian = float(self.approximation.log_jacobian(z[None])[0])
+        return log_jacobian - 0.5 * float(residuals @ residuals / self.inflation + z @ z)
 
     def _starts(self, z: Float[np.ndarray, " size"]) -> list[Float[np.ndarray, "nodes 3"]]:
         """Return the linearised displacements, on which few steps of an equilibrium search remain.
@@ -314,8 +316,8 @@ def _predict(problem: ShapeProblem, result: ShapeReconstruction) -> Evaluation:
     Raises:
         ConvergenceError: a press has no equilibrium, on the mesh or on the finer ones.
     """
-    errors = Errors(result.force_deviation, result.pose_deviation)
-    if errors.forces:
+    errors = Errors(result.force_deviation, result.pose_deviation, result.rim_deviation)
+    if errors.forces or errors.rims:
         problem.uniform()  # whose predictions give the effects of errors of the forces
     quadratic = problem.quadratic.with_data(problem.data(errors))
     field, z = result.posterior.field, result.posterior.z

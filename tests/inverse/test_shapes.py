@@ -190,7 +190,7 @@ def test_models_are_changed_without_a_change_of_what_remains():
 
 
 def test_other_errors_differ_in_one_respect():
-    others = dict(Errors(0.05, 0.001).others(Errors(0.0, 0.001)))
+    others = dict(Errors(0.05, 0.001).others(Errors(0.0, 0.001), False))
     assert {errors.forces for errors in others.values()} == {0.0, 0.02, 0.05, 0.1}
     assert {errors.pose for errors in others.values()} == {0.001, 0.002, 0.01, 0.05}
     assert all((e.forces == 0.05) != (e.pose == 0.001) for e in others.values())

@@ -178,7 +178,8 @@ def test_the_predictions_are_those_of_the_search(recording, monkeypatch):
     assert data.log_determinant == pytest.approx(model.evaluation.data.log_determinant, abs=1e-3)
     np.testing.assert_allclose(exact.evaluation.residuals, model.fit.residuals, atol=2e-3)
     z = result.posterior.z
-    assert exact.log_density(z) == pytest.approx(-0.5 * (2.0 * model.fit.misfit + z @ z), abs=1e-2)
+    expected = -0.5 * (2.0 * model.fit.misfit + z @ z) + result.posterior.log_jacobian(z[None])[0]
+    assert exact.log_density(z) == pytest.approx(expected, abs=1e-2)
 
     def fails(self, fit, evaluation, check):
         raise ConvergenceError("no equilibrium")

@@ -34,8 +34,8 @@ from tactorch.mesh import Refinement, refine
 from tactorch.mesh.conform import ClosedSurface, conform
 from tactorch.recording import Recording, prolong_recording
 
-_PER_CONTACT = 0.2  # longest edge at the rim of a contact, over the contact's radius
-_GROWTH = 1.0  # of the longest edge with the distance from the rim
+_PER_CONTACT = 0.1  # longest edge at the rim of a contact, over the contact's radius
+_GROWTH = 0.5  # of the longest edge with the distance from the rim
 # Smallest load of a contact over its largest, between which changes are interpolated.
 _MIN_FACTOR, _MAX_FACTOR = 0.1, 0.8
 # Equilibria far more accurate than the noise of a sensor, by one or two steps from the common mesh.

@@ -14,6 +14,7 @@ from tactorch.inverse.shapes.fit import ShapeFit
 FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 MIN_POSE_DEVIATION = 0.001  # that of the discretisation after its correction
 _POSE_DEVIATIONS = (0.002, 0.01, 0.05)
+RIM_DEVIATIONS = (0.1, 0.2, 0.5)
 MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
 _MAX_START_CONTRAST = 1.0  # log-contrast of a start with quadratic elements
 
@@ -23,8 +24,9 @@ class Errors(NamedTuple):
 
     forces: float  # of the forces of each press
     pose: float  # of rigid motions at each place, over the observed displacements
+    rims: float = 0.0  # of the traction at the edges of a contact's rim, over the mean traction
 
-    def others(self, least: "Errors") -> Iterator["tuple[str, Errors]"]:
+    def others(self, least: "Errors", has_rims: bool) -> Iterator[tuple[str, "Errors"]]:
         """Yield errors that differ in one respect, at least these, with their descriptions."""
         for level in (least.forces, *FORCE_DEVIATIONS):
             if level != self.forces:
@@ -32,6 +34,9 @@ class Errors(NamedTuple):
         for level in (least.pose, *_POSE_DEVIATIONS):
             if level != self.pose:
                 yield f"poses wrong by {level:.1%}", self._replace(pose=level)
+        for level in (least.rims, *RIM_DEVIATIONS) if has_rims else ():
+            if level != self.rims:
+                yield f"tractions at rims wrong by {level:.0%}", self._replace(rims=level)
 
 
 @dataclass(frozen=True, eq=False)

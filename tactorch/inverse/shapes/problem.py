@@ -21,6 +21,7 @@ from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.model import (
     FORCE_DEVIATIONS,
     MIN_POSE_DEVIATION,
+    RIM_DEVIATIONS,
     Errors,
     Model,
     Start,
@@ -28,6 +29,7 @@ from tactorch.inverse.shapes.model import (
     gain,
 )
 from tactorch.inverse.shapes.result import ShapeReconstruction
+from tactorch.inverse.shapes.rims import rim_patterns
 from tactorch.inverse.starts import uniform_fit
 from tactorch.recording import Recording
 
@@ -97,11 +99,17 @@ class ShapeProblem:
         self.matched = MatchedFilter.of(self.linear, youngs)
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._force_patterns: np.ndarray | None = None
+        self._rim_patterns: np.ndarray | None = None
         self._noisy: dict[Errors, DataModel] = {}
         self._last: tuple[ShapeFit, Evaluation] | None = None
         self._floored = noise.floored(recording)
         observations = self.quadratic.data.observations
         self._pose_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
+
+    @property
+    def has_rims(self) -> bool:
+        """Whether the traction of a contact ends within a face, where forces do not resolve it."""
+        return self._correction is not None and self._correction.has_rims
 
     def uniform(self) -> Model:
         """Fit the uniform body with quadratic elements."""
@@ -117,17 +125,23 @@ class ShapeProblem:
         youngs = ShapesOnSites(field, self._linear_sites).at(start.z).youngs
         coarse = self.linear.evaluate(youngs)
         self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / FORCE_DEVIATIONS[-1])
-        model = self.fit(start, [extend(u) for u in coarse.displacements])
-        if self._correction is None or not self._correction.has_rims:
-            return model
-        return self.corrected(model)
+        displacements = [extend(u) for u in coarse.displacements]
+        if self._correction is None or not self.has_rims:
+            return self.fit(start, displacements)
+        youngs = ShapesOnSites(field, self.sites).at(start.z).youngs
+        evaluation = self.quadratic.evaluate(youngs, starts=displacements)
+        smallest = _MIN_FORCE_ERROR / RIM_DEVIATIONS[-1]
+        recording, contacts = self.quadratic.recording, self._correction.contacts
+        self._rim_patterns = rim_patterns(recording, evaluation, contacts, smallest)
+        return self.corrected(self.fit(start, evaluation.displacements))
 
     def continued(self, result: ShapeReconstruction) -> Start:
         """Return the model of a search on other presses of the same object."""
         field = replace(result.field, prior=self.prior)
         z = field.standard(result.field.physical(result.z))
         pose = max(result.pose_deviation, self.least_errors.pose)
-        return Start("the model before", field, z, Errors(result.force_deviation, pose))
+        rims = result.rim_deviation if self.has_rims else 0.0
+        return Start("the model before", field, z, Errors(result.force_deviation, pose, rims))
 
     def fit(
         self,
@@ -342,6 +356,9 @@ class ShapeProblem:
         if errors.forces:
             assert self._force_patterns is not None
             data = data.with_errors(errors.forces * self._force_patterns)
+        if errors.rims:
+            assert self._rim_patterns is not None
+            data = data.with_errors(errors.rims * self._rim_patterns)
         return data
 
     def _correction_patterns(self) -> Float[np.ndarray, "data contacts"]:

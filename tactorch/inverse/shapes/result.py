@@ -94,6 +94,8 @@ class ShapeReconstruction:
         pose_deviation: Deviation of rigid motions at each contact, over the observed displacements;
             at least 0.001 where the presses were not computed on the recording's mesh, for the
             discretisation.
+        rim_deviation: Deviation of the traction at edges of the recording's mesh at the rims of
+            contacts, over the mean traction; zero where the nodal forces determine it.
         unexplained: Root mean square of the residuals beyond their noise and the recognised errors
             of forces and poses, over that of the observed displacements.
         history: The accepted models with their chi2 and log-evidence.
@@ -107,6 +109,7 @@ class ShapeReconstruction:
     log_odds_any: float
     force_deviation: float = 0.0
     pose_deviation: float = 0.0
+    rim_deviation: float = 0.0
     unexplained: float = 0.0
     history: tuple[dict[str, Any], ...] = ()
 
@@ -178,6 +181,7 @@ class ShapeReconstruction:
             "log_odds_any": self.log_odds_any,
             "force_deviation": self.force_deviation,
             "pose_deviation": self.pose_deviation,
+            "rim_deviation": self.rim_deviation,
             "unexplained": self.unexplained,
             "history": list(self.history),
         }
@@ -194,6 +198,7 @@ class ShapeReconstruction:
             plain["log_odds_any"],
             plain["force_deviation"],
             plain.get("pose_deviation", 0.0),
+            plain.get("rim_deviation", 0.0),
             plain["unexplained"],
             tuple(plain["history"]),
         )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.inverse.shapes.field import Ellipsoid
@@ -115,10 +115,12 @@ class Rim:
     """Where the load of a contact ends and the surface goes on.
 
     Attributes:
-        tree: Loaded points beside which the surface goes on without load, mm.
+        nodes: Loaded nodes beside which the surface goes on without load.
+        tree: Their positions, mm.
         radius_mm: Radius of a disc of the area of the loaded surface triangles.
     """
 
+    nodes: Int[np.ndarray, " k"]
     tree: cKDTree
     radius_mm: float
 
@@ -135,7 +137,7 @@ class Rim:
         corners = surface.triangles[~inside]
         smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
         rim = np.unique(corners[smooth & loaded[corners]])
-        return Rim(cKDTree(mesh.points[rim]), radius) if len(rim) else None
+        return Rim(rim, cKDTree(mesh.points[rim]), radius) if len(rim) else None
 
     def sizing(self, per_radius: float, growth: float) -> Sizing:
         """Return `per_radius` times the radius at the rim, longer with the distance from it."""

@@ -1,0 +1,120 @@
+"""Errors of the traction at the rims of contacts, which nodal forces leave open."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactorch.fem import Discretisation
+from tactorch.fem.elements import ELEMENTS
+from tactorch.inverse import Settings
+from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.shapes.correction import Correction
+from tactorch.inverse.shapes.model import RIM_DEVIATIONS, Errors
+from tactorch.inverse.shapes.problem import ShapeProblem
+from tactorch.inverse.shapes.result import ShapeReconstruction
+from tactorch.inverse.shapes.rims import _midside_loads, rim_edges, rim_patterns
+from tactorch.inverse.shapes.search import find_shapes
+from tactorch.mesh import box_mesh
+from tactorch.mesh.tractions import LoadedSurface
+from tactorch.phantoms import make_phantom
+from tactorch.simulation import PressPlan, simulate
+from tactorch.simulation.patch import patch_forces
+from tactorch.simulation.plan import PressSite
+
+RADIUS_MM = 3.0
+MESH = box_mesh(10.0, 6, tets_per_cell=5)
+FINE = box_mesh(10.0, 12, tets_per_cell=5)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    plan = PressPlan(("z+",), (0.005, 0.01), patch_radius_mm=RADIUS_MM)
+    made = simulate(make_phantom("uniform_cube"), plan, mesh=MESH, fine_mesh=FINE, snr_db=40.0)
+    presses = tuple(
+        replace(press, noise_mm=0.01 * float(np.std(press.displacement[press.observed])))
+        for press in made.presses
+    )
+    return replace(made, presses=presses)
+
+
+@pytest.fixture(scope="module")
+def problem(recording):
+    return InverseProblem(recording, element="tet10")
+
+
+@pytest.fixture(scope="module")
+def evaluation(problem):
+    return problem.evaluate(np.full(MESH.n_tets, 0.2))
+
+
+def test_edges_are_those_beside_the_rim(recording, problem):
+    ((_, rim),) = Correction.of(problem, "tet10", "auto").contacts
+    forces = recording.presses[0].forces
+    loaded = LoadedSurface.of(MESH.surface, forces)
+    ends, areas = rim_edges(loaded, rim.nodes)
+    beside = np.isin(loaded.triangles, rim.nodes).any(axis=1)
+    assert areas.sum() == pytest.approx(loaded.areas[beside].sum())
+    assert (forces[ends] != 0).any(axis=2).all()
+    distances = np.linalg.norm(MESH.points[ends].mean(axis=1)[:, :2] - 5.0, axis=1)
+    assert 0.0 < distances.min() < distances.max() < RADIUS_MM + 10.0 / 6.0
+
+
+def test_loads_have_no_integrals_over_hat_functions():
+    discretisation = Discretisation(MESH, ELEMENTS["tet10"])
+    ends = discretisation.edges[:5]
+    loads = _midside_loads(discretisation, ends, np.arange(1.0, 6.0), np.array([0.0, 1.0, -2.0]))
+    midsides = loads[:, MESH.n_points :]
+    sums = loads[:, : MESH.n_points].copy()
+    for column in discretisation.edges.T:
+        for k in range(5):
+            np.add.at(sums[k], column, 0.5 * midsides[k])
+    np.testing.assert_allclose(sums, 0.0, atol=1e-14)
+    assert np.abs(loads).max() == pytest.approx(10.0)
+
+
+def test_patterns_explain_the_traction_that_ends_within_triangles(recording, problem, evaluation):
+    """A uniform pressure on the disc, and the traction that its nodal forces stand for."""
+    contacts = Correction.of(problem, "tet10", "auto").contacts
+    discretisation = problem.body.discretisation
+    exact = 0.01 * patch_forces(discretisation, PressSite("z+", (5.0, 5.0, 10.0)), RADIUS_MM)
+    change = exact - discretisation.consistent_loads(recording.presses[1].forces)
+    case, observation = evaluation.sensitivities[1], evaluation.data.observations[1]
+    (moved,) = case.linearization.force_response(change[None])
+    error = case.observe(moved) * observation.scale
+    patterns = rim_patterns(recording, evaluation, contacts, 0.0)
+    first, second = np.split(patterns, [len(evaluation.data.observations[0].index)])
+    amplitudes = np.linalg.lstsq(second, error, rcond=1e-6)[0]
+    assert np.linalg.norm(error) > 1.0
+    assert np.linalg.norm(second @ amplitudes - error) < 0.15 * np.linalg.norm(error)
+    # In units of its own noise, half the pressure has the same changes but for the deformation.
+    np.testing.assert_allclose(first, second, atol=0.1 * np.abs(second).max())
+    few = rim_patterns(recording, evaluation, contacts, 1.0)
+    assert 0 < few.shape[1] < patterns.shape[1]
+    assert np.linalg.norm(few, axis=0).min() > 1.0
+
+
+def test_the_search_may_take_tractions_at_rims_as_wrong(recording):
+    presses = ShapeProblem(replace(recording, provenance={}), Settings())
+    assert presses.has_rims
+    presses.uniform()
+    levels = [errors.rims for _, errors in presses.least_errors.others(presses.least_errors, True)]
+    assert set(levels) == {0.0, *RIM_DEVIATIONS}
+    small, large = (presses.data(Errors(0.0, 0.001, rims)) for rims in (0.1, 0.5))
+    assert presses.data(Errors(0.0, 0.001)).log_determinant < small.log_determinant
+    assert small.log_determinant < large.log_determinant
+    whole = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
+    assert not ShapeProblem(replace(whole, provenance={}), Settings()).has_rims
+
+
+def test_the_result_states_the_deviation_at_rims(recording):
+    result = find_shapes(replace(recording, provenance={}))
+    assert not result.inclusions
+    assert result.rim_deviation in (0.0, *RIM_DEVIATIONS)
+    other = replace(result, rim_deviation=0.2)
+    plain = other.plain()
+    assert ShapeReconstruction.of(plain).rim_deviation == 0.2
+    del plain["rim_deviation"]  # as in files of earlier versions
+    assert ShapeReconstruction.of(plain).rim_deviation == 0.0
+    again = find_shapes(replace(recording, provenance={}), start=other)
+    assert not again.inclusions
