@@ -54,6 +54,25 @@ def test_unknowns_are_estimated_and_said(tactorch: Any, recording: Path, tmp_pat
 
 
 @pytest.mark.parametrize(
+    ("settings", "element"),
+    [
+        (("mesh.fine_relative=0.3",), "tet10"),
+        (("mesh.fine_relative=0.3", "fine_element=tet4"), "tet4"),
+        ((), "tet4"),
+        (("element=tet10",), "tet10"),
+    ],
+)
+def test_presses_on_a_mesh_of_their_own_have_quadratic_elements(
+    tactorch: Any, settings: tuple[str, ...], element: str
+) -> None:
+    done = tactorch("simulate", *TINY, *settings, "out=made.h5")
+    assert done.status == 0, done.err
+    provenance = Recording.load("made.h5").provenance
+    assert provenance["element"] == element
+    assert provenance["inverse_crime"] == (len(settings) == 0 or settings[0] == "element=tet10")
+
+
+@pytest.mark.parametrize(
     ("optimizer", "brief"),
     [
         ("gauss_newton", "optimizer.max_iterations=2"),
