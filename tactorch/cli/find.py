@@ -7,8 +7,8 @@
 Inclusions with sharp boundaries are fitted to the presses, as many as their evidence supports, as
 by `tactorch invert` after the inversion. With shapes=false the lumps are regions of the run's map.
 The text is printed, and written with its numbers to finding.txt and finding.json in the run's
-folder; the shapes are written to shapes.json, which `tactorch report` reads, and drawn beside the
-map in shapes.png.
+folder, whose summary is updated; the shapes are written to shapes.json, which `tactorch report`
+reads, and drawn beside the map in shapes.png.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from tactorch.cli.console import log
+from tactorch.cli.outputs import write_summary
 from tactorch.cli.report import with_settings
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
@@ -61,7 +62,7 @@ def run(options: FindOptions) -> Finding:
         raise FileError(
             f"{inverted.missing} Give recording=FILE.h5: depths are measured from its presses."
         )
-    return find_and_write(
+    finding = find_and_write(
         inverted.recording,
         inverted.result,
         with_settings(inverted).settings,
@@ -72,6 +73,10 @@ def run(options: FindOptions) -> Finding:
         max_lumps=options.max_lumps,
         plots=options.plots,
     )
+    if options.out is None and "recording" in inverted.summary:
+        source = inverted.summary["recording"]
+        write_summary(folder, inverted.recording, inverted.result, source=source, finding=finding)
+    return finding
 
 
 def find_and_write(

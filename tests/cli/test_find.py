@@ -16,8 +16,10 @@ from tactorch.report.assessment import assess
 
 
 def test_lumps_are_told_with_how_sure_they_are(tactorch: Any, finished_run: Path) -> None:
+    before = (finished_run / "summary.json").read_bytes()
     done = tactorch("find", finished_run, "shapes=false", "out=.")
     assert done.status == 0, done.err
+    assert (finished_run / "summary.json").read_bytes() == before  # another folder has the finding
     text = Path("finding.txt").read_text()
     assert text.strip() in done.out
     values = json.loads(Path("finding.json").read_text())
@@ -44,6 +46,10 @@ def test_shapes_are_fitted_and_shown_by_the_report(tactorch: Any, finished_run: 
     finding = build_shape_finding(run.recording, run.shapes)
     assert finding.plain() == values
     assert assess(run, uncertainty=False).finding.plain() == values
+    assert run.summary["finding"] == values
+    before = json.loads((finished_run / "summary.json").read_text())
+    assert {**before, "finding": values} == run.summary
+    assert finding.text() in run.text
     (folder / "shapes.json").write_text("{}")
     with pytest.raises(FileError, match="tactorch find"):
         load_run(folder)
