@@ -2,7 +2,7 @@
 
     python benchmarks/true_objects.py [--set open|held_out|empty|random|all] [--only NAME...]
         [--method default|map|shapes] [--settings KEY=VALUE...] [--check] [--cache FOLDER]
-        [--out FOLDER] [--workers N]
+        [--refined FACTOR] [--out FOLDER] [--workers N]
 
 Each case is an object (balls of several depths, sizes and contrasts, a cone, an ellipsoid, two
 balls close together, a lump in layers, a dome and a breast with a lesion, bodies without
@@ -15,7 +15,8 @@ The map is compared with the analytic object on 36^3 voxels of the bounding box,
 body excluded. Half of the cases are held out, to be run once with `--set held_out`; `--set empty`
 has forty bodies without inclusion, and `--set random` fifty balls and ellipsoids, for the coverage
 of intervals. `--check` refines each truth mesh once more and compares the
-change of the displacements with the noise. Noise-free recordings are cached.
+change of the displacements with the noise. `--refined` bisects the recording's mesh before a method
+gets it, down to its mean edge length times the factor. Noise-free recordings are cached.
 
 The last line printed is one JSON object.
 """
@@ -42,7 +43,7 @@ from tactorch.findings import find_lumps
 from tactorch.inverse import Settings, invert, make_objective
 from tactorch.inverse.shapes import find_shapes
 from tactorch.mesh import TetMesh, locate
-from tactorch.recording import Recording
+from tactorch.recording import Recording, refine_recording
 from tactorch.uncertainty import variational_posterior
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
@@ -198,6 +199,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="cases of any set by name")
     parser.add_argument("--method", choices=list(METHODS), default="default")
     parser.add_argument("--settings", nargs="+", default=[], metavar="KEY=VALUE")
+    parser.add_argument(
+        "--refined", type=float, metavar="FACTOR", help="edge length over the recording's"
+    )
     parser.add_argument("--check", action="store_true", help="check the truth meshes instead")
     parser.add_argument("--list", action="store_true", help="list the cases and stop")
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
@@ -215,7 +219,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     method, meter, results, lines = METHODS[options.method], OtherWork(), {}, [_HEADER]
     print(_HEADER, flush=True)
     try:
-        work = partial(run, method=method, settings=settings, cache=options.cache)
+        work = partial(
+            run, method=method, settings=settings, cache=options.cache, refined=options.refined
+        )
         for case, scores in zip(cases, map_in_processes(work, cases, options.workers), strict=True):
             results[case.name] = scores
             lines.append(_row(case.name, scores))
@@ -231,6 +237,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         **summary,
         "method": options.method,
         "settings": options.settings,
+        "refined": options.refined,
         "set": options.set,
         "only": options.only,
         "workers": options.workers,
@@ -277,10 +284,23 @@ def parse_settings(assignments: Sequence[str]) -> dict[str, Any]:
     return table
 
 
-def run(case: Case, method: Method, settings: Settings, cache: Path | None) -> dict[str, Any]:
-    """Invert a case's recording and score the answer; a failure is recorded as such."""
+def run(
+    case: Case,
+    method: Method,
+    settings: Settings,
+    cache: Path | None,
+    refined: float | None = None,
+) -> dict[str, Any]:
+    """Invert a case's recording and score the answer; a failure is recorded as such.
+
+    With `refined`, its mesh is bisected down to its mean edge length times this factor.
+    """
     print(f"{case.name} ...", file=sys.stderr, flush=True)
     recording = make_recording(case, cache)
+    if refined is not None:
+        ends = recording.mesh.points[recording.mesh.edges]
+        edge_mm = refined * float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
+        recording = refine_recording(recording, lambda points: np.full(len(points), edge_mm))
     began = time.perf_counter()
     try:
         answer = method(recording, settings)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from tactorch.fem import ELEMENTS, Discretisation
 from tactorch.inverse import Settings
@@ -156,6 +157,7 @@ def tiny(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setattr(true_cases, "OBJECTS", {"tiny": lambda: body})
     monkeypatch.setattr(true_cases, "LUMP_PER_RADIUS", 2.5)
     monkeypatch.setattr(true_cases, "RECORDED_PER_RADIUS", 1.0)
+    monkeypatch.setattr(true_cases, "RIM_PER_RADIUS", 1.0)
     monkeypatch.setattr(true_cases, "PRESSES", presses)
     cases = (
         true_cases.Case("tiny", "both", 40.0),
@@ -220,6 +222,46 @@ def test_no_truth_reaches_a_method_and_noise_is_as_stated(
     assert 1e-4 < np.sqrt(np.mean(change**2)) / size < 0.3
     # Where the fingers act, the object stands on its held side.
     assert received[4].presses[0].fixed.any()
+
+
+def test_the_mesh_of_the_solution_may_be_finer(
+    tiny: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    received: list[Recording] = []
+
+    def method(recording: Recording, settings: Settings) -> Any:
+        received.append(recording)
+        return tiny.Answer(lambda points: np.full(len(points), 0.2), 0.0)
+
+    monkeypatch.setitem(tiny.METHODS, "default", method)
+    arguments = ["--cache", str(tmp_path), "--only", "tiny-both-40db"]
+    tiny.main(arguments)
+    tiny.main([*arguments, "--refined", "0.7"])
+    coarse, fine = received
+    assert fine.mesh.n_tets > 2 * coarse.mesh.n_tets
+    for one, other in zip(fine.presses, coarse.presses, strict=True):
+        known = other.observed.any(axis=1)
+        points = coarse.mesh.points[known]
+        index = cKDTree(fine.mesh.points).query(points)[1]
+        np.testing.assert_array_equal(one.displacement[index], other.displacement[known])
+        np.testing.assert_allclose(one.forces.sum(axis=0), other.forces.sum(axis=0))
+        assert one.observed.sum() == other.observed.sum()  # no data were added
+
+
+def test_patches_have_fine_rims_each_on_a_mesh_of_its_own(benchmark: ModuleType) -> None:
+    import true_cases
+
+    patches = true_cases.PRESSES["patches"]
+    parts = patches.parts
+    assert [part.contacts for part in parts] == [(contact,) for contact in patches.contacts]
+    assert true_cases.PRESSES["sides"].parts == (true_cases.PRESSES["sides"],)
+    points = np.array([[7.0, 5.0, 10.0], [5.0, 5.0, 10.0], [5.0, 5.0, 5.0]])
+    (part,) = (part for part in parts if part.contacts[0].center_mm == (5.0, 5.0, 10.0))
+    sizes = part.rims(points)
+    rim_mm = true_cases.RIM_PER_RADIUS * 2.0
+    growth = true_cases.RIM_GROWTH
+    np.testing.assert_allclose(sizes, rim_mm + growth * np.array([0.0, 2.0, np.hypot(2.0, 5.0)]))
+    assert np.isinf(true_cases.PRESSES["fingers"].rims(points)).all()
 
 
 def test_recordings_are_cached(
