@@ -4,6 +4,8 @@ Every message names the file, field or value at fault and says what to do. The c
 prints the message alone; anything that is not a `TactorchError` is a defect and shows a traceback.
 """
 
+from typing import Any
+
 
 class TactorchError(Exception):
     """Base of all errors raised on purpose."""
@@ -30,4 +32,12 @@ class ConvergenceError(TactorchError):
 
 
 class CancelledError(TactorchError):
-    """A computation was ended by its caller before it had a result."""
+    """A computation was ended by its caller before it had a result.
+
+    Attributes:
+        reached: State from which the computation can be continued; None if there is none.
+    """
+
+    def __init__(self, *args: object, reached: Any = None) -> None:
+        super().__init__(*args)
+        self.reached = reached

@@ -13,6 +13,7 @@ from tactorch.inverse import (
     find_shapes,
     settings_from,
 )
+from tactorch.inverse.shapes import ShapeState
 from tactorch.recording import Recording
 from tactorch.uncertainty import GaussianPosterior, compute_posterior
 from tactorch.uncertainty.select import UNCOMPUTABLE
@@ -31,7 +32,7 @@ def find(
     shapes: bool = True,
     max_lumps: int = 5,
     uncertainty: bool = True,
-    start: ShapeReconstruction | None = None,
+    start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Finding:
     """Find the lumps under the presses of a recording.
@@ -48,7 +49,8 @@ def find(
         max_lumps: Largest number of lumps.
         uncertainty: Whether regions of the map get a confidence, for which the presses are solved
             again.
-        start: Shapes of other presses on the object, from which the search starts.
+        start: Shapes of other presses on the object, or what a stopped search had `reached`, from
+            which the search starts.
         stop: Called before each fit of shapes; where it is true the search ends.
 
     Returns:

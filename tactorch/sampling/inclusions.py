@@ -3,10 +3,11 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from tactorch.errors import FileError
+from tactorch.errors import CancelledError, FileError
 from tactorch.files import read_json, write_json
 from tactorch.findings import SHAPES, Finding, build_shape_finding, find
 from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction
+from tactorch.inverse.shapes import ShapeState
 from tactorch.recording import Recording
 
 _COUNT = "presses"  # in the file of the shapes: the number of presses that they are fitted to
@@ -26,6 +27,7 @@ class InclusionSearch:
         self._settings = settings
         self._path = None if folder is None else Path(folder) / SHAPES
         self._last: tuple[Finding, int] | None = None  # of shapes, and of how many presses
+        self._reached: ShapeState | None = None  # by a search that was stopped
 
     def present(self, recording: Recording, reconstruction: Reconstruction) -> tuple[Finding, int]:
         """Return the finding before a search, and the number of presses that it is of.
@@ -48,12 +50,17 @@ class InclusionSearch:
         """Fit shapes to all presses, and return their finding; that of the map where this fails.
 
         Raises:
-            CancelledError: `stop` returned True.
+            CancelledError: `stop` returned True. The next search starts from what this one reached.
         """
-        finding = find(
-            recording, reconstruction, self._settings,
-            uncertainty=False, start=self._shapes, stop=stop,
-        )  # fmt: skip
+        try:
+            finding = find(
+                recording, reconstruction, self._settings,
+                uncertainty=False, start=self._reached or self._shapes, stop=stop,
+            )  # fmt: skip
+        except CancelledError as error:
+            self._reached = error.reached or self._reached
+            raise
+        self._reached = None
         if finding.shapes is not None:
             self._last = finding, len(recording.presses)
             if self._path is not None:

@@ -309,6 +309,32 @@ def test_a_search_can_be_stopped(recording):
     assert len(calls) == 4
 
 
+def test_a_stopped_search_goes_on_from_what_it_reached(recording):
+    first = []
+
+    def stop():
+        first.append(None)
+        return len(first) > limit
+
+    limit = 10**6
+    expected = find_shapes(recording, max_shapes=1, stop=stop)
+    count = len(first)
+    first.clear()
+    limit = count - 2  # in the final fit
+    with pytest.raises(CancelledError) as stopped:
+        find_shapes(recording, max_shapes=1, stop=stop)
+    reached = stopped.value.reached
+    assert reached.field.distorted == expected.field.distorted == (False,)
+    rest = []
+    result = find_shapes(
+        recording, max_shapes=1, start=reached, stop=lambda: bool(rest.append(None))
+    )
+    assert [record["model"] for record in result.history] == ["the model before", "final fit"]
+    assert len(rest) < 0.7 * count
+    deviation = np.sqrt(np.diag(expected.posterior.covariance))[: len(result.z)]
+    assert (np.abs(result.z - expected.z) < 0.5 * deviation).all()
+
+
 @pytest.mark.slow
 def test_presses_without_noise_have_no_spurious_parts():
     """The error of the discretisation is not explained by further inclusions."""

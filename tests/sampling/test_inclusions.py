@@ -136,6 +136,14 @@ def test_a_press_that_comes_stops_the_search_and_goes_first(live: Any, search: S
     assert ended.update.finding.shapes is search.results[0]
 
 
+def test_a_search_goes_on_from_what_a_stopped_one_reached(live: Any, search: Search) -> None:
+    live.save(0)
+    reached = shapes_of(live.whole, 1.5)
+    search.before = [fail(CancelledError(reached=reached))]
+    live.follow(shapes=True)
+    assert [start for _, start in search.calls] == [None, reached]
+
+
 def test_a_search_that_was_stopped_is_made_at_the_end_of_the_run(live: Any, search: Search) -> None:
     live.save(0)
     stops: list[Stop] = []

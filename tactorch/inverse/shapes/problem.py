@@ -28,7 +28,7 @@ from tactorch.inverse.shapes.model import (
     Trial,
     gain,
 )
-from tactorch.inverse.shapes.result import ShapeReconstruction
+from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.rims import rim_patterns
 from tactorch.inverse.starts import uniform_fit
 from tactorch.recording import Recording
@@ -135,7 +135,7 @@ class ShapeProblem:
         self._rim_patterns = rim_patterns(recording, evaluation, contacts, smallest)
         return self.corrected(self.fit(start, evaluation.displacements))
 
-    def continued(self, result: ShapeReconstruction) -> Start:
+    def continued(self, result: ShapeReconstruction | ShapeState) -> Start:
         """Return the model of a search on other presses of the same object."""
         field = replace(result.field, prior=self.prior)
         z = field.standard(result.field.physical(result.z))

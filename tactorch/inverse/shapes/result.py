@@ -78,6 +78,22 @@ class ShapeInclusion:
     probability: float
 
 
+class ShapeState(NamedTuple):
+    """A model of a search that was stopped, from which another one may start.
+
+    Attributes:
+        field: The family of the shapes.
+        z: Parameters, in standard deviations of the prior.
+        force_deviation: See `ShapeReconstruction`; the other deviations too.
+    """
+
+    field: ShapeField
+    z: Float[np.ndarray, " size"]
+    force_deviation: float
+    pose_deviation: float
+    rim_deviation: float
+
+
 @dataclass(frozen=True, eq=False)
 class ShapeReconstruction:
     """Inclusions with sharp boundaries in a uniform or smooth background.

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tactorch.errors import ConvergenceError
+from tactorch.errors import CancelledError, ConvergenceError
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
 from tactorch.inverse.shapes.model import (
@@ -31,7 +31,7 @@ from tactorch.inverse.shapes.model import (
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.proposals import propose
-from tactorch.inverse.shapes.result import ShapeReconstruction
+from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.sizing import contact_sizing
 from tactorch.recording import Recording, refine_recording
 
@@ -47,7 +47,7 @@ def find_shapes(
     settings: Settings | None = None,
     *,
     max_shapes: int = _MAX_SHAPES,
-    start: ShapeReconstruction | None = None,
+    start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> ShapeReconstruction:
     """Find the inclusions that the presses determine, with the number that the evidence supports.
@@ -61,9 +61,11 @@ def find_shapes(
             corrected by finer meshes there and at inclusions, unless the provenance states that the
             presses were computed on the recording's mesh.
         max_shapes: Largest number of inclusions.
-        start: Result for other presses on the object, such as the earlier ones of a session, from
-            whose model the search starts; by default it starts from a uniform body.
-        stop: Called before each step of a fit; where it is true the search raises `CancelledError`.
+        start: Result for other presses on the object, such as the earlier ones of a session, or
+            what a search had `reached` that was stopped, from whose model the search starts; by
+            default it starts from a uniform body.
+        stop: Called before each step of a fit; where it is true the search raises `CancelledError`,
+            whose `reached` is the last accepted model, if there is one.
 
     Raises:
         CancelledError: see `stop`.
@@ -76,20 +78,35 @@ def find_shapes(
         recording = refine_recording(recording, contact_sizing(recording))
     problem = ShapeProblem(recording, settings, stop)
     model, history = _first(problem, start)
-    for _ in range(_MAX_MODELS):
-        accepted = _accept(problem, model, propose(problem, model, max_shapes))
-        if accepted is None:
-            break
-        proposal, model = accepted
-        model = problem.precise(model)
-        history.append(_record(proposal.what, model))
     try:
-        model = problem.final(model)
+        for _ in range(_MAX_MODELS):
+            accepted = _accept(problem, model, propose(problem, model, max_shapes))
+            if accepted is None:
+                break
+            proposal, model = accepted
+            model = problem.precise(model)
+            history.append(_record(proposal.what, model))
+        return _result(problem, _final(problem, model), history)
+    except CancelledError as error:
+        error.reached = ShapeState(model.fit.field, model.fit.z, *model.errors)
+        raise
+
+
+def _final(problem: ShapeProblem, model: Model) -> Model:
+    """Return the model fitted closely, or as it is where this fails."""
+    try:
+        return problem.final(model)
     except ConvergenceError as error:
         _log.warning("The last fit fails, and the model is that of the search: %s", error)
-    history.append(_record("final fit", model))
-    _log.info("final fit: chi2 %.4g", model.fit.chi2)
+        return model
+
+
+def _result(
+    problem: ShapeProblem, model: Model, history: list[dict[str, Any]]
+) -> ShapeReconstruction:
     fit = model.fit
+    history.append(_record("final fit", model))
+    _log.info("final fit: chi2 %.4g", fit.chi2)
     return ShapeReconstruction(
         fit.field, fit.z, make_posterior(problem, model), fit.chi2, *_log_odds(problem, model),
         *model.errors, _unexplained(problem, fit), tuple(history),
@@ -97,7 +114,7 @@ def find_shapes(
 
 
 def _first(
-    problem: ShapeProblem, before: ShapeReconstruction | None
+    problem: ShapeProblem, before: ShapeReconstruction | ShapeState | None
 ) -> tuple[Model, list[dict[str, Any]]]:
     """Fit the model of an earlier result, or where there is none a uniform body."""
     what, model = "uniform", None
