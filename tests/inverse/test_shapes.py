@@ -309,6 +309,7 @@ def test_a_search_can_be_stopped(recording):
     assert len(calls) == 4
 
 
+@pytest.mark.slow
 def test_a_stopped_search_goes_on_from_what_it_reached(recording):
     first = []
 
@@ -332,10 +333,9 @@ def test_a_stopped_search_goes_on_from_what_it_reached(recording):
     assert [record["model"] for record in result.history] == ["the model before", "final fit"]
     assert len(rest) < 0.7 * count
     deviation = np.sqrt(np.diag(expected.posterior.covariance))[: len(result.z)]
-    assert (np.abs(result.z - expected.z) < 0.5 * deviation).all()
+    assert (np.abs(result.z - expected.z) < deviation).all()
 
 
-@pytest.mark.slow
 def test_presses_without_noise_have_no_spurious_parts():
     """The error of the discretisation is not explained by further inclusions."""
     phantom = make_phantom("cube_sphere", depth=0.4, radius=0.25)

@@ -10,11 +10,12 @@ from tactorch.fem.elements import ELEMENTS
 from tactorch.inverse import Settings
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes.correction import Correction
+from tactorch.inverse.shapes.field import ShapeField
 from tactorch.inverse.shapes.model import RIM_DEVIATIONS, Errors
 from tactorch.inverse.shapes.problem import ShapeProblem
-from tactorch.inverse.shapes.result import ShapeReconstruction
+from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.rims import _midside_loads, rim_edges, rim_patterns
-from tactorch.inverse.shapes.search import find_shapes
+from tactorch.inverse.shapes.search import make_posterior
 from tactorch.mesh import box_mesh
 from tactorch.mesh.tractions import LoadedSurface
 from tactorch.phantoms import make_phantom
@@ -107,14 +108,21 @@ def test_the_search_may_take_tractions_at_rims_as_wrong(recording):
     assert not ShapeProblem(replace(whole, provenance={}), Settings()).has_rims
 
 
+def test_a_search_starts_from_the_deviation_at_rims_of_another(recording):
+    presses = ShapeProblem(replace(recording, provenance={}), Settings())
+    field = ShapeField(presses.prior)
+    model = presses.first(presses.continued(ShapeState(field, np.zeros(1), 0.0, 0.001, 0.2)))
+    assert model.errors == Errors(0.0, 0.001, 0.2)
+    assert model.fit.chi2 == pytest.approx(1.0, abs=0.2)
+    assert np.exp(field.physical(model.fit.z)[0]) == pytest.approx(0.2, rel=0.02)
+
+
 def test_the_result_states_the_deviation_at_rims(recording):
-    result = find_shapes(replace(recording, provenance={}))
-    assert not result.inclusions
-    assert result.rim_deviation in (0.0, *RIM_DEVIATIONS)
-    other = replace(result, rim_deviation=0.2)
-    plain = other.plain()
+    presses = ShapeProblem(recording, Settings())
+    model = presses.uniform()
+    posterior = make_posterior(presses, model)
+    result = ShapeReconstruction(model.fit.field, model.fit.z, posterior, 1.0, (), 0.0)
+    plain = replace(result, rim_deviation=0.2).plain()
     assert ShapeReconstruction.of(plain).rim_deviation == 0.2
     del plain["rim_deviation"]  # as in files of earlier versions
     assert ShapeReconstruction.of(plain).rim_deviation == 0.0
-    again = find_shapes(replace(recording, provenance={}), start=other)
-    assert not again.inclusions
