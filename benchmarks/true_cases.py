@@ -224,7 +224,7 @@ class Presses:
 
     @property
     def parts(self) -> "tuple[Presses, ...]":
-        """Presses that are solved on a truth mesh of their own: each patch, or all of them."""
+        """Presses that are solved on a separate truth mesh: each patch, or all of them."""
         if not any(contact.has_sharp_rim for contact in self.contacts):
             return (self,)
         return tuple(replace(self, contacts=(contact,)) for contact in self.contacts)

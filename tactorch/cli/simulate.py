@@ -36,7 +36,7 @@ class SimulationOptions(Options):
     solver: Any = option("auto", "Linear solver", section="solver")
     element: Literal["tet4", "tet10"] = option("tet4", "Element type")
     fine_element: Literal["tet4", "tet10"] | None = option(
-        None, "Element type of the simulation; null: tet10 on a mesh of its own, else element"
+        None, "Element type of the simulation; null: tet10 on a separate mesh, else element"
     )
     samples: int = option(
         4, "Samples per edge that average the modulus over cut elements; 1: centroid", ge=1
@@ -69,7 +69,7 @@ def simulate_recording(options: SimulationOptions) -> Recording:
     except ConfigError as error:  # of shapes, which do not name the setting
         raise ConfigError(f"phantom: {error}") from error
     mesh, fine = options.mesh.build(phantom)
-    # Linear elements are too stiff to stand for the object on a mesh of their own.
+    # Linear elements are too stiff to stand for the object on a separate mesh.
     element = options.fine_element or (options.element if fine is None else "tet10")
     solver = options.solver
     if element == "tet10" and isinstance(SOLVERS.build(solver), AutoSolver):

@@ -62,7 +62,7 @@ def test_unknowns_are_estimated_and_said(tactorch: Any, recording: Path, tmp_pat
         (("element=tet10",), "tet10"),
     ],
 )
-def test_presses_on_a_mesh_of_their_own_have_quadratic_elements(
+def test_presses_on_a_separate_mesh_have_quadratic_elements(
     tactorch: Any, settings: tuple[str, ...], element: str
 ) -> None:
     done = tactorch("simulate", *TINY, *settings, "out=made.h5")
