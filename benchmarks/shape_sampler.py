@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 from machine import OtherWork, map_in_processes, write_results
-from true_cases import RANDOM_CASES, Case, make_recording
+from true_cases import Case, make_recording, random_cases
 
 from tactorch.inverse import find_shapes
 from tactorch.inverse.shapes.result import InclusionValues
@@ -54,9 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--out", type=Path, help="folder for shape_sampler.json and .md")
     options = parser.parse_args(arguments)
-    cases = RANDOM_CASES[: options.count]
-    if options.only:
-        cases = tuple(case for case in RANDOM_CASES if case.object in options.only)
+    cases = random_cases(options.count, options.only)
     meter, lines, results = OtherWork(), [_HEADER], {}
     print(_HEADER, flush=True)
     work = partial(run, draws=options.draws, cache=options.cache)

@@ -10,7 +10,7 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -514,6 +514,15 @@ RANDOM_CASES: tuple[Case, ...] = tuple(
     Case(f"random{seed}", "sides", (40.0, 30.0)[seed // 2 % 2], seed=1000 + seed)
     for seed in range(N_RANDOM)
 )
+
+
+def random_cases(count: int, only: Sequence[str] | None) -> tuple[Case, ...]:
+    """Return the first random cases, or those of the objects that are named."""
+    if only:
+        return tuple(case for case in RANDOM_CASES if case.object in only)
+    return RANDOM_CASES[:count]
+
+
 # Forty bodies without inclusion, of four truth solutions.
 EMPTY_CASES: tuple[Case, ...] = tuple(
     Case(name, presses, snr_db, seed=100 * int(snr_db) + seed)

@@ -26,6 +26,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -226,7 +227,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             results[case.name] = scores
             lines.append(_row(case.name, scores))
             print(lines[-1], flush=True)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, BrokenProcessPool):  # the latter where a worker is killed
         print("Interrupted; the result has the cases up to here.", file=sys.stderr)
     summary = summarize(results)
     lines += ["", *_describe(summary)]
@@ -584,7 +585,7 @@ def check(cases: Sequence[Case], cache: Path | None) -> None:
                 f" {change['change']:.2e} | {ratio:.3f} | {verdict} |",
                 flush=True,
             )
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, BrokenProcessPool):  # the latter where a worker is killed
         print("Interrupted; the result has the cases up to here.", file=sys.stderr)
     print(json.dumps({"cases": report}))
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -186,16 +187,22 @@ def test_a_tiny_case_from_end_to_end(
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_no_truth_reaches_a_method_and_noise_is_as_stated(
-    tiny: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    received: list[Recording] = []
+@pytest.fixture
+def received(tiny: ModuleType, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
+    """The recordings that the default method gets, which answers with a uniform map."""
+    recordings: list[Recording] = []
 
     def method(recording: Recording, settings: Settings) -> Any:
-        received.append(recording)
+        recordings.append(recording)
         return tiny.Answer(lambda points: np.full(len(points), 0.2), 0.0)
 
     monkeypatch.setitem(tiny.METHODS, "default", method)
+    return recordings
+
+
+def test_no_truth_reaches_a_method_and_noise_is_as_stated(
+    tiny: ModuleType, received: list[Recording], tmp_path: Path
+) -> None:
     tiny.main(["--set", "all", "--cache", str(tmp_path)])
     exact = [case.solution.recording(tmp_path) for case in tiny.CASES]
     assert len(received) == len(tiny.CASES)
@@ -225,15 +232,8 @@ def test_no_truth_reaches_a_method_and_noise_is_as_stated(
 
 
 def test_the_mesh_of_the_solution_may_be_finer(
-    tiny: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny: ModuleType, received: list[Recording], tmp_path: Path
 ) -> None:
-    received: list[Recording] = []
-
-    def method(recording: Recording, settings: Settings) -> Any:
-        received.append(recording)
-        return tiny.Answer(lambda points: np.full(len(points), 0.2), 0.0)
-
-    monkeypatch.setitem(tiny.METHODS, "default", method)
     arguments = ["--cache", str(tmp_path), "--only", "tiny-both-40db"]
     tiny.main(arguments)
     tiny.main([*arguments, "--refined", "0.7"])
@@ -262,6 +262,24 @@ def test_patches_have_fine_rims_each_on_a_mesh_of_its_own(benchmark: ModuleType)
     growth = true_cases.RIM_GROWTH
     np.testing.assert_allclose(sizes, rim_mm + growth * np.array([0.0, 2.0, np.hypot(2.0, 5.0)]))
     assert np.isinf(true_cases.PRESSES["fingers"].rims(points)).all()
+
+
+def test_a_killed_worker_leaves_the_results_before(
+    tiny: ModuleType,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def broken(work: Any, cases: Any, workers: int) -> Any:
+        yield work(cases[0])
+        raise BrokenProcessPool
+
+    monkeypatch.setattr(tiny, "map_in_processes", broken)
+    monkeypatch.setattr(tiny, "run", lambda case, **options: {"error": "none", "seconds": 0.0})
+    tiny.main(["--set", "all", "--out", str(tmp_path)])
+    result = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert list(result["cases"]) == [tiny.CASES[0].name]
+    assert len(list(tmp_path.glob("true_objects_all.*"))) == 2
 
 
 def test_recordings_are_cached(

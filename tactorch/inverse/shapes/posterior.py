@@ -42,10 +42,10 @@ class ShapePosterior:
     """Normal approximation of the posterior of shapes.
 
     The data depend nearly linearly on `coordinates`, in which the prior is flat beside the normal
-    one. For normal noise this is Jeffreys' prior, whose intervals cover nearly as often as they
-    state (H. Jeffreys, "An invariant form for the prior probability in estimation problems", Proc.
-    R. Soc. A 186 (1946), 453-461). A prior that is flat in the logarithm of the contrast would give
-    more weight to large contrasts, on which the data hardly depend.
+    one. For normal noise this is close to Jeffreys' prior (H. Jeffreys, "An invariant form for the
+    prior probability in estimation problems", Proc. R. Soc. A 186 (1946), 453-461). A prior that is
+    flat in the logarithm of the contrast would give more weight to large contrasts, on which the
+    data hardly depend.
 
     The posterior is normal in `coordinates`: the squared radius and the strength of each inclusion,
     and the other parameters in mm and logarithms. Where hardly any of these coordinates are of a
