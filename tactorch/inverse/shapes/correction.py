@@ -3,17 +3,22 @@
 Strains change within a fraction of the radius of a contact at its rim, have a kink at the boundary
 of an inclusion, and are singular where a support ends at an edge. A mesh that is fine at
 all would make each fit slow. Instead the differences of the predictions of finer meshes at
-one model are added to those of the common mesh, as they change little with the model. The faces of
-finer meshes follow the inclusions (deferred correction: V. Pereyra, "On improving an approximate
-solution of a functional equation by deferred corrections", Numer. Math. 8 (1966), 376-391).
+one model are added to those of the common mesh, as they change little with the model (deferred
+correction: V. Pereyra, "On improving an approximate solution of a functional equation by deferred
+corrections", Numer. Math. 8 (1966), 376-391).
+
+The error at the rim of a contact and that at the inclusions are computed separately, and added: the
+first depends on the model by the moduli at the contact only, and is kept while those remain. The
+second is that of one mesh for all contacts, whose faces follow the inclusions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from tactorch.fem import NewtonOptions
 from tactorch.fem.transfer import Transfer
@@ -29,15 +34,20 @@ from tactorch.inverse.shapes.sizing import (
     smallest,
 )
 from tactorch.linalg import SOLVERS, SolverOptions, map_cases
+from tactorch.linalg.parallel import worker_count
 from tactorch.linalg.solver import AutoSolver
-from tactorch.mesh import Refinement, refine
-from tactorch.mesh.conform import ClosedSurface, conform
+from tactorch.mesh import Refinement, TetMesh, refine
+from tactorch.mesh.conform import ClosedSurface, Conforming, conform
+from tactorch.mesh.refine import Sizing
 from tactorch.recording import Recording, prolong_recording
+from tactorch.recording.append import digest
 
 _PER_CONTACT = 0.1  # longest edge at the rim of a contact, over the contact's radius
 _GROWTH = 0.5  # of the longest edge with the distance from the rim
 # Smallest load of a contact over its largest, between which changes are interpolated.
 _MIN_FACTOR, _MAX_FACTOR = 0.1, 0.8
+_NEAR_EDGE = 0.6  # edge that an inclusion needs at a contact near it, over that of the mesh
+_SAME_MODULI = 0.1  # largest change of log-moduli at a contact that the error at its rim outlasts
 # Equilibria far more accurate than the noise of a sensor, by one or two steps from the common mesh.
 _NEWTON = NewtonOptions(rtol=1e-4)
 
@@ -75,6 +85,22 @@ class _LoadSeries(NamedTuple):
         return {i: factor * slope + factor**2 * curvature for i, factor in self.factors.items()}
 
 
+class _RimError(NamedTuple):
+    """Predictions of a mesh that is finer at the rim of a contact, less those of the common mesh.
+
+    Attributes:
+        log_youngs: Logarithm of the modulus (MPa) at the loaded nodes, of the model at which it was
+            computed.
+        changes: Change of the data of the presses at the ends of the contact's series, mm.
+    """
+
+    log_youngs: Float[np.ndarray, " nodes"]
+    changes: tuple[Float[np.ndarray, " _"], ...]
+
+
+RimErrors = dict[tuple[str, ...], _RimError]
+
+
 @dataclass(frozen=True, eq=False)
 class Correction:
     """Differences between the common mesh and finer ones.
@@ -85,6 +111,8 @@ class Correction:
         solver: Linear solver of the finer meshes.
         noise: Standard deviations for presses that do not state theirs.
         contacts: Presses of each contact, which differ by a factor, and its rim if it has one.
+        rim_errors: Errors at rims that are kept, by presses and number of nodes of the mesh; maybe
+            of an earlier search on fewer presses.
     """
 
     recording: Recording
@@ -92,9 +120,15 @@ class Correction:
     solver: str | SolverOptions
     noise: NoiseModel
     contacts: tuple[tuple[tuple[int, ...], Rim | None], ...]
+    rim_errors: RimErrors = field(default_factory=dict)
 
     @staticmethod
-    def of(problem: InverseProblem, element: str, solver: str | SolverOptions) -> "Correction":
+    def of(
+        problem: InverseProblem,
+        element: str,
+        solver: str | SolverOptions,
+        rim_errors: RimErrors | None = None,
+    ) -> "Correction":
         """Return the correction for the contacts of a problem with this element and solver.
 
         The solver "auto" is multigrid, for few solves on each of several meshes.
@@ -106,12 +140,19 @@ class Correction:
         for numbers in group_by_contact(recording.presses, problem.data.observations):
             loaded = (recording.presses[numbers[0]].forces != 0).any(axis=1)
             pairs.append((numbers, Rim.of(recording.mesh, loaded)))
-        return Correction(recording, element, solver, problem.noise, tuple(pairs))
+        kept = {} if rim_errors is None else rim_errors
+        return Correction(recording, element, solver, problem.noise, tuple(pairs), kept)
 
     @property
     def has_rims(self) -> bool:
         """Whether some contact ends within a face."""
         return any(rim is not None for _, rim in self.contacts)
+
+    @cached_property
+    def _edges(self) -> Int[np.ndarray, "edges 2"]:
+        """Edges of the common mesh's surface."""
+        a, b, c = self.recording.mesh.surface.triangles.T
+        return np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (b, c), (c, a))])
 
     def offsets(
         self, fit: ShapeFit, evaluation: Evaluation, check: Callable[[], None] = lambda: None
@@ -119,7 +160,7 @@ class Correction:
         """Return the predictions of the finer meshes less those of the common one, each press (mm).
 
         Those of the smallest and largest load of each contact are computed, and interpolated for
-        the others. Contacts without a rim share a mesh.
+        the others.
 
         Args:
             fit: Model.
@@ -130,71 +171,198 @@ class Correction:
             ConvergenceError: a press has no equilibrium on its finer mesh.
             ConfigError: a finer mesh has too many elements.
         """
-        index = [observation.index for observation in evaluation.data.observations]
-        before = [u.ravel()[i] for u, i in zip(evaluation.reported, index, strict=True)]
-        offsets = [np.zeros_like(values) for values in before]
-        for contacts, refinement in self._refinements(list(fit.field.shapes(fit.z))):
-            check()
-            every = [_LoadSeries.of(contact, before) for contact in contacts]
-            predicted = self._predict(fit, evaluation, refinement, every, check)
-            changes = {i: u.ravel()[index[i]] - before[i] for i, u in predicted.items()}
+        model = _Model(fit, evaluation)
+        every = [_LoadSeries.of(numbers, model.predicted) for numbers, _ in self.contacts]
+        meshes, rims = self._plan(model.shapes)
+
+        def work(k: int) -> dict[int, np.ndarray]:
+            if k >= len(meshes):
+                return self._rim_error(model, rims[k - len(meshes)], every, check)
+            contacts, sizing = meshes[k]
+            return self._inclusion_error(model, sizing, [every[c] for c in contacts], check)
+
+        offsets = [np.zeros_like(values) for values in model.predicted]
+        for changes in map_cases(work, len(meshes) + len(rims)):
             for series in every:
-                for i, change in series.interpolate(changes).items():
-                    offsets[i] = change
+                if changes.keys() >= set(series.ends):
+                    for i, change in series.interpolate(changes).items():
+                        offsets[i] += change
         return offsets
 
-    def _refinements(
+    def _plan(
         self, shapes: Sequence[Ellipsoid]
-    ) -> list[tuple[list[tuple[int, ...]], Refinement]]:
-        """Return finer meshes, and the contacts of each: one, or all those without a rim."""
+    ) -> tuple[list[tuple[list[int], Sizing]], list[int]]:
+        """Return longest edges of finer meshes with their contacts, and contacts with rim errors.
+
+        A contact near an inclusion, which needs smaller elements there, has a mesh that is also
+        fine at its rim. Contacts with a rim are not observed where supported faces end.
+        """
         mesh, presses = self.recording.mesh, self.recording.presses
         observed = np.logical_or.reduce([press.observed.any(axis=1) for press in presses])
-        near = observed_sizing(mesh.points[observed], shapes)
-        sizing = smallest(inclusion_sizing(shapes), near)
-        whole = [numbers for numbers, rim in self.contacts if rim is None]
-        pairs = [(whole, refine(mesh, smallest(sizing, sharp_edge_sizing(mesh))))] if whole else []
-        for numbers, rim in self.contacts:
+        at_inclusions = inclusion_sizing(shapes)
+        between = observed_sizing(mesh.points[observed], shapes)
+        whole = [k for k, (_, rim) in enumerate(self.contacts) if rim is None]
+        plan = [(whole, smallest(at_inclusions, between, sharp_edge_sizing(mesh)))]
+        far = []
+        for k, (_, rim) in enumerate(self.contacts):
             if rim is not None:
-                fine = smallest(sizing, rim.sizing(_PER_CONTACT, _GROWTH))
-                pairs.append(([numbers], refine(mesh, fine)))
-        return [(contacts, refinement) for contacts, refinement in pairs if len(refinement.ends)]
+                if between is not None and self._is_near(k, between):
+                    at_rim = rim.sizing(_PER_CONTACT, _GROWTH)
+                    plan.append(([k], smallest(at_inclusions, between, at_rim)))
+                else:
+                    far.append(k)
+        plan.append((far, at_inclusions))
+        return [(contacts, sizing) for contacts, sizing in plan if contacts], far
 
-    def _predict(
+    def _is_near(self, k: int, between: Sizing) -> bool:
+        """Whether an inclusion needs edges at contact k much shorter than those of the mesh."""
+        loaded = self._loaded(k)
+        edges = self._edges[loaded[self._edges].all(axis=1)]
+        if not len(edges):
+            return False
+        ends = self.recording.mesh.points[edges]
+        lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        return bool((between(ends.mean(axis=1)) / lengths).min() < _NEAR_EDGE)
+
+    def _loaded(self, k: int) -> Bool[np.ndarray, " n"]:
+        """Nodes that contact k loads."""
+        first = self.recording.presses[self.contacts[k][0][0]]
+        return np.asarray((first.forces != 0).any(axis=1))
+
+    def _inclusion_error(
         self,
-        fit: ShapeFit,
-        evaluation: Evaluation,
-        refinement: Refinement,
+        model: "_Model",
+        sizing: Sizing,
         every: Sequence[_LoadSeries],
         check: Callable[[], None],
-    ) -> dict[int, Float[np.ndarray, "nodes 3"]]:
-        """Return the reported displacements of the presses at the ends of each series."""
-        shapes = list(fit.field.shapes(fit.z))
-        surfaces = [ClosedSurface(s.distance, 4.0 / 3.0 * np.pi * s.radius_mm**3) for s in shapes]
-        fitted = conform(refinement, surfaces)
-        fine = replace(prolong_recording(self.recording, fitted.refinement), mesh=fitted.mesh)
+    ) -> dict[int, Float[np.ndarray, " _"]]:
+        """Return the changes of the data by a mesh whose faces follow the inclusions, mm."""
+        refinement = refine(self.recording.mesh, sizing)
+        if not len(refinement.ends):
+            return {}
+        fine = model.conforming(refinement)
+        youngs = partial(model.youngs_beside, fine.sides)
+        return self._changes(model, fine.refinement, fine.mesh, youngs, every, check)
+
+    def _rim_error(
+        self, model: "_Model", k: int, every: Sequence[_LoadSeries], check: Callable[[], None]
+    ) -> dict[int, Float[np.ndarray, " _"]]:
+        """Return the error at the rim of contact k, mm; a former one where the moduli remain."""
+        presses, mesh, series = self.recording.presses, self.recording.mesh, every[k]
+        rim = self.contacts[k][1]
+        assert rim is not None
+        key = (str(mesh.n_points), *(digest(presses[i]) for i in series.ends))
+        log_youngs = model.log_youngs_at(mesh.points[self._loaded(k)])
+        kept = self.rim_errors.get(key)
+        if kept is None or np.abs(kept.log_youngs - log_youngs).max() > _SAME_MODULI:
+            check()
+            refinement = refine(mesh, rim.sizing(_PER_CONTACT, _GROWTH))
+            changes = {i: np.zeros_like(model.predicted[i]) for i in series.ends}
+            if len(refinement.ends):
+                fine = refinement.mesh
+                changes = self._changes(model, refinement, fine, model.youngs, [series], check)
+            kept = _RimError(log_youngs, tuple(changes[i] for i in series.ends))
+            self.rim_errors[key] = kept
+        return dict(zip(series.ends, kept.changes, strict=True))
+
+    def _changes(
+        self,
+        model: "_Model",
+        refinement: Refinement,
+        mesh: TetMesh,
+        youngs_of: Callable[[Sites], Float[np.ndarray, "m q"]],
+        every: Sequence[_LoadSeries],
+        check: Callable[[], None],
+    ) -> dict[int, Float[np.ndarray, " _"]]:
+        """Return the changes of the data of the presses at the ends of each series, mm.
+
+        Args:
+            model: The model.
+            refinement: How a finer mesh results from the common one.
+            mesh: That mesh, maybe with nodes moved.
+            youngs_of: Moduli (MPa) at its quadrature points.
+            every: The series.
+            check: See `offsets`.
+        """
+        fine = replace(prolong_recording(self.recording, refinement), mesh=mesh)
         body = make_body(fine, self.element, self.solver, _NEWTON)
-        sites = Sites.of(body.assembly)
-        fractions = [
-            np.where(side == 0, sites.fraction_inside(shape), side < 0)
-            for shape, side in zip(shapes, fitted.sides, strict=True)
-        ]
-        youngs = np.exp(fit.field.log_youngs_of(fit.z, sites, fractions)).reshape(sites.shape)
-        common = evaluation.search(0).assembly.discretisation
+        youngs = youngs_of(Sites.of(body.assembly))
+        displacements = model.evaluation.displacements
+        common = model.evaluation.search(0).assembly.discretisation
         transfer = Transfer.between(common, body.discretisation.positions)
 
-        def solve(k: int) -> dict[int, np.ndarray]:
+        def solve(chain: Sequence[_LoadSeries]) -> dict[int, np.ndarray]:
+            """Solve presses one after the other, each with the multigrid cycle of the last."""
             found: dict[int, np.ndarray] = {}
-            near, change = None, np.zeros((body.n_nodes, 3))
-            for i in every[k].ends:
-                check()
-                one = replace(fine, presses=(fine.presses[i],))
-                problem = InverseProblem(one, body=body, noise=self.noise)
-                start = transfer(evaluation.displacements[i])
-                near = problem.evaluate(
-                    youngs, near, take_over=True, starts=[start + every[k].factors[i] * change]
-                )
-                change = (near.displacements[0] - start) / every[k].factors[i]
-                found[i] = near.reported[0]
+            near = None
+            for series in chain:
+                change = np.zeros((body.n_nodes, 3))
+                for i in series.ends:
+                    check()
+                    one = replace(fine, presses=(fine.presses[i],))
+                    problem = InverseProblem(one, body=body, noise=self.noise)
+                    start = transfer(displacements[i])
+                    first = start + series.factors[i] * change
+                    near = problem.evaluate(youngs, near, take_over=True, starts=[first])
+                    change = (near.displacements[0] - start) / series.factors[i]
+                    found[i] = near.reported[0].ravel()[model.index[i]] - model.predicted[i]
             return found
 
-        return {i: u for found in map_cases(solve, len(every)) for i, u in found.items()}
+        count = min(worker_count(), len(every))
+        chains = [every[k::count] for k in range(count)]
+        parts = map_cases(lambda k: solve(chains[k]), count)
+        return {i: values for found in parts for i, values in found.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A model and its predictions on the common mesh."""
+
+    fit: ShapeFit
+    evaluation: Evaluation
+
+    @cached_property
+    def shapes(self) -> list[Ellipsoid]:
+        """The inclusions."""
+        return list(self.fit.field.shapes(self.fit.z))
+
+    @cached_property
+    def index(self) -> list[np.ndarray]:
+        """Observed degrees of freedom of each press."""
+        return [observation.index for observation in self.evaluation.data.observations]
+
+    @cached_property
+    def predicted(self) -> list[Float[np.ndarray, " _"]]:
+        """Predictions of each press, mm."""
+        pairs = zip(self.evaluation.reported, self.index, strict=True)
+        return [u.ravel()[i] for u, i in pairs]
+
+    def log_youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return the logarithm of the modulus (MPa) at points (mm)."""
+        return np.asarray(self.fit.field.log_youngs(self.fit.z, Sites.at(points)))
+
+    def conforming(self, refinement: Refinement) -> Conforming:
+        """Return a mesh whose faces follow the inclusions."""
+        volumes = [4.0 / 3.0 * np.pi * shape.radius_mm**3 for shape in self.shapes]
+        pairs = zip(self.shapes, volumes, strict=True)
+        return conform(refinement, [ClosedSurface(s.distance, volume) for s, volume in pairs])
+
+    def youngs(self, sites: Sites) -> Float[np.ndarray, "m q"]:
+        """Return the moduli (MPa) at quadrature points of elements that boundaries may cross."""
+        return np.exp(self.fit.field.log_youngs(self.fit.z, sites)).reshape(sites.shape)
+
+    def youngs_beside(
+        self, sides: Int[np.ndarray, "shapes m"], sites: Sites
+    ) -> Float[np.ndarray, "m q"]:
+        """Return the moduli (MPa) at quadrature points of elements on one side of each inclusion.
+
+        Args:
+            sides: Side of each inclusion on which each element is, see `Conforming`.
+            sites: Quadrature points.
+        """
+        fractions = [
+            np.where(side == 0, sites.fraction_inside(shape), side < 0)
+            for shape, side in zip(self.shapes, sides, strict=True)
+        ]
+        field, z = self.fit.field, self.fit.z
+        return np.exp(field.log_youngs_of(z, sites, fractions)).reshape(sites.shape)
