@@ -13,7 +13,7 @@ from tactorch.inverse import (
     find_shapes,
     settings_from,
 )
-from tactorch.inverse.shapes import ShapeState
+from tactorch.inverse.shapes import KeptRims, ShapeState
 from tactorch.recording import Recording
 from tactorch.uncertainty import GaussianPosterior, compute_posterior
 from tactorch.uncertainty.select import UNCOMPUTABLE
@@ -34,6 +34,7 @@ def find(
     uncertainty: bool = True,
     start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
+    kept: KeptRims | None = None,
 ) -> Finding:
     """Find the lumps under the presses of a recording.
 
@@ -52,6 +53,7 @@ def find(
         start: Shapes of other presses on the object, or what a stopped search had `reached`, from
             which the search starts.
         stop: Called before each fit of shapes; where it is true the search ends.
+        kept: See `find_shapes`.
 
     Returns:
         The finding; its `shapes` are those that were fitted.
@@ -71,7 +73,9 @@ def find(
         try:
             chosen = _settings(reconstruction, settings)
             _check_size(recording)
-            fitted = find_shapes(recording, chosen, max_shapes=max_lumps, start=start, stop=stop)
+            fitted = find_shapes(
+                recording, chosen, max_shapes=max_lumps, start=start, stop=stop, kept=kept
+            )
             return build_shape_finding(recording, fitted)
         except CancelledError:
             raise

@@ -7,7 +7,7 @@ from tactorch.errors import CancelledError, FileError
 from tactorch.files import read_json, write_json
 from tactorch.findings import SHAPES, Finding, build_shape_finding, find
 from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction
-from tactorch.inverse.shapes import ShapeState
+from tactorch.inverse.shapes import KeptRims, ShapeState
 from tactorch.recording import Recording
 
 _COUNT = "presses"  # in the file of the shapes: the number of presses that they are fitted to
@@ -24,7 +24,7 @@ class InclusionSearch:
     """
 
     def __init__(self, settings: Settings, folder: str | Path | None) -> None:
-        self._settings = settings
+        self._settings, self._kept = settings, KeptRims()
         self._path = None if folder is None else Path(folder) / SHAPES
         self._last: tuple[Finding, int] | None = None  # of shapes, and of how many presses
         self._reached: ShapeState | None = None  # by a search that was stopped
@@ -56,6 +56,7 @@ class InclusionSearch:
             finding = find(
                 recording, reconstruction, self._settings,
                 uncertainty=False, start=self._reached or self._shapes, stop=stop,
+                kept=self._kept,
             )  # fmt: skip
         except CancelledError as error:
             self._reached = error.reached or self._reached

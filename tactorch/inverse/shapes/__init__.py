@@ -1,12 +1,14 @@
 """Inclusions as shapes with sharp boundaries: a map of few parameters and its posterior."""
 
 from tactorch.inverse.shapes.field import Ellipsoid
+from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.result import Interval, ShapeInclusion, ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.search import find_shapes
 
 __all__ = [
     "Ellipsoid",
     "Interval",
+    "KeptRims",
     "ShapeInclusion",
     "ShapeReconstruction",
     "ShapeState",

@@ -26,6 +26,7 @@ from tactorch.inverse.data import NoiseModel, group_by_contact
 from tactorch.inverse.problem import Evaluation, InverseProblem, make_body
 from tactorch.inverse.shapes.field import Ellipsoid, Sites
 from tactorch.inverse.shapes.fit import ShapeFit
+from tactorch.inverse.shapes.kept import KeptRims, RimError, press_key
 from tactorch.inverse.shapes.sizing import (
     Rim,
     inclusion_sizing,
@@ -40,7 +41,6 @@ from tactorch.mesh import Refinement, TetMesh, refine
 from tactorch.mesh.conform import ClosedSurface, Conforming, conform
 from tactorch.mesh.refine import Sizing
 from tactorch.recording import Recording, prolong_recording
-from tactorch.recording.append import digest
 
 _PER_CONTACT = 0.1  # longest edge at the rim of a contact, over the contact's radius
 _GROWTH = 0.5  # of the longest edge with the distance from the rim
@@ -85,22 +85,6 @@ class _LoadSeries(NamedTuple):
         return {i: factor * slope + factor**2 * curvature for i, factor in self.factors.items()}
 
 
-class _RimError(NamedTuple):
-    """Predictions of a mesh that is finer at the rim of a contact, less those of the common mesh.
-
-    Attributes:
-        log_youngs: Logarithm of the modulus (MPa) at the loaded nodes, of the model at which it was
-            computed.
-        changes: Change of the data of the presses at the ends of the contact's series, mm.
-    """
-
-    log_youngs: Float[np.ndarray, " nodes"]
-    changes: tuple[Float[np.ndarray, " _"], ...]
-
-
-RimErrors = dict[tuple[str, ...], _RimError]
-
-
 @dataclass(frozen=True, eq=False)
 class Correction:
     """Differences between the common mesh and finer ones.
@@ -111,8 +95,7 @@ class Correction:
         solver: Linear solver of the finer meshes.
         noise: Standard deviations for presses that do not state theirs.
         contacts: Presses of each contact, which differ by a factor, and its rim if it has one.
-        rim_errors: Errors at rims that are kept, by presses and number of nodes of the mesh; maybe
-            of an earlier search on fewer presses.
+        kept: Errors at rims, maybe of an earlier search on fewer presses.
     """
 
     recording: Recording
@@ -120,14 +103,14 @@ class Correction:
     solver: str | SolverOptions
     noise: NoiseModel
     contacts: tuple[tuple[tuple[int, ...], Rim | None], ...]
-    rim_errors: RimErrors = field(default_factory=dict)
+    kept: KeptRims = field(default_factory=KeptRims)
 
     @staticmethod
     def of(
         problem: InverseProblem,
         element: str,
         solver: str | SolverOptions,
-        rim_errors: RimErrors | None = None,
+        kept: KeptRims | None = None,
     ) -> "Correction":
         """Return the correction for the contacts of a problem with this element and solver.
 
@@ -140,7 +123,7 @@ class Correction:
         for numbers in group_by_contact(recording.presses, problem.data.observations):
             loaded = (recording.presses[numbers[0]].forces != 0).any(axis=1)
             pairs.append((numbers, Rim.of(recording.mesh, loaded)))
-        kept = {} if rim_errors is None else rim_errors
+        kept = kept or KeptRims()
         return Correction(recording, element, solver, problem.noise, tuple(pairs), kept)
 
     @property
@@ -251,9 +234,9 @@ class Correction:
         presses, mesh, series = self.recording.presses, self.recording.mesh, every[k]
         rim = self.contacts[k][1]
         assert rim is not None
-        key = (str(mesh.n_points), *(digest(presses[i]) for i in series.ends))
+        key = press_key(self.recording, [presses[i] for i in series.ends])
         log_youngs = model.log_youngs_at(mesh.points[self._loaded(k)])
-        kept = self.rim_errors.get(key)
+        kept = self.kept.errors.get(key)
         if kept is None or np.abs(kept.log_youngs - log_youngs).max() > _SAME_MODULI:
             check()
             refinement = refine(mesh, rim.sizing(_PER_CONTACT, _GROWTH))
@@ -261,8 +244,8 @@ class Correction:
             if len(refinement.ends):
                 fine = refinement.mesh
                 changes = self._changes(model, refinement, fine, model.youngs, [series], check)
-            kept = _RimError(log_youngs, tuple(changes[i] for i in series.ends))
-            self.rim_errors[key] = kept
+            kept = RimError(log_youngs, tuple(changes[i] for i in series.ends))
+            self.kept.errors[key] = kept
         return dict(zip(series.ends, kept.changes, strict=True))
 
     def _changes(

@@ -17,6 +17,7 @@ from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
+from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.model import (
     FORCE_DEVIATIONS,
@@ -56,6 +57,7 @@ class ShapeProblem:
         settings: Noise, solver, bounds and equilibrium search are used.
         stop: Called before each step of a fit and each equilibrium of a correction, by one thread
             at a time; where it is true they raise `CancelledError`.
+        kept: Errors at rims of an earlier search on fewer presses; those of others are added.
 
     Attributes:
         quadratic: The presses with quadratic elements, on which models are judged.
@@ -67,9 +69,13 @@ class ShapeProblem:
     """
 
     def __init__(
-        self, recording: Recording, settings: Settings, stop: Callable[[], bool] = lambda: False
+        self,
+        recording: Recording,
+        settings: Settings,
+        stop: Callable[[], bool] = lambda: False,
+        kept: KeptRims | None = None,
     ) -> None:
-        self._stop, self._lock = stop, Lock()
+        self._stop, self._lock, self._kept = stop, Lock(), kept or KeptRims()
         same, self._element = is_same_model(recording), "tet10"
         if same:
             self._element = str(recording.provenance.get("element", settings.element))
@@ -91,7 +97,9 @@ class ShapeProblem:
         # Where the presses were computed on this mesh, it is the object.
         self._correction = None
         if not same:
-            self._correction = Correction.of(self.quadratic, self._element, settings.solver)
+            self._correction = Correction.of(
+                self.quadratic, self._element, settings.solver, self._kept
+            )
         self.least_errors = Errors(0.0, 0.0 if same else MIN_POSE_DEVIATION)
         self._corrected_at: ShapeFit | None = None
         self._correction_mm = [np.zeros(count) for count in self.quadratic.data.counts]
@@ -132,7 +140,7 @@ class ShapeProblem:
         evaluation = self.quadratic.evaluate(youngs, starts=displacements)
         smallest = _MIN_FORCE_ERROR / RIM_DEVIATIONS[-1]
         recording, contacts = self.quadratic.recording, self._correction.contacts
-        self._rim_patterns = rim_patterns(recording, evaluation, contacts, smallest)
+        self._rim_patterns = rim_patterns(recording, evaluation, contacts, smallest, self._kept)
         return self.corrected(self.fit(start, evaluation.displacements))
 
     def continued(self, result: ShapeReconstruction | ShapeState) -> Start:

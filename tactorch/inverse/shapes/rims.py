@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from tactorch.fem.elements import Discretisation
 from tactorch.inverse.problem import Evaluation
+from tactorch.inverse.shapes.kept import KeptRims, press_key
 from tactorch.inverse.shapes.sizing import Rim
 from tactorch.linalg import map_cases
 from tactorch.mesh.tractions import LoadedSurface
@@ -26,6 +27,7 @@ def rim_patterns(
     evaluation: Evaluation,
     contacts: Sequence[tuple[Sequence[int], Rim | None]],
     smallest: float,
+    kept: KeptRims | None = None,
 ) -> Float[np.ndarray, "data k"]:
     """Return the changes of the data by errors of the traction at the rims of contacts.
 
@@ -39,13 +41,21 @@ def rim_patterns(
         evaluation: Their predictions with quadratic elements, and derivatives.
         contacts: Presses of each contact, and its rim if it has one.
         smallest: Smallest norm of a pattern.
+        kept: Changes that are known, maybe of an earlier search; others are added.
     """
+    known = {} if kept is None else kept.responses
     counts = evaluation.data.counts
     with_rims = [(numbers, rim) for numbers, rim in contacts if rim is not None]
 
     def work(k: int) -> np.ndarray:
         numbers, rim = with_rims[k]
-        blocks = [_responses(evaluation, i, recording.presses[i].forces, rim) for i in numbers]
+        presses = [recording.presses[i] for i in numbers]
+        key = press_key(recording, presses)
+        if key not in known:
+            pairs = zip(numbers, presses, strict=True)
+            known[key] = [_responses(evaluation, i, press.forces, rim) for i, press in pairs]
+        scales = [evaluation.data.observations[i].scale for i in numbers]
+        blocks = [s[:, None] * block for s, block in zip(scales, known[key], strict=True)]
         basis, sizes, _ = np.linalg.svd(np.vstack(blocks), full_matrices=False)
         columns = basis[:, sizes > smallest] * sizes[sizes > smallest]
         parts = np.split(columns, np.cumsum([len(block) for block in blocks])[:-1])
@@ -61,8 +71,8 @@ def rim_patterns(
 def _responses(
     evaluation: Evaluation, press: int, forces: Float[np.ndarray, "n 3"], rim: Rim
 ) -> Float[np.ndarray, "p edges"]:
-    """Return the changes of the data of a press by the errors at each edge of the rim."""
-    case, observation = evaluation.sensitivities[press], evaluation.data.observations[press]
+    """Return the changes of the data (mm) of a press by the errors at each edge of the rim."""
+    case = evaluation.sensitivities[press]
     discretisation = evaluation.search(press).assembly.discretisation
     loaded = LoadedSurface.of(discretisation.mesh.surface, forces)
     ends, areas = rim_edges(loaded, rim.nodes)
@@ -71,7 +81,7 @@ def _responses(
     for part in np.array_split(np.arange(len(ends)), max(1, len(ends) // _AT_ONCE)):
         loads = _midside_loads(discretisation, ends[part], areas[part], traction)
         moved = case.linearization.force_response(loads)
-        columns += [case.observe(u) * observation.scale for u in moved]
+        columns += [case.observe(u) for u in moved]
     return np.column_stack(columns)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from tactorch.errors import CancelledError, ConvergenceError
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
+from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.model import (
     MIN_GAIN,
     Model,
@@ -49,6 +50,7 @@ def find_shapes(
     max_shapes: int = _MAX_SHAPES,
     start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
+    kept: KeptRims | None = None,
 ) -> ShapeReconstruction:
     """Find the inclusions that the presses determine, with the number that the evidence supports.
 
@@ -66,6 +68,8 @@ def find_shapes(
             default it starts from a uniform body.
         stop: Called before each step of a fit; where it is true the search raises `CancelledError`,
             whose `reached` is the last accepted model, if there is one.
+        kept: What searches on growing presses of an object share: errors at the rims of contacts,
+            which are computed for contacts that it does not have.
 
     Raises:
         CancelledError: see `stop`.
@@ -76,7 +80,7 @@ def find_shapes(
     settings = settings or Settings()
     if not is_same_model(recording):
         recording = refine_recording(recording, contact_sizing(recording))
-    problem = ShapeProblem(recording, settings, stop)
+    problem = ShapeProblem(recording, settings, stop, kept)
     model, history = _first(problem, start)
     try:
         for _ in range(_MAX_MODELS):

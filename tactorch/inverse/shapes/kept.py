@@ -1,0 +1,44 @@
+"""Errors at the rims of contacts that searches on further presses of an object reuse."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.recording import Press, Recording
+from tactorch.recording.append import digest
+
+Key: TypeAlias = tuple[str, ...]
+
+
+class RimError(NamedTuple):
+    """Predictions of a mesh that is finer at the rim of a contact, less those of the common mesh.
+
+    Attributes:
+        log_youngs: Logarithm of the modulus (MPa) at the loaded nodes, of the model at which it was
+            computed.
+        changes: Change of the data of each of some presses of the contact, mm.
+    """
+
+    log_youngs: Float[np.ndarray, " nodes"]
+    changes: tuple[Float[np.ndarray, " _"], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class KeptRims:
+    """What a search computes once for each contact with a rim.
+
+    Attributes:
+        errors: Errors of the discretisation, by presses.
+        responses: Changes of the data (mm) of each press of a contact by errors of the traction at
+            each edge of the rim, by presses.
+    """
+
+    errors: dict[Key, RimError] = field(default_factory=dict)
+    responses: dict[Key, list[Float[np.ndarray, "_ edges"]]] = field(default_factory=dict)
+
+
+def press_key(recording: Recording, presses: list[Press]) -> Key:
+    """Return what identifies presses on a mesh."""
+    return str(recording.mesh.n_points), *(digest(press) for press in presses)

@@ -1,0 +1,159 @@
+"""Expected error of a map of shapes after a further press, and of lumps that no press has shown.
+
+The data are linearised about the shapes. A further press adds its information on their parameters;
+the error that remains is that of samples of the posterior. A lump elsewhere, of a few sizes and a
+given contrast, remains unknown where its signal is small: its error counts with the probability
+that a matched filter misses it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import ndtr
+
+from tactorch.inverse.shapes import ShapeReconstruction
+from tactorch.inverse.shapes.field import ShapeField, Sites
+from tactorch.inverse.shapes.matched import Balls
+from tactorch.mesh import TetMesh
+from tactorch.mesh.quadrature import lattice
+
+_DRAWS = 48
+_SAMPLES = 3  # along the edge of an element
+_WIDTH = 0.5  # of a boundary, over the cube root of the element's volume, for derivatives
+_LIMIT = 4.0  # of parameters, in standard deviations of the prior
+_LOG_CONTRAST = float(np.log(3.0))  # of a lump that was not seen
+_SEEN = 5.0  # signal, in standard deviations, at which half of all lumps are seen
+_EXPECTED_LUMPS = 1.0  # number of lumps before the first press
+Jacobian = Float[np.ndarray, "data m"]
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeDesign:
+    """What the presses so far say of shapes and of lumps elsewhere.
+
+    Attributes:
+        shapes: Shapes that are fitted to the presses so far.
+        mesh: Mesh of the recording.
+        before: Derivatives of the data of these presses by the logarithm of each element's modulus,
+            in standard deviations of the noise.
+    """
+
+    shapes: ShapeReconstruction
+    mesh: TetMesh
+    before: Float[np.ndarray, "data m"]
+
+    def expected_errors(
+        self, candidates: Sequence[Jacobian | None], seed: int = 0
+    ) -> Float[np.ndarray, " candidates"]:
+        """Return the mean squared error of log E over the body that is expected after each press.
+
+        Args:
+            candidates: Derivatives of the data of each press, as in `before`; None where it cannot
+                be carried out, whose error is infinite.
+            seed: Seed of the samples.
+        """
+        now, noise = _Gram.of(self.before, self._columns), self._noise(seed)
+        return np.array(
+            [
+                np.inf if jacobian is None
+                else self._expected_error(now + _Gram.of(jacobian, self._columns), noise)
+                for jacobian in candidates
+            ]
+        )  # fmt: skip
+
+    def expected_error(self, seed: int = 0) -> float:
+        """Return the mean squared error of log E that is expected of the presses so far."""
+        return self._expected_error(_Gram.of(self.before, self._columns), self._noise(seed))
+
+    def _expected_error(self, gram: "_Gram", noise: Float[np.ndarray, "draws size"]) -> float:
+        precision = gram.shapes / max(1.0, self.shapes.chi2) + np.eye(self._field.size)
+        return self._shape_error(precision, noise) + self._missed_error(gram, precision)
+
+    def _shape_error(
+        self, precision: Float[np.ndarray, "size size"], noise: Float[np.ndarray, "draws size"]
+    ) -> float:
+        """Return the mean squared difference of samples from the map."""
+        root = np.linalg.inv(np.linalg.cholesky(precision))
+        squares = [self._squared_change(self._z + draw @ root) for draw in noise]
+        return float(np.mean(squares))
+
+    def _squared_change(self, z: Float[np.ndarray, " size"]) -> float:
+        """Return the mean squared difference of a map from the present one."""
+        field = self._field
+        values = field.log_youngs(np.clip(z, -_LIMIT, _LIMIT), self._sites)
+        return float(self._shares @ (values - self._present) ** 2)
+
+    def _missed_error(self, gram: "_Gram", precision: Float[np.ndarray, "size size"]) -> float:
+        """Return the expected error by lumps that are not seen."""
+        known = np.einsum("sb,sb->b", gram.mixed, np.linalg.solve(precision, gram.mixed))
+        signal = _LOG_CONTRAST * np.sqrt(np.maximum(gram.balls - known, 0.0))
+        missed = ndtr(_SEEN - signal)
+        squares = self._ball_shares * _LOG_CONTRAST**2
+        return float(_EXPECTED_LUMPS * np.mean(missed * squares))
+
+    def _noise(self, seed: int) -> Float[np.ndarray, "draws size"]:
+        return np.random.default_rng(seed).standard_normal((_DRAWS, self._field.size))
+
+    @property
+    def _field(self) -> ShapeField:
+        return self.shapes.posterior.field
+
+    @property
+    def _z(self) -> Float[np.ndarray, " size"]:
+        return self.shapes.posterior.z
+
+    @cached_property
+    def _columns(self) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, "m balls"]]:
+        """Derivatives of elements' log-moduli by the shapes' parameters, and lumps elsewhere."""
+        points = self._points
+        elements = Sites(points, _WIDTH * np.cbrt(self.mesh.volumes), (self.mesh.n_tets, 1))
+        return self._field.jacobian(self._z, elements), self._balls.fractions
+
+    @cached_property
+    def _balls(self) -> Balls:
+        return Balls.of(self.mesh)
+
+    @cached_property
+    def _ball_shares(self) -> Float[np.ndarray, " balls"]:
+        """Volume of each ball over that of the body."""
+        return 4.0 / 3.0 * np.pi * self._balls.radii**3 / self.mesh.volumes.sum()
+
+    @cached_property
+    def _points(self) -> Float[np.ndarray, "m samples 3"]:
+        """Points in each element, mm."""
+        return np.einsum("qc,mcd->mqd", lattice(_SAMPLES), self.mesh.points[self.mesh.tets])
+
+    @cached_property
+    def _sites(self) -> Sites:
+        """The same, at which boundaries are sharp."""
+        return Sites.at(self._points.reshape(-1, 3))
+
+    @cached_property
+    def _shares(self) -> Float[np.ndarray, " points"]:
+        """Share of the body's volume of each point."""
+        count = self._points.shape[1]
+        return np.repeat(self.mesh.volumes / self.mesh.volumes.sum() / count, count)
+
+    @cached_property
+    def _present(self) -> Float[np.ndarray, " points"]:
+        return np.asarray(self._field.log_youngs(self._z, self._sites))
+
+
+@dataclass(frozen=True, eq=False)
+class _Gram:
+    """Products of the derivatives of the data by the shapes' parameters and by lumps elsewhere."""
+
+    shapes: Float[np.ndarray, "size size"]
+    mixed: Float[np.ndarray, "size balls"]
+    balls: Float[np.ndarray, " balls"]
+
+    @staticmethod
+    def of(jacobian: Jacobian, columns: tuple[np.ndarray, np.ndarray]) -> "_Gram":
+        shapes, balls = (jacobian @ each for each in columns)
+        return _Gram(shapes.T @ shapes, shapes.T @ balls, np.einsum("db,db->b", balls, balls))
+
+    def __add__(self, other: "_Gram") -> "_Gram":
+        return _Gram(self.shapes + other.shapes, self.mixed + other.mixed, self.balls + other.balls)
