@@ -193,12 +193,13 @@ class Presses:
     pressures: tuple[float, ...]
     held_face: str | None = None  # None: springs
     refined_mm: float | None = None  # edge length of the truth mesh under the contacts
+    recorded_per_radius: float = RECORDED_PER_RADIUS
 
     @property
     def recorded_mm(self) -> float | None:
         """Edge length of the recording's mesh under the contacts; None for whole sides."""
         radius = self.contacts[0].radius_mm
-        return None if radius is None else RECORDED_PER_RADIUS * radius
+        return None if radius is None else self.recorded_per_radius * radius
 
     def sizing(self, edge_mm: float, growth: float) -> Sizing:
         """Return the edge length `edge_mm` under the contacts, plus `growth` times the distance."""
@@ -346,7 +347,7 @@ def _patches(radius: float, places: tuple[float, ...]) -> tuple[Contact, ...]:
     )
 
 
-def _fingers(
+def fingers(
     shape: Shape, radius: float, rings: tuple[tuple[float, int], ...]
 ) -> tuple[Contact, ...]:
     """Fingers along the normals of a body that stands on z = 0, at rings of polar angles."""
@@ -465,8 +466,8 @@ OBJECTS: dict[str, Callable[[], Body]] = {
 
 _SIDES = tuple(Contact("side", face) for face in ("z+", "x+", "y+"))
 _PATCHES = _patches(2.0, (2.5, 5.0, 7.5))
-_FINGERS = _fingers(_DOME, 3.0, ((0.0, 1), (32.0, 5), (60.0, 6)))
-_PALPATION = _fingers(_BREAST, 8.0, ((0.0, 1), (38.0, 5), (65.0, 6)))
+_FINGERS = fingers(_DOME, 3.0, ((0.0, 1), (32.0, 5), (60.0, 6)))
+_PALPATION = fingers(_BREAST, 8.0, ((0.0, 1), (38.0, 5), (65.0, 6)))
 PRESSES: dict[str, Presses] = {
     presses.name: presses
     for presses in (
@@ -548,6 +549,8 @@ class Solution:
     def key(self) -> str:
         """Return the hash of the definition and of the format."""
         body, presses = OBJECTS[self.object](), PRESSES[self.presses]
+        contacts = asdict(presses)
+        del contacts["recorded_per_radius"]  # in recorded_mm
         definition = {
             "format": FORMAT,
             "phantom": body.phantom.to_config(),
@@ -556,7 +559,7 @@ class Solution:
             "creases": CREASE_PER_SIZE,
             **({"recorded_mm": presses.recorded_mm} if presses.recorded_mm else {}),
             **({"rims": [RIM_PER_RADIUS, RIM_GROWTH]} if len(presses.parts) > 1 else {}),
-            "presses": asdict(presses),
+            "presses": contacts,
             "misplaced": self.misplaced_mm,
             "material": [MATERIAL.name, MATERIAL.poisson, SPRING_N_PER_MM],
         }
