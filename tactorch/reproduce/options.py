@@ -73,6 +73,9 @@ class DepthsSize(MeshedSize):
     support: Literal["springs", "fixed", "roller"] = option("fixed", "Support of the opposite face")
     snr_db: float = option(40.0, "Signal-to-noise ratio", unit="dB")
     seed: int = option(10, "Seed of the places and of the noise", ge=0)
+    estimate: Literal["shapes", "map"] = option(
+        "shapes", "Whether the ball is a fitted shape, or a lump of the map"
+    )
 
 
 @dataclass(frozen=True)
