@@ -1,13 +1,14 @@
-"""Active sampling with shapes, without inverse crime (Section V-C, Fig. 12 a).
+"""Active sampling with shapes, without inverse crime (Section V-C).
 
     python benchmarks/active_shapes.py [--seeds N] [--first-seed K] [--grids 4 6 9]
-        [--rules shapes random] [--out FOLDER] [--cache FOLDER]
+        [--rules shapes random] [--workers N] [--cache FOLDER] [--out FOLDER]
 
-A hemisphere of 10 mm radius, 0.1 MPa, held at its flat side, with two balls of 0.5 MPa, drawn for
-each seed as in `active_sampling.py`. A round finger of 3 mm radius presses normal to the surface;
-its pressure is 12 kPa (1 - r^2 / R^2), and the noise is 1 % of the displacements (40 dB). The
-presses are solved with quadratic elements on a fine mesh that follows the balls; the recording is
-on a coarse mesh that knows of the outline alone. Settings are the defaults. No rule uses the truth.
+A cube of 10 mm, 0.2 MPa, held at the bottom, with two balls of 1 MPa at unequal depths, drawn for
+each seed. A round finger of 2 mm radius presses its top at one of 25 places; its pressure is 30 kPa
+(1 - r^2 / R^2), and the noise is 1 % of the displacements (40 dB). The presses are solved with
+quadratic elements on a fine mesh that follows the balls; the recording is on a coarse mesh that
+knows of the outline alone. Settings are the defaults. No rule uses the truth. (On the hemisphere of
+Fig. 12 a, the recording's mesh would have to be much finer for the outline under the finger.)
 
 After each press shapes are fitted to all presses so far, from those before. The error is the root
 mean square of log E over voxels of the body, against the analytic object. A uniform grid of n
@@ -26,24 +27,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from active_objects import BACKGROUND_MPA, INCLUSION_MPA, RADIUS_MM, Hemisphere
 from active_sampling import presses_needed
 from machine import map_in_processes, write_results
-from true_cases import OBJECTS, PRESSES, Body, Case, Presses, Truth, fingers, make_recording
+from true_cases import OBJECTS, PRESSES, Body, Case, Contact, Presses, Truth, make_recording
 
 from tactorch.errors import TactorchError
 from tactorch.inverse import InverseProblem, Settings, find_shapes
 from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
-from tactorch.mesh import Hemisphere as Dome
+from tactorch.mesh import Box, Sphere
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.phantoms import Phantom
 from tactorch.recording import Recording
 from tactorch.sampling.shape_design import ShapeDesign
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
-DOME = Dome((0.0, 0.0, 0.0), RADIUS_MM)
-SENSOR_MM, PRESSURE_MPA = 3.0, 0.012
-RINGS = ((0.0, 1), (22.0, 5), (42.0, 9), (62.0, 11))  # polar angle (degrees), candidates
+SIDE_MM, BACKGROUND_MPA, LUMP_MPA = 10.0, 0.2, 1.0
+SENSOR_MM, PRESSURE_MPA = 2.0, 0.03
+PLACES_MM = (2.2, 3.6, 5.0, 6.4, 7.8)  # of the finger along x and y
 RULES = ("shapes", "random")
 AIM = 2.0 / 3.0
 
@@ -78,7 +78,7 @@ def run_object(
     centers = np.array([contact.center_mm for contact in CONTACTS])
     found: dict[str, Any] = {"grids": {}, "rules": {}}
     for size in grids:
-        places = [int(i) for i in farthest_point_order(centers, size, 0)]
+        places = [int(i) for i in farthest_point_order(centers, size, FIRST)]
         score, _ = session.score(places, None)
         found["grids"][str(size)] = score | {"places": places}
         print(f"# seed {seed}, grid of {size}: {_text(score)}", flush=True)
@@ -88,8 +88,8 @@ def run_object(
 
 
 def run_rule(session: "Session", seed: int, rule: str, budget: int) -> list[dict[str, Any]]:
-    """Press by one rule, from the top; return the score after each press."""
-    places, shapes, scores = [0], None, []
+    """Press by one rule, from the middle; return the score after each press."""
+    places, shapes, scores = [FIRST], None, []
     while True:
         score, shapes = session.score(places, shapes)
         scores.append(score | {"place": places[-1]})
@@ -119,7 +119,7 @@ class Session:
     @staticmethod
     def of(seed: int, cache: Path | None) -> "Session":
         """Make the presses of an object; those without noise are cached."""
-        name = f"two_lumps{seed}"
+        name = f"two_balls{seed}"
         OBJECTS[name] = lambda: make_body(seed)
         PRESSES[SCAN.name] = SCAN
         case = Case(name, SCAN.name, 40.0, seed=seed)
@@ -160,9 +160,20 @@ class Session:
 
 
 def make_body(seed: int) -> Body:
-    """Return the hemisphere with two balls."""
-    balls = tuple((ball, INCLUSION_MPA) for ball in Hemisphere.draw(seed).balls)
-    return Body(Phantom(DOME, balls, BACKGROUND_MPA), (0, 1), 2.0, 1.3, 1.3)
+    """Return the cube with two balls on different sides, one shallow and one deeper."""
+    rng = np.random.default_rng([seed, 23])
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    turns = (turn, turn + rng.uniform(0.7, 1.3) * np.pi)
+    gaps = (rng.uniform(1.0, 1.8), rng.uniform(2.0, 3.0))
+    balls = []
+    for angle, gap in zip(turns, gaps, strict=True):
+        radius, away = rng.uniform(1.3, 1.8), rng.uniform(2.0, 2.6)
+        middle = SIDE_MM / 2
+        x, y = middle + away * np.cos(angle), middle + away * np.sin(angle)
+        center = (float(x), float(y), float(SIDE_MM - gap - radius))
+        balls.append((Sphere(center, float(radius)), LUMP_MPA))
+    cube = Box((SIDE_MM / 2,) * 3, (SIDE_MM,) * 3)
+    return Body(Phantom(cube, tuple(balls), BACKGROUND_MPA), (0, 1))
 
 
 def judge(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -219,8 +230,13 @@ def _text(score: dict[str, Any]) -> str:
     )
 
 
-CONTACTS = fingers(DOME, SENSOR_MM, RINGS)
-SCAN = Presses("scan", CONTACTS, (PRESSURE_MPA,), "z-", 0.75, recorded_per_radius=0.45)
+CONTACTS = tuple(
+    Contact("finger", "", (x, y, SIDE_MM), (0.0, 0.0, -1.0), SENSOR_MM)
+    for x in PLACES_MM
+    for y in PLACES_MM
+)
+FIRST = len(CONTACTS) // 2  # in the middle
+SCAN = Presses("scan", CONTACTS, (PRESSURE_MPA,), "z-", 0.5, recorded_per_radius=0.45)
 
 if __name__ == "__main__":
     main()
