@@ -55,7 +55,7 @@ class InclusionSearch:
         try:
             finding = find(
                 recording, reconstruction, self._settings,
-                uncertainty=False, start=self._reached or self._shapes, stop=stop,
+                uncertainty=False, start=self._reached or self.shapes, stop=stop,
                 kept=self._kept,
             )  # fmt: skip
         except CancelledError as error:
@@ -91,5 +91,6 @@ class InclusionSearch:
             self._path.unlink(missing_ok=True)
 
     @property
-    def _shapes(self) -> ShapeReconstruction | None:
+    def shapes(self) -> ShapeReconstruction | None:
+        """Shapes that were fitted last; None if there are none."""
         return None if self._last is None else self._last[0].shapes

@@ -252,7 +252,7 @@ class SamplingLoop:
             reason = self._follow()
             if not self._restart:  # it would carry out another press
                 self._refine_and_suggest()
-                self._find(stop=lambda: False)
+                self._find_and_suggest(stop=lambda: False)
         except KeyboardInterrupt:
             if not self._history:
                 raise
@@ -333,25 +333,32 @@ class SamplingLoop:
     def _use_idle_time(self) -> None:
         """Refine the map, suggest a press and fit shapes, until a press waits."""
         self._refine_and_suggest()
-        self._find(stop=self._press_waits)
+        self._find_and_suggest(stop=self._press_waits)
 
     def _refine_and_suggest(self) -> None:
         """Refine the map and suggest a press, unless a press waits."""
         if not self._press_waits():
             self._refine()
+        if self._update is not None and self._update.suggestion is None:
+            self._suggest()
+
+    def _suggest(self) -> None:
+        """Suggest a press, unless a press waits."""
         update = self._update
-        if update is None or update.suggestion is not None or self._press_waits():
+        if update is None or self._press_waits():
             return
-        solution = update.solution
-        suggestion = self._suggester.suggest(solution.point, solution.weight, self._press_waits)
+        solution, shapes = update.solution, self._inclusions.shapes
+        suggestion = self._suggester.suggest(
+            solution.point, solution.weight, self._press_waits, shapes
+        )
         if suggestion is not None:
             self._update = update.suggested(suggestion)
             self._save()
             for observer in self._observers:
                 observer.suggested(self._update)
 
-    def _find(self, stop: Callable[[], bool]) -> None:
-        """Fit shapes to all presses, once for each number of them."""
+    def _find_and_suggest(self, stop: Callable[[], bool]) -> None:
+        """Fit shapes to all presses, once for each number of them, and suggest a press by them."""
         update = self._update
         if update is None or not self._lacks_shapes() or stop():
             return
@@ -363,6 +370,8 @@ class SamplingLoop:
         self._save()
         for observer in self._observers:
             observer.found(self._update)
+        if self._suggester.uses_shapes and finding.shapes and finding.shapes.inclusions:
+            self._suggest()
 
     def _lacks_shapes(self) -> bool:
         """Whether shapes are still to be fitted to the presses of the last update."""

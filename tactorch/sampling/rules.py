@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
-from tactorch.inverse import Parameterization
+from tactorch.inverse import Parameterization, ShapeReconstruction
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.recording import Recording
@@ -27,6 +27,7 @@ RULES = Registry(
     {
         "auto": f"{_HERE}:Automatic",
         "expected_error": f"{_HERE}:ExpectedError",
+        "shape_error": "tactorch.sampling.shape_design:ExpectedShapeError",
         "expected_information": f"{_HERE}:ExpectedInformation",
         "largest_uncertainty": f"{_HERE}:LargestUncertainty",
         "uniform_grid": f"{_HERE}:UniformGrid",
@@ -56,6 +57,10 @@ class SamplingState:
             for a candidate under which the body collapses.
         posterior: Normal distribution of the parameters (log-moduli by default) given all presses;
             None for rules without `uses_posterior`.
+        known: Jacobian of the presses so far.
+        per_log: Derivative of each parameter by the logarithm of its element's modulus.
+        shapes: Shapes that were fitted to the presses so far, or to the first of them; None if
+            there are none.
     """
 
     mesh: TetMesh
@@ -65,6 +70,9 @@ class SamplingState:
     credibility: Float[np.ndarray, "presses m"]
     jacobians: Callable[[Sequence[int]], list[Jacobian | None]]
     posterior: GaussianState | None = None
+    known: Jacobian | None = None
+    per_log: Float[np.ndarray, " m"] | None = None
+    shapes: ShapeReconstruction | None = None
 
     @property
     def remaining(self) -> list[int]:
@@ -77,13 +85,19 @@ class Rule(Options, ABC):
 
     Attributes:
         uses_posterior: Whether `choose` reads `SamplingState.posterior`, a dense covariance.
+        uses_shapes: Whether it depends on the shapes that were fitted to the presses.
     """
 
     section = "rule"
     uses_posterior: ClassVar[bool] = False
+    uses_shapes: ClassVar[bool] = False
 
     def resolve(self, recording: Recording) -> "Rule":
         """Return the rule to apply to this object and its presses so far."""
+        return self
+
+    def with_shapes(self) -> "Rule":
+        """Return the rule to apply where inclusions were fitted to the presses."""
         return self
 
     def first(self, candidates: Sequence[Patch]) -> int:
@@ -100,7 +114,18 @@ class Rule(Options, ABC):
 
 @dataclass(frozen=True)
 class Automatic(Rule):
-    """Expected error up to 4,000 elements if forces are known; otherwise largest uncertainty."""
+    """The best available rule.
+
+    Where inclusions were fitted to the presses it is `shape_error`; otherwise the expected error up
+    to 4,000 elements if forces are known, and else the largest uncertainty.
+    """
+
+    uses_shapes = True
+
+    def with_shapes(self) -> Rule:
+        rule = RULES.build("shape_error")
+        assert isinstance(rule, Rule)
+        return rule
 
     def resolve(self, recording: Recording) -> Rule:
         loaded = any(press.forces.any() for press in recording.presses)

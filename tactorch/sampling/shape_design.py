@@ -14,11 +14,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
+from tactorch.errors import ConfigError
 from tactorch.inverse.shapes import ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField, Sites
 from tactorch.inverse.shapes.matched import Balls
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
+from tactorch.sampling.rules import Jacobian, Rule, SamplingState
 
 _DRAWS = 48
 _SAMPLES = 3  # along the edge of an element
@@ -27,7 +29,6 @@ _LIMIT = 4.0  # of parameters, in standard deviations of the prior
 _LOG_CONTRAST = float(np.log(3.0))  # of a lump that was not seen
 _SEEN = 5.0  # signal, in standard deviations, at which half of all lumps are seen
 _EXPECTED_LUMPS = 1.0  # number of lumps before the first press
-Jacobian = Float[np.ndarray, "data m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class ShapeDesign:
     before: Float[np.ndarray, "data m"]
 
     def expected_errors(
-        self, candidates: Sequence[Jacobian | None], seed: int = 0
+        self, candidates: Sequence[Float[np.ndarray, "_ m"] | None], seed: int = 0
     ) -> Float[np.ndarray, " candidates"]:
         """Return the mean squared error of log E over the body that is expected after each press.
 
@@ -157,3 +158,29 @@ class _Gram:
 
     def __add__(self, other: "_Gram") -> "_Gram":
         return _Gram(self.shapes + other.shapes, self.mixed + other.mixed, self.balls + other.balls)
+
+
+@dataclass(frozen=True)
+class ExpectedShapeError(Rule):
+    """Smallest expected error of the map of shapes, and of lumps that no press has shown yet.
+
+    The error is the mean squared one of log E over the body, see `ShapeDesign`.
+    """
+
+    uses_shapes = True
+
+    def choose(self, state: SamplingState) -> int:
+        """See `Rule.choose`.
+
+        Raises:
+            ConfigError: no shapes were fitted to the presses.
+        """
+        shapes, known, per_log = state.shapes, state.known, state.per_log
+        if shapes is None or known is None or per_log is None:
+            raise ConfigError(
+                "suggest.rule=shape_error needs shapes that are fitted to the presses, and there "
+                "are none yet; wait for them (live.shapes=true), or choose suggest.rule=auto."
+            )
+        design, remaining = ShapeDesign(shapes, state.mesh, known * per_log), state.remaining
+        predicted = [None if j is None else j * per_log for j in state.jacobians(remaining)]
+        return remaining[int(np.argmin(design.expected_errors(predicted)))]

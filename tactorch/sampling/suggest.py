@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
-from tactorch.inverse import InverseProblem, Point, Settings
+from tactorch.inverse import InverseProblem, Point, Settings, ShapeReconstruction
 from tactorch.inverse.data import CorrelatedNoise, smooth_pattern
 from tactorch.recording import Press, Recording
 from tactorch.sampling.candidates import Candidates, InferredCandidates, Patch
@@ -91,8 +91,17 @@ class Suggester:
         self._posterior = posterior or _WarmStartedPosterior()
         self._always_posterior = posterior is not None
 
+    @property
+    def uses_shapes(self) -> bool:
+        """Whether a suggestion depends on the shapes that were fitted to the presses."""
+        return self._rule.uses_shapes
+
     def suggest(
-        self, point: Point, weight: float, stop: Callable[[], bool] = lambda: False
+        self,
+        point: Point,
+        weight: float,
+        stop: Callable[[], bool] = lambda: False,
+        shapes: ShapeReconstruction | None = None,
     ) -> Suggestion | None:
         """Suggest the next press.
 
@@ -100,18 +109,20 @@ class Suggester:
             point: Solution of all presses so far.
             weight: Weight of the prior there.
             stop: Called after the posterior; True cancels the suggestion: the result is None.
+            shapes: Shapes that were fitted to these presses, or to the first of them.
         """
         started, recording = time.perf_counter(), point.objective.problem.recording
         rule, posterior, index, patch, reason = self._rule, None, None, None, ""
         try:
-            rule = rule.resolve(recording)
+            has_shapes = shapes is not None and len(shapes.inclusions) > 0
+            rule = (rule.with_shapes() if has_shapes else rule).resolve(recording)
             if rule.uses_posterior or self._always_posterior:
                 posterior = self._posterior(point, weight)
             if stop():
                 return None
             candidates = self._candidates(recording)
             gaussian = posterior if rule.uses_posterior else None
-            index = rule.choose(self._state(point, gaussian, candidates))
+            index = rule.choose(self._state(point, gaussian, candidates, shapes))
             patch = candidates.patches[index]
         except (ConfigError, ConvergenceError, RecordingError) as error:
             reason = str(error)
@@ -120,7 +131,11 @@ class Suggester:
         return Suggestion(patch, index, reason, name, deviation, seconds)
 
     def _state(
-        self, point: Point, posterior: GaussianPosterior | None, candidates: Candidates
+        self,
+        point: Point,
+        posterior: GaussianPosterior | None,
+        candidates: Candidates,
+        shapes: ShapeReconstruction | None,
     ) -> SamplingState:
         mesh, gaussian = point.objective.problem.recording.mesh, None
         if posterior is not None:
@@ -134,9 +149,12 @@ class Suggester:
         patches, pressed, _ = candidates
         parameterization = point.objective.elements.parameterization
         credibility = _credibility(point)
+        known = point.jacobian[:, : mesh.n_tets]
+        per_log = point.youngs / parameterization.slope(point.coefficients)
         return SamplingState(
-            mesh, patches, pressed, parameterization, credibility, jacobians, gaussian
-        )
+            mesh, patches, pressed, parameterization, credibility, jacobians, gaussian,
+            known, per_log, shapes,
+        )  # fmt: skip
 
 
 class _WarmStartedPosterior:

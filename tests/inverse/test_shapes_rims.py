@@ -10,7 +10,9 @@ from tactorch.fem.elements import ELEMENTS
 from tactorch.inverse import Settings
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes.correction import Correction
-from tactorch.inverse.shapes.field import ShapeField
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.fit import fit_shapes
+from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.model import RIM_DEVIATIONS, Errors
 from tactorch.inverse.shapes.problem import ShapeProblem
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
@@ -93,6 +95,39 @@ def test_patterns_explain_the_traction_that_ends_within_triangles(recording, pro
     few = rim_patterns(recording, evaluation, contacts, 1.0)
     assert 0 < few.shape[1] < patterns.shape[1]
     assert np.linalg.norm(few, axis=0).min() > 1.0
+
+
+def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, problem, monkeypatch):
+    """The meshes of a correction, by the number of their presses; their changes are ordinals."""
+    meshes = []
+
+    def changes(self, model, refinement, mesh, youngs_of, every, check):
+        meshes.append(mesh.n_tets)
+        ends = [i for series in every for i in series.ends]
+        return {i: np.full_like(model.predicted[i], len(meshes)) for i in ends}
+
+    monkeypatch.setattr(Correction, "_changes", changes)
+    kept = KeptRims()
+    prior = ShapePrior.of(recording.mesh, 0.2)
+
+    def last_change(*values):
+        field = ShapeField(prior, (False,) * (len(values) > 1))
+        z = field.standard(np.array(values))
+        fit, before = fit_shapes(problem, field, z, max_iterations=0)
+        # A correction of a later search, which shares what is kept.
+        offsets = Correction.of(problem, "tet10", "auto", kept).offsets(fit, before)
+        return pytest.approx(offsets[1][0])
+
+    assert last_change(np.log(0.2)) == 1.0
+    assert last_change(np.log(0.215)) == 1.0
+    assert last_change(np.log(0.25)) == 2.0
+    # A deep ball has a mesh without the rim, and the error there is kept: 2 + 3.
+    assert last_change(np.log(0.25), 5.0, 5.0, 3.0, np.log(1.5), np.log(4.0)) == 5.0
+    # A ball under the contact has a mesh that is fine at both.
+    assert last_change(np.log(0.25), 5.0, 5.0, 8.3, np.log(1.5), np.log(4.0)) == 4.0
+    rim, _, at_ball, at_both = meshes
+    assert at_both > rim
+    assert at_both > at_ball
 
 
 def test_the_search_may_take_tractions_at_rims_as_wrong(recording):

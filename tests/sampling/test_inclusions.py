@@ -12,7 +12,7 @@ from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.files import read_arrays, write_arrays
 from tactorch.findings import SHAPES, Status, build_finding
 from tactorch.inverse import Reconstruction, Settings
-from tactorch.inverse.shapes import ShapeReconstruction
+from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
@@ -39,12 +39,14 @@ class Search:
     Attributes:
         calls: Number of presses and start of each search.
         before: Called with `stop` before the result of the next searches, one after the other.
+        kept: Errors at rims that each search reuses.
     """
 
     def __init__(self) -> None:
         self.calls: list[tuple[int, ShapeReconstruction | None]] = []
         self.results: list[ShapeReconstruction] = []
         self.before: list[Callable[[Stop], None]] = []
+        self.kept: list[KeptRims] = []
 
     def __call__(
         self,
@@ -54,7 +56,9 @@ class Search:
         max_shapes: int,
         start: ShapeReconstruction | None,
         stop: Stop,
+        kept: KeptRims,
     ) -> ShapeReconstruction:
+        self.kept.append(kept)
         self.calls.append((len(recording.presses), start))
         if self.before:
             self.before.pop(0)(stop)
@@ -82,8 +86,9 @@ def test_shapes_are_fitted_once_to_all_presses_each_time_from_the_last_ones(
     live.save(0)
     live.follow(live.new_view(), shapes=True, max_presses=1)
     live.save(0, 1, 2)
-    ended = live.follow(shapes=True, max_batch=2)
+    ended = live.follow(shapes=True, max_batch=2, rule="auto")
     assert [presses for presses, _ in search.calls] == [1, 3]
+    assert live.lines()[-1]["next_rule"] == "shape_error"
     assert search.calls[0][1] is None
     np.testing.assert_array_equal(search.calls[1][1].z, search.results[0].z)
     assert ended.update is not None
