@@ -5,15 +5,20 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, TactorchError
+from tactorch.inverse.shapes import Ellipsoid, Interval, ShapeInclusion
+from tactorch.mesh import box_mesh
+from tactorch.phantoms import make_phantom
 from tactorch.reproduce import EXHIBITS, depths, recognition, reproduce, sizes
 from tactorch.reproduce.cases import CaseResult
 from tactorch.reproduce.depths import classify_depth
 from tactorch.reproduce.exhibits import STUDIES, TITLES
+from tactorch.simulation import PressPlan, simulate
 
 _COARSE = 0.25
 TINY = {
@@ -41,6 +46,7 @@ TINY = {
         "support": "fixed",
         "snr_db": 40.0,
         "seed": 1,
+        "estimate": "map",
     },
 }
 
@@ -125,6 +131,42 @@ def test_depths_are_told(out, monkeypatch):
     for depth, error in zip((3, 6), off, strict=True):
         (line,) = [one for one in text.splitlines() if one.startswith(f"| {depth} | 1 |")]
         assert f"| {error:.2f} |" in line
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_the_ball_is_the_surest_hard_shape(monkeypatch, count):
+    """A soft shape and two hard ones, or none."""
+    mesh = box_mesh(10.0, 3)
+    recording = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=mesh)
+
+    def inclusion(youngs_mpa, probability, x):
+        shape = Ellipsoid((x, 5.0, 7.0), (2.0,) * 3, tuple(map(tuple, np.eye(3))), youngs_mpa / 4)
+        interval = Interval(1.0, 2.0)
+        return ShapeInclusion(
+            shape, youngs_mpa, 4.0, (0.1,) * 3, interval, interval, interval, probability
+        )
+
+    hard = [inclusion(30.0, 0.9, 4.0), inclusion(30.0, 0.99, 6.0)][:count]
+    found = SimpleNamespace(
+        inclusions=[inclusion(1.0, 1.0, 5.0), *hard], youngs_at=lambda points: points[:, 2]
+    )
+    monkeypatch.setattr(depths, "find_shapes", lambda given: found)
+    youngs, ball = depths._from_shapes(recording)
+    np.testing.assert_array_equal(youngs, mesh.centroids[:, 2])
+    if not count:
+        assert ball is None
+        return
+    assert ball.center_mm.tolist() == [6.0, 5.0, 7.0]
+    assert ball.radius_mm == pytest.approx(2.0)
+
+
+@pytest.mark.slow
+def test_shapes_tell_the_depth_more_exactly(out, monkeypatch):
+    monkeypatch.setattr(depths, "DEPTHS_MM", (3.0,))
+    monkeypatch.setitem(TINY, "depths", TINY["depths"] | {"estimate": "shapes"})
+    made("fig10", out)
+    (row,) = rows(out, "fig10")
+    assert abs(float(row["estimate, mm"]) - 3.0) < 0.25
 
 
 def test_depths_without_any_lump_are_reported():
