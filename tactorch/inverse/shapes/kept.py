@@ -41,4 +41,4 @@ class KeptRims:
 
 def press_key(recording: Recording, presses: list[Press]) -> Key:
     """Return what identifies presses on a mesh."""
-    return str(recording.mesh.n_points), *(digest(press) for press in presses)
+    return recording.mesh.content_hash(), *(digest(press) for press in presses)

@@ -75,6 +75,10 @@ def _starts(problem: ShapeProblem, model: Model, max_shapes: int) -> Iterator[St
             break
     if not any(field.layers):
         yield from _layers(problem, model)
+    if field.distorted and len(field.waves):
+        # Inclusions may explain what the background was found to vary for.
+        uniform = varied(field, z, degree=0, layers=(0, 0, 0))
+        yield Start("uniform background", *uniform, errors)
     for k, distorted in enumerate(field.distorted):
         # A further part of the model, or further presses, may explain what it was found for.
         yield Start(f"inclusion {k} removed", *without(field, z, [k]), errors)

@@ -65,7 +65,7 @@ def find_shapes(
         max_shapes: Largest number of inclusions.
         start: Result for other presses on the object, such as the earlier ones of a session, or
             what a search had `reached` that was stopped, from whose model the search starts; by
-            default it starts from a uniform body.
+            default, and from a model without inclusions, it starts from a uniform body.
         stop: Called before each step of a fit; where it is true the search raises `CancelledError`,
             whose `reached` is the last accepted model, if there is one.
         kept: What searches on growing presses of an object share: errors at the rims of contacts,
@@ -122,7 +122,8 @@ def _first(
 ) -> tuple[Model, list[dict[str, Any]]]:
     """Fit the model of an earlier result, or where there is none a uniform body."""
     what, model = "uniform", None
-    if before is not None:
+    # A background that varies, found of few presses, would hide the inclusion that more show.
+    if before is not None and before.field.distorted:
         start = problem.continued(before)
         try:
             what, model = start.what, problem.first(start)
