@@ -12,14 +12,14 @@ from tactorch.fem import ELEMENTS, NewtonOptions
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, find_shapes
+from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, ShapeState, find_shapes
 from tactorch.inverse.shapes.correction import Correction, _LoadSeries
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.model import Errors, Model, as_ellipsoid, varied, without
 from tactorch.inverse.shapes.problem import ShapeProblem
-from tactorch.inverse.shapes.search import make_posterior
+from tactorch.inverse.shapes.search import _first, make_posterior
 from tactorch.inverse.shapes.sizing import (
     Rim,
     contact_sizing,
@@ -295,6 +295,27 @@ def test_a_start_that_the_presses_contradict_is_removed(uniform_recording):
         "the model before", "inclusion 0 removed",
     ]  # fmt: skip
     assert result.inclusions == []
+
+
+def test_a_background_that_varies_gives_way_to_inclusions(recording, found):
+    """A varying background is not kept beside a ball that explains as much."""
+    field, z = varied(found.field, found.z, degree=2)
+    start = ShapeState(field, z, 0.0, 0.001, 0.0)
+    result = find_shapes(recording, max_shapes=1, start=start)
+    assert result.history[1]["model"] == "uniform background"
+    assert result.field.degree == 0
+    assert len(result.inclusions) == 1
+
+
+def test_a_search_starts_from_a_uniform_body_rather_than_from_a_background_alone(
+    uniform_recording,
+):
+    problem = ShapeProblem(uniform_recording, Settings())
+    field = ShapeField(problem.prior, degree=2)
+    state = ShapeState(field, np.full(field.size, 0.5), 0.0, 0.001, 0.0)
+    model, history = _first(problem, state)
+    assert history[0]["model"] == "uniform"
+    assert model.fit.field.degree == 0
 
 
 def test_a_search_can_be_stopped(recording):
