@@ -473,6 +473,8 @@ PRESSES: dict[str, Presses] = {
     for presses in (
         Presses("sides4", _SIDES, (0.005, 0.01, 0.015, 0.02)),
         Presses("sides", _SIDES, (0.01, 0.02)),
+        # On a soft layer 20 kPa are near an instability at the sharp edges of the truth mesh.
+        Presses("gentle", _SIDES, (0.005, 0.01)),
         Presses("patches", _PATCHES, (0.02,), refined_mm=0.35),
         Presses("fingers", _FINGERS, (0.012,), "z-", refined_mm=0.6),
         Presses("palpation", _PALPATION, (0.004,), "z-", refined_mm=1.6),
@@ -490,7 +492,7 @@ CASES: tuple[Case, ...] = (
     Case("faint_ball", "sides", 30.0),
     Case("two_balls", "sides", 40.0),
     Case("layers_ball", "sides", 40.0),
-    Case("skin_ball", "sides", 40.0),
+    Case("skin_ball", "gentle", 40.0),
     Case("dome", "fingers", 40.0),
     Case("breast", "palpation", 40.0),
     Case("uniform", "sides", 30.0),
@@ -505,7 +507,7 @@ CASES: tuple[Case, ...] = (
     Case("ellipsoid", "sides", 40.0, held_out=True),
     Case("two_balls", "patches", 40.0, held_out=True),
     Case("layers_ball", "sides", 30.0, "forces", held_out=True),
-    Case("skin_ball", "sides", 30.0, held_out=True),
+    Case("skin_ball", "gentle", 30.0, held_out=True),
     Case("dome", "fingers", 40.0, "places", held_out=True),
     Case("breast", "palpation", 30.0, held_out=True),
     Case("uniform", "patches", 40.0, held_out=True),
