@@ -96,10 +96,6 @@ class Rule(Options, ABC):
         """Return the rule to apply to this object and its presses so far."""
         return self
 
-    def with_shapes(self) -> "Rule":
-        """Return the rule to apply where inclusions were fitted to the presses."""
-        return self
-
     def first(self, candidates: Sequence[Patch]) -> int:
         """Return the candidate to press before any data.
 
@@ -114,18 +110,7 @@ class Rule(Options, ABC):
 
 @dataclass(frozen=True)
 class Automatic(Rule):
-    """The best available rule.
-
-    Where inclusions were fitted to the presses it is `shape_error`; otherwise the expected error up
-    to 4,000 elements if forces are known, and else the largest uncertainty.
-    """
-
-    uses_shapes = True
-
-    def with_shapes(self) -> Rule:
-        rule = RULES.build("shape_error")
-        assert isinstance(rule, Rule)
-        return rule
+    """Expected error up to 4,000 elements if forces are known; otherwise largest uncertainty."""
 
     def resolve(self, recording: Recording) -> Rule:
         loaded = any(press.forces.any() for press in recording.presses)

@@ -114,8 +114,7 @@ class Suggester:
         started, recording = time.perf_counter(), point.objective.problem.recording
         rule, posterior, index, patch, reason = self._rule, None, None, None, ""
         try:
-            has_shapes = shapes is not None and len(shapes.inclusions) > 0
-            rule = (rule.with_shapes() if has_shapes else rule).resolve(recording)
+            rule = rule.resolve(recording)
             if rule.uses_posterior or self._always_posterior:
                 posterior = self._posterior(point, weight)
             if stop():

@@ -86,7 +86,7 @@ def test_shapes_are_fitted_once_to_all_presses_each_time_from_the_last_ones(
     live.save(0)
     live.follow(live.new_view(), shapes=True, max_presses=1)
     live.save(0, 1, 2)
-    ended = live.follow(shapes=True, max_batch=2, rule="auto")
+    ended = live.follow(shapes=True, max_batch=2, rule="shape_error")
     assert [presses for presses, _ in search.calls] == [1, 3]
     assert live.lines()[-1]["next_rule"] == "shape_error"
     assert search.calls[0][1] is None

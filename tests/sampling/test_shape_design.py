@@ -15,7 +15,7 @@ from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.sampling import Patch
-from tactorch.sampling.rules import Automatic, SamplingState
+from tactorch.sampling.rules import SamplingState
 from tactorch.sampling.shape_design import ExpectedShapeError, ShapeDesign
 from tactorch.simulation import PressPlan, simulate
 
@@ -103,6 +103,5 @@ def test_the_rule_takes_the_press_of_the_smallest_error(ball: Any, blocks: Any) 
     middle, over, away = blocks
     assert ExpectedShapeError().choose(state_of([middle, over, away], ball)) == 1
     assert ExpectedShapeError().choose(state_of([middle, away, over], ball)) == 2
-    assert isinstance(Automatic().with_shapes(), ExpectedShapeError)
     with pytest.raises(ConfigError, match="needs shapes"):
         ExpectedShapeError().choose(state_of(blocks, None))
