@@ -11,7 +11,7 @@ import tactorch
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.findings import Finding, Status, build_finding, build_shape_finding, find
 from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
-from tactorch.inverse.shapes import ShapeReconstruction
+from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
@@ -78,10 +78,11 @@ def test_lumps_are_the_shapes_that_are_fitted(
     recording: Recording, shapes: ShapeReconstruction, replace_search: Any
 ) -> None:
     (calls, stop) = replace_search(shapes), lambda: False
-    finding = find(recording, settings=SETTINGS, max_lumps=2, start=shapes, stop=stop)
+    passed_on = {"start": shapes, "stop": stop, "kept": KeptRims()}
+    finding = find(recording, settings=SETTINGS, max_lumps=2, **passed_on)
     assert finding.shapes is shapes
     assert same(finding, build_shape_finding(recording, shapes))
-    assert calls == [{"settings": SETTINGS, "max_shapes": 2, "start": shapes, "stop": stop}]
+    assert calls == [{"settings": SETTINGS, "max_shapes": 2, **passed_on}]
 
 
 def test_settings_are_those_of_the_map(
