@@ -347,7 +347,7 @@ def _patches(radius: float, places: tuple[float, ...]) -> tuple[Contact, ...]:
     )
 
 
-def fingers(
+def _fingers(
     shape: Shape, radius: float, rings: tuple[tuple[float, int], ...]
 ) -> tuple[Contact, ...]:
     """Fingers along the normals of a body that stands on z = 0, at rings of polar angles."""
@@ -466,8 +466,8 @@ OBJECTS: dict[str, Callable[[], Body]] = {
 
 _SIDES = tuple(Contact("side", face) for face in ("z+", "x+", "y+"))
 _PATCHES = _patches(2.0, (2.5, 5.0, 7.5))
-_FINGERS = fingers(_DOME, 3.0, ((0.0, 1), (32.0, 5), (60.0, 6)))
-_PALPATION = fingers(_BREAST, 8.0, ((0.0, 1), (38.0, 5), (65.0, 6)))
+_FINGERS = _fingers(_DOME, 3.0, ((0.0, 1), (32.0, 5), (60.0, 6)))
+_PALPATION = _fingers(_BREAST, 8.0, ((0.0, 1), (38.0, 5), (65.0, 6)))
 PRESSES: dict[str, Presses] = {
     presses.name: presses
     for presses in (
@@ -551,8 +551,8 @@ class Solution:
     def key(self) -> str:
         """Return the hash of the definition and of the format."""
         body, presses = OBJECTS[self.object](), PRESSES[self.presses]
-        contacts = asdict(presses)
-        del contacts["recorded_per_radius"]  # in recorded_mm
+        plain = asdict(presses)
+        del plain["recorded_per_radius"]  # in recorded_mm
         definition = {
             "format": FORMAT,
             "phantom": body.phantom.to_config(),
@@ -561,7 +561,7 @@ class Solution:
             "creases": CREASE_PER_SIZE,
             **({"recorded_mm": presses.recorded_mm} if presses.recorded_mm else {}),
             **({"rims": [RIM_PER_RADIUS, RIM_GROWTH]} if len(presses.parts) > 1 else {}),
-            "presses": contacts,
+            "presses": plain,
             "misplaced": self.misplaced_mm,
             "material": [MATERIAL.name, MATERIAL.poisson, SPRING_N_PER_MM],
         }

@@ -56,21 +56,21 @@ class ShapeDesign:
                 be carried out, whose error is infinite.
             seed: Seed of the samples.
         """
-        now, noise = _Gram.of(self.before, self._columns), self._noise(seed)
+        now, noise = self._gram(self.before), self._noise(seed)
         return np.array(
             [
                 np.inf if jacobian is None
-                else self._expected_error(now + _Gram.of(jacobian, self._columns), noise)
+                else self._expected_error(now + self._gram(jacobian), noise)
                 for jacobian in candidates
             ]
         )  # fmt: skip
 
-    def expected_error(self, seed: int = 0) -> float:
-        """Return the mean squared error of log E that is expected of the presses so far."""
-        return self._expected_error(_Gram.of(self.before, self._columns), self._noise(seed))
+    def _gram(self, jacobian: Jacobian) -> "_Gram":
+        """Return the products for data whose noise is as large as the residuals of the shapes."""
+        return _Gram.of(jacobian / np.sqrt(max(1.0, self.shapes.chi2)), self._columns)
 
     def _expected_error(self, gram: "_Gram", noise: Float[np.ndarray, "draws size"]) -> float:
-        precision = gram.shapes / max(1.0, self.shapes.chi2) + np.eye(self._field.size)
+        precision = gram.shapes + np.eye(self._field.size)
         return self._shape_error(precision, noise) + self._missed_error(gram, precision)
 
     def _shape_error(

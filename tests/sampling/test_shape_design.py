@@ -56,13 +56,18 @@ def blocks(ball: ShapeReconstruction) -> list[np.ndarray]:
     return np.split(jacobian, problem.data.begins[1:])
 
 
+def expected_error(shapes: ShapeReconstruction, jacobian: np.ndarray) -> float:
+    """Expected error after one press."""
+    (error,) = ShapeDesign(shapes, MESH, np.zeros((1, MESH.n_tets))).expected_errors([jacobian])
+    return float(error)
+
+
 def test_a_press_over_the_ball_tells_more_of_it(ball: Any, blocks: Any) -> None:
     middle, over, away = blocks
     design = ShapeDesign(ball, MESH, middle)
     errors = design.expected_errors([over, away, np.zeros_like(over), None])
     assert errors[0] < 0.8 * errors[1]
     assert errors[1] < errors[2]
-    assert errors[2] == design.expected_error()
     assert errors[3] == np.inf
     np.testing.assert_array_equal(design.expected_errors([over, away]), errors[:2])
 
@@ -79,14 +84,21 @@ def test_the_error_of_a_uniform_body_is_that_of_its_modulus_and_of_lumps_not_see
     row = np.full((1, MESH.n_tets), 1.0 / MESH.n_tets)  # the mean log-modulus
 
     def error(signal: float) -> float:
-        return ShapeDesign(shapes, MESH, signal * row).expected_error()
+        return expected_error(shapes, signal * row)
 
     # A uniform change explains all of a datum: lumps remain unseen whatever its noise.
     variance = deviation**2 / (1.0 + (10.0 * deviation) ** 2)
     missed = error(1e6)
     assert 0.0 < missed < 0.1 * np.log(3.0) ** 2
     assert error(10.0) - missed == pytest.approx(variance, rel=0.4)
-    assert ShapeDesign(shapes, MESH, 1e6 * np.eye(MESH.n_tets)).expected_error() < 1e-6
+    assert expected_error(shapes, 1e6 * np.eye(MESH.n_tets)) < 1e-6
+
+
+def test_unexplained_data_count_as_noise(ball: Any, blocks: Any) -> None:
+    """Residuals of three deviations are noise of three deviations, for shapes and other lumps."""
+    rough = replace(ball, chi2=9.0)
+    assert expected_error(rough, 3.0 * blocks[0]) == pytest.approx(expected_error(ball, blocks[0]))
+    assert expected_error(rough, blocks[0]) > expected_error(ball, blocks[0])
 
 
 def state_of(blocks: Any, shapes: ShapeReconstruction | None) -> SamplingState:

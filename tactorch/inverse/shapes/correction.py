@@ -131,12 +131,6 @@ class Correction:
         """Whether some contact ends within a face."""
         return any(rim is not None for _, rim in self.contacts)
 
-    @cached_property
-    def _edges(self) -> Int[np.ndarray, "edges 2"]:
-        """Edges of the common mesh's surface."""
-        a, b, c = self.recording.mesh.surface.triangles.T
-        return np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (b, c), (c, a))])
-
     def offsets(
         self, fit: ShapeFit, evaluation: Evaluation, check: Callable[[], None] = lambda: None
     ) -> list[Float[np.ndarray, " p"]]:
@@ -158,14 +152,14 @@ class Correction:
         every = [_LoadSeries.of(numbers, model.predicted) for numbers, _ in self.contacts]
         meshes, rims = self._plan(model.shapes)
 
-        def work(k: int) -> dict[int, np.ndarray]:
-            if k >= len(meshes):
-                return self._rim_error(model, rims[k - len(meshes)], every, check)
-            contacts, sizing = meshes[k]
-            return self._inclusion_error(model, sizing, [every[c] for c in contacts], check)
-
+        jobs: list[Callable[[], dict[int, np.ndarray]]] = [
+            partial(self._rim_error, model, k, every[k], check) for k in rims
+        ]
+        for contacts, sizing in meshes:
+            chosen = [every[k] for k in contacts]
+            jobs.append(partial(self._inclusion_error, model, sizing, chosen, check))
         offsets = [np.zeros_like(values) for values in model.predicted]
-        for changes in map_cases(work, len(meshes) + len(rims)):
+        for changes in map_cases(lambda k: jobs[k](), len(jobs)):
             for series in every:
                 if changes.keys() >= set(series.ends):
                     for i, change in series.interpolate(changes).items():
@@ -200,10 +194,10 @@ class Correction:
     def _is_near(self, k: int, between: Sizing) -> bool:
         """Whether an inclusion needs edges at contact k much shorter than those of the mesh."""
         loaded = self._loaded(k)
-        edges = self._edges[loaded[self._edges].all(axis=1)]
-        if not len(edges):
+        mesh = self.recording.mesh
+        ends = mesh.points[mesh.edges[loaded[mesh.edges].all(axis=1)]]
+        if not len(ends):
             return False
-        ends = self.recording.mesh.points[edges]
         lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         return bool((between(ends.mean(axis=1)) / lengths).min() < _NEAR_EDGE)
 
@@ -228,10 +222,10 @@ class Correction:
         return self._changes(model, fine.refinement, fine.mesh, youngs, every, check)
 
     def _rim_error(
-        self, model: "_Model", k: int, every: Sequence[_LoadSeries], check: Callable[[], None]
+        self, model: "_Model", k: int, series: _LoadSeries, check: Callable[[], None]
     ) -> dict[int, Float[np.ndarray, " _"]]:
         """Return the error at the rim of contact k, mm; a former one where the moduli remain."""
-        presses, mesh, series = self.recording.presses, self.recording.mesh, every[k]
+        presses, mesh = self.recording.presses, self.recording.mesh
         rim = self.contacts[k][1]
         assert rim is not None
         key = press_key(self.recording, [presses[i] for i in series.ends])

@@ -29,10 +29,13 @@ class RimError(NamedTuple):
 class KeptRims:
     """What a search computes once for each contact with a rim.
 
+    It serves one object, with one material, element type and supports.
+
     Attributes:
         errors: Errors of the discretisation, by presses.
         responses: Changes of the data (mm) of each press of a contact by errors of the traction at
-            each edge of the rim, by presses.
+            each edge of the rim, by presses. They are those of the first model that had these
+            presses: their amplitude is one of a few levels anyway.
     """
 
     errors: dict[Key, RimError] = field(default_factory=dict)
