@@ -236,7 +236,7 @@ CONTACTS = tuple(
     for y in PLACES_MM
 )
 FIRST = len(CONTACTS) // 2  # in the middle
-SCAN = Presses("scan", CONTACTS, (PRESSURE_MPA,), "z-", 0.5, recorded_per_radius=0.45)
+SCAN = Presses("scan", CONTACTS, (PRESSURE_MPA,), "z-", 0.25, recorded_per_radius=0.45)
 
 if __name__ == "__main__":
     main()

@@ -7,12 +7,15 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import RecordingError
 from tactorch.mesh.refine import Refinement, Sizing, refine
+from tactorch.mesh.smooth_tractions import smooth_traction
 from tactorch.mesh.tractions import LoadedSurface, loaded_triangles
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
 
 
-def refine_recording(recording: Recording, sizing: Sizing) -> Recording:
+def refine_recording(
+    recording: Recording, sizing: Sizing, *, smooth_tractions: bool = False
+) -> Recording:
     """Refine the mesh of a recording; the data, loads and supports remain the same.
 
     See `prolong_recording`, which also takes a refinement whose `parents` are needed elsewhere.
@@ -20,6 +23,7 @@ def refine_recording(recording: Recording, sizing: Sizing) -> Recording:
     Args:
         recording: Recording on the coarse mesh.
         sizing: Maximum edge length (mm) at points (mm); see `tactorch.mesh.refine`.
+        smooth_tractions: See `prolong_recording`.
 
     Returns:
         The recording on the fine mesh; `recording` where no edge is too long.
@@ -27,10 +31,13 @@ def refine_recording(recording: Recording, sizing: Sizing) -> Recording:
     Raises:
         ConfigError: `sizing` returns invalid edge lengths.
     """
-    return prolong_recording(recording, refine(recording.mesh, sizing))
+    refinement = refine(recording.mesh, sizing)
+    return prolong_recording(recording, refinement, smooth_tractions=smooth_tractions)
 
 
-def prolong_recording(recording: Recording, refinement: Refinement) -> Recording:
+def prolong_recording(
+    recording: Recording, refinement: Refinement, *, smooth_tractions: bool = False
+) -> Recording:
     """Return a recording on the fine mesh of a refinement of its mesh.
 
     Only the coarse nodes are observed. New nodes have no data, and zero weight where weights are
@@ -51,6 +58,9 @@ def prolong_recording(recording: Recording, refinement: Refinement) -> Recording
     Args:
         recording: Recording on `refinement.coarse`.
         refinement: Coarse and fine mesh.
+        smooth_tractions: Where a contact ends within triangles, and its rim is refined, the
+            traction is the smoothest with these nodal forces that vanishes at the rim; see
+            `tactorch.mesh.smooth_tractions`.
 
     Returns:
         The recording on `refinement.mesh`; `recording` where that has no new nodes.
@@ -75,7 +85,9 @@ def prolong_recording(recording: Recording, refinement: Refinement) -> Recording
     return replace(
         recording,
         mesh=refinement.mesh,
-        presses=tuple(_prolong_press(press, refinement) for press in recording.presses),
+        presses=tuple(
+            _prolong_press(press, refinement, smooth_tractions) for press in recording.presses
+        ),
         truth=None if truth is None else truth[parents],
         reference=None if reference is None else reference[parents],
         unloaded=None
@@ -86,12 +98,12 @@ def prolong_recording(recording: Recording, refinement: Refinement) -> Recording
     )
 
 
-def _prolong_press(press: Press, refinement: Refinement) -> Press:
+def _prolong_press(press: Press, refinement: Refinement, smooth: bool) -> Press:
     rows = ((0, len(refinement.ends)), (0, 0))
     fixed = _prolong_fixed(press.fixed, refinement)
     return replace(
         press,
-        forces=_prolong_forces(press.forces, refinement),
+        forces=_prolong_forces(press.forces, refinement, smooth),
         observed=np.pad(press.observed, rows),
         displacement=np.pad(press.displacement, rows, constant_values=np.nan),
         springs=_prolong_springs(press.springs, refinement),
@@ -102,11 +114,14 @@ def _prolong_press(press: Press, refinement: Refinement) -> Press:
 
 
 def _prolong_forces(
-    forces: Float[np.ndarray, "n 3"], refinement: Refinement
+    forces: Float[np.ndarray, "n 3"], refinement: Refinement, smooth: bool
 ) -> Float[np.ndarray, "fine 3"]:
     """Return the nodal forces of the same traction on the fine mesh."""
     coarse, fine = _loaded(forces, refinement)
-    out = fine.mass @ refinement.interpolate(coarse.tractions(forces))
+    traction = smooth_traction(refinement, coarse, fine, forces) if smooth else None
+    if traction is None:
+        traction = refinement.interpolate(coarse.tractions(forces))
+    out = fine.mass @ traction
     return _with_unchanged(out, forces, coarse, fine)
 
 

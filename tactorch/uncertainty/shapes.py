@@ -29,8 +29,8 @@ from tactorch.inverse.shapes.model import Errors, Model
 from tactorch.inverse.shapes.posterior import Normal, ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.result import InclusionValues
-from tactorch.inverse.shapes.sizing import contact_sizing
-from tactorch.recording import Recording, refine_recording
+from tactorch.inverse.shapes.sizing import refined_at_contacts
+from tactorch.recording import Recording
 from tactorch.uncertainty.importance import (
     LogDensity,
     Proposal,
@@ -272,7 +272,7 @@ class _ExactPosterior:
     ) -> "_ExactPosterior":
         """Return the posterior with the data, errors and corrections of a result."""
         if not is_same_model(recording):
-            recording = refine_recording(recording, contact_sizing(recording))
+            recording = refined_at_contacts(recording)
         problem, approximation = ShapeProblem(recording, settings), result.posterior
         evaluation = _predict(problem, result)
         family = ShapesOnSites(approximation.field, problem.sites)

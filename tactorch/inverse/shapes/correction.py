@@ -37,12 +37,13 @@ from tactorch.inverse.shapes.sizing import (
 from tactorch.linalg import SOLVERS, SolverOptions, map_cases
 from tactorch.linalg.parallel import worker_count
 from tactorch.linalg.solver import AutoSolver
-from tactorch.mesh import Refinement, TetMesh, refine
+from tactorch.mesh import Refinement, refine
 from tactorch.mesh.conform import ClosedSurface, Conforming, conform
 from tactorch.mesh.refine import Sizing
 from tactorch.recording import Recording, prolong_recording
 
-_PER_CONTACT = 0.1  # longest edge at the rim of a contact, over the contact's radius
+_AT_RIM = 0.1  # longest edge at the rim of a contact, over the contact's radius
+_UNDER_CONTACT = 0.15  # longest edge at the loaded surface, over the contact's radius
 _GROWTH = 0.5  # of the longest edge with the distance from the rim
 # Smallest load of a contact over its largest, between which changes are interpolated.
 _MIN_FACTOR, _MAX_FACTOR = 0.1, 0.8
@@ -50,6 +51,20 @@ _NEAR_EDGE = 0.6  # edge that an inclusion needs at a contact near it, over that
 _SAME_MODULI = 0.1  # largest change of log-moduli at a contact that the error at its rim outlasts
 # Equilibria far more accurate than the noise of a sensor, by one or two steps from the common mesh.
 _NEWTON = NewtonOptions(rtol=1e-4)
+
+
+class _FinerMesh(NamedTuple):
+    """A mesh that is fine at the inclusions.
+
+    Attributes:
+        contacts: Contacts whose presses are solved on it.
+        sizing: Longest edges.
+        has_rims: Whether it is also fine at the rims of these contacts.
+    """
+
+    contacts: list[int]
+    sizing: Sizing
+    has_rims: bool
 
 
 class _LoadSeries(NamedTuple):
@@ -155,9 +170,9 @@ class Correction:
         jobs: list[Callable[[], dict[int, np.ndarray]]] = [
             partial(self._rim_error, model, k, every[k], check) for k in rims
         ]
-        for contacts, sizing in meshes:
-            chosen = [every[k] for k in contacts]
-            jobs.append(partial(self._inclusion_error, model, sizing, chosen, check))
+        for mesh in meshes:
+            chosen = [every[k] for k in mesh.contacts]
+            jobs.append(partial(self._inclusion_error, model, mesh, chosen, check))
         offsets = [np.zeros_like(values) for values in model.predicted]
         for changes in map_cases(lambda k: jobs[k](), len(jobs)):
             for series in every:
@@ -166,10 +181,8 @@ class Correction:
                         offsets[i] += change
         return offsets
 
-    def _plan(
-        self, shapes: Sequence[Ellipsoid]
-    ) -> tuple[list[tuple[list[int], Sizing]], list[int]]:
-        """Return longest edges of finer meshes with their contacts, and contacts with rim errors.
+    def _plan(self, shapes: Sequence[Ellipsoid]) -> tuple[list[_FinerMesh], list[int]]:
+        """Return the meshes that are fine at the inclusions, and the contacts with rim errors.
 
         A contact near an inclusion, which needs smaller elements there, has a mesh that is also
         fine at its rim. Contacts with a rim are not observed where supported faces end.
@@ -179,17 +192,19 @@ class Correction:
         at_inclusions = inclusion_sizing(shapes)
         between = observed_sizing(mesh.points[observed], shapes)
         whole = [k for k, (_, rim) in enumerate(self.contacts) if rim is None]
-        plan = [(whole, smallest(at_inclusions, between, sharp_edge_sizing(mesh)))]
+        at_whole = smallest(at_inclusions, between, sharp_edge_sizing(mesh))
+        plan = [_FinerMesh(whole, at_whole, False)]
         far = []
         for k, (_, rim) in enumerate(self.contacts):
             if rim is not None:
                 if between is not None and self._is_near(k, between):
-                    at_rim = rim.sizing(_PER_CONTACT, _GROWTH)
-                    plan.append(([k], smallest(at_inclusions, between, at_rim)))
+                    at_rim = rim.sizing(_AT_RIM, _GROWTH, _UNDER_CONTACT)
+                    sizing = smallest(at_inclusions, between, at_rim)
+                    plan.append(_FinerMesh([k], sizing, True))
                 else:
                     far.append(k)
-        plan.append((far, at_inclusions))
-        return [(contacts, sizing) for contacts, sizing in plan if contacts], far
+        plan.append(_FinerMesh(far, at_inclusions, False))
+        return [finer for finer in plan if finer.contacts], far
 
     def _is_near(self, k: int, between: Sizing) -> bool:
         """Whether an inclusion needs edges at contact k much shorter than those of the mesh."""
@@ -209,17 +224,22 @@ class Correction:
     def _inclusion_error(
         self,
         model: "_Model",
-        sizing: Sizing,
+        finer: _FinerMesh,
         every: Sequence[_LoadSeries],
         check: Callable[[], None],
     ) -> dict[int, Float[np.ndarray, " _"]]:
         """Return the changes of the data by a mesh whose faces follow the inclusions, mm."""
-        refinement = refine(self.recording.mesh, sizing)
+        refinement = refine(self.recording.mesh, finer.sizing)
         if not len(refinement.ends):
             return {}
-        fine = model.conforming(refinement)
-        youngs = partial(model.youngs_beside, fine.sides)
-        return self._changes(model, fine.refinement, fine.mesh, youngs, every, check)
+        conforming = model.conforming(refinement)
+        # Where rims have errors of their own, these include that of the traction.
+        fine = prolong_recording(
+            self.recording, conforming.refinement, smooth_tractions=finer.has_rims
+        )
+        fine = replace(fine, mesh=conforming.mesh)
+        youngs = partial(model.youngs_beside, conforming.sides)
+        return self._changes(model, fine, youngs, every, check)
 
     def _rim_error(
         self, model: "_Model", k: int, series: _LoadSeries, check: Callable[[], None]
@@ -233,11 +253,11 @@ class Correction:
         kept = self.kept.errors.get(key)
         if kept is None or np.abs(kept.log_youngs - log_youngs).max() > _SAME_MODULI:
             check()
-            refinement = refine(mesh, rim.sizing(_PER_CONTACT, _GROWTH))
+            refinement = refine(mesh, rim.sizing(_AT_RIM, _GROWTH, _UNDER_CONTACT))
             changes = {i: np.zeros_like(model.predicted[i]) for i in series.ends}
             if len(refinement.ends):
-                fine = refinement.mesh
-                changes = self._changes(model, refinement, fine, model.youngs, [series], check)
+                fine = prolong_recording(self.recording, refinement, smooth_tractions=True)
+                changes = self._changes(model, fine, model.youngs, [series], check)
             kept = RimError(log_youngs, tuple(changes[i] for i in series.ends))
             self.kept.errors[key] = kept
         return dict(zip(series.ends, kept.changes, strict=True))
@@ -245,8 +265,7 @@ class Correction:
     def _changes(
         self,
         model: "_Model",
-        refinement: Refinement,
-        mesh: TetMesh,
+        fine: Recording,
         youngs_of: Callable[[Sites], Float[np.ndarray, "m q"]],
         every: Sequence[_LoadSeries],
         check: Callable[[], None],
@@ -255,13 +274,11 @@ class Correction:
 
         Args:
             model: The model.
-            refinement: How a finer mesh results from the common one.
-            mesh: That mesh, maybe with nodes moved.
+            fine: The presses on a finer mesh.
             youngs_of: Moduli (MPa) at its quadrature points.
             every: The series.
             check: See `offsets`.
         """
-        fine = replace(prolong_recording(self.recording, refinement), mesh=mesh)
         body = make_body(fine, self.element, self.solver, _NEWTON)
         youngs = youngs_of(Sites.of(body.assembly))
         displacements = model.evaluation.displacements

@@ -33,8 +33,8 @@ from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.proposals import propose
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
-from tactorch.inverse.shapes.sizing import contact_sizing
-from tactorch.recording import Recording, refine_recording
+from tactorch.inverse.shapes.sizing import refined_at_contacts
+from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
 _MAX_SHAPES = 4
@@ -79,7 +79,7 @@ def find_shapes(
     """
     settings = settings or Settings()
     if not is_same_model(recording):
-        recording = refine_recording(recording, contact_sizing(recording))
+        recording = refined_at_contacts(recording)
     problem = ShapeProblem(recording, settings, stop, kept)
     model, history = _first(problem, start)
     try:

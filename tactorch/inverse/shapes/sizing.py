@@ -11,7 +11,7 @@ from tactorch.inverse.shapes.field import Ellipsoid
 from tactorch.mesh import TetMesh
 from tactorch.mesh.refine import Sizing
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
-from tactorch.recording import Recording
+from tactorch.recording import Recording, refine_recording
 
 _PER_RADIUS = 0.5  # longest edge at the boundary of an inclusion, over its radius
 _GROWTH = 0.25  # of the longest edge with the distance from the boundary
@@ -22,6 +22,7 @@ _MIN_GAP = 0.5  # smallest distance that edges follow, over the inclusion's radi
 _PER_SIZE = 0.06  # longest edge at a sharp edge, over the body's size
 _SHARP_GROWTH = 1.0  # of the longest edge with the distance from a sharp edge
 _PER_CONTACT = 0.5  # longest edge at the rim of a contact, over the contact's radius
+_PER_TRIANGLE = 4  # divisions of the edges of loaded triangles into points of the loaded surface
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 
 
@@ -110,6 +111,11 @@ def contact_sizing(recording: Recording) -> Sizing:
     return sizing
 
 
+def refined_at_contacts(recording: Recording) -> Recording:
+    """Return the presses on a mesh that is fine enough at the rims of contacts for fits."""
+    return refine_recording(recording, contact_sizing(recording), smooth_tractions=True)
+
+
 @dataclass(frozen=True, eq=False)
 class Rim:
     """Where the load of a contact ends and the surface goes on.
@@ -117,11 +123,13 @@ class Rim:
     Attributes:
         nodes: Loaded nodes beside which the surface goes on without load.
         tree: Their positions, mm.
+        inside: Points of the loaded surface triangles, mm.
         radius_mm: Radius of a disc of the area of the loaded surface triangles.
     """
 
     nodes: Int[np.ndarray, " k"]
     tree: cKDTree
+    inside: cKDTree
     radius_mm: float
 
     @staticmethod
@@ -137,14 +145,34 @@ class Rim:
         corners = surface.triangles[~inside]
         smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
         rim = np.unique(corners[smooth & loaded[corners]])
-        return Rim(rim, cKDTree(mesh.points[rim]), radius) if len(rim) else None
+        if not len(rim):
+            return None
+        within = mesh.points[surface.triangles[inside]]
+        sampled = np.einsum("sc,tcd->tsd", _lattice(_PER_TRIANGLE), within).reshape(-1, 3)
+        return Rim(rim, cKDTree(mesh.points[rim]), cKDTree(sampled), radius)
 
-    def sizing(self, per_radius: float, growth: float) -> Sizing:
-        """Return `per_radius` times the radius at the rim, longer with the distance from it."""
+    def sizing(self, per_radius: float, growth: float, inside: float | None = None) -> Sizing:
+        """Return `per_radius` times the radius at the rim, longer with the distance from it.
+
+        Args:
+            per_radius: Longest edge at the rim, over the radius.
+            growth: Increase of the longest edge with the distance.
+            inside: Longest edge at the loaded surface, over the radius; no limit by default.
+        """
 
         def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-            shortest = per_radius * self.radius_mm
-            beyond = np.maximum(self.tree.query(points)[0] - shortest, 0.0)
-            return np.asarray(shortest + growth * beyond)
+            lengths = np.full(len(points), np.inf)
+            for tree, per in ((self.tree, per_radius), (self.inside, inside)):
+                if per is not None:
+                    shortest = per * self.radius_mm
+                    beyond = np.maximum(tree.query(points)[0] - shortest, 0.0)
+                    lengths = np.minimum(lengths, shortest + growth * beyond)
+            return lengths
 
         return sizing
+
+
+def _lattice(count: int) -> Float[np.ndarray, "points 3"]:
+    """Return barycentric coordinates of points that divide each edge of a triangle."""
+    first, second = np.array([(i, j) for i in range(count + 1) for j in range(count + 1 - i)]).T
+    return np.column_stack([first, second, count - first - second]) / count
