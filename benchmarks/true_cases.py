@@ -225,8 +225,8 @@ class Presses:
 
     @property
     def parts(self) -> "tuple[Presses, ...]":
-        """Presses that are solved on a separate truth mesh: each patch, or all of them."""
-        if not any(contact.has_sharp_rim for contact in self.contacts):
+        """Presses that are solved on a separate truth mesh: each patch or finger, or all sides."""
+        if any(contact.radius_mm is None for contact in self.contacts):
             return (self,)
         return tuple(replace(self, contacts=(contact,)) for contact in self.contacts)
 
@@ -476,8 +476,8 @@ PRESSES: dict[str, Presses] = {
         # On a soft layer 20 kPa are near an instability at the sharp edges of the truth mesh.
         Presses("gentle", _SIDES, (0.005, 0.01)),
         Presses("patches", _PATCHES, (0.02,), refined_mm=0.35),
-        Presses("fingers", _FINGERS, (0.012,), "z-", refined_mm=0.6),
-        Presses("palpation", _PALPATION, (0.004,), "z-", refined_mm=1.6),
+        Presses("fingers", _FINGERS, (0.012,), "z-", refined_mm=0.3),
+        Presses("palpation", _PALPATION, (0.004,), "z-", refined_mm=0.8),
     )
 }
 
