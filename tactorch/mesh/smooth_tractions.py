@@ -20,6 +20,7 @@ from tactorch.mesh.tractions import LoadedSurface
 
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across an edge
 _MAX_JUMP = 0.5  # median traction at the rim over the mean, of a contact that ends within triangles
+_MIN_REFINED = 0.5  # fraction of the edges of the rim
 _SOFTNESS = 1e-10  # of the constraints, which are dependent where few fine nodes are free
 _MAX_ERROR = 1e-6  # of the nodal forces, over the largest
 
@@ -39,15 +40,17 @@ def smooth_traction(
         forces: Nodal forces on the coarse mesh, N.
 
     Returns:
-        Its values at the fine nodes. None where the loaded surface ends at edges of the body only,
-        where its rim is not refined all along, or where the traction jumps at its rim: the traction
-        that is linear on each coarse triangle is at its rim half the mean or more.
+        Its values at the fine nodes; at edges of the rim that are not refined it does not vanish.
+        None where the loaded surface ends at edges of the body only, where less than half of its
+        rim is refined, or where the traction jumps at its rim: the traction that is linear on each
+        coarse triangle is at its rim half the mean or more.
     """
     rim = rim_edges(refinement.coarse.surface, coarse.triangles)
-    if not len(rim) or not _are_bisected(refinement, rim) or _jumps(coarse, rim, forces):
+    bisected = _are_bisected(refinement, rim)
+    if not len(rim) or bisected.mean() < _MIN_REFINED or _jumps(coarse, rim, forces):
         return None
-    fine_rim = rim_edges(refinement.mesh.surface, fine.triangles)
-    free = np.setdiff1d(fine.nodes, fine_rim)
+    vanishing = np.setdiff1d(rim_edges(refinement.mesh.surface, fine.triangles), rim[~bisected])
+    free = np.setdiff1d(fine.nodes, vanishing)
     # Mean tractions over the hat functions, as the constraints then have comparable sizes.
     integrals = (fine.mass @ refinement.prolongation)[:, coarse.nodes]
     areas = np.asarray(integrals.sum(axis=0)).ravel()
@@ -83,11 +86,11 @@ def rim_edges(surface: Surface, loaded: Int[np.ndarray, "k 3"]) -> Int[np.ndarra
     return np.asarray(np.sort(sides[pairs[smooth & (ends[:, 0] != ends[:, 1]), 0]], axis=1))
 
 
-def _are_bisected(refinement: Refinement, edges: Int[np.ndarray, "k 2"]) -> Bool[np.bool_, ""]:
-    """Whether each of these coarse edges has a new node."""
+def _are_bisected(refinement: Refinement, edges: Int[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
+    """Return whether each of these coarse edges has a new node."""
     n = refinement.mesh.n_points
     bisected = row_keys(np.sort(refinement.ends, axis=1), n)
-    return np.isin(row_keys(edges, n), bisected).all()
+    return np.asarray(np.isin(row_keys(edges, n), bisected))
 
 
 def _jumps(
