@@ -31,7 +31,7 @@ PAGES = {
     ),
     "fem": (
         "Mechanics",
-        ["tactorch.fem", "tactorch.fem.materials", "tactorch.linalg"],
+        ["tactorch.fem", "tactorch.fem.contact", "tactorch.fem.materials", "tactorch.linalg"],
     ),
     "mesh": ("Meshes", ["tactorch.mesh"]),
     "sensor": (

@@ -14,6 +14,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import boundary
 from tactorch.fem.assembly import Assembly
 from tactorch.fem.boundary import Forces, Points, Supports, Surface
+from tactorch.fem.contact import Contact
 from tactorch.fem.elements import ELEMENTS, ConsistentLoads, Discretisation
 from tactorch.fem.equilibrium import Equilibrium, LoadCases
 from tactorch.fem.materials import Material
@@ -120,6 +121,7 @@ class SoftBody:
         assembly: Assembly | None = None,
         after: Newton | None = None,
         lease: SharedLease | None = None,
+        contact: Contact | None = None,
     ) -> Newton:
         """Return the equilibrium search of one load case, for use without autograd.
 
@@ -133,6 +135,7 @@ class SoftBody:
                 steps need no factorisation and large meshes memory for one only. The search
                 `after` then has to factor again.
             lease: Factorisations that the search shares with others of similar tangents.
+            contact: Contact with a rigid probe.
         """
         self._check(youngs, forces)
         return Newton(
@@ -144,6 +147,7 @@ class SoftBody:
             self.newton,
             after,
             lease,
+            contact,
         )
 
     def with_parameters(
@@ -192,9 +196,10 @@ class SoftBody:
         supports: Supports,
         *,
         start: Float[np.ndarray, "nodes 3"] | None = None,
+        contact: Contact | None = None,
     ) -> EquilibriumResult:
         """Find one equilibrium, without autograd; a failure is returned with its reason."""
-        return self.search(youngs, forces, supports).run(start)
+        return self.search(youngs, forces, supports, contact=contact).run(start)
 
     def solve(
         self,
@@ -205,6 +210,8 @@ class SoftBody:
         poisson: Float[Tensor, "*m"] | None = None,
         points: Float[Tensor, "n 3"] | None = None,
         start: Float[np.ndarray, "*cases nodes 3"] | None = None,
+        contacts: Contact | Sequence[Contact] = (),
+        probes: Float[Tensor, "*cases parameters"] | None = None,
     ) -> Float[Tensor, "*cases nodes 3"]:
         """Displacement at equilibrium (eq. 5), differentiable to second order.
 
@@ -217,6 +224,8 @@ class SoftBody:
             poisson: Poisson's ratio, if differentiated or different from the material's.
             points: Rest positions, mm, if differentiated or different from the mesh's.
             start: Initial displacements, mm.
+            contacts: Contact with a rigid probe, one for each case.
+            probes: Parameters of the probes (`Contact.parameters`), if differentiated or different.
 
         Returns:
             Displacement of every node, mm.
@@ -227,8 +236,13 @@ class SoftBody:
         """
         if poisson is None:
             poisson = torch.as_tensor(self.assembly.poisson, dtype=torch.float64)
+        touching = (contacts,) if isinstance(contacts, Contact) else tuple(contacts)
+        if touching and points is not None:
+            raise ConfigError("points cannot be given with contacts; leave them out.")
         points = torch.tensor(self.mesh.points) if points is None else points
         values = {"youngs": youngs, "forces": forces, "poisson": poisson, "points": points}
+        if probes is not None:
+            values["probes"] = probes
         for name, value in values.items():
             if value.dtype != torch.float64:
                 raise ConfigError(f"{name} is {value.dtype}; mechanics needs torch.float64.")
@@ -247,13 +261,34 @@ class SoftBody:
                 f"start has shape {initial.shape}; expected {tuple(batch.shape)}, all nodes."
             )
         f = batch.detach().numpy()
+        placed, parameters = self._placed(touching, probes, len(batch))
 
         def search(i: int) -> Newton:
-            return self.search(e, f[i], supports, i, assembly)
+            contact = placed[i] if placed else None
+            return self.search(e, f[i], supports, i, assembly, contact=contact)
 
-        problem = LoadCases(self.assembly, search, initial)
-        u = Equilibrium.apply(youngs, poisson, batch, points, problem)
+        problem = LoadCases(self.assembly, search, initial, touching)
+        u = Equilibrium.apply(youngs, poisson, batch, points, parameters, problem)
         return u[0] if single else u
+
+    def _placed(
+        self, contacts: tuple[Contact, ...], probes: Tensor | None, count: int
+    ) -> tuple[tuple[Contact, ...], Tensor]:
+        """Return the contacts with the given parameters of their probes, and these, one a case."""
+        if len(contacts) not in (0, count):
+            raise ConfigError(f"there are {len(contacts)} contacts for {count} load cases.")
+        if probes is None:
+            own = [torch.from_numpy(contact.parameters) for contact in contacts]
+            return contacts, torch.stack(own) if own else torch.zeros(count, 0, dtype=torch.float64)
+        rows = probes[None] if probes.ndim == 1 else probes
+        expected = [len(contact.parameters) for contact in contacts]
+        if [len(row) for row in rows] != expected:
+            raise ConfigError(
+                f"probes have shape {tuple(probes.shape)}; expected one row for each contact, of "
+                f"{expected} parameters."
+            )
+        pairs = zip(contacts, rows.detach().numpy(), strict=True)
+        return tuple(contact.with_parameters(row) for contact, row in pairs), rows
 
 
 class _LinearMap(torch.autograd.Function):

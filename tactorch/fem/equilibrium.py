@@ -7,13 +7,14 @@ With the residual R(u; e, nu, f, X) = 0 and its tangent K = dR/du:
   moduli dR/de are the unit forces of the elements (eq. 11). (The paper's eq. 12 and 13 each carry
   a minus; one of them is redundant.)
 - jvp: one solve with the change of R;
+- contact with a rigid probe is a part of R that depends on the probe's parameters;
 - backward of backward: the adjoint solve is itself a differentiable function, whose derivative
   is another solve and the derivative of v . K l, by `reference`.
 
 Hyperelasticity has no memory: only the final state matters, whatever load steps led to it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -25,6 +26,7 @@ from torch import Tensor
 
 from tactorch.fem import reference
 from tactorch.fem.assembly import Assembly
+from tactorch.fem.contact import Contact
 from tactorch.fem.linearization import Linearization
 from tactorch.fem.newton import EquilibriumResult, Newton
 from tactorch.linalg import map_cases
@@ -45,11 +47,15 @@ class SolvedCase:
 
 @dataclass(eq=False)
 class LoadCases:
-    """Load cases, by the equilibrium search of each, and their equilibria."""
+    """Load cases, by the equilibrium search of each, and their equilibria.
+
+    With contacts, there is one for each case, and `probes` has its parameters.
+    """
 
     body: Assembly
     search: Callable[[int], Newton]
     start: Float[np.ndarray, "cases nodes 3"] | None
+    contacts: Sequence[Contact] = ()
     solved: list[SolvedCase] = field(default_factory=list)
 
     def equilibrate(self, count: int, factor: bool) -> Tensor:
@@ -73,33 +79,42 @@ class LoadCases:
         return torch.from_numpy(np.stack(columns).reshape(b.shape))
 
     def work(
-        self, u: Tensor, v: Tensor, youngs: Tensor, poisson: Tensor, points: Tensor
+        self, u: Tensor, v: Tensor, youngs: Tensor, poisson: Tensor, points: Tensor, probes: Tensor
     ) -> Float[Tensor, ""]:
-        """Virtual work of the elastic forces at `u` on `v`, over all cases."""
+        """Virtual work of the elastic and contact forces at `u` on `v`, over all cases."""
         work = reference.element_work(self.body, u, v, poisson, points, per_point=youngs.ndim == 2)
-        return (work * youngs).sum()
+        total = (work * youngs).sum()
+        for contact, *fields in zip(self.contacts, u, v, probes, strict=bool(self.contacts)):
+            total = total + contact.work(*fields)
+        return total
 
 
 class Equilibrium(torch.autograd.Function):
-    """u(youngs, poisson, forces, points); use it through `SoftBody.solve`."""
+    """u(youngs, poisson, forces, points, probes); use it through `SoftBody.solve`."""
 
     @staticmethod
     def forward(  # noqa: D102
-        ctx: Any, youngs: Tensor, poisson: Tensor, forces: Tensor, points: Tensor, cases: LoadCases
+        ctx: Any,
+        youngs: Tensor,
+        poisson: Tensor,
+        forces: Tensor,
+        points: Tensor,
+        probes: Tensor,
+        cases: LoadCases,
     ) -> Tensor:
-        u = cases.equilibrate(len(forces), factor=any(ctx.needs_input_grad[:4]))
+        u = cases.equilibrate(len(forces), factor=any(ctx.needs_input_grad[:5]))
         ctx.cases = cases
-        ctx.save_for_backward(u, youngs, poisson, points)
-        ctx.save_for_forward(u, youngs, poisson, points)
+        ctx.save_for_backward(u, youngs, poisson, points, probes)
+        ctx.save_for_forward(u, youngs, poisson, points, probes)
         return u
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> Any:  # noqa: D102
-        u, youngs, poisson, points = ctx.saved_tensors
+        u, youngs, poisson, points, probes = ctx.saved_tensors
         need = ctx.needs_input_grad
         cases: LoadCases = ctx.cases
-        adjoint = AdjointSolve.apply(grad, u, youngs, poisson, points, cases)
-        d_youngs = d_poisson = d_points = None
+        adjoint = AdjointSolve.apply(grad, u, youngs, poisson, points, probes, cases)
+        d_youngs = d_poisson = d_points = d_probes = None
         if need[0] and torch.is_grad_enabled():
             d_youngs = -reference.element_work(
                 cases.body, u, adjoint, poisson, points, per_point=youngs.ndim == 2
@@ -109,20 +124,22 @@ class Equilibrium(torch.autograd.Function):
             pairs = zip(cases.solved, fields, strict=True)
             works = [case.linearization.unit_work(v) for case, v in pairs]
             d_youngs = -torch.from_numpy(np.sum(works, axis=0)).reshape(youngs.shape)
-        state = (u, adjoint, youngs, poisson, points)
+        state = (u, adjoint, youngs, poisson, points, probes)
         if need[1]:
             d_poisson = -torch.func.grad(cases.work, argnums=3)(*state)
         if need[3]:
             d_points = -torch.func.grad(cases.work, argnums=4)(*state)
-        return d_youngs, d_poisson, adjoint if need[2] else None, d_points, None
+        if need[4]:
+            d_probes = -torch.func.grad(cases.work, argnums=5)(*state)
+        return d_youngs, d_poisson, adjoint if need[2] else None, d_points, d_probes, None
 
     @staticmethod
     def jvp(  # noqa: D102
-        ctx: Any, d_youngs: Any, d_poisson: Any, d_forces: Any, d_points: Any, _: Any
+        ctx: Any, d_youngs: Any, d_poisson: Any, d_forces: Any, d_points: Any, d_probes: Any, _: Any
     ) -> Tensor:
         u, *parameters = ctx.saved_tensors
         cases: LoadCases = ctx.cases
-        changes = {2: d_youngs, 3: d_poisson, 4: d_points}
+        changes = {2: d_youngs, 3: d_poisson, 4: d_points, 5: d_probes}
         changes = {argument: d for argument, d in changes.items() if d is not None}
 
         def work_change(v: Tensor) -> Tensor:
@@ -138,7 +155,7 @@ class Equilibrium(torch.autograd.Function):
 
 
 class AdjointSolve(torch.autograd.Function):
-    """l = K(u, youngs, poisson, points)^-1 g, differentiable in all of them."""
+    """l = K(u, youngs, poisson, points, probes)^-1 g, differentiable in all of them."""
 
     @staticmethod
     def forward(ctx: Any, g: Tensor, *state: Any) -> Tensor:  # noqa: D102
@@ -158,5 +175,5 @@ class AdjointSolve(torch.autograd.Function):
             """Work v . K l, as the change of the virtual work on v along l."""
             return (torch.func.grad(cases.work)(u, v, *parameters) * solution).sum()
 
-        slopes = torch.func.grad(stiffness_work, argnums=(0, 1, 2, 3))(*state)
+        slopes = torch.func.grad(stiffness_work, argnums=(0, 1, 2, 3, 4))(*state)
         return v, *(-slope for slope in slopes), None

@@ -15,6 +15,7 @@ from tactorch.config import Options, option
 from tactorch.errors import ConvergenceError
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.fem.boundary import CaseSupports
+from tactorch.fem.contact import Contact
 from tactorch.fem.linearization import Linearization
 from tactorch.linalg import SolverPool, conjugate_gradients
 from tactorch.linalg.dense import column_rank, dot
@@ -91,10 +92,11 @@ class Newton:
         options: NewtonOptions,
         after: "Newton | None" = None,
         lease: Lease | SharedLease | None = None,
+        contact: Contact | None = None,
     ) -> None:
         self.assembly, self.pattern = assembly, pool.pattern
         self.youngs, self.forces, self.supports = youngs, forces, supports
-        self.options = options
+        self.options, self.contact = options, contact
         self._fixed = supports.fixed.ravel()
         self._pool = pool
         # A linear problem converges in one step, if it is solved exactly.
@@ -117,6 +119,8 @@ class Newton:
             return EquilibriumResult(rest, False, reason)
         start = rest if start is None else start
         try:
+            if self.contact is not None and not self.contact.pushes_ahead(start):
+                return self._load_stepping(0)
             result = self._at_load(1.0, start, self.options.max_iterations)
             return result if result.converged else self._load_stepping(result.iterations)
         except ConvergenceError as error:  # of the linear solver: smaller steps do not help
@@ -131,7 +135,7 @@ class Newton:
         assert result.response is not None
         if not rtol:
             self._use_double_precision()
-        tangent = self.assembly.tangent(result.response, self.youngs, self.supports.springs)
+        tangent = self._tangent(result.response, result.displacement, 1.0)
         values = self.pattern.apply_dirichlet(tangent, self._fixed)
         state = (self.assembly, self.youngs, result.displacement, result.response)
         return Linearization(*state, values, self._fixed, self.pattern, self._lease, rtol)
@@ -179,11 +183,15 @@ class Newton:
         elastic = dot(self.youngs.ravel(), response.energy.ravel())
         springs = 0.5 * float((self.supports.springs * u * u).sum())
         work = load * float((self.forces * u).sum())
-        return elastic + springs - work, abs(elastic) + springs + abs(work)
+        touching = 0.0 if self.contact is None else self.contact.moved(load).energy(u)
+        total = elastic + springs + touching - work
+        return total, abs(elastic) + springs + touching + abs(work)
 
     def _residual(self, response: Response, u: np.ndarray, load: float) -> tuple[np.ndarray, float]:
         """Unbalanced forces (flat, zero at fixed unknowns), and the largest force."""
         internal = self.assembly.internal_force(response, self.youngs) + self.supports.springs * u
+        if self.contact is not None:
+            internal += self.contact.moved(load).at(u).forces
         balance = (internal - load * self.forces).ravel()
         scale = max(np.abs(internal).max(), load * np.abs(self.forces).max())
         return np.where(self._fixed, 0.0, balance), float(scale)
@@ -212,7 +220,7 @@ class Newton:
             # Accuracy of a step: that of Newton's quadratic convergence, or of the last step.
             rtol = max(relative, 0.3 * self.options.rtol / max(relative, self.options.rtol))
             rtol = min(max(rtol, _MIN_STEP_RTOL), _MAX_STEP_RTOL)
-            step = self._step(response, residual, jump, rtol)
+            step = self._step(response, u, load, residual, jump, rtol)
             if step is None:
                 reason = (
                     "The tangent stays singular: a part of the object is not held, or moduli span "
@@ -238,15 +246,31 @@ class Newton:
         counts = (iteration, int(converged), relative, energies)
         return EquilibriumResult(u, converged, reason, *counts, response if converged else None)
 
+    def _tangent(
+        self, response: Response, u: np.ndarray, load: float, *, project: bool = False
+    ) -> np.ndarray:
+        """Values of the tangent; with `project` those of elements and contact are semi-definite."""
+        springs = self.supports.springs
+        values = self.assembly.tangent(response, self.youngs, springs, project=project)
+        if self.contact is not None:
+            contact = self.contact.moved(load)
+            contact.add_tangent(values, contact.at(u), project=project)
+        return values
+
     def _step(
-        self, response: Response, residual: np.ndarray, jump: np.ndarray, rtol: float
+        self,
+        response: Response,
+        u: np.ndarray,
+        load: float,
+        residual: np.ndarray,
+        jump: np.ndarray,
+        rtol: float,
     ) -> np.ndarray | None:
         """Newton step, in which fixed unknowns move by `jump`; None if the tangent is singular."""
-        body, springs = self.assembly, self.supports.springs
-        tangent = body.tangent(response, self.youngs, springs)
+        tangent = self._tangent(response, u, load)
         step = self._solve(tangent, residual, jump, rtol)
         if step is None or (not jump.any() and dot(residual, step) > 0.0):
-            tangent = body.tangent(response, self.youngs, springs, project=True)
+            tangent = self._tangent(response, u, load, project=True)
             step = self._solve(tangent, residual, jump)
         if step is None:  # semi-definite and singular
             tangent[self.pattern.diagonal] *= 1.0 + 1e-6

@@ -233,7 +233,7 @@ class Correction:
         if not len(refinement.ends):
             return {}
         conforming = model.conforming(refinement)
-        # Where rims have errors of their own, these include that of the traction.
+        # Where rims have separate errors, these include that of the traction.
         fine = prolong_recording(
             self.recording, conforming.refinement, smooth_tractions=finer.has_rims
         )
