@@ -481,7 +481,8 @@ def test_the_correction_is_the_error_of_the_common_mesh():
 
     problem, fit, before = evaluate(recording)
     rim = Rim.of(recording.mesh, recording.presses[0].forces[:, 2] != 0)
-    _, _, finest = evaluate(refine_recording(recording, rim.sizing(0.12, 0.9)))
+    sizing = rim.sizing(0.12, 0.7, 0.2)
+    _, _, finest = evaluate(refine_recording(recording, sizing, smooth_tractions=True))
     correction = Correction.of(problem, "tet10", "auto")
     offsets = correction.offsets(fit, before)
     n = recording.mesh.n_points
