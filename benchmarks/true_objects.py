@@ -307,7 +307,10 @@ def run(
         answer = method(recording, settings)
     except TactorchError as error:
         return {"error": str(error), "seconds": time.perf_counter() - began}
-    return score(Truth.of(case.body), answer)
+    scores = score(Truth.of(case.body), answer)
+    # The table has the cases in order: a long one would hide those that have ended.
+    print(_row(case.name, scores), file=sys.stderr, flush=True)
+    return scores
 
 
 def score(truth: Truth, answer: Answer) -> dict[str, Any]:
