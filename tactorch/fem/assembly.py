@@ -206,6 +206,13 @@ class Assembly:
         size = self.discretisation.unknowns.shape[1]
         dense = np.zeros((len(entries), size, size))
         dense[:, rows, cols] = dense[:, cols, rows] = entries
-        eigenvalues, vectors = np.linalg.eigh(dense)
-        positive = (vectors * np.maximum(eigenvalues, 0.0)[:, None, :]) @ vectors.swapaxes(1, 2)
-        return positive[:, rows, cols]
+        return positive_part(dense)[:, rows, cols]
+
+
+def positive_part(blocks: Float[np.ndarray, "m k k"]) -> Float[np.ndarray, "m k k"]:
+    """Return symmetric matrices with their negative eigenvalues set to zero."""
+    eigenvalues, vectors = np.linalg.eigh(blocks)
+    positive: np.ndarray = (vectors * np.maximum(eigenvalues, 0.0)[:, None, :]) @ vectors.swapaxes(
+        1, 2
+    )
+    return positive

@@ -45,11 +45,13 @@ def smooth_traction(
         rim is refined, or where the traction jumps at its rim: the traction that is linear on each
         coarse triangle is at its rim half the mean or more.
     """
-    rim = rim_edges(refinement.coarse.surface, coarse.triangles)
+    rim = loaded_boundary(refinement.coarse.surface, coarse.triangles)
     bisected = _are_bisected(refinement, rim)
     if not len(rim) or bisected.mean() < _MIN_REFINED or _jumps(coarse, rim, forces):
         return None
-    vanishing = np.setdiff1d(rim_edges(refinement.mesh.surface, fine.triangles), rim[~bisected])
+    vanishing = np.setdiff1d(
+        loaded_boundary(refinement.mesh.surface, fine.triangles), rim[~bisected]
+    )
     free = np.setdiff1d(fine.nodes, vanishing)
     # Mean tractions over the hat functions, as the constraints then have comparable sizes.
     integrals = (fine.mass @ refinement.prolongation)[:, coarse.nodes]
@@ -66,7 +68,7 @@ def smooth_traction(
     return traction if error <= _MAX_ERROR * np.abs(forces).max() else None
 
 
-def rim_edges(surface: Surface, loaded: Int[np.ndarray, "k 3"]) -> Int[np.ndarray, "edges 2"]:
+def loaded_boundary(surface: Surface, loaded: Int[np.ndarray, "k 3"]) -> Int[np.ndarray, "edges 2"]:
     """Return the edges where loaded triangles end and the surface goes on smoothly.
 
     Args:

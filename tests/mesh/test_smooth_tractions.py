@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.mesh import Refinement, box_mesh, face_nodes, refine
-from tactorch.mesh.smooth_tractions import rim_edges, smooth_traction
+from tactorch.mesh.smooth_tractions import loaded_boundary, smooth_traction
 from tactorch.mesh.tractions import LoadedSurface, loaded_triangles
 
 MESH = box_mesh(10.0, 11, tets_per_cell=5)
@@ -77,7 +77,7 @@ def test_the_nodal_forces_are_kept_and_the_rim_is_free(kind, center, shear) -> N
     assert traction is not None
     back = refinement.prolongation.T @ (fine.mass @ traction)
     np.testing.assert_allclose(back, forces, atol=1e-6 * np.abs(forces).max())
-    rim = np.unique(rim_edges(refinement.mesh.surface, fine.triangles))
+    rim = np.unique(loaded_boundary(refinement.mesh.surface, fine.triangles))
     assert len(rim)
     assert not traction[rim].any()
     assert not np.delete(traction, fine.nodes, axis=0).any()
@@ -109,7 +109,7 @@ def test_it_is_smoother_than_any_other_with_the_same_forces() -> None:
     coarse, fine = _loaded(refinement, forces)
     traction = smooth_traction(refinement, coarse, fine, forces)
     assert traction is not None
-    free = np.setdiff1d(fine.nodes, rim_edges(refinement.mesh.surface, fine.triangles))
+    free = np.setdiff1d(fine.nodes, loaded_boundary(refinement.mesh.surface, fine.triangles))
     integrals = (fine.mass @ refinement.prolongation)[free][:, coarse.nodes].toarray()
     corners = refinement.mesh.points[fine.triangles][..., :2]
 
@@ -146,7 +146,7 @@ def test_whole_sides_and_rims_that_are_not_refined_are_left_as_they_are() -> Non
     whole[face_nodes(MESH, "z+"), 2] = -1.0
     center = np.array([5.0, 5.0])
     refinement = _refined()
-    assert not len(rim_edges(MESH.surface, _loaded(refinement, whole)[0].triangles))
+    assert not len(loaded_boundary(MESH.surface, _loaded(refinement, whole)[0].triangles))
     assert smooth_traction(refinement, *_loaded(refinement, whole), whole) is None
     forces = _forces("parabola", center, np.array([0.0, 0.0, -1.0]))
     beside = refine(MESH, lambda p: 0.5 + np.linalg.norm(p - [3.0, 5.0, 10.0], axis=1))

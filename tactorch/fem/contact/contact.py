@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from tactorch.errors import ConfigError
+from tactorch.fem.assembly import positive_part
 from tactorch.fem.contact.probes import Probe
 from tactorch.fem.elements import Discretisation
 
@@ -277,9 +278,7 @@ class Contact:
             return
         d, blocks = self.discretisation, response.blocks
         if project:
-            eigenvalues, vectors = np.linalg.eigh(blocks)
-            kept = np.maximum(eigenvalues, 0.0)[:, None, :]
-            blocks = (vectors * kept) @ vectors.swapaxes(1, 2)
+            blocks = positive_part(blocks)
         local = (3 * self._local[response.rows][:, :, None] + np.arange(3)).reshape(len(blocks), -1)
         size = d.unknowns.shape[1]
         whole = np.zeros((len(blocks), size, size))

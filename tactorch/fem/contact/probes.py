@@ -3,6 +3,7 @@
 A probe pushes along its -z axis. The distance is negative within the probe.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from typing import ClassVar
 
@@ -16,7 +17,7 @@ from tactorch.errors import ConfigError
 _ROUND_OFF = 1e-30  # mm^2, added below the square root, whose derivative at zero is not finite
 
 
-class Probe(Options):
+class Probe(Options, ABC):
     """A rigid body that is pressed into a soft one.
 
     The fields of a subclass are its sizes in mm, in the order of `sizes`.
@@ -29,6 +30,7 @@ class Probe(Options):
         """Sizes, mm."""
         return tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
 
+    @abstractmethod
     def distance(
         self, points: Float[Tensor, "k 3"], sizes: Float[Tensor, " s"]
     ) -> Float[Tensor, " k"]:
@@ -38,7 +40,6 @@ class Probe(Options):
             points: Positions in the probe's axes, mm.
             sizes: Sizes, mm: those of the probe, or others that are differentiated.
         """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
