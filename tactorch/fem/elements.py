@@ -175,6 +175,20 @@ class Discretisation:
         low, high = np.minimum(first, second), np.maximum(first, second)
         return n + np.searchsorted(self.edges[:, 0] * n + self.edges[:, 1], low * n + high)
 
+    def surface_nodes(self, triangles: Int[np.ndarray, "t 3"]) -> Int[np.ndarray, "t k"]:
+        """Return the nodes of surface triangles: vertices, then midsides of their edges."""
+        if not self.element.quadratic:
+            return triangles
+        midsides = [self.midside(triangles[:, a], triangles[:, (a + 1) % 3]) for a in range(3)]
+        return np.column_stack([triangles, *midsides])
+
+    def surface_values(self, barycentric: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p k"]:
+        """Return the shape functions at points of a triangle, in the order of `surface_nodes`."""
+        if not self.element.quadratic:
+            return barycentric
+        mixed = [4.0 * barycentric[:, a] * barycentric[:, (a + 1) % 3] for a in range(3)]
+        return np.column_stack([barycentric * (2.0 * barycentric - 1.0), *mixed])
+
     @cached_property
     def entry_rows_cols(self) -> tuple[Int[np.ndarray, " entries"], Int[np.ndarray, " entries"]]:
         """Row and column in the element matrix of each stored entry, in the kernels' order."""

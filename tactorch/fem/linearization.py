@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from tactorch.errors import ConvergenceError
 from tactorch.fem import kernels, reference
 from tactorch.fem.assembly import Assembly, Response
+from tactorch.fem.reading_rates import ReadingRates
 from tactorch.linalg import SymmetricPattern, conjugate_gradients
 from tactorch.linalg.pool import Lease, SharedLease
 from tactorch.linalg.solver import IndefiniteError
@@ -162,51 +163,103 @@ class Linearization:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """The derivative S du/de of observed displacements by Young's moduli.
+    """The derivative of the data of a press by Young's moduli.
 
     There is one modulus for each element, or one for each quadrature point, in the order of the
-    flattened array of moduli.
+    flattened array of moduli. The data are displacements, maybe followed by other readings.
 
     Attributes:
         linearization: The equilibrium.
         observed: Observed unknowns, 3 node + axis.
         frame: Rotation into the axes of the observation; None for those of the mesh.
+        readings: Derivatives of further data.
     """
 
     linearization: Linearization
     observed: Int[np.ndarray, " p"]
     frame: Float[np.ndarray, "3 3"] | None = None
+    readings: ReadingRates | None = None
 
     @cached_property
     def selection(self) -> sp.csr_matrix:
-        """Matrix S from the unknowns to the observed components, (p, size)."""
+        """Matrix S of the derivatives by the displacements, (data, unknowns)."""
         size = self.linearization.fixed.size
         rows = sp.identity(size, format="csr")[self.observed]
-        frame = self.frame
-        return rows if frame is None else (rows @ sp.kron(sp.identity(size // 3), frame)).tocsr()
+        if self.frame is not None:
+            rows = (rows @ sp.kron(sp.identity(size // 3), self.frame)).tocsr()
+        if self.readings is None:
+            return rows
+        return sp.vstack([rows, self.readings.by_displacement], format="csr")
 
-    def matrix(self) -> Float[np.ndarray, "p moduli"]:
-        """Return S du/de, mm/MPa (eq. 13 and 14)."""
-        out = np.empty((len(self.observed), self.linearization.youngs.size))
-        for begin in range(0, len(self.observed), _MAX_COLUMNS):
-            loads = self.selection[begin : begin + _MAX_COLUMNS].T.toarray(order="F")
-            fields = self.linearization.solve(loads)
-            out[begin : begin + _MAX_COLUMNS] = -self.linearization.unit_work(fields).T
+    @cached_property
+    def _direct(self) -> sp.csr_matrix | None:
+        """Derivatives by elastic forces, (data, unknowns); None where all are zero."""
+        if self.readings is None or not self.readings.by_forces.nnz:
+            return None
+        above = sp.csr_matrix((len(self.observed), self.linearization.fixed.size))
+        return sp.vstack([above, self.readings.by_forces], format="csr")
+
+    def matrix(self) -> Float[np.ndarray, "data moduli"]:
+        """Return the derivative, 1/MPa times the unit of each datum (eq. 13 and 14)."""
+        count = self.selection.shape[0]
+        out = np.empty((count, self.linearization.youngs.size))
+        for begin in range(0, count, _MAX_COLUMNS):
+            rows = slice(begin, begin + _MAX_COLUMNS)
+            fields = self.linearization.solve(self.selection[rows].T.toarray(order="F"))
+            if self._direct is not None:
+                fields = fields - self._direct[rows].T.toarray()
+            out[rows] = -self.linearization.unit_work(fields).T
         return out
 
-    def times(self, change: Float[np.ndarray, " moduli"]) -> Float[np.ndarray, " p"]:
-        """Return S du/de times a change of the moduli (MPa), mm."""
-        return self.observe(self.linearization.displacement_change(change))
+    def times(self, change: Float[np.ndarray, " moduli"]) -> Float[np.ndarray, " data"]:
+        """Return the change of the data by a change of the moduli (MPa)."""
+        return self.times_each(change[None])[0][:, 0]
 
-    def transpose_times(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " moduli"]:
-        """Return the transpose of S du/de times observed weights: the adjoint gradient (eq. 12)."""
+    def times_each(
+        self, changes: Float[np.ndarray, "k moduli"]
+    ) -> tuple[Float[np.ndarray, "data k"], list[Float[np.ndarray, "nodes 3"]]]:
+        """Return the changes of the data, and of the displacements, by changes of the moduli."""
+        linear = self.linearization
+        fields = linear.displacement_changes(changes)
+        columns = np.empty((self.selection.shape[0], len(fields)))
+        for k, (field, change) in enumerate(zip(fields, changes, strict=True)):
+            force = None
+            if self._direct is not None:
+                force = linear.assembly.internal_force(linear.response, change)
+            columns[:, k] = self.observe(field, force)
+        return columns, fields
+
+    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " moduli"]:
+        """Return the transposed derivative times weights of the data: the gradient (eq. 12)."""
         field = self.adjoint(weights).reshape(-1, 1)
         return -self.linearization.unit_work(field)[:, 0]
 
-    def adjoint(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, "nodes 3"]:
-        """Return the displacement due to the observed weights as forces."""
-        return self.linearization.solve(self.selection.T @ weights).reshape(-1, 3)
+    def adjoint(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, "nodes 3"]:
+        """Return the displacement due to the weights of the data as forces."""
+        field = self.linearization.solve(self.selection.T @ weights)
+        if self._direct is not None:
+            field = field - self._direct.T @ weights
+        return field.reshape(-1, 3)
 
-    def observe(self, field: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, " p"]:
-        """Return the observed components of a displacement, mm."""
-        return self.selection @ field.ravel()
+    def observed_components(self, report: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " data"]:
+        """Return a change of the reported displacements as one of the data."""
+        change = np.zeros(self.selection.shape[0])
+        change[: len(self.observed)] = report.ravel()[self.observed]
+        return change
+
+    def observe(
+        self,
+        field: Float[np.ndarray, "nodes 3"],
+        elastic: Float[np.ndarray, "nodes 3"] | None = None,
+    ) -> Float[np.ndarray, " data"]:
+        """Return the change of the data by changes of displacements and of elastic forces.
+
+        Args:
+            field: Change of the displacements, mm.
+            elastic: Change of the elastic forces at constant displacements, less that of the
+                applied ones, N; zero by default.
+        """
+        data: np.ndarray = self.selection @ field.ravel()
+        if elastic is not None and self._direct is not None:
+            data = data + self._direct @ elastic.ravel()
+        return data

@@ -140,6 +140,23 @@ class Newton:
         state = (self.assembly, self.youngs, result.displacement, result.response)
         return Linearization(*state, values, self._fixed, self.pattern, self._lease, rtol)
 
+    def support_forces(self, result: EquilibriumResult) -> Float[np.ndarray, "nodes 3"]:
+        """Return the forces of the fixed supports on the body at an equilibrium, N."""
+        assert result.response is not None
+        forces = self.assembly.internal_force(result.response, self.youngs)
+        forces += self.supports.springs * result.displacement - self.forces
+        if self.contact is not None:
+            forces += self.contact.at(result.displacement).forces
+        return np.where(self.supports.fixed, forces, 0.0)
+
+    def tangent_times(
+        self, result: EquilibriumResult, fields: Float[np.ndarray, "unknowns k"]
+    ) -> Float[np.ndarray, "unknowns k"]:
+        """Return the tangent at an equilibrium, that of fixed unknowns included, times fields."""
+        assert result.response is not None
+        values = self._tangent(result.response, result.displacement, 1.0)
+        return np.column_stack([self.pattern.product(values, field) for field in fields.T.copy()])
+
     def _load_stepping(self, iterations: int) -> EquilibriumResult:
         """Increase the load in steps: halved after a failure, doubled after fast convergence."""
         load, step, n_steps = 0.0, 0.25, 0

@@ -12,7 +12,7 @@ from scipy.linalg import orth
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.inverse.misfit import NORMAL_MEDIAN, Misfit, Squares
-from tactorch.recording import Press, Recording
+from tactorch.recording import ForceReading, Press, Recording, SurfaceReading
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class NoiseModel(Options):
     )
 
     def deviations(self, recording: Recording) -> list[float]:
-        """Return the standard deviation of each press's displacements, mm."""
+        """Return the standard deviation of each press's displacements, mm; 1 without any."""
         floor = self.relative * signal_rms(recording.presses)
-        return [max(known, floor) for known in self._known(recording, floor)]
+        return [max(known, floor) or 1.0 for known in self._known(recording, floor)]
 
     def assumed(self, recording: Recording) -> bool:
         """Return whether the noise of some press is assumed, because it is not stated."""
@@ -61,6 +61,8 @@ class NoiseModel(Options):
 def signal_rms(presses: tuple[Press, ...]) -> float:
     """Return the root mean square of all observed displacements, mm; refuse zero."""
     values = np.concatenate([press.displacement[press.data] for press in presses])
+    if not len(values):  # other readings have deviations of their instruments
+        return 0.0
     rms = float(np.sqrt(np.mean(values**2)))
     if rms == 0.0:
         raise ConfigError("all observed displacements are zero: the presses moved nothing.")
@@ -109,20 +111,54 @@ class CorrelatedNoise:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Observed displacements of one press."""
+    """Data of one press: displacements of nodes, then its other readings.
 
-    index: Int[np.ndarray, " p"]  # observed degrees of freedom, 3 node + axis
-    displacement: Float[np.ndarray, " p"]  # mm
-    scale: Float[np.ndarray, " p"]  # weight over standard deviation, 1/mm
+    Attributes:
+        index: Observed degrees of freedom, 3 node + axis.
+        values: Displacements (mm) of these, then those along directions at points of the surface,
+            then components of force (N) and moment (N mm).
+        scale: Weight over standard deviation, 1 over the unit of each.
+        surface: Displacements along directions, or None.
+        force: Components of force and moment, or None.
+    """
+
+    index: Int[np.ndarray, " p"]
+    values: Float[np.ndarray, " data"]
+    scale: Float[np.ndarray, " data"]
+    surface: SurfaceReading | None = None
+    force: ForceReading | None = None
 
     @staticmethod
     def of(press: Press, deviation: float) -> "Observation":
-        """Return the observed displacements of a press with this standard deviation, mm."""
+        """Return the data of a press whose nodal displacements have this deviation, mm."""
         weights = np.ones_like(press.forces) if press.weights is None else press.weights
         # Data of zero weight are excluded: they would lower the mean squared residual.
         index = np.flatnonzero(press.data & (weights > 0))
-        relative = weights.ravel()[index]
-        return Observation(index, press.displacement.ravel()[index], relative / deviation)
+        values, scales = [press.displacement.ravel()[index]], [weights.ravel()[index] / deviation]
+        if press.surface is not None:
+            values.append(press.surface.displacement_mm)
+            scales.append(1.0 / press.surface.deviations_mm)
+        if press.force is not None:
+            values.append(press.force.values)
+            scales.append(1.0 / press.force.deviations)
+        readings = press.surface, press.force
+        return Observation(index, np.concatenate(values), np.concatenate(scales), *readings)
+
+    @property
+    def n_displacements(self) -> int:
+        """Number of data that are displacements, mm."""
+        return len(self.values) - (0 if self.force is None else len(self.force.values))
+
+    @property
+    def units(self) -> tuple[slice, slice]:
+        """Data that are displacements (mm), and forces and moments (N, N mm)."""
+        count = self.n_displacements
+        return slice(count), slice(count, len(self.values))
+
+    @property
+    def nodal(self) -> slice:
+        """Data that are displacements of nodes."""
+        return slice(len(self.index))
 
 
 _LEVI_CIVITA = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
@@ -149,7 +185,7 @@ class DataModel:
     @property
     def counts(self) -> list[int]:
         """Number of data of each press."""
-        return [len(observation.index) for observation in self.observations]
+        return [len(observation.values) for observation in self.observations]
 
     @property
     def begins(self) -> Int[np.ndarray, " presses"]:
@@ -191,9 +227,9 @@ class DataModel:
         return replace(self, correlated=CorrelatedNoise(np.hstack([*known, patterns])))
 
     def shifted(self, offsets: Sequence[Float[np.ndarray, " p"]]) -> "DataModel":
-        """Return the data with offsets (mm) added to the observed displacements of each press."""
+        """Return the data of each press with offsets added, mm or N."""
         pairs = zip(self.observations, offsets, strict=True)
-        observations = tuple(replace(o, displacement=o.displacement + x) for o, x in pairs)
+        observations = tuple(replace(o, values=o.values + x) for o, x in pairs)
         return replace(self, observations=observations)
 
     def corrected(
@@ -209,13 +245,16 @@ class DataModel:
         ends, observations = np.cumsum(self.counts), []
         patterns: dict[bytes, np.ndarray] = {}
         for before, (offset, deviation), end in zip(self.observations, errors, ends, strict=True):
-            index, displacement = before.index, before.displacement - offset
-            scale = before.scale / np.sqrt(1.0 + (deviation * before.scale) ** 2)
-            observations.append(Observation(index, displacement, scale))
+            values = before.values.copy()
+            values[before.nodal] -= offset
+            scale = before.scale.copy()
+            scale[before.nodal] /= np.sqrt(1.0 + (deviation * before.scale[before.nodal]) ** 2)
+            observations.append(replace(before, values=values, scale=scale))
             pattern = smooth_pattern(points, observations[-1], deviation)
             empty = np.zeros((ends[-1], pattern.shape[1]))
-            place = patterns.setdefault(index.tobytes(), empty)
-            place[end - len(index) : end] = pattern
+            place = patterns.setdefault(before.index.tobytes(), empty)
+            begin = end - len(values)
+            place[begin : begin + len(pattern)] = pattern
         data = replace(
             self,
             observations=tuple(observations),
@@ -227,13 +266,15 @@ class DataModel:
 
 def smooth_pattern(
     points: Float[np.ndarray, "n 3"], observation: Observation, deviation: float
-) -> Float[np.ndarray, "data k"]:
+) -> Float[np.ndarray, "p k"]:
     """Return affine fields over one place, each as large as an error of this deviation (mm).
 
-    A single field may hold all of the error, so each has its full size. The unit is the standard
-    deviation of the white noise.
+    They are fields of the nodal displacements. A single one may hold all of the error, so each has
+    its full size. The unit is the standard deviation of the white noise.
     """
     index = observation.index
+    if not len(index):
+        return np.zeros((0, 0))
     positions = points[index // 3]
     extent = np.ptp(positions, axis=0).max()
     positions = (positions - positions.mean(axis=0)) / (extent if extent > 0 else 1.0)
@@ -241,7 +282,7 @@ def smooth_pattern(
     # At most twelve orthonormal fields.
     fields = orth(np.hstack([shapes * (index % 3 == a)[:, None] for a in range(3)]), rcond=1e-6)
     height = deviation * np.sqrt(len(fields) / 3.0)  # a field moves one component
-    return height * observation.scale[:, None] * fields
+    return height * observation.scale[observation.nodal, None] * fields
 
 
 def group_by_contact(
@@ -256,7 +297,8 @@ def group_by_contact(
     for i, (press, observation) in enumerate(zip(presses, observations, strict=True)):
         loads = [_direction(press.forces), _direction(press.prescribed)]
         values = (*loads, press.fixed, press.springs, observation.index)
-        contacts.setdefault(tuple(array.tobytes() for array in values), []).append(i)
+        key = (*(array.tobytes() for array in values), press.readings_bytes())
+        contacts.setdefault(key, []).append(i)
     return [tuple(numbers) for numbers in contacts.values()]
 
 
@@ -281,10 +323,12 @@ def rigid_patterns(
         observations: Data of each press.
         contacts: Presses of each contact, which have the same observed degrees of freedom.
     """
-    ends = np.cumsum([len(o.index) for o in observations])
+    ends = np.cumsum([len(o.values) for o in observations])
     patterns = []
     for contact in contacts:
         index = observations[contact[0]].index
+        if not len(index):
+            continue
         offsets = points[index // 3] - points[index // 3].mean(axis=0)
         axes = np.eye(3)[index % 3]
         turns = np.einsum("kij,dj,di->dk", _LEVI_CIVITA, offsets, axes)
@@ -292,8 +336,10 @@ def rigid_patterns(
         n_axes = len(np.unique(index % 3))  # a translation moves one of them
         place = np.zeros((ends[-1], fields.shape[1]))
         for i in contact:
-            size = np.linalg.norm(observations[i].displacement) / np.sqrt(n_axes)
-            rows = slice(ends[i] - len(index), ends[i])
-            place[rows] = size * observations[i].scale[:, None] * fields
+            observation = observations[i]
+            size = np.linalg.norm(observation.values[observation.nodal]) / np.sqrt(n_axes)
+            begin = ends[i] - len(observation.values)
+            rows = slice(begin, begin + len(index))
+            place[rows] = size * observation.scale[observation.nodal, None] * fields
         patterns.append(place)
-    return np.hstack(patterns)
+    return np.hstack(patterns) if patterns else np.zeros((ends[-1], 0))

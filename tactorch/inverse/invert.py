@@ -228,6 +228,7 @@ def _task_digest(recording: Recording, settings: Settings) -> str:
         support = (press.springs, press.fixed, press.prescribed)
         for array in (press.forces, press.displacement, press.weights, *support):
             digest.update(np.asarray(0 if array is None else array).tobytes())
+        digest.update(press.readings_bytes())
     return digest.hexdigest()[:16]
 
 

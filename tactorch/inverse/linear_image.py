@@ -47,9 +47,12 @@ def linear_image(
     """
     parts = []
     for observation, deviation in zip(evaluation.data.observations, deviations, strict=True):
-        observed = observation.displacement
-        floor = _FLOOR * float(np.sqrt(np.mean(observed**2)))
-        parts.append(np.full(len(observed), deviation / np.hypot(deviation, floor)))
+        spread = 1.0 / observation.scale
+        spread[observation.nodal] = deviation
+        for part in observation.units:
+            observed, known = observation.values[part], spread[part]
+            floor = _FLOOR * np.linalg.norm(observed) / np.sqrt(max(len(observed), 1))
+            parts.append(known / np.hypot(known, floor))
     weights = np.concatenate(parts)  # of data with the floor, relative to those in the residuals
     chain = sp.diags(evaluation.youngs) @ VoxelGrid(mesh, count).element_weights
     # One solve per datum where the matrix over all elements is small, else one per cell.

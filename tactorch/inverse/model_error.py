@@ -72,9 +72,10 @@ def discretisation_error(
             youngs *= _STIFFENING
     errors = []
     for observation, present, better in zip(problem.data.observations, linear, fine, strict=True):
-        weighted = observation.scale**2 * better
+        nodal = observation.nodal
+        weighted = observation.scale[nodal] ** 2 * better
         # Observed over predicted displacement, by least squares.
-        relative = max(float(weighted @ observation.displacement), 0.0) / float(weighted @ better)
+        relative = max(float(weighted @ observation.values[nodal]), 0.0) / float(weighted @ better)
         offset = relative * (better - present)
         errors.append(ModelError(offset, remaining * float(np.sqrt(np.mean(offset * offset)))))
     return tuple(errors)

@@ -2,15 +2,16 @@
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 import torch
 from jaxtyping import Float, Int
 
-from tactorch.errors import ConvergenceError
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import (
     EquilibriumResult,
     Newton,
@@ -21,10 +22,12 @@ from tactorch.fem import (
     make_material,
 )
 from tactorch.fem.body import check_youngs
+from tactorch.fem.contact import Contact
 from tactorch.fem.elements import ConsistentLoads
 from tactorch.inverse.data import DataModel, NoiseModel, Observation
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModel
+from tactorch.inverse.probes import PressReadings, make_contacts
 from tactorch.linalg import SharedLease, SolverOptions, map_cases
 from tactorch.recording import Recording
 
@@ -32,12 +35,23 @@ _MIN_MOMENT = 0.01  # of the loaded points along an axis, over the largest
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
 
-class _PressSolution(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _PressSolution:
     """The equilibrium of one press: the press at the nuisance values, and the search's result."""
 
     model: PressModel
     newton: Newton
     equilibrium: EquilibriumResult
+    readings: PressReadings
+
+    @cached_property
+    def other(self) -> Float[np.ndarray, " k"]:
+        """Predicted data that are not displacements of nodes."""
+        return self.readings.predicted(self.newton, self.equilibrium)
+
+    def predicted(self, observation: Observation) -> Float[np.ndarray, " data"]:
+        """Return the predicted data."""
+        return np.concatenate([self.reported.ravel()[observation.index], self.other])
 
     @property
     def reported(self) -> Float[np.ndarray, "n 3"]:
@@ -52,7 +66,7 @@ class Evaluation:
         nuisance: Nuisance values.
         residuals: Half their square is minimised: predicted minus observed of all presses, in
             standard deviations, transformed by the misfit.
-        misfit_mm2: Half the sum of squared differences (eq. 7), mm^2.
+        misfit_mm2: Half the sum of squared differences of displacements (eq. 7), mm^2.
         data: Observations.
     """
 
@@ -69,11 +83,10 @@ class Evaluation:
         self.youngs, self.nuisance = youngs, nuisance
         self._weight, self._presses = weight, presses
         self.data, self._misfit, self._begins = data, data.misfit, data.begins
-        difference = [
-            press.reported.ravel()[observation.index] - observation.displacement
-            for press, observation in zip(presses, data.observations, strict=True)
-        ]
-        self.misfit_mm2 = 0.5 * float(sum(d @ d for d in difference))
+        pairs = zip(self.predicted, data.observations, strict=True)
+        difference = [predicted - observation.values for predicted, observation in pairs]
+        moved = [d[o.units[0]] for d, o in zip(difference, data.observations, strict=True)]
+        self.misfit_mm2 = 0.5 * float(sum(d @ d for d in moved))
         self._white = data.whiten(np.concatenate(difference) * data.scale)
         self.residuals = self._misfit.residuals(self._white, self._begins)
 
@@ -97,6 +110,12 @@ class Evaluation:
         """Predicted displacement that the sensor reports, each press, mm."""
         return [press.reported for press in self._presses]
 
+    @property
+    def predicted(self) -> list[Float[np.ndarray, " _"]]:
+        """Predicted data of each press, in the order of its `Observation`."""
+        pairs = zip(self._presses, self.data.observations, strict=True)
+        return [press.predicted(observation) for press, observation in pairs]
+
     def with_data(self, data: DataModel) -> "Evaluation":
         """Return the same equilibria with other statistics of the same data."""
         state = (self.youngs, self.nuisance, self._weight, self._presses, data)
@@ -117,7 +136,8 @@ class Evaluation:
         def work(i: int) -> Sensitivity:
             press, observation = self._presses[i], self.data.observations[i]
             linearization = press.newton.linearize(press.equilibrium, self.derivative_rtol)
-            return Sensitivity(linearization, observation.index, frame)
+            rates = press.readings.rates(press.newton, press.equilibrium)
+            return Sensitivity(linearization, observation.index, frame, rates)
 
         return map_cases(work, len(self._presses))
 
@@ -146,8 +166,9 @@ class Evaluation:
                     rates = linearization.parameter_forces(stretch=True)
                     changes = [self._weight - rate for rate in rates]
                 moved = linearization.force_response(np.reshape(changes, (-1, *self._weight.shape)))
-                indirect = [cases[i].observe(field) for field in moved]
-                direct = [report.ravel()[cases[i].observed] for report in reports]
+                pairs = zip(moved, changes, strict=True)
+                indirect = [cases[i].observe(field, -change) for field, change in pairs]
+                direct = [cases[i].observed_components(report) for report in reports]
                 if indirect and direct:
                     columns += [a + b for a, b in zip(indirect, direct, strict=True)]
                 else:
@@ -186,9 +207,8 @@ class Evaluation:
         cases, data = self.sensitivities, self.data.observations
 
         def work(i: int) -> tuple[np.ndarray, np.ndarray]:
-            fields = cases[i].linearization.displacement_changes(changes)
-            columns = np.column_stack([cases[i].observe(u) * data[i].scale for u in fields])
-            return columns, np.array(fields)
+            columns, fields = cases[i].times_each(changes)
+            return columns * data[i].scale[:, None], np.array(fields)
 
         columns, fields = zip(*map_cases(work, len(cases)), strict=True)
         return self._join(list(columns)), list(fields)
@@ -205,14 +225,40 @@ class Evaluation:
 
         return map_cases(work, len(self._presses))
 
+    def probe_motions(self) -> list[Float[np.ndarray, "data axes"]]:
+        """Return the changes of the data of each press by a motion of its probe, 1/mm.
+
+        The motion is along the axes of the mesh, the unit that of the standard deviations; there
+        are no columns without a probe.
+        """
+        cases, data = self.sensitivities, self.data.observations
+
+        def work(i: int) -> np.ndarray:
+            press, scale = self._presses[i], data[i].scale[:, None]
+            contact = press.newton.contact
+            if contact is None:
+                return np.zeros((len(scale), 0))
+            motions = np.tile(np.eye(3), (self._weight.shape[0], 1))
+            tangent = contact.tangent(contact.at(press.equilibrium.displacement))
+            forces = (tangent @ motions).T.reshape(3, -1, 3)
+            moved = cases[i].linearization.force_response(np.ascontiguousarray(forces))
+            columns = np.column_stack([cases[i].observe(field) for field in moved])
+            columns[len(data[i].index) :] += press.readings.by_motion(
+                press.newton, press.equilibrium
+            )
+            return columns * scale
+
+        return map_cases(work, len(cases))
+
     def force_patterns(self, smallest: float = 0.0) -> Float[np.ndarray, "data k"]:
         """Return the changes of the data by relative errors of the forces of each press.
 
         The errors are those of its forces as a whole, of gradients of unit root mean square along
         the principal axes of its loaded nodes, and of each nodal force, all of unit deviation. The
         patterns are orthogonal for each press, and the products with their transpose are those of
-        all these errors. Their unit is the standard deviation of the white noise; patterns of a
-        norm below `smallest` are left out.
+        all these errors. Where nothing is applied the error is that of the measured forces as a
+        whole. The unit is the standard deviation of the white noise; patterns of a norm below
+        `smallest` are left out.
         """
         cases, data = self.sensitivities, self.data.observations
         points = self._presses[0].newton.assembly.points
@@ -220,8 +266,11 @@ class Evaluation:
         def work(i: int) -> np.ndarray:
             forces = self._presses[i].model.forces
             nodes = np.flatnonzero((forces != 0.0).any(axis=1))
-            if not len(nodes):  # moved by prescribed displacements or its weight
-                return np.zeros((len(data[i].index), 0))
+            if not len(nodes):  # moved by a probe, prescribed displacements or its weight
+                measured = data[i].scale * data[i].values
+                measured[data[i].units[0]] = 0.0
+                count = int(np.linalg.norm(measured) > smallest)
+                return measured[:, None][:, :count]
             shapes = [*_gradients(points, forces), *np.eye(len(points))[nodes]]
             fields = [forces * shape[:, None] for shape in shapes]
             changes = np.array(self._loads(self._presses[i], fields))
@@ -267,7 +316,7 @@ class Evaluation:
         return self._misfit.derivative(self._white, self._begins, white)
 
     def _split(self, weights: Float[np.ndarray, " data"]) -> list[Float[np.ndarray, " p"]]:
-        """Weights of the residuals as weights of each press's observed displacements, 1/mm."""
+        """Weights of the residuals as weights of the data of each press, 1 over their unit."""
         white = self.data.whiten(self._misfit.derivative(self._white, self._begins, weights))
         parts = zip(np.split(white, self._begins[1:]), self.data.observations, strict=True)
         return [part * observation.scale for part, observation in parts]
@@ -340,15 +389,18 @@ class InverseProblem:
         self.recording = recording
         self.body = body or make_body(recording, element, solver, newton)
         self.noise = noise or NoiseModel()
-        pairs = zip(recording.presses, self.noise.deviations(recording), strict=True)
+        presses = recording.presses
+        pairs = zip(presses, self.noise.deviations(recording), strict=True)
         observations = tuple(Observation.of(press, deviation) for press, deviation in pairs)
         self.data = DataModel(observations, misfit or Squares())
         self.nuisance = nuisance or NuisancePrior()
+        self._check_nuisance()
         self.assumed = Nuisance(recording.material.poisson)
         self._weight = np.zeros((self.body.n_nodes, 3))
         if recording.density:
             gravity = self.body.gravity(recording.density, torch.tensor(recording.gravity))
             self._weight = gravity.numpy()
+        self._readings = [PressReadings.of(press, self.body.discretisation) for press in presses]
         self.evaluations = 0
         self._leases = self._share() if derivative_rtol else None
 
@@ -370,9 +422,24 @@ class InverseProblem:
             shared.append(leases[key])
         return shared
 
+    def _check_nuisance(self) -> None:
+        """Refuse nuisance parameters that probes and other readings do not have."""
+        others = sorted(set(self.nuisance.names) - {"poisson"})
+        for press in self.recording.presses:
+            if others and (press.probe is not None or press.has_readings):
+                raise ConfigError(
+                    f"{press.label} has a probe, or other data than displacements of nodes; "
+                    f"{', '.join(others)} cannot be estimated with it. Leave them out."
+                )
+
+    @cached_property
+    def _contacts(self) -> list[Contact | None]:
+        """Contact of each press with its probe."""
+        return make_contacts(self.recording, self.body)
+
     @property
     def n_data(self) -> int:
-        """Number of observed degrees of freedom over all presses."""
+        """Number of data over all presses."""
         return sum(self.data.counts)
 
     @property
@@ -419,6 +486,8 @@ class InverseProblem:
         if starts is None and near is not None:
             starts = near.predict(youngs)
 
+        contacts = self._contacts
+
         def work(i: int, after: Newton | None = None) -> _PressSolution:
             press = self.recording.presses[i]
             model = PressModel.of(press, mesh, values)
@@ -428,12 +497,13 @@ class InverseProblem:
                 after = near.search(i)
             lease = None if self._leases is None else self._leases[i]
             newton = self.body.search(
-                youngs, forces, supports, assembly=assembly, after=after, lease=lease
-            )
+                youngs, forces, supports, assembly=assembly, after=after, lease=lease,
+                contact=contacts[i],
+            )  # fmt: skip
             equilibrium = newton.run(None if starts is None else starts[i])
             if not equilibrium.converged:
                 raise ConvergenceError(f"{press.label} (index {i}): {equilibrium.reason}")
-            return _PressSolution(model, newton, equilibrium)
+            return _PressSolution(model, newton, equilibrium, self._readings[i])
 
         self.evaluations += 1
         count = len(self.data.observations)

@@ -3,13 +3,17 @@
 from tactorch.recording.append import append_press, compact, read_presses
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
+from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
 from tactorch.recording.recording import Recording
 from tactorch.recording.refine import prolong_recording, refine_recording
 
 __all__ = [
+    "ForceReading",
     "MaterialSpec",
     "Press",
+    "ProbePose",
     "Recording",
+    "SurfaceReading",
     "append_press",
     "compact",
     "prolong_recording",

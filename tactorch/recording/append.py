@@ -130,6 +130,7 @@ def digest(press: Press) -> str:
     for name in (*PRESS_ARRAYS, *PRESS_OPTIONAL):
         array = getattr(press, name)
         result.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
+    result.update(press.readings_bytes())
     return result.hexdigest()[:16]
 
 

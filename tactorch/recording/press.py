@@ -7,53 +7,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import RecordingError
+from tactorch.recording.arrays import make_array, require_finite
+from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
 
 # Default of arrays whose size is the number of nodes; replaced by zeros on construction, so that
 # the field always holds an array.
 _ZEROS: Any = None
-_NEEDED = {
-    "b": "it is a mask, one True or False per degree of freedom",
-    "fiu": "real numbers are needed",
-}
-
-
-def make_array(
-    value: Any, shape: tuple[int | None, ...], what: str, kinds: str = "fiu"
-) -> Float[np.ndarray, "..."] | Bool[np.ndarray, "..."]:
-    """Return a copy of `value` with `shape` (None: any length), or raise `RecordingError`.
-
-    It is float64, or bool where `kinds` is "b". Numbers are refused for a mask: a list of indices
-    would otherwise be read as one.
-    """
-    try:
-        array = np.asarray(value)
-    except ValueError as error:
-        raise RecordingError(f"{what} is not an array of numbers: {error}") from error
-    if array.dtype.kind not in kinds:
-        raise RecordingError(f"{what} has dtype {array.dtype}; {_NEEDED[kinds]}")
-    fits = array.ndim == len(shape) and all(
-        size in (None, actual) for size, actual in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        wanted = ", ".join("n" if size is None else str(size) for size in shape)
-        raise RecordingError(f"{what} has shape {array.shape}; ({wanted}) is needed")
-    return np.array(array, dtype=np.bool_ if kinds == "b" else np.float64, order="C")
-
-
-def require_finite(array: Float[np.ndarray, "..."], what: str) -> None:
-    """Raise `RecordingError` naming the first entry of `array` that is NaN or infinite."""
-    invalid = np.argwhere(~np.isfinite(array))
-    if len(invalid):
-        where = tuple(int(i) for i in invalid[0])
-        raise RecordingError(
-            f"{what} holds {len(invalid)} values that are NaN or infinite, the first at {where}; "
-            "repair or leave out what was not measured"
-        )
 
 
 @dataclass(frozen=True, eq=False)
 class Press:
     """One press, as arrays over the n nodes of the mesh and their three degrees of freedom.
+
+    Nodal forces, prescribed displacements or a rigid probe load the object; displacements of nodes,
+    displacements along directions or forces on the probe are the data.
 
     Arrays are copied to float64 (or bool). Displacement is set to NaN where it was not observed,
     and `prescribed` to zero where nothing is fixed.
@@ -72,6 +39,9 @@ class Press:
         step: Load step within presses of one kind: 0 for the lightest.
         direction: Unit vector of the push, (3,), or None.
         name: Name of the press in messages and reports.
+        probe: Rigid probe at a prescribed pose, or None.
+        force: Measured force on the probe or on the support that is moved, or None.
+        surface: Measured displacements along directions at points of the surface, or None.
 
     Raises:
         RecordingError: A field is inconsistent with the others; the message names press and field.
@@ -88,6 +58,9 @@ class Press:
     step: int = 0
     direction: Float[np.ndarray, "3"] | None = None
     name: str = ""
+    probe: ProbePose | None = None
+    force: ForceReading | None = None
+    surface: SurfaceReading | None = None
 
     def __post_init__(self) -> None:
         self._convert("forces", (None, 3))
@@ -133,9 +106,31 @@ class Press:
         return self.observed & ~self.fixed
 
     @property
+    def has_readings(self) -> bool:
+        """Whether there are data that are not displacements of nodes."""
+        return self.force is not None or self.surface is not None
+
+    def readings_bytes(self) -> bytes:
+        """Return bytes that distinguish probes and readings; none without."""
+        parts: list[Any] = []
+        if self.probe is not None:
+            parts += [repr(self.probe.probe), self.probe.position_mm, self.probe.rotation]
+        for reading in (self.force, self.surface):
+            if reading is not None:
+                parts += [type(reading).__name__, *vars(reading).values()]
+        return b"".join(p.encode() if isinstance(p, str) else p.tobytes() for p in parts)
+
+    @property
     def total_force(self) -> Float[np.ndarray, "3"]:
-        """Sum of the nodal forces, (3,), N."""
-        return self.forces.sum(axis=0)
+        """Sum of the nodal forces, (3,), N; of a probe the measured force on the object.
+
+        Components that were not measured are zero.
+        """
+        total = self.forces.sum(axis=0)
+        if self.probe is None or self.force is None:
+            return total
+        axes = self.force.axes[:, :3]
+        return total - np.linalg.lstsq(axes, self.force.values, rcond=None)[0]
 
     @property
     def label(self) -> str:
@@ -146,7 +141,10 @@ class Press:
     def largest_displacement(self) -> float:
         """Largest displacement of a node over its observed components, mm."""
         observed = np.where(self.observed, self.displacement, 0.0)
-        return float(np.linalg.norm(observed, axis=1).max())
+        largest = float(np.linalg.norm(observed, axis=1).max())
+        if self.surface is not None:
+            largest = max(largest, float(np.abs(self.surface.displacement_mm).max()))
+        return largest
 
     def validate(self, n_points: int) -> None:
         """Raise `RecordingError` if the arrays are not over `n_points` mesh nodes."""
@@ -168,6 +166,17 @@ class Press:
             self._set(field, make_array(value, shape, f"{self.label}: {field}", kinds))
 
     def _check_observed(self) -> None:
+        if (
+            self.force is not None
+            and self.probe is None
+            and not np.nan_to_num(self.prescribed).any()
+        ):
+            raise self._error(
+                "force is measured, but there is no probe and no support is moved; give 'probe' or"
+                " 'prescribed'"
+            )
+        if self.has_readings:
+            return
         if not self.observed.any():
             raise self._error("observed is empty; mark what was measured")
         if not self.data.any():
@@ -190,7 +199,8 @@ class Press:
 
     def _check_weights_and_direction(self) -> None:
         weights = self.weights
-        if weights is not None and ((weights < 0).any() or not (weights[self.data] > 0).any()):
+        unused = weights is not None and not (weights[self.data] > 0).any()
+        if weights is not None and ((weights < 0).any() or (unused and not self.has_readings)):
             raise self._error(
                 "weights must be at least 0, and above 0 for some observed degree of freedom that"
                 " may move"

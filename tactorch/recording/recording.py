@@ -13,9 +13,10 @@ from jaxtyping import Float
 from tactorch.errors import FileError, RecordingError
 from tactorch.hdf5 import write_hdf5
 from tactorch.mesh import TetMesh
+from tactorch.recording.arrays import make_array, require_finite
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.plausibility import check_units, free_motion
-from tactorch.recording.press import Press, make_array, require_finite
+from tactorch.recording.press import Press
 from tactorch.recording.storage import open_recording, write_recording
 
 _log = logging.getLogger(__name__)
@@ -195,10 +196,11 @@ class Recording:
         weight = bool(self.density) and bool(self.gravity.any())
         motions: dict[bytes, str | None] = {}
         for press in self.presses:
-            if not (weight or press.forces.any() or press.prescribed.any()):
+            moved = press.probe is not None or press.prescribed.any()
+            if not (weight or press.forces.any() or moved):
                 raise RecordingError(
-                    f"{press.label}: forces are all 0 and nothing is prescribed, so nothing "
-                    "presses the object; give its forces, or leave the press out"
+                    f"{press.label}: forces are all 0, nothing is prescribed and there is no "
+                    "probe, so nothing presses the object; give its forces, or leave the press out"
                 )
             key = press.held.tobytes()
             if key not in motions:

@@ -1,12 +1,12 @@
 """Layout of the file of a recording: HDF5.
 
-Versions 2 and 3 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
+Versions 2 to 5 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
 fixed length; the structure is that of HDF5 1.10, with checksums):
 
 | path | type | unit |
 |---|---|---|
 | / `format` | attribute, "tactorch-recording" | |
-| / `version` | attribute, 2; 3 while presses are appended | |
+| / `version` | attribute, 4; 5 while presses are appended | |
 | / `units` | attribute, "mm, N, MPa, tonne/mm^3" | |
 | / `density` | attribute, float64; absent where weight is not modelled | tonne/mm^3 |
 | /mesh/points | float64 (n, 3) | mm |
@@ -28,24 +28,43 @@ fixed length; the structure is that of HDF5 1.10, with checksums):
 | /presses/0000/prescribed | float64 (n, 3) | mm |
 | /presses/0000/weights | float64 (n, 3), may be absent | |
 | /presses/0000/direction | float64 (3,), may be absent | |
+| /presses/0000/probe `name`, `sizes` | attributes, JSON object of numbers; may be absent | mm |
+| /presses/0000/probe/position_mm | float64 (3,) | mm |
+| /presses/0000/probe/rotation | float64 (3, 3) | |
+| /presses/0000/force/axes | float64 (k, 6), may be absent | |
+| /presses/0000/force/values, deviations | float64 (k,) | N, N mm |
+| /presses/0000/force/about_mm | float64 (3,) | mm |
+| /presses/0000/surface/points_mm, directions | float64 (k, 3), may be absent | mm |
+| /presses/0000/surface/displacement_mm, deviations_mm | float64 (k,) | mm |
 
 Links, external storage and virtual datasets are refused: they lead to other files.
 
-In version 3 presses follow the end of the HDF5 part, as its superblock states it. HDF5 ignores
+In version 5 presses follow the end of the HDF5 part, as its superblock states it. HDF5 ignores
 them, and drops them when it opens the file for writing. Each is a record of 60 bytes (the text
 `TACPRESS`; number of the press, uint64; length of the image, uint64; SHA-256 of the image; CRC-32
 of the 56 bytes before; little-endian) and an image: an HDF5 file whose root is a group as
-/presses/0000. An incomplete last record is ignored. `tactorch.recording.compact` makes version 2
+/presses/0000. An incomplete last record is ignored. `tactorch.recording.compact` makes version 4
 of such a file.
 
 A reader refuses a version above its own. A change of the layout raises `VERSION`;
-`tactorch.recording.storage` reads all versions. Version 1 had no `unloaded`.
+`tactorch.recording.storage` reads all versions. Version 1 had no `unloaded`; versions 2 and 3 were
+4 and 5 without `probe`, `force` and `surface`.
 """
 
 FORMAT = "tactorch-recording"
-SAVED, GROWING = 2, 3
+SAVED, GROWING = 4, 5
 VERSION = GROWING
+GROWING_VERSIONS = (3, GROWING)
 UNITS = "mm, N, MPa, tonne/mm^3"
 PRESS_ARRAYS = ("forces", "observed", "displacement", "springs", "fixed", "prescribed")
 PRESS_MASKS = ("observed", "fixed")
 PRESS_OPTIONAL = {"weights": (None, 3), "direction": (3,)}
+PRESS_READINGS = {
+    "force": {"axes": (None, 6), "values": (None,), "deviations": (None,), "about_mm": (3,)},
+    "surface": {
+        "points_mm": (None, 3),
+        "directions": (None, 3),
+        "displacement_mm": (None,),
+        "deviations_mm": (None,),
+    },
+}

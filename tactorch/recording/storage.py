@@ -9,17 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactorch.errors import MeshError, RecordingError
+from tactorch.config import to_mapping
+from tactorch.errors import ConfigError, MeshError, RecordingError
 from tactorch.hdf5 import Hdf5Reader, open_hdf5, write_array, write_attributes, write_json
 from tactorch.mesh import TetMesh
 from tactorch.recording import schema
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
+from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
 from tactorch.recording.tail import PressTail
 
 if TYPE_CHECKING:
     import h5py
 
+_READINGS = {"force": ForceReading, "surface": SurfaceReading}
 _WRITER = "Recording.save"
 _LAYOUT = f"{_WRITER} (layout: tactorch.recording.schema)"
 
@@ -33,7 +36,7 @@ class RecordingReader(Hdf5Reader):
     def __init__(self, root: "h5py.Group", source: Path | str, mesh: TetMesh | None = None) -> None:
         super().__init__(root, source, "recording", _LAYOUT, RecordingError)
         self._mesh = mesh
-        growing = self._check_format() >= schema.GROWING
+        growing = self._check_format() in schema.GROWING_VERSIONS
         self.tail = PressTail(root.file, source, self._count_stored()) if growing else None
 
     def fields(self, presses: Sequence[Press] | None = None) -> dict[str, Any]:
@@ -134,9 +137,38 @@ def _read_press(reader: Hdf5Reader, path: str, n_points: int) -> Press:
     if "noise_mm" in reader.group(path).attrs:
         fields["noise_mm"] = reader.attribute(path, "noise_mm", float)
     try:
-        return Press(**fields)
+        return Press(**fields, **_read_readings(reader, path))
     except RecordingError as error:
         raise reader.error(f"'{path}' is not valid: {error}") from error
+
+
+def _read_readings(reader: Hdf5Reader, path: str) -> dict[str, Any]:
+    """Read the probe of the press in the group `path`, and its readings."""
+    fields: dict[str, Any] = {}
+    for name, kind in _READINGS.items():
+        if reader.has(f"{path}/{name}"):
+            shapes = schema.PRESS_READINGS[name].items()
+            arrays = {k: reader.array(f"{path}/{name}/{k}", "f", shape) for k, shape in shapes}
+            fields[name] = kind(**arrays)
+    group = f"{path}/probe"
+    if reader.has(group):
+        name, text = (reader.attribute(group, key, str) for key in ("name", "sizes"))
+        sizes = reader.parse_json(f"{group}/sizes", text)
+        fields["probe"] = ProbePose(
+            _make_probe(reader, group, name, sizes),
+            reader.array(f"{group}/position_mm", "f", (3,)),
+            reader.array(f"{group}/rotation", "f", (3, 3)),
+        )
+    return fields
+
+
+def _make_probe(reader: Hdf5Reader, group: str, name: str, sizes: dict[str, Any]) -> Any:
+    from tactorch.fem.contact import PROBES
+
+    try:
+        return PROBES[name].from_mapping(sizes)
+    except ConfigError as error:
+        raise reader.error(f"'{group}' is not a probe: {error}") from error
 
 
 @contextmanager
@@ -180,3 +212,18 @@ def write_press(group: "h5py.Group", press: Press) -> None:
     for field in schema.PRESS_OPTIONAL:
         if getattr(press, field) is not None:
             write_array(group, field, getattr(press, field))
+    for name in _READINGS:
+        if (reading := getattr(press, name)) is not None:
+            for field in schema.PRESS_READINGS[name]:
+                write_array(group, f"{name}/{field}", getattr(reading, field))
+    if press.probe is not None:
+        _write_probe(group.create_group("probe"), press.probe)
+
+
+def _write_probe(group: "h5py.Group", pose: ProbePose) -> None:
+    from tactorch.fem.contact import PROBES
+
+    name = PROBES.name_of(type(pose.probe))
+    write_attributes(group, name=name, sizes=json.dumps(to_mapping(pose.probe)))
+    write_array(group, "position_mm", pose.position_mm)
+    write_array(group, "rotation", pose.rotation)

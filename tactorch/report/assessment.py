@@ -94,8 +94,8 @@ def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:
     ):
         index = observation.index
         values = np.full((2, recording.mesh.n_points * 3), np.nan)
-        values[0, index] = reported.ravel()[index] - observation.displacement
-        values[1, index] = deviations
+        values[0, index] = reported.ravel()[index] - observation.values[observation.nodal]
+        values[1, index] = deviations[observation.nodal]
         fits.append(PressFit(*values.reshape(2, -1, 3)))
     return fits
 

@@ -24,7 +24,7 @@ def test_the_image_is_that_of_linear_theory(cube: Recording) -> None:
     J = 0.3 * (found.jacobian() / scale[:, None]) @ cells
     noise = [
         np.full(len(d), s**2 + np.mean((0.02 * d) ** 2))
-        for d, s in ((found.data.observations[i].displacement, s) for i, s in enumerate(deviations))
+        for d, s in ((found.data.observations[i].values, s) for i, s in enumerate(deviations))
     ]
     gain = C @ J.T @ np.linalg.inv(J @ C @ J.T + np.diag(np.concatenate(noise)))
     np.testing.assert_allclose(image.ravel(), -gain @ (found.residuals / scale), atol=1e-6)

@@ -389,7 +389,7 @@ def test_rigid_patterns_of_one_observed_axis(recording: Recording) -> None:
     """A shift, and two turns about axes in the plane, of the whole size of the displacement."""
     first = InverseProblem(recording).data.observations[0]
     kept = first.index % 3 == 2
-    single = Observation(first.index[kept], first.displacement[kept], first.scale[kept])
+    single = Observation(first.index[kept], first.values[kept], first.scale[kept])
     span = rigid_patterns(recording.mesh.points, [single], [(0,)]) / single.scale[:, None]
     assert span.shape == (kept.sum(), 3)
     part = np.linalg.lstsq(span, np.ones(kept.sum()), rcond=None)[0]

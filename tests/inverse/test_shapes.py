@@ -433,13 +433,13 @@ def test_a_correction_that_fails_leaves_the_model(recording, monkeypatch, caplog
         return [np.full(len(o.index), 0.01 * len(calls)) for o in evaluation.data.observations]
 
     monkeypatch.setattr(Correction, "offsets", offsets)
-    before = presses.quadratic.data.observations[0].displacement
+    before = presses.quadratic.data.observations[0].values
     corrected = presses.corrected(model)
-    np.testing.assert_allclose(presses.quadratic.data.observations[0].displacement, before - 0.01)
+    np.testing.assert_allclose(presses.quadratic.data.observations[0].values, before - 0.01)
     corrected = presses.corrected(corrected)
-    np.testing.assert_allclose(presses.quadratic.data.observations[0].displacement, before - 0.02)
+    np.testing.assert_allclose(presses.quadratic.data.observations[0].values, before - 0.02)
     assert presses.corrected(corrected) is corrected
-    np.testing.assert_allclose(presses.quadratic.data.observations[0].displacement, before - 0.02)
+    np.testing.assert_allclose(presses.quadratic.data.observations[0].values, before - 0.02)
     assert "not corrected: no equilibrium" in caplog.text
     calls[:] = calls[:2]
     shifted = replace(corrected.fit, z=corrected.fit.z + 0.3)
@@ -480,7 +480,7 @@ def test_the_correction_is_the_error_of_the_common_mesh():
         return problem, fit, evaluation
 
     problem, fit, before = evaluate(recording)
-    rim = Rim.of(recording.mesh, recording.presses[0].forces[:, 2] != 0)
+    rim = Rim.of(recording.presses[0], recording.mesh)
     sizing = rim.sizing(0.12, 0.7, 0.2)
     _, _, finest = evaluate(refine_recording(recording, sizing, smooth_tractions=True))
     correction = Correction.of(problem, "tet10", "auto")
@@ -488,7 +488,7 @@ def test_the_correction_is_the_error_of_the_common_mesh():
     n = recording.mesh.n_points
     for i, observation in enumerate(problem.data.observations):
         error = (finest.reported[i][:n] - before.reported[i]).ravel()[observation.index]
-        assert np.linalg.norm(error) > 0.003 * np.linalg.norm(observation.displacement)
+        assert np.linalg.norm(error) > 0.003 * np.linalg.norm(observation.values)
         assert np.linalg.norm(error - offsets[i]) < 0.35 * np.linalg.norm(error)
 
 
@@ -505,7 +505,7 @@ def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
     values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
     ball, evaluation = fit_shapes(problem, field, field.standard(values), max_iterations=0)
     low, high = (np.linalg.norm(o) for o in correction.offsets(ball, evaluation)[:2])
-    assert 0.0 < low < high < 0.05 * np.linalg.norm(problem.data.observations[1].displacement)
+    assert 0.0 < low < high < 0.05 * np.linalg.norm(problem.data.observations[1].values)
     assert 0.0 < edges < high
 
 

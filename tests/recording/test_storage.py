@@ -269,7 +269,7 @@ def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
     [
         (mark("/", "format", None), "has format None"),
         (mark("/", "format", "other"), "has format 'other'"),
-        (mark("/", "version", 4), "has version 4, and this tactorch reads up to 3; upgrade"),
+        (mark("/", "version", 6), "has version 6, and this tactorch reads up to 5; upgrade"),
         (mark("/", "version", 0), "has version 0, which never existed"),
         (mark("/", "version", "one"), "attribute 'version' of '/' is 'one'; int is needed"),
         (mark("/", "units", "m"), "is in units 'm'"),

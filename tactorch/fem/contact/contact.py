@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -135,20 +136,13 @@ class Contact:
     @cached_property
     def nodes(self) -> Int[np.ndarray, "triangles k"]:
         """Nodes of each triangle: vertices, then midsides of its edges."""
-        d = self.discretisation
-        triangles = d.mesh.surface.triangles[self.surface]
-        if not d.element.quadratic:
-            return triangles
-        midsides = [d.midside(triangles[:, a], triangles[:, (a + 1) % 3]) for a in range(3)]
-        return np.column_stack([triangles, *midsides])
+        triangles = self.discretisation.mesh.surface.triangles[self.surface]
+        return self.discretisation.surface_nodes(triangles)
 
     @cached_property
     def shape(self) -> Float[np.ndarray, "points k"]:
         """Values of the shape functions at the points of a triangle."""
-        if not self.discretisation.element.quadratic:
-            return _POINTS
-        mixed = [4.0 * _POINTS[:, a] * _POINTS[:, (a + 1) % 3] for a in range(3)]
-        return np.column_stack([_POINTS * (2.0 * _POINTS - 1.0), *mixed])
+        return self.discretisation.surface_values(_POINTS)
 
     @cached_property
     def weights(self) -> Float[np.ndarray, "triangles points"]:
@@ -286,6 +280,15 @@ class Contact:
         rows, cols = d.entry_rows_cols
         owners = d.mesh.surface.owners[self.surface[response.rows]]
         np.add.at(values, d.slots[owners].ravel(), whole[:, rows, cols].ravel())
+
+    def tangent(self, response: ContactResponse) -> sp.csr_matrix:
+        """Return the second derivative of the energy by all displacements, N/mm."""
+        count = 3 * self.discretisation.n_nodes
+        unknowns = 3 * self.nodes[response.rows][:, :, None] + np.arange(3)
+        unknowns = unknowns.reshape(len(response.rows), -1)
+        rows, cols = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
+        entries = (response.blocks.ravel(), (rows.ravel(), cols.ravel()))
+        return sp.csr_matrix(entries, shape=(count, count))
 
     def work(
         self,

@@ -26,6 +26,7 @@ from tactorch.inverse.data import NoiseModel, group_by_contact
 from tactorch.inverse.problem import Evaluation, InverseProblem, make_body
 from tactorch.inverse.shapes.field import Ellipsoid, Sites
 from tactorch.inverse.shapes.fit import ShapeFit
+from tactorch.inverse.shapes.footprint import loaded_nodes
 from tactorch.inverse.shapes.kept import KeptRims, RimError, press_key
 from tactorch.inverse.shapes.sizing import (
     Rim,
@@ -136,15 +137,19 @@ class Correction:
         recording = problem.recording
         pairs = []
         for numbers in group_by_contact(recording.presses, problem.data.observations):
-            loaded = (recording.presses[numbers[0]].forces != 0).any(axis=1)
-            pairs.append((numbers, Rim.of(recording.mesh, loaded)))
+            pairs.append((numbers, Rim.of(recording.presses[numbers[0]], recording.mesh)))
         kept = kept or KeptRims()
         return Correction(recording, element, solver, problem.noise, tuple(pairs), kept)
 
     @property
-    def has_rims(self) -> bool:
+    def has_contacts(self) -> bool:
         """Whether some contact ends within a face."""
         return any(rim is not None for _, rim in self.contacts)
+
+    @property
+    def has_rims(self) -> bool:
+        """Whether the forces of some such contact are data, so that its traction is uncertain."""
+        return any(rim is not None and not rim.of_probe for _, rim in self.contacts)
 
     def offsets(
         self, fit: ShapeFit, evaluation: Evaluation, check: Callable[[], None] = lambda: None
@@ -188,7 +193,9 @@ class Correction:
         fine at its rim. Contacts with a rim are not observed where supported faces end.
         """
         mesh, presses = self.recording.mesh, self.recording.presses
-        observed = np.logical_or.reduce([press.observed.any(axis=1) for press in presses])
+        observed = np.logical_or.reduce(
+            [press.observed.any(axis=1) | loaded_nodes(press, mesh) for press in presses]
+        )
         at_inclusions = inclusion_sizing(shapes)
         between = observed_sizing(mesh.points[observed], shapes)
         whole = [k for k, (_, rim) in enumerate(self.contacts) if rim is None]
@@ -218,8 +225,7 @@ class Correction:
 
     def _loaded(self, k: int) -> Bool[np.ndarray, " n"]:
         """Nodes that contact k loads."""
-        first = self.recording.presses[self.contacts[k][0][0]]
-        return np.asarray((first.forces != 0).any(axis=1))
+        return loaded_nodes(self.recording.presses[self.contacts[k][0][0]], self.recording.mesh)
 
     def _inclusion_error(
         self,
@@ -299,7 +305,7 @@ class Correction:
                     first = start + series.factors[i] * change
                     near = problem.evaluate(youngs, near, take_over=True, starts=[first])
                     change = (near.displacements[0] - start) / series.factors[i]
-                    found[i] = near.reported[0].ravel()[model.index[i]] - model.predicted[i]
+                    found[i] = near.predicted[0] - model.predicted[i]
             return found
 
         count = min(worker_count(), len(every))
@@ -320,16 +326,10 @@ class _Model:
         """The inclusions."""
         return list(self.fit.field.shapes(self.fit.z))
 
-    @cached_property
-    def index(self) -> list[np.ndarray]:
-        """Observed degrees of freedom of each press."""
-        return [observation.index for observation in self.evaluation.data.observations]
-
-    @cached_property
+    @property
     def predicted(self) -> list[Float[np.ndarray, " _"]]:
-        """Predictions of each press, mm."""
-        pairs = zip(self.evaluation.reported, self.index, strict=True)
-        return [u.ravel()[i] for u, i in pairs]
+        """Predictions of each press."""
+        return self.evaluation.predicted
 
     def log_youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         """Return the logarithm of the modulus (MPa) at points (mm)."""

@@ -29,6 +29,7 @@ from tactorch.inverse.shapes.model import (
     Trial,
     gain,
 )
+from tactorch.inverse.shapes.poses import probe_patterns
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.rims import rim_patterns
 from tactorch.inverse.starts import uniform_fit
@@ -113,6 +114,7 @@ class ShapeProblem:
         self._floored = noise.floored(recording)
         observations = self.quadratic.data.observations
         self._pose_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
+        self._probed = any(press.probe is not None for press in recording.presses)
 
     @property
     def has_rims(self) -> bool:
@@ -133,8 +135,12 @@ class ShapeProblem:
         youngs = ShapesOnSites(field, self._linear_sites).at(start.z).youngs
         coarse = self.linear.evaluate(youngs)
         self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / FORCE_DEVIATIONS[-1])
+        if self._probed:
+            probes = probe_patterns(self.quadratic.recording, coarse)
+            self._pose_patterns = np.hstack([self._pose_patterns, probes])
+            self._probed = False
         displacements = [extend(u) for u in coarse.displacements]
-        if self._correction is None or not self.has_rims:
+        if self._correction is None or not self._correction.has_contacts:
             return self.fit(start, displacements)
         youngs = ShapesOnSites(field, self.sites).at(start.z).youngs
         evaluation = self.quadratic.evaluate(youngs, starts=displacements)
@@ -279,10 +285,9 @@ class ShapeProblem:
         return Trial(fit.chi2, fit.misfit, -fit.log_evidence(np.inf)), fit.z
 
     def offsets(self, model: Model) -> list[np.ndarray]:
-        """Return predictions of linear less those of quadratic elements at a model, mm."""
-        coarse, observations = self._coarse(model), self.quadratic.data.observations
-        pairs = zip(coarse.reported, model.evaluation.reported, observations, strict=True)
-        return [(u - v).ravel()[o.index] for u, v, o in pairs]
+        """Return predictions of linear less those of quadratic elements at a model."""
+        pairs = zip(self._coarse(model).predicted, model.evaluation.predicted, strict=True)
+        return [linear - quadratic for linear, quadratic in pairs]
 
     def jacobian(self, model: Model) -> Float[np.ndarray, "data size"]:
         """Return the derivatives of the residuals of white noise by a model's parameters."""

@@ -45,7 +45,7 @@ def rim_patterns(
     """
     known = {} if kept is None else kept.responses
     counts = evaluation.data.counts
-    with_rims = [(numbers, rim) for numbers, rim in contacts if rim is not None]
+    with_rims = [(numbers, rim) for numbers, rim in contacts if rim and not rim.of_probe]
 
     def work(k: int) -> np.ndarray:
         numbers, rim = with_rims[k]

@@ -188,5 +188,5 @@ def _log_odds(problem: ShapeProblem, model: Model) -> tuple[tuple[float, ...], f
 def _unexplained(problem: ShapeProblem, fit: ShapeFit) -> float:
     """Return the root mean square of the residuals beyond their noise, over the data's."""
     data = problem.quadratic.data
-    observed = np.concatenate([o.displacement for o in data.observations]) * data.scale
+    observed = np.concatenate([o.values for o in data.observations]) * data.scale
     return float(np.sqrt(max(fit.chi2 - 1.0, 0.0) / np.mean(observed**2)))

@@ -8,10 +8,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.inverse.shapes.field import Ellipsoid
+from tactorch.inverse.shapes.footprint import Footprint, loaded_nodes
 from tactorch.mesh import TetMesh
 from tactorch.mesh.refine import Sizing
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
-from tactorch.recording import Recording, refine_recording
+from tactorch.recording import Press, Recording, refine_recording
 
 _PER_RADIUS = 0.5  # longest edge at the boundary of an inclusion, over its radius
 _GROWTH = 0.25  # of the longest edge with the distance from the boundary
@@ -87,7 +88,7 @@ def smallest(*sizings: Sizing | None) -> Sizing:
 
 
 def contact_sizing(recording: Recording) -> Sizing:
-    """Return the longest edges (mm) at points (mm): short at rims of contacts.
+    """Return the longest edges (mm) at points (mm): short at rims of contacts, and under probes.
 
     The traction ends at the rim, where strains change within a fraction of the contact's radius,
     which is that of a disc of the area of the loaded surface triangles. Contacts that end at an
@@ -95,17 +96,18 @@ def contact_sizing(recording: Recording) -> Sizing:
     """
     rims: dict[bytes, Rim | None] = {}
     for press in recording.presses:
-        loaded = (press.forces != 0).any(axis=1)
-        if loaded.tobytes() not in rims:
-            rims[loaded.tobytes()] = Rim.of(recording.mesh, loaded)
+        key = (press.forces != 0).any(axis=1).tobytes() + press.readings_bytes()
+        if key not in rims:
+            rims[key] = Rim.of(press, recording.mesh)
 
     def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         lengths = np.full(len(points), np.inf)
         for rim in rims.values():
             if rim is not None:
                 longest = _PER_CONTACT * rim.radius_mm
-                near = rim.tree.query(points)[0] < longest
-                lengths[near] = np.minimum(lengths[near], longest)
+                for tree in (rim.tree, rim.inside) if rim.of_probe else (rim.tree,):
+                    near = tree.query(points)[0] < longest
+                    lengths[near] = np.minimum(lengths[near], longest)
         return lengths
 
     return sizing
@@ -125,15 +127,29 @@ class Rim:
         tree: Their positions, mm.
         inside: Points of the loaded surface triangles, mm.
         radius_mm: Radius of a disc of the area of the loaded surface triangles.
+        of_probe: Whether a probe loads it, so that its traction is a result.
     """
 
     nodes: Int[np.ndarray, " k"]
     tree: cKDTree
     inside: cKDTree
     radius_mm: float
+    of_probe: bool = False
 
     @staticmethod
-    def of(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
+    def of(press: Press, mesh: TetMesh) -> "Rim | None":
+        """Return the rim of a press; None where it ends at edges of the body.
+
+        A probe that touches the whole width of a face has a rim there too.
+        """
+        if press.probe is None:
+            return Rim.around(mesh, (press.forces != 0).any(axis=1))
+        points, rim, radius = Footprint.of(press.probe, mesh)
+        nodes = np.flatnonzero(loaded_nodes(press, mesh))
+        return Rim(nodes, cKDTree(rim if len(rim) else points), cKDTree(points), radius, True)
+
+    @staticmethod
+    def around(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
         """Return the rim of the contact at the loaded points; None where there is none."""
         surface = mesh.surface
         inside = loaded[surface.triangles].all(axis=1)

@@ -1,0 +1,111 @@
+"""Data of a press that are not displacements of nodes, with their derivatives at equilibrium.
+
+A displacement along a direction at a point of the surface is linear in the nodal displacements. A
+component of the force or moment on a probe, or on a support that is moved, follows from the
+equilibrium; its derivative by Young's modulus has a direct part where the support is a part of the
+body's boundary.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float
+
+from tactorch.errors import ConfigError
+from tactorch.fem.elements import Discretisation
+from tactorch.fem.newton import EquilibriumResult, Newton
+from tactorch.fem.reading_rates import ReadingRates
+from tactorch.mesh.closest import closest_points
+
+
+def surface_rows(
+    discretisation: Discretisation,
+    points_mm: Float[np.ndarray, "k 3"],
+    directions: Float[np.ndarray, "k 3"],
+) -> sp.csr_matrix:
+    """Return the map from nodal displacements to those along directions at surface points.
+
+    Args:
+        discretisation: The body.
+        points_mm: Rest positions; the nearest points of the surface are taken.
+        directions: Direction of each datum.
+
+    Returns:
+        Matrix (k, unknowns).
+    """
+    surface = discretisation.mesh.surface
+    closest = closest_points(discretisation.mesh.points, surface.triangles, points_mm)
+    nodes = discretisation.surface_nodes(surface.triangles[closest.triangles])
+    values = discretisation.surface_values(closest.barycentric)
+    entries = values[:, :, None] * directions[:, None, :]
+    columns = 3 * nodes[:, :, None] + np.arange(3)
+    rows = np.repeat(np.arange(len(points_mm)), entries[0].size if len(entries) else 0)
+    shape = (len(points_mm), 3 * discretisation.n_nodes)
+    return sp.csr_matrix((entries.ravel(), (rows, columns.ravel())), shape=shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Wrench:
+    """Components of the force and moment on a probe, or on the support that is moved.
+
+    Attributes:
+        axes: Components; each row has the weights of force (N) and moment (N mm).
+        about_mm: Point of the moment.
+    """
+
+    axes: Float[np.ndarray, "k 6"]
+    about_mm: Float[np.ndarray, "3"]
+
+    def value(self, search: Newton, result: EquilibriumResult) -> Float[np.ndarray, " k"]:
+        """Return the components at an equilibrium.
+
+        Raises:
+            ConfigError: there is no probe, and no support is moved.
+        """
+        if search.contact is not None:
+            forces = search.contact.at(result.displacement).forces
+        else:
+            forces = -search.support_forces(result)
+            forces[~self._moved(search)] = 0.0
+        return np.asarray(self._weights(search, result) @ forces.ravel())
+
+    def rates(self, search: Newton, result: EquilibriumResult) -> ReadingRates:
+        """Return the derivatives at an equilibrium."""
+        weights = self._weights(search, result)
+        if search.contact is None:
+            weights[:, ~self._moved(search).ravel()] = 0.0
+            by_displacement = -search.tangent_times(result, weights.T).T
+            return ReadingRates(sp.csr_matrix(by_displacement), sp.csr_matrix(-weights))
+        contact = search.contact.at(result.displacement)
+        rows = search.contact.tangent(contact) @ weights.T
+        turned = np.cross(contact.forces[None], self.axes[:, None, 3:])
+        return ReadingRates.of_displacements(
+            sp.csr_matrix(rows.T + turned.reshape(len(weights), -1))
+        )
+
+    def by_motion(self, search: Newton, result: EquilibriumResult) -> Float[np.ndarray, "k 3"]:
+        """Return the derivatives by the position of the probe at constant displacements, 1/mm."""
+        assert search.contact is not None
+        contact = search.contact.tangent(search.contact.at(result.displacement))
+        forces = contact @ self._weights(search, result).T
+        return -forces.reshape(-1, 3, len(self.axes)).sum(axis=0).T
+
+    def _weights(
+        self, search: Newton, result: EquilibriumResult
+    ) -> Float[np.ndarray, "k unknowns"]:
+        """Weight of each nodal force in each component."""
+        positions = search.assembly.discretisation.extend(search.assembly.points)
+        arms = positions + result.displacement - self.about_mm
+        turns = np.cross(self.axes[:, None, 3:], arms[None])
+        weights: np.ndarray = (self.axes[:, None, :3] + turns).reshape(len(self.axes), -1)
+        return weights
+
+    def _moved(self, search: Newton) -> Bool[np.ndarray, "nodes 3"]:
+        moved = (search.supports.prescribed != 0.0).any(axis=1)
+        if not moved.any():
+            raise ConfigError(
+                "A force is measured where nothing is prescribed: there is no probe, and no "
+                "support is moved. Give the probe, or the prescribed displacement."
+            )
+        return search.supports.fixed & moved[:, None]

@@ -1,0 +1,118 @@
+"""Probes of a recording on a body, and the data that are not displacements of nodes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.fem import EquilibriumResult, Newton, SoftBody, Supports
+from tactorch.fem.contact import Contact
+from tactorch.fem.elements import Discretisation
+from tactorch.fem.reading_rates import ReadingRates
+from tactorch.fem.readings import Wrench, surface_rows
+from tactorch.linalg import map_cases
+from tactorch.recording import Press, Recording
+
+_MAX_CALIBRATING = 4  # presses for the modulus of contacts
+_ASSUMED_MPA = 0.2  # modulus for the stiffness of contacts where no force is measured
+
+
+@dataclass(frozen=True, eq=False)
+class PressReadings:
+    """Data of a press that are not displacements of nodes, on a body."""
+
+    surface: sp.csr_matrix | None  # from the displacements of all nodes
+    wrench: Wrench | None
+
+    @staticmethod
+    def of(press: Press, discretisation: Discretisation) -> "PressReadings":
+        """Return the readings of a press."""
+        surface, force = press.surface, press.force
+        return PressReadings(
+            surface and surface_rows(discretisation, surface.points_mm, surface.directions),
+            None if force is None else Wrench(force.axes, force.about_mm),
+        )
+
+    def predicted(self, search: Newton, result: EquilibriumResult) -> Float[np.ndarray, " k"]:
+        """Return the data at an equilibrium, mm, N or N mm."""
+        parts = [np.zeros(0)]
+        if self.surface is not None:
+            parts.append(self.surface @ result.displacement.ravel())
+        if self.wrench is not None:
+            parts.append(self.wrench.value(search, result))
+        return np.concatenate(parts)
+
+    def rates(self, search: Newton, result: EquilibriumResult) -> ReadingRates | None:
+        """Return their derivatives at an equilibrium; None without data."""
+        parts = []
+        if self.surface is not None:
+            parts.append(ReadingRates.of_displacements(self.surface))
+        if self.wrench is not None:
+            parts.append(self.wrench.rates(search, result))
+        return ReadingRates.stack(parts) if parts else None
+
+    def by_motion(self, search: Newton, result: EquilibriumResult) -> Float[np.ndarray, "k 3"]:
+        """Return the derivatives by the probe's position at constant displacements, 1/mm."""
+        parts = [np.zeros((0, 3))]
+        if self.surface is not None:
+            parts.append(np.zeros((self.surface.shape[0], 3)))
+        if self.wrench is not None:
+            parts.append(self.wrench.by_motion(search, result))
+        return np.vstack(parts)
+
+
+def make_contacts(recording: Recording, body: SoftBody) -> list[Contact | None]:
+    """Return the contact of each press with its probe; None without one.
+
+    Their stiffness follows from the uniform modulus by some of the measured forces: without other
+    loads the force on a probe at a given pose is proportional to it.
+
+    Raises:
+        ConfigError: a probe does not touch the body; names the press.
+        ConvergenceError: a press has no equilibrium on a uniform body; names the press.
+    """
+    presses = recording.presses
+    if all(press.probe is None for press in presses):
+        return [None] * len(presses)
+    modulus = _apparent_mpa(recording, body)
+    return [_contact(press, body, modulus) for press in presses]
+
+
+def _contact(press: Press, body: SoftBody, modulus: float) -> Contact | None:
+    pose = press.probe
+    if pose is None:
+        return None
+    try:
+        return Contact.of(
+            body.discretisation, pose.probe, pose.position_mm, modulus, rotation=pose.rotation
+        )
+    except ConfigError as error:
+        raise ConfigError(f"{press.label}: {error}") from error
+
+
+def _apparent_mpa(recording: Recording, body: SoftBody) -> float:
+    """Uniform modulus by the forces of some presses, MPa."""
+    with_both = [p for p in recording.presses if p.probe is not None and p.force is not None]
+    count = min(len(with_both), _MAX_CALIBRATING)
+    if not count:
+        return _ASSUMED_MPA
+    chosen = [with_both[i] for i in np.linspace(0, len(with_both) - 1, count).astype(int)]
+    pairs = map_cases(lambda i: _unit_forces(chosen[i], body), count)
+    predicted, measured = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    ratio = float(predicted @ measured) / max(float(predicted @ predicted), 1e-300)
+    return ratio if ratio > 0.0 else _ASSUMED_MPA
+
+
+def _unit_forces(press: Press, body: SoftBody) -> tuple[np.ndarray, np.ndarray]:
+    """Return the forces on the probe for a modulus of 1 MPa, and the measured ones."""
+    assert press.force is not None
+    supports = Supports(press.fixed, press.prescribed, press.springs)
+    uniform, nothing = np.ones(body.mesh.n_tets), np.zeros((body.n_nodes, 3))
+    search = body.search(uniform, nothing, supports, contact=_contact(press, body, 1.0))
+    result = search.run()
+    if not result.converged:
+        raise ConvergenceError(f"{press.label}: {result.reason}")
+    wrench = Wrench(press.force.axes, press.force.about_mm)
+    return wrench.value(search, result), press.force.values

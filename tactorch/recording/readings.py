@@ -1,0 +1,161 @@
+"""What prescribes a press by a rigid probe, and data that are not displacements of nodes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import RecordingError
+from tactorch.recording.arrays import make_array, require_finite
+
+if TYPE_CHECKING:
+    from tactorch.fem.contact import Probe
+
+_IDENTITY: Any = None  # replaced by the unit matrix on construction
+_ORIGIN: Any = None  # replaced by the origin on construction
+
+
+@dataclass(frozen=True, eq=False)
+class ProbePose:
+    """A rigid probe at a prescribed pose, in the axes of the mesh.
+
+    Attributes:
+        probe: The probe, such as `tactorch.fem.contact.Ball`.
+        position_mm: Its position, (3,), mm: of a ball the centre.
+        rotation: Rotation from the axes of the probe to those of the mesh, (3, 3); none by
+            default. The probe pushes along its -z axis.
+
+    Raises:
+        RecordingError: A value is not finite, or `rotation` is not a rotation.
+    """
+
+    probe: "Probe"
+    position_mm: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "3 3"] = _IDENTITY
+
+    def __post_init__(self) -> None:
+        rotation = np.eye(3) if self.rotation is None else self.rotation
+        for name, value, shape in (
+            ("position_mm", self.position_mm, (3,)),
+            ("rotation", rotation, (3, 3)),
+        ):
+            array = make_array(value, shape, f"probe: {name}")
+            require_finite(array, f"probe: {name}")
+            object.__setattr__(self, name, array)
+        product = self.rotation @ self.rotation.T
+        if not np.allclose(product, np.eye(3), atol=1e-6) or np.linalg.det(self.rotation) < 0.0:
+            raise RecordingError("probe: rotation is not a rotation; give an orthonormal matrix")
+
+    def distances(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        """Return the signed distances of points (mm) from the probe, negative within it."""
+        import torch
+
+        local = torch.from_numpy((points - self.position_mm) @ self.rotation)
+        sizes = torch.tensor(self.probe.sizes, dtype=torch.float64)
+        distances: np.ndarray = self.probe.distance(local, sizes).numpy()
+        return distances
+
+
+@dataclass(frozen=True, eq=False)
+class ForceReading:
+    """Measured components of the force and moment on the probe, in the axes of the mesh.
+
+    Without a probe they are those on the fixed nodes whose prescribed displacement is not zero.
+
+    Attributes:
+        axes: Components, (k, 6); each row has the weights of the force (N) and of the moment about
+            `about_mm` (N mm).
+        values: Measured components, (k,), N or N mm.
+        deviations: Standard deviations of their noise, (k,), N or N mm.
+        about_mm: Point of the moment, (3,), mm; the origin by default.
+
+    Raises:
+        RecordingError: Shapes differ, a value is not finite, or a deviation is not positive.
+    """
+
+    axes: Float[np.ndarray, "k 6"]
+    values: Float[np.ndarray, " k"]
+    deviations: Float[np.ndarray, " k"]
+    about_mm: Float[np.ndarray, "3"] = _ORIGIN
+
+    def __post_init__(self) -> None:
+        count = len(np.atleast_1d(self.values))
+        about = np.zeros(3) if self.about_mm is None else self.about_mm
+        _set(self, "force", axes=(count, 6), values=(count,), deviations=(count,))
+        object.__setattr__(self, "about_mm", make_array(about, (3,), "force: about_mm"))
+        require_finite(self.about_mm, "force: about_mm")
+        _require_deviations(self.deviations, "force")
+        if not self.axes.any(axis=1).all():
+            raise RecordingError("force: axes has a row of zeros; give the measured components")
+
+    @staticmethod
+    def along(
+        direction: Sequence[float] | Float[np.ndarray, "3"], value_n: float, deviation_n: float
+    ) -> "ForceReading":
+        """Return the reading of a load cell that measures the force along one direction."""
+        axes = np.zeros((1, 6))
+        axes[0, :3] = direction
+        return ForceReading(axes, np.array([value_n]), np.array([deviation_n]))
+
+    @staticmethod
+    def vector(
+        force_n: Sequence[float] | Float[np.ndarray, "3"], deviation_n: float
+    ) -> "ForceReading":
+        """Return the reading of a sensor that measures the three components of the force."""
+        values = np.array(force_n, dtype=np.float64)
+        return ForceReading(np.eye(3, 6), values, np.full(3, deviation_n))
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceReading:
+    """Measured displacements along given directions at any points of the surface.
+
+    A depth along the normal is one; at points between nodes the displacement is interpolated.
+
+    Attributes:
+        points_mm: Rest positions, (k, 3), mm; the nearest points of the surface are taken.
+        directions: Unit vectors, (k, 3).
+        displacement_mm: Measured displacements along them, (k,), mm.
+        deviations_mm: Standard deviations of their noise, (k,), mm.
+
+    Raises:
+        RecordingError: Shapes differ, a value is not finite, a direction has not unit length, or a
+            deviation is not positive.
+    """
+
+    points_mm: Float[np.ndarray, "k 3"]
+    directions: Float[np.ndarray, "k 3"]
+    displacement_mm: Float[np.ndarray, " k"]
+    deviations_mm: Float[np.ndarray, " k"]
+
+    def __post_init__(self) -> None:
+        count = len(np.atleast_1d(self.displacement_mm))
+        shapes = {"points_mm": (count, 3), "directions": (count, 3)}
+        _set(self, "surface", **shapes, displacement_mm=(count,), deviations_mm=(count,))
+        _require_deviations(self.deviations_mm, "surface")
+        lengths = np.linalg.norm(self.directions, axis=1)
+        if (np.abs(lengths - 1.0) > 1e-6).any():
+            worst = int(np.abs(lengths - 1.0).argmax())
+            raise RecordingError(
+                f"surface: directions[{worst}] has length {lengths[worst]:g}; give unit vectors"
+            )
+
+
+def _set(reading: object, what: str, **shapes: tuple[int, ...]) -> None:
+    """Convert and check the arrays of a reading."""
+    for name, shape in shapes.items():
+        array = make_array(getattr(reading, name), shape, f"{what}: {name}")
+        require_finite(array, f"{what}: {name}")
+        if not len(array):
+            raise RecordingError(f"{what}: {name} is empty; leave the reading out")
+        object.__setattr__(reading, name, array)
+
+
+def _require_deviations(values: Float[np.ndarray, " k"], what: str) -> None:
+    if (values <= 0.0).any():
+        raise RecordingError(
+            f"{what}: a standard deviation is {values.min():g}; give positive ones, of the "
+            "instrument's noise"
+        )
