@@ -20,13 +20,13 @@ class Closest(NamedTuple):
         distances: Distance from the given point, mm.
     """
 
-    triangles: Int[np.ndarray, " k"]
-    barycentric: Float[np.ndarray, "k 3"]
-    distances: Float[np.ndarray, " k"]
+    triangles: Int[np.ndarray, " q"]
+    barycentric: Float[np.ndarray, "q 3"]
+    distances: Float[np.ndarray, " q"]
 
 
 def closest_points(
-    points: Points, triangles: Triangles, queries: Float[np.ndarray, "k 3"]
+    points: Points, triangles: Triangles, queries: Float[np.ndarray, "q 3"]
 ) -> Closest:
     """Return the closest points of a surface.
 

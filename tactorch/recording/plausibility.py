@@ -55,14 +55,15 @@ def check_units(
         )
     for press in presses:
         _check_press(press, diagonal)
-    largest = max(press.largest_displacement for press in presses)
+    moved = [p for p in presses if p.observed.any() or p.surface is not None]
+    largest = max((press.largest_displacement for press in moved), default=np.inf)
     if largest < MIN_RELATIVE_DISPLACEMENT * diagonal:
         raise RecordingError(
             f"presses: no displacement exceeds {largest:.3g} mm on an object {diagonal:.3g} mm "
             "across; metres given for millimetres, or nothing moved? Multiply displacements by "
             f"1000 if they are in metres. {_OPT_OUT}"
         )
-    for press in presses:
+    for press in moved:
         _check_apparent_modulus(press, diagonal)
     median = 1.0 if truth is None else float(np.median(truth))
     low, high = MODULUS_MPA

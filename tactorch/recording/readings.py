@@ -13,6 +13,7 @@ from tactorch.recording.arrays import make_array, require_finite
 if TYPE_CHECKING:
     from tactorch.fem.contact import Probe
 
+_RESOLUTION = 1e-3  # of a depth, over the largest distance within a probe
 _IDENTITY: Any = None  # replaced by the unit matrix on construction
 _ORIGIN: Any = None  # replaced by the origin on construction
 
@@ -56,6 +57,22 @@ class ProbePose:
         sizes = torch.tensor(self.probe.sizes, dtype=torch.float64)
         distances: np.ndarray = self.probe.distance(local, sizes).numpy()
         return distances
+
+    def depths(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        """Return how far points (mm) must move along the push to leave the probe; 0 outside it.
+
+        By sphere tracing (J. C. Hart, The Visual Computer 12, 1996, p. 527), to a thousandth of
+        the largest depth.
+        """
+        push, depths = -self.rotation[:, 2], np.zeros(len(points))
+        inside = np.flatnonzero(self.distances(points) < 0.0)
+        resolution = -_RESOLUTION * float(self.distances(points[inside]).min(initial=0.0))
+        while len(inside):
+            distances = self.distances(points[inside] + depths[inside, None] * push)
+            still = distances < 0.0
+            inside, distances = inside[still], distances[still]
+            depths[inside] += np.maximum(-distances, resolution)
+        return depths
 
 
 @dataclass(frozen=True, eq=False)

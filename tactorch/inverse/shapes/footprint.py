@@ -22,8 +22,8 @@ def loaded_nodes(press: Press, mesh: TetMesh) -> Bool[np.ndarray, " n"]:
     loaded: np.ndarray = (press.forces != 0.0).any(axis=1)
     if press.probe is not None:
         nodes = mesh.surface.nodes()
-        depths = -press.probe.distances(mesh.points[nodes])
-        limit = _TOUCHED * max(float(depths.max()), 0.0)
+        depths = press.probe.depths(mesh.points[nodes])
+        limit = _TOUCHED * float(depths.max())
         loaded[nodes[depths > limit]] = True
     return loaded
 
@@ -31,7 +31,7 @@ def loaded_nodes(press: Press, mesh: TetMesh) -> Bool[np.ndarray, " n"]:
 def largest_depth(press: Press, mesh: TetMesh) -> float:
     """Return the largest depth of nodes of the undeformed surface within the probe, mm."""
     assert press.probe is not None
-    return max(float(-press.probe.distances(mesh.points[mesh.surface.nodes()]).min()), 0.0)
+    return float(press.probe.depths(mesh.points[mesh.surface.nodes()]).max())
 
 
 class Footprint(NamedTuple):
@@ -59,8 +59,8 @@ class Footprint(NamedTuple):
         near = np.flatnonzero(pose.distances(corners.mean(axis=1)) < reach)
         samples = lattice(_SAMPLES, corners=3)
         points = np.einsum("sc,tcd->tsd", samples, corners[near]).reshape(-1, 3)
-        depths = -pose.distances(points)
-        if not len(points) or depths.max() <= 0.0:
+        depths = pose.depths(points)
+        if not depths.any():
             raise ConfigError(
                 f"The probe at {np.round(pose.position_mm, 3).tolist()} mm does not touch the body;"
                 " check its position (mm) and the axes."

@@ -1,0 +1,176 @@
+"""Presses by rigid probes in an inverse problem."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError
+from tactorch.fem import NewtonOptions
+from tactorch.fem.contact import Ball, FlatPunch
+from tactorch.inverse import InverseProblem
+from tactorch.inverse.nuisance import NuisancePrior
+from tactorch.inverse.shapes.footprint import Footprint, loaded_nodes
+from tactorch.inverse.shapes.poses import probe_patterns
+from tactorch.inverse.starts import uniform_fit
+from tactorch.mesh import box_mesh, face_nodes
+from tactorch.recording import (
+    ForceReading,
+    MaterialSpec,
+    Press,
+    ProbePose,
+    Recording,
+    SurfaceReading,
+)
+
+MESH = box_mesh(10.0, 4, tets_per_cell=5)
+BALL = Ball(4.0)
+YOUNGS = 0.2 * np.exp(0.2 * np.random.default_rng(0).standard_normal(MESH.n_tets))
+AXES = np.vstack([np.eye(3, 6), [[0.1, 0.2, 0.3, 0.5, -0.4, 0.2]]])
+SURFACE = SurfaceReading(
+    np.array([[2.0, 3.0, 10.0], [8.0, 8.5, 9.9]]),
+    np.array([[0.0, 0.0, 1.0], [0.0, 0.6, 0.8]]),
+    np.array([0.1, 0.1]),
+    np.array([0.01, 0.02]),
+)
+
+
+def _press(x: float, y: float, depth: float, **changes) -> Press:
+    n = MESH.n_points
+    fixed = np.zeros((n, 3), dtype=bool)
+    fixed[face_nodes(MESH, "z-")] = True
+    fields = {
+        "forces": np.zeros((n, 3)),
+        "observed": np.zeros((n, 3), dtype=bool),
+        "displacement": np.full((n, 3), np.nan),
+        "fixed": fixed,
+        "probe": ProbePose(BALL, np.array([x, y, 14.0 - depth])),
+        "force": ForceReading(AXES, np.ones(4), np.full(4, 0.01), np.array([5.0, 5.0, 10.0])),
+        "name": f"({x}, {y})",
+    }
+    return Press(**{**fields, **changes})
+
+
+def _seen() -> Press:
+    """A press whose surface a camera sees as well."""
+    observed = np.zeros((MESH.n_points, 3), dtype=bool)
+    observed[face_nodes(MESH, "z+")[:5]] = True
+    displacement = np.where(observed, 0.01, np.nan)
+    return _press(
+        4.0, 6.0, 0.7, observed=observed, displacement=displacement, noise_mm=0.01, surface=SURFACE
+    )
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Presses of which the data are those of the map, with linear elements."""
+    presses = (_press(5.0, 5.0, 1.0), _press(5.0, 5.0, 0.6), _seen())
+    first = Recording(MESH, presses, MaterialSpec("neo_hookean", 0.4))
+    predicted = _problem(first).evaluate(YOUNGS).predicted
+    measured = []
+    for press, values in zip(presses, predicted, strict=True):
+        assert press.force is not None
+        measured.append(replace(press, force=replace(press.force, values=values[-4:])))
+    return replace(first, presses=tuple(measured))
+
+
+def _problem(recording: Recording, element: str = "tet4") -> InverseProblem:
+    return InverseProblem(recording, element=element, newton=NewtonOptions(rtol=1e-12))
+
+
+@pytest.mark.parametrize("element", ["tet4", "tet10"])
+def test_derivatives_are_finite_differences(recording: Recording, element: str) -> None:
+    problem = _problem(recording, element)
+    evaluation = problem.evaluate(YOUNGS)
+    jacobian = evaluation.jacobian()
+    assert jacobian.shape == (problem.n_data, MESH.n_tets) == (4 + 4 + 15 + 2 + 4, MESH.n_tets)
+    change, step = YOUNGS * np.random.default_rng(1).standard_normal(len(YOUNGS)), 1e-5
+    plus, minus = (problem.evaluate(YOUNGS + s * step * change).residuals for s in (1, -1))
+    expected = (plus - minus) / (2.0 * step)
+    atol = 1e-6 * np.abs(expected).max()
+    np.testing.assert_allclose(jacobian @ change, expected, atol=atol)
+    np.testing.assert_allclose(evaluation.jacobian_times(change), expected, atol=atol)
+    columns, fields = evaluation.linear_response(change[None])
+    np.testing.assert_allclose(columns[:, 0], expected, atol=atol)
+    assert len(fields) == 3
+    weights = np.random.default_rng(2).standard_normal(len(expected))
+    np.testing.assert_allclose(
+        evaluation.transpose_times(weights), jacobian.T @ weights, rtol=1e-9, atol=1e-9
+    )
+
+
+def test_motions_of_probes_are_finite_differences(recording: Recording) -> None:
+    problem = _problem(recording, "tet10")
+    motions = problem.evaluate(YOUNGS).probe_motions()
+    for k, axis in ((0, 2), (2, 0)):
+        seen = []
+        for sign in (1.0, -1.0):
+            moved = _problem(recording, "tet10")
+            contacts = list(problem._contacts)
+            shift = sign * 1e-5 * np.eye(3)[axis]
+            contacts[k] = replace(contacts[k], position_mm=contacts[k].position_mm + shift)
+            moved.__dict__["_contacts"] = contacts
+            seen.append(np.split(moved.evaluate(YOUNGS).residuals, moved.data.begins[1:])[k])
+        expected = (seen[0] - seen[1]) / 2e-5
+        atol = 1e-6 * np.abs(expected).max()
+        np.testing.assert_allclose(motions[k][:, axis], expected, atol=atol)
+
+
+def test_presses_at_one_place_share_the_error_of_the_pose(recording: Recording) -> None:
+    evaluation = _problem(recording).evaluate(YOUNGS)
+    patterns = probe_patterns(recording, evaluation)
+    assert patterns.shape == (29, 6)  # two places
+    motions = evaluation.probe_motions()
+    np.testing.assert_allclose(patterns[:8, :3], 1.0 * np.vstack(motions[:2]), rtol=1e-6)
+    assert not patterns[8:, :3].any()
+
+
+def test_the_uniform_modulus_follows_from_forces_alone(recording: Recording) -> None:
+    uniform = np.full(MESH.n_tets, 0.07)
+    predicted = _problem(recording).evaluate(uniform).predicted
+    presses = []
+    for press, values in zip(recording.presses[:2], predicted[:2], strict=True):
+        presses.append(replace(press, force=replace(press.force, values=values)))
+    forces_only = replace(recording, presses=tuple(presses))
+    fit = uniform_fit(_problem(forces_only))
+    # The stiffness of the contact is that of another modulus than in the presses.
+    assert fit.youngs_mpa == pytest.approx(0.07, rel=0.02)
+
+
+def test_force_patterns_are_relative_errors_of_the_measured_force(recording: Recording) -> None:
+    evaluation = _problem(recording).evaluate(YOUNGS)
+    patterns = evaluation.force_patterns()
+    assert patterns.shape == (29, 3)
+    first = recording.presses[0].force
+    np.testing.assert_allclose(patterns[:4, 0], first.values / first.deviations)
+    assert not patterns[8:25, 2].any()  # displacements are not affected
+
+
+def test_a_probe_that_does_not_touch_is_named(recording: Recording) -> None:
+    away = replace(recording.presses[1], probe=ProbePose(BALL, np.array([5.0, 5.0, 15.0])))
+    problem = _problem(replace(recording, presses=(recording.presses[0], away)))
+    with pytest.raises(ConfigError, match=r"press '\(5.0, 5.0\)'.*1 mm away"):
+        problem.evaluate(YOUNGS)
+
+
+def test_nuisance_of_the_sensor_is_refused_with_a_probe(recording: Recording) -> None:
+    with pytest.raises(ConfigError, match="force_scale cannot be estimated"):
+        InverseProblem(recording, nuisance=NuisancePrior(force_scale=0.1))
+
+
+@pytest.mark.parametrize(
+    ("probe", "height_mm", "radius_mm"),
+    [(Ball(4.0), 13.0, 2.0), (FlatPunch(2.5), 9.4, 2.5)],
+)
+def test_footprints_are_those_of_hertz_and_of_the_punch(probe, height_mm, radius_mm) -> None:
+    pose = ProbePose(probe, np.array([5.2, 4.9, height_mm]))
+    footprint = Footprint.of(pose, MESH)
+    assert footprint.radius_mm == pytest.approx(radius_mm, rel=0.08)
+    across = np.linalg.norm(footprint.points[:, :2] - [5.2, 4.9], axis=1)
+    assert across.max() == pytest.approx(radius_mm, rel=0.1)
+    at_rim = np.linalg.norm(footprint.rim[:, :2] - [5.2, 4.9], axis=1)
+    assert at_rim.min() > 0.7 * radius_mm
+    press = _press(5.2, 4.9, 1.0, probe=pose)
+    nodes = MESH.points[loaded_nodes(press, MESH)]
+    assert len(nodes)
+    assert np.linalg.norm(nodes[:, :2] - [5.2, 4.9], axis=1).max() <= radius_mm + 1e-9
