@@ -63,21 +63,18 @@ class PressReadings:
         return np.vstack(parts)
 
 
-def make_contacts(recording: Recording, body: SoftBody) -> list[Contact | None]:
+def make_contacts(recording: Recording, body: SoftBody, modulus_mpa: float) -> list[Contact | None]:
     """Return the contact of each press with its probe; None without one.
 
-    Their stiffness follows from the uniform modulus by some of the measured forces: without other
-    loads the force on a probe at a given pose is proportional to it.
+    Args:
+        recording: The presses.
+        body: The body.
+        modulus_mpa: Modulus for the stiffness of the contacts.
 
     Raises:
         ConfigError: a probe does not touch the body; names the press.
-        ConvergenceError: a press has no equilibrium on a uniform body; names the press.
     """
-    presses = recording.presses
-    if all(press.probe is None for press in presses):
-        return [None] * len(presses)
-    modulus = _apparent_mpa(recording, body)
-    return [_contact(press, body, modulus) for press in presses]
+    return [_contact(press, body, modulus_mpa) for press in recording.presses]
 
 
 def _contact(press: Press, body: SoftBody, modulus: float) -> Contact | None:
@@ -92,12 +89,22 @@ def _contact(press: Press, body: SoftBody, modulus: float) -> Contact | None:
         raise ConfigError(f"{press.label}: {error}") from error
 
 
-def _apparent_mpa(recording: Recording, body: SoftBody) -> float:
-    """Uniform modulus by the forces of some presses, MPa."""
+def apparent_mpa(recording: Recording, body: SoftBody) -> float:
+    """Return the uniform modulus by the measured forces on the probes of some presses, MPa.
+
+    Without other loads the force on a probe at a given pose is proportional to it. Elements are
+    linear: the modulus is for the stiffness of contacts, and for starts.
+
+    Raises:
+        ConfigError: a probe does not touch the body; names the press.
+        ConvergenceError: a press has no equilibrium on a uniform body; names the press.
+    """
     with_both = [p for p in recording.presses if p.probe is not None and p.force is not None]
     count = min(len(with_both), _MAX_CALIBRATING)
     if not count:
         return _ASSUMED_MPA
+    if body.discretisation.element.quadratic:
+        body = SoftBody(body.mesh, body.material, solver=body.solver, newton=body.newton)
     chosen = [with_both[i] for i in np.linspace(0, len(with_both) - 1, count).astype(int)]
     pairs = map_cases(lambda i: _unit_forces(chosen[i], body), count)
     predicted, measured = (np.concatenate(part) for part in zip(*pairs, strict=True))

@@ -27,7 +27,7 @@ from tactorch.fem.elements import ConsistentLoads
 from tactorch.inverse.data import DataModel, NoiseModel, Observation
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModel
-from tactorch.inverse.probes import PressReadings, make_contacts
+from tactorch.inverse.probes import PressReadings, apparent_mpa, make_contacts
 from tactorch.linalg import SharedLease, SolverOptions, map_cases
 from tactorch.recording import Recording
 
@@ -365,6 +365,8 @@ class InverseProblem:
         derivative_rtol: Relative residual of the solves for derivatives, for which presses of the
             same supports share factorisations; zero factors the tangent of each press, which is
             better for more than some tens of solves.
+        contact_mpa: Modulus for the stiffness of contacts with probes, MPa; by default the uniform
+            one by some of the measured forces.
 
     Attributes:
         data: Observations and the statistics of their errors.
@@ -384,8 +386,9 @@ class InverseProblem:
         nuisance: NuisancePrior | None = None,
         body: SoftBody | None = None,
         derivative_rtol: float = 0.0,
+        contact_mpa: float | None = None,
     ) -> None:
-        self.derivative_rtol = derivative_rtol
+        self.derivative_rtol, self._contact_mpa = derivative_rtol, contact_mpa
         self.recording = recording
         self.body = body or make_body(recording, element, solver, newton)
         self.noise = noise or NoiseModel()
@@ -435,7 +438,14 @@ class InverseProblem:
     @cached_property
     def _contacts(self) -> list[Contact | None]:
         """Contact of each press with its probe."""
-        return make_contacts(self.recording, self.body)
+        if all(press.probe is None for press in self.recording.presses):
+            return [None] * len(self.recording.presses)
+        return make_contacts(self.recording, self.body, self.contact_mpa)
+
+    @cached_property
+    def contact_mpa(self) -> float:
+        """Modulus for the stiffness of contacts with probes, MPa."""
+        return self._contact_mpa or apparent_mpa(self.recording, self.body)
 
     @property
     def n_data(self) -> int:

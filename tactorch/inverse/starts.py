@@ -127,6 +127,8 @@ def _stop_condition(tolerance: float, fitted_chi2: float = 0.0) -> StopCondition
 def _first_mpa(problem: InverseProblem) -> float:
     """First modulus, MPa: a much too soft body would collapse, which takes long to detect."""
     mesh, estimates = problem.recording.mesh, []
+    if any(p.probe is not None and p.force is not None for p in problem.recording.presses):
+        return problem.contact_mpa
     for press in problem.recording.presses:
         total = press.forces.sum(axis=0)
         force = float(np.linalg.norm(total))

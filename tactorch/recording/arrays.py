@@ -18,7 +18,8 @@ def make_array(
 ) -> Float[np.ndarray, "..."] | Bool[np.ndarray, "..."]:
     """Return a copy of `value` with `shape` (None: any length), or raise `RecordingError`.
 
-    It is float64, or bool where `kinds` is "b". Numbers are refused for a mask: a list of indices
+    It is float64, or bool where `kinds` is "b". An array that is read-only and has this type is
+    shared instead, so that many presses need not have a copy each. Numbers are refused for a mask: a list of indices
     would otherwise be read as one.
     """
     try:
@@ -33,7 +34,10 @@ def make_array(
     if not fits:
         wanted = ", ".join("n" if size is None else str(size) for size in shape)
         raise RecordingError(f"{what} has shape {array.shape}; ({wanted}) is needed")
-    return np.array(array, dtype=np.bool_ if kinds == "b" else np.float64, order="C")
+    dtype = np.bool_ if kinds == "b" else np.float64
+    if not array.flags.writeable and array.dtype == dtype:
+        return array
+    return np.array(array, dtype=dtype, order="C")
 
 
 def require_finite(array: Float[np.ndarray, "..."], what: str) -> None:

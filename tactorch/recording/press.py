@@ -22,7 +22,7 @@ class Press:
     Nodal forces, prescribed displacements or a rigid probe load the object; displacements of nodes,
     displacements along directions or forces on the probe are the data.
 
-    Arrays are copied to float64 (or bool). Displacement is set to NaN where it was not observed,
+    Arrays are copied to float64 (or bool), unless they are read-only. Displacement is set to NaN where it was not observed,
     and `prescribed` to zero where nothing is fixed.
 
     Attributes:
@@ -92,8 +92,35 @@ class Press:
                 require_finite(values, f"{self.label}: {name}")
         self._check_loads()
         self._check_weights_and_direction()
-        self._set("displacement", np.where(self.observed, self.displacement, np.nan))
-        self._set("prescribed", np.where(self.fixed, self.prescribed, 0.0))
+        self._set("displacement", _only(self.observed, self.displacement, np.nan))
+        moved = self.fixed & (self.prescribed != 0.0)
+        self._set("prescribed", _only(moved, self.prescribed, 0.0))
+
+    @staticmethod
+    def by_probe(
+        probe: ProbePose,
+        n_points: int,
+        *,
+        force: ForceReading | None = None,
+        surface: SurfaceReading | None = None,
+        **fields: Any,
+    ) -> "Press":
+        """Return a press by a probe, without nodal forces and observed nodes.
+
+        Its constant arrays take no memory, and read-only arrays are shared: a thousand presses may
+        have the same supports.
+
+        Args:
+            probe: The probe and its pose.
+            n_points: Number of nodes of the mesh.
+            force: Measured force on the probe.
+            surface: Measured displacements along directions at points of the surface.
+            fields: Further fields, such as `fixed`, `springs`, `step` and `name`.
+        """
+        arrays = {"forces": 0.0, "observed": False, "displacement": np.nan}
+        constant = {name: _constant(value, n_points) for name, value in arrays.items()}
+        constant |= {name: _constant(0.0, n_points) for name in ("springs", "prescribed")}
+        return Press(**{**constant, **fields}, probe=probe, force=force, surface=surface)
 
     @property
     def held(self) -> Bool[np.ndarray, "n 3"]:
@@ -209,3 +236,15 @@ class Press:
             length = float(np.linalg.norm(self.direction))
             if abs(length - 1.0) > 1e-6:
                 raise self._error(f"direction has length {length:g}; give a unit vector, or None")
+
+
+def _constant(value: float | bool, n_points: int) -> np.ndarray:
+    """Return a read-only nodal field that takes no memory."""
+    return np.broadcast_to(np.array(value), (n_points, 3))
+
+
+def _only(
+    mask: Bool[np.ndarray, "n 3"], values: Float[np.ndarray, "n 3"], other: float
+) -> Float[np.ndarray, "n 3"]:
+    """Return values where the mask is set, and `other` elsewhere."""
+    return np.where(mask, values, other) if mask.any() else _constant(other, len(mask))

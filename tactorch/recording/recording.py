@@ -140,6 +140,8 @@ class Recording:
             f"material: {material.name}, Poisson's ratio {material.poisson:g}{parameters}",
             f"truth: {truth}",
         ]
+        if readings := _readings(presses):
+            lines.insert(3, readings)
         if self.reference is not None:
             lines.append(f"reference: {_range(self.reference)} MPa")
         if self.density and self.gravity.any():
@@ -210,6 +212,25 @@ class Recording:
                     f"{press.label}: nothing holds the object; it can {motions[key]}. "
                     "Fix more degrees of freedom, or give them springs"
                 )
+
+
+def _readings(presses: Sequence[Press]) -> str:
+    """Return the numbers of probes and of data that are not displacements of nodes, as text."""
+    probes = sum(press.probe is not None for press in presses)
+    forces = sum(len(press.force.values) for press in presses if press.force is not None)
+    along = sum(
+        len(press.surface.displacement_mm) for press in presses if press.surface is not None
+    )
+    parts = [
+        f"{count} {what}"
+        for count, what in (
+            (probes, "presses by a probe"),
+            (forces, "components of force or moment"),
+            (along, "displacements along a direction"),
+        )
+        if count
+    ]
+    return f"readings: {', '.join(parts)}" if parts else ""
 
 
 def _range(values: Sequence[float] | np.ndarray) -> str:

@@ -52,7 +52,21 @@ def _recording(*presses: Press) -> Recording:
 def test_a_press_by_a_probe_needs_no_displacements() -> None:
     recording = _recording(_press())
     np.testing.assert_allclose(recording.presses[0].total_force, (0.0, 0.0, -0.3), atol=1e-12)
-    assert "force 0.3 N" in recording.summary()
+    summary = recording.summary()
+    assert "force 0.3 N" in summary
+    assert "readings: 1 presses by a probe, 3 components of force or moment" in summary
+
+
+def test_presses_by_probes_share_their_arrays() -> None:
+    fixed = np.zeros((BOX.n_points, 3), dtype=bool)
+    fixed[face_nodes(BOX, "z-")] = True
+    fixed.setflags(write=False)
+    press = Press.by_probe(POSE, BOX.n_points, force=FORCE, fixed=fixed, name="first")
+    assert press.fixed is fixed
+    for array in (press.forces, press.displacement, press.springs, press.prescribed):
+        assert array.strides == (0, 0)
+    assert digest(press) == digest(_press())
+    assert _recording(press).presses[0].name == "first"
 
 
 def test_files_keep_probes_and_readings(tmp_path: Path) -> None:

@@ -112,6 +112,7 @@ class Correction:
         noise: Standard deviations for presses that do not state theirs.
         contacts: Presses of each contact, which differ by a factor, and its rim if it has one.
         kept: Errors at rims, maybe of an earlier search on fewer presses.
+        contact_mpa: Modulus for the stiffness of contacts with probes; None without probes.
     """
 
     recording: Recording
@@ -120,6 +121,7 @@ class Correction:
     noise: NoiseModel
     contacts: tuple[tuple[tuple[int, ...], Rim | None], ...]
     kept: KeptRims = field(default_factory=KeptRims)
+    contact_mpa: float | None = None
 
     @staticmethod
     def of(
@@ -138,8 +140,11 @@ class Correction:
         pairs = []
         for numbers in group_by_contact(recording.presses, problem.data.observations):
             pairs.append((numbers, Rim.of(recording.presses[numbers[0]], recording.mesh)))
-        kept = kept or KeptRims()
-        return Correction(recording, element, solver, problem.noise, tuple(pairs), kept)
+        probed = any(press.probe is not None for press in recording.presses)
+        return Correction(
+            recording, element, solver, problem.noise, tuple(pairs), kept or KeptRims(),
+            problem.contact_mpa if probed else None,
+        )  # fmt: skip
 
     @property
     def has_contacts(self) -> bool:
@@ -300,7 +305,9 @@ class Correction:
                 for i in series.ends:
                     check()
                     one = replace(fine, presses=(fine.presses[i],))
-                    problem = InverseProblem(one, body=body, noise=self.noise)
+                    problem = InverseProblem(
+                        one, body=body, noise=self.noise, contact_mpa=self.contact_mpa
+                    )
                     start = transfer(displacements[i])
                     first = start + series.factors[i] * change
                     near = problem.evaluate(youngs, near, take_over=True, starts=[first])

@@ -91,9 +91,11 @@ class ShapeProblem:
         def problem(element: str, **more: Any) -> InverseProblem:
             return InverseProblem(recording, element=element, newton=newton, **options, **more)
 
+        self.linear = problem("tet4")
+        if any(press.probe is not None for press in recording.presses):
+            options["contact_mpa"] = self.linear.contact_mpa
         self.quadratic = problem(self._element, derivative_rtol=_DERIVATIVE_RTOL)
         self.sites = Sites.of(self.quadratic.body.assembly)
-        self.linear = problem("tet4")
         self._linear_sites = Sites.of(self.linear.body.assembly)
         # Where the presses were computed on this mesh, it is the object.
         self._correction = None
