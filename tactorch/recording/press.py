@@ -22,8 +22,8 @@ class Press:
     Nodal forces, prescribed displacements or a rigid probe load the object; displacements of nodes,
     displacements along directions or forces on the probe are the data.
 
-    Arrays are copied to float64 (or bool), unless they are read-only. Displacement is set to NaN where it was not observed,
-    and `prescribed` to zero where nothing is fixed.
+    Arrays are copied to float64 (or bool), unless they are read-only. Displacement is set to NaN
+    where it was not observed, and `prescribed` to zero where nothing is fixed.
 
     Attributes:
         forces: External nodal forces, (n, 3), N.
