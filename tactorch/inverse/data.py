@@ -167,8 +167,9 @@ _LEVI_CIVITA = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
 class ModelError(NamedTuple):
     """Error of the model's prediction of one press."""
 
-    offset: Float[np.ndarray, " p"]  # better minus present prediction of the data, mm
-    deviation: float  # standard deviation of what remains after subtracting it, mm
+    offset: Float[np.ndarray, " data"]  # better minus present prediction, mm, N or N mm
+    deviation: float  # standard deviation of what remains of displacements, mm
+    force_deviation: float = 0.0  # the same of forces and moments, N or N mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,16 +245,15 @@ class DataModel:
         """
         ends, observations = np.cumsum(self.counts), []
         patterns: dict[bytes, np.ndarray] = {}
-        for before, (offset, deviation), end in zip(self.observations, errors, ends, strict=True):
-            values = before.values.copy()
-            values[before.nodal] -= offset
+        for before, error, end in zip(self.observations, errors, ends, strict=True):
             scale = before.scale.copy()
-            scale[before.nodal] /= np.sqrt(1.0 + (deviation * before.scale[before.nodal]) ** 2)
-            observations.append(replace(before, values=values, scale=scale))
-            pattern = smooth_pattern(points, observations[-1], deviation)
+            for part, deviation in zip(before.units, error[1:], strict=True):
+                scale[part] /= np.sqrt(1.0 + (deviation * scale[part]) ** 2)
+            observations.append(replace(before, values=before.values - error.offset, scale=scale))
+            pattern = smooth_pattern(points, observations[-1], error.deviation)
             empty = np.zeros((ends[-1], pattern.shape[1]))
             place = patterns.setdefault(before.index.tobytes(), empty)
-            begin = end - len(values)
+            begin = end - len(before.values)
             place[begin : begin + len(pattern)] = pattern
         data = replace(
             self,

@@ -72,20 +72,19 @@ def discretisation_error(
             youngs *= _STIFFENING
     errors = []
     for observation, present, better in zip(problem.data.observations, linear, fine, strict=True):
-        nodal = observation.nodal
-        weighted = observation.scale[nodal] ** 2 * better
-        # Observed over predicted displacement, by least squares.
-        relative = max(float(weighted @ observation.values[nodal]), 0.0) / float(weighted @ better)
+        weighted = observation.scale**2 * better
+        # Observed over predicted data, by least squares.
+        relative = max(float(weighted @ observation.values), 0.0) / float(weighted @ better)
         offset = relative * (better - present)
-        errors.append(ModelError(offset, remaining * float(np.sqrt(np.mean(offset * offset)))))
+        parts = [offset[part] for part in observation.units]
+        sizes = [float(np.linalg.norm(p)) / np.sqrt(max(len(p), 1)) for p in parts]
+        errors.append(ModelError(offset, *(remaining * size for size in sizes)))
     return tuple(errors)
 
 
 def _predict(
     problem: InverseProblem, youngs_mpa: float, nuisance: Nuisance | None
 ) -> list[np.ndarray]:
-    """Predicted displacements at the observed degrees of freedom of each press, mm."""
+    """Predicted data of each press."""
     uniform = np.full(problem.n_elements, youngs_mpa)
-    evaluation = problem.evaluate(uniform, nuisance=nuisance, chained=True)
-    pairs = zip(evaluation.reported, problem.data.observations, strict=True)
-    return [u.ravel()[observation.index] for u, observation in pairs]
+    return problem.evaluate(uniform, nuisance=nuisance, chained=True).predicted
