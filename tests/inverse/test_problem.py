@@ -364,7 +364,7 @@ def test_rigid_patterns_are_motions_of_a_place(recording: Recording) -> None:
     other = next(
         o for o in others if len(o.index) != len(first.index) or (o.index != first.index).any()
     )
-    data = [first, replace(first, displacement=2.0 * first.displacement), other]
+    data = [first, replace(first, values=2.0 * first.values), other]
     patterns = rigid_patterns(points, data, [(0, 1), (2,)])
     n = len(first.index)
     assert patterns.shape == (2 * n + len(other.index), 12)
@@ -381,7 +381,7 @@ def test_rigid_patterns_are_motions_of_a_place(recording: Recording) -> None:
     # A shift along x, of unit deviation, is as large as the displacement.
     shift = np.tile([1.0, 0.0, 0.0], len(points))[first.index]
     part = np.linalg.lstsq(span, shift, rcond=None)[0]
-    rms = np.linalg.norm(first.displacement) / np.sqrt(n)
+    rms = np.linalg.norm(first.values) / np.sqrt(n)
     assert 1.0 / np.linalg.norm(part) == pytest.approx(rms, rel=1e-6)
 
 
@@ -393,7 +393,7 @@ def test_rigid_patterns_of_one_observed_axis(recording: Recording) -> None:
     span = rigid_patterns(recording.mesh.points, [single], [(0,)]) / single.scale[:, None]
     assert span.shape == (kept.sum(), 3)
     part = np.linalg.lstsq(span, np.ones(kept.sum()), rcond=None)[0]
-    rms = np.linalg.norm(single.displacement) / np.sqrt(kept.sum())
+    rms = np.linalg.norm(single.values) / np.sqrt(kept.sum())
     assert 1.0 / np.linalg.norm(part) == pytest.approx(rms, rel=1e-6)
 
 

@@ -142,7 +142,7 @@ def test_a_smooth_background_varies_by_its_modes():
     values = np.zeros(10)
     values[0] = np.log(0.2)
     points = np.random.default_rng(0).uniform(0.0, 10.0, (20, 3))
-    modes = PRIOR.modes_at(points, field.waves)
+    modes = field.modes_at(points)
     for k in range(1, 10):
         values[k] = 0.3
         expected = np.log(0.2) + 0.3 * modes[:, k - 1]
@@ -151,16 +151,38 @@ def test_a_smooth_background_varies_by_its_modes():
         shared = np.tile(values, (len(points), 1))
         np.testing.assert_allclose(field.log_background(shared, points), expected)
         values[k] = 0.0
-    along_z = PRIOR.modes_at(np.array([[5.0, 5.0, 0.0], [5.0, 5.0, 10.0]]), field.waves)
+    along_z = field.modes_at(np.array([[5.0, 5.0, 0.0], [5.0, 5.0, 10.0]]))
     assert np.any(np.isclose(along_z[0], 1.0) & np.isclose(along_z[1], -1.0))
+
+
+def test_a_background_of_degree_one_is_linear():
+    """Cosines of any degree have no slope at the sides, and inclusions would stand for it."""
+    field = ShapeField(PRIOR, (), degree=1)
+    assert field.size == 4
+    values = np.array([np.log(0.2), 0.1, -0.2, 0.3])
+    points = np.random.default_rng(1).uniform(0.0, 10.0, (30, 3))
+    logs = field.log_youngs(field.standard(values), Sites.at(points))
+    plane = np.column_stack([np.ones(30), points])
+    residual = np.linalg.lstsq(plane, logs, rcond=None)[1]
+    np.testing.assert_allclose(residual, 0.0, atol=1e-20)
+    assert np.ptp(logs) > 0.3
+
+
+def test_a_smooth_background_of_an_earlier_version_is_refused():
+    plain = ShapeField(PRIOR, (), degree=2).plain()
+    del plain["smooth"]
+    with pytest.raises(ConfigError, match="earlier version"):
+        ShapeField.of(plain)
+    plain["degree"] = 0
+    assert ShapeField.of(plain).degree == 0
 
 
 def test_layers_are_modes_along_one_axis():
     layered = ShapeField(PRIOR, (), layers=(0, 0, 3))
     np.testing.assert_array_equal(layered.waves, [[0, 0, 1], [0, 0, 2], [0, 0, 3]])
     both = ShapeField(PRIOR, (), degree=2, layers=(0, 0, 3))
-    assert both.n_background == 1 + 9 + 1
-    assert len({tuple(wave) for wave in both.waves}) == 10
+    assert both.n_background == 1 + 9 + 3
+    np.testing.assert_array_equal(both.waves[9:], layered.waves)
     assert ShapeField.of(json.loads(json.dumps(both.plain()))).layers == (0, 0, 3)
     plain = both.plain()
     del plain["layers"]  # as in files of earlier versions

@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.polynomial.legendre import legvander
 
+from tactorch.errors import ConfigError
 from tactorch.fem.assembly import Assembly
 from tactorch.inverse.shapes import strength
 from tactorch.inverse.shapes.fractions import Geometry
@@ -21,6 +23,7 @@ from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
 
 _SAMPLES = 6  # points of the lattice along an edge of an element
+_SMOOTH = "legendre"  # modes of a smooth background
 _WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
 
 
@@ -158,10 +161,29 @@ class ShapePrior:
     def modes_at(
         self, points: Float[np.ndarray, "n 3"], waves: Float[np.ndarray, "modes 3"]
     ) -> Float[np.ndarray, "n modes"]:
-        """Return the modes of a varying background at points: cosines in the bounding box."""
-        relative = (points - self.low_mm) / (self.high_mm - self.low_mm)
-        modes: np.ndarray = np.cos(np.pi * waves * relative[:, None, :]).prod(axis=2)
+        """Return the modes of a layered background at points: cosines in the bounding box."""
+        modes: np.ndarray = np.cos(np.pi * waves * self._relative(points)[:, None, :]).prod(axis=2)
         return modes
+
+    def polynomials_at(
+        self, points: Float[np.ndarray, "n 3"], degrees: Float[np.ndarray, "modes 3"]
+    ) -> Float[np.ndarray, "n modes"]:
+        """Return the modes of a smooth background at points: products of Legendre polynomials.
+
+        Those of a smooth function fall faster than the cosines, which have no slope at the sides.
+        They are one at the first corner of the bounding box, as the cosines are.
+        """
+        largest = int(degrees.max(initial=0.0))
+        values = legvander(1.0 - 2.0 * self._relative(points), largest)
+        powers = degrees.astype(int)
+        modes: np.ndarray = np.ones((len(points), len(powers)))
+        for axis in range(3):
+            modes *= values[:, axis, powers[:, axis]]
+        return modes
+
+    def _relative(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Return positions in the bounding box, from 0 to 1."""
+        return (points - self.low_mm) / (self.high_mm - self.low_mm)
 
     def ball(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and deviation of centre (mm), log-radius and log-contrast."""
@@ -198,19 +220,43 @@ class ShapeField:
             "distorted": list(self.distorted),
             "degree": self.degree,
             "layers": list(self.layers),
+            "smooth": _SMOOTH,
         }
 
     @staticmethod
     def of(plain: Mapping[str, Any]) -> "ShapeField":
-        """Return the family from plain JSON values, of which others are left out."""
+        """Return the family from plain JSON values, of which others are left out.
+
+        Raises:
+            ConfigError: the background has the modes of an earlier version.
+        """
+        if plain["degree"] and plain.get("smooth") != _SMOOTH:
+            raise ConfigError(
+                "The shapes have a smooth background by the modes of an earlier version; fit them "
+                "again with tactorch find."
+            )
         prior = ShapePrior.of_plain(plain["prior"])
         layers = tuple(plain.get("layers", (0, 0, 0)))
         return ShapeField(prior, tuple(plain["distorted"]), plain["degree"], layers)
 
     @property
     def waves(self) -> Float[np.ndarray, "modes 3"]:
-        """Wave numbers of the modes of the background along x, y and z; none if it is uniform."""
+        """Wave numbers of the modes of the background along x, y and z; none if it is uniform.
+
+        Those of the smooth part are first, and are the degrees of its polynomials.
+        """
         return _wave_numbers(self.degree, self.layers)
+
+    @property
+    def n_smooth(self) -> int:
+        """Number of modes of the smooth part of the background."""
+        return len(_wave_numbers(self.degree, (0, 0, 0)))
+
+    def modes_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n modes"]:
+        """Return the modes of the background at points (mm)."""
+        waves, count = self.waves, self.n_smooth
+        smooth = self.prior.polynomials_at(points, waves[:count])
+        return np.hstack([smooth, self.prior.modes_at(points, waves[count:])])
 
     @cached_property
     def _scale(self) -> tuple[np.ndarray, np.ndarray]:
@@ -291,13 +337,13 @@ class ShapeField:
 
         `values` are in mm and logarithms; see `physical`.
         """
-        modes = self.prior.modes_at(points, self.waves)
+        modes = self.modes_at(points)
         return values[:, 0] + (modes * values[:, 1 : self.n_background]).sum(axis=1)
 
     def _background(self, sites: Sites) -> Float[np.ndarray, "volumes k"]:
         """Derivative of the background's log-modulus by its parameters."""
         one = np.ones((len(sites.points), 1))
-        return np.hstack([one, self.prior.modes_at(sites.centers, self.waves)])
+        return np.hstack([one, self.modes_at(sites.centers)])
 
     def log_youngs(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
         """Return the log-modulus of each volume, log MPa."""
@@ -342,7 +388,7 @@ def _wave_numbers(degree: int, layers: tuple[int, int, int]) -> Float[np.ndarray
     modes = [np.zeros((0, 3))]
     modes += [np.array([k], float) for k in np.ndindex(*[degree + 1] * 3) if 1 <= sum(k) <= degree]
     for axis, largest in zip(np.eye(3), layers, strict=True):
-        modes.append(np.outer(np.arange(degree + 1, largest + 1), axis))
+        modes.append(np.outer(np.arange(1, largest + 1), axis))
     return np.concatenate(modes)
 
 

@@ -93,9 +93,14 @@ def varied(
     """Return the model with more modes of the background, which start at zero."""
     more = replace(field, **background)
     values, end = field.physical(z), field.n_background
-    known = dict(zip(map(tuple, field.waves), values[1:end], strict=True))
-    modes = [known.get(tuple(wave), 0.0) for wave in more.waves]
+    known = dict(zip(_modes(field), values[1:end], strict=True))
+    modes = [known.get(mode, 0.0) for mode in _modes(more)]
     return more, more.standard(np.array([values[0], *modes, *values[end:]]))
+
+
+def _modes(field: ShapeField) -> list[tuple[float, ...]]:
+    """Return what identifies the modes of a background: whether smooth, and the wave numbers."""
+    return [(k < field.n_smooth, *wave) for k, wave in enumerate(field.waves.tolist())]
 
 
 def without(
