@@ -148,7 +148,7 @@ def describe(
     lines = [
         f"{summary['optimizer']}: {summary['iterations']} iterations in "
         f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
-        f"Displacements are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations "
+        f"The data are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations "
         f"(misfit {summary['misfit']:.3g} mm2).",
         *_describe_map(reconstruction, inclusion),
         *(_describe_estimate(name, value) for name, value in reconstruction.nuisance.items()),

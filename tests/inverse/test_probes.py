@@ -8,8 +8,9 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions
 from tactorch.fem.contact import Ball, FlatPunch
-from tactorch.inverse import InverseProblem
+from tactorch.inverse import InverseProblem, find_shapes
 from tactorch.inverse.nuisance import NuisancePrior
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.footprint import Footprint, loaded_nodes
 from tactorch.inverse.shapes.poses import probe_patterns
 from tactorch.inverse.starts import uniform_fit
@@ -174,3 +175,45 @@ def test_footprints_are_those_of_hertz_and_of_the_punch(probe, height_mm, radius
     nodes = MESH.points[loaded_nodes(press, MESH)]
     assert len(nodes)
     assert np.linalg.norm(nodes[:, :2] - [5.2, 4.9], axis=1).max() <= radius_mm + 1e-9
+
+
+@pytest.mark.slow
+def test_an_inclusion_is_found_by_the_forces_of_a_probe() -> None:
+    """Presses computed on the mesh of the inversion, which is stated: the search is tested."""
+    mesh = box_mesh(10.0, 6, tets_per_cell=5)
+    fixed = np.zeros((mesh.n_points, 3), dtype=bool)
+    fixed[face_nodes(mesh, "z-")] = True
+    fixed.setflags(write=False)
+    dummy = ForceReading.vector((0.0, 0.0, 0.2), 0.002)
+    presses = tuple(
+        Press.by_probe(
+            ProbePose(Ball(3.0), np.array([x, y, 13.0 - depth])),
+            mesh.n_points,
+            force=dummy,
+            fixed=fixed,
+        )
+        for x in (2.0, 4.0, 6.0, 8.0)
+        for y in (2.0, 4.0, 6.0, 8.0)
+        for depth in (0.6, 1.2)
+    )
+    crime = {"inverse_crime": True, "element": "tet4"}
+    first = Recording(mesh, presses, MaterialSpec("neo_hookean", 0.4), provenance=crime)
+    problem = InverseProblem(first)
+    field = ShapeField(ShapePrior.of(mesh, 0.2), (False,))
+    truth = np.array([np.log(0.2), 4.5, 5.5, 6.6, np.log(2.0), np.log(5.0)])
+    sites = Sites.of(problem.body.assembly)
+    youngs = np.exp(field.log_youngs(field.standard(truth), sites)).reshape(sites.shape)
+    predicted = problem.evaluate(youngs).predicted
+    rng = np.random.default_rng(0)
+    noisy = [
+        replace(p, force=replace(dummy, values=values + 0.002 * rng.standard_normal(3)))
+        for p, values in zip(presses, predicted, strict=True)
+    ]
+    found = find_shapes(replace(first, presses=tuple(noisy)))
+    assert len(found.inclusions) == 1
+    inclusion = found.inclusions[0]
+    np.testing.assert_allclose(inclusion.shape.center_mm, truth[1:4], atol=0.4)
+    assert inclusion.probability > 0.95
+    low, high = inclusion.youngs_90_mpa
+    assert 0.3 < low < 1.0 < 1.5 * high  # 0.2 MPa around it
+    assert 0.7 < found.chi2 < 1.3
