@@ -139,7 +139,7 @@ def audited_truth(recording: Recording) -> tuple[np.ndarray | None, str]:
 
 def _mismatch(problem: InverseProblem, youngs: np.ndarray) -> float:
     """Difference between predicted and recorded displacements, relative, over all presses."""
-    observed = np.concatenate([seen.displacement for seen in problem.data.observations])
+    observed = np.concatenate([seen.values for seen in problem.data.observations])
     return float(np.sqrt(2.0 * problem.evaluate(youngs).misfit_mm2) / np.linalg.norm(observed))
 
 
