@@ -18,6 +18,8 @@ from tactorch.fem.newton import EquilibriumResult, Newton
 from tactorch.fem.reading_rates import ReadingRates
 from tactorch.mesh.closest import closest_points
 
+_MAX_DISTANCE = 0.05  # of a datum from the surface, over the size of the body
+
 
 def surface_rows(
     discretisation: Discretisation,
@@ -33,9 +35,18 @@ def surface_rows(
 
     Returns:
         Matrix (k, unknowns).
+
+    Raises:
+        ConfigError: a point is far from the surface.
     """
-    surface = discretisation.mesh.surface
-    closest = closest_points(discretisation.mesh.points, surface.triangles, points_mm)
+    mesh, surface = discretisation.mesh, discretisation.mesh.surface
+    closest = closest_points(mesh.points, surface.triangles, points_mm)
+    farthest = int(closest.distances.argmax())
+    if closest.distances[farthest] > _MAX_DISTANCE * mesh.diagonal:
+        raise ConfigError(
+            f"surface point {farthest} at {np.round(points_mm[farthest], 3).tolist()} mm is "
+            f"{closest.distances[farthest]:.3g} mm from the body; check its unit and axes."
+        )
     nodes = discretisation.surface_nodes(surface.triangles[closest.triangles])
     values = discretisation.surface_values(closest.barycentric)
     entries = values[:, :, None] * directions[:, None, :]
@@ -66,8 +77,7 @@ class Wrench:
         if search.contact is not None:
             forces = search.contact.at(result.displacement).forces
         else:
-            forces = -search.support_forces(result)
-            forces[~self._moved(search)] = 0.0
+            forces = self._on_support(search, result)
         return np.asarray(self._weights(search, result) @ forces.ravel())
 
     def rates(self, search: Newton, result: EquilibriumResult) -> ReadingRates:
@@ -75,14 +85,23 @@ class Wrench:
         weights = self._weights(search, result)
         if search.contact is None:
             weights[:, ~self._moved(search).ravel()] = 0.0
-            by_displacement = -search.tangent_times(result, weights.T).T
-            return ReadingRates(sp.csr_matrix(by_displacement), sp.csr_matrix(-weights))
+            rows = -search.tangent_times(result, weights.T).T
+            turned = self._by_arms(self._on_support(search, result))
+            return ReadingRates(sp.csr_matrix(rows + turned), sp.csr_matrix(-weights))
         contact = search.contact.at(result.displacement)
-        rows = search.contact.tangent(contact) @ weights.T
-        turned = np.cross(contact.forces[None], self.axes[:, None, 3:])
-        return ReadingRates.of_displacements(
-            sp.csr_matrix(rows.T + turned.reshape(len(weights), -1))
-        )
+        rows = (search.contact.tangent(contact) @ weights.T).T
+        return ReadingRates.of_displacements(sp.csr_matrix(rows + self._by_arms(contact.forces)))
+
+    def _on_support(
+        self, search: Newton, result: EquilibriumResult
+    ) -> Float[np.ndarray, "nodes 3"]:
+        """Forces of the body on the support that is moved, N."""
+        return np.where(self._moved(search), -search.support_forces(result), 0.0)
+
+    def _by_arms(self, forces: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "k unknowns"]:
+        """Derivatives of the moments of constant forces by the displacements."""
+        turned: np.ndarray = np.cross(forces[None], self.axes[:, None, 3:])
+        return turned.reshape(len(self.axes), -1)
 
     def by_motion(self, search: Newton, result: EquilibriumResult) -> Float[np.ndarray, "k 3"]:
         """Return the derivatives by the position of the probe at constant displacements, 1/mm."""

@@ -40,12 +40,14 @@ class NoiseModel(Options):
     def assumed(self, recording: Recording) -> bool:
         """Return whether the noise of some press is assumed, because it is not stated."""
         known = self.mm is not None or recording.unloaded is not None
-        return not known and any(press.noise_mm is None for press in recording.presses)
+        presses = [press for press in recording.presses if press.data.any()]
+        return not known and any(press.noise_mm is None for press in presses)
 
     def floored(self, recording: Recording) -> bool:
         """Return whether the noise of some press may be smaller than its deviation."""
         floor = self.relative * signal_rms(recording.presses)
-        return any(known <= floor for known in self._known(recording, floor))
+        pairs = zip(self._known(recording, floor), recording.presses, strict=True)
+        return any(known <= floor for known, press in pairs if press.data.any())
 
     def _known(self, recording: Recording, floor: float) -> list[float]:
         """Deviation of each press before the floor, mm."""
@@ -195,7 +197,7 @@ class DataModel:
 
     @property
     def scale(self) -> Float[np.ndarray, " data"]:
-        """Weight over standard deviation of all data, 1/mm."""
+        """Weight over standard deviation of all data, 1 over the unit of each."""
         return np.concatenate([observation.scale for observation in self.observations])
 
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
@@ -297,7 +299,7 @@ def group_by_contact(
     for i, (press, observation) in enumerate(zip(presses, observations, strict=True)):
         loads = [_direction(press.forces), _direction(press.prescribed)]
         values = (*loads, press.fixed, press.springs, observation.index)
-        key = (*(array.tobytes() for array in values), press.readings_bytes())
+        key = (*(array.tobytes() for array in values), press.geometry_bytes())
         contacts.setdefault(key, []).append(i)
     return [tuple(numbers) for numbers in contacts.values()]
 

@@ -201,7 +201,7 @@ class IncrementalInversion:
     def _check(self, presses: Sequence[Press]) -> None:
         for number, press in enumerate(presses, start=len(self._state.presses) + 1):
             press.validate(self._object.mesh.n_points)
-            if not press.displacement[press.data].any():
+            if not (press.has_readings or press.displacement[press.data].any()):
                 label = f"press {number}" + (f" ('{press.name}')" if press.name else "")
                 raise RecordingError(
                     f"{label}: all its observed displacements are zero, so it is uninformative; "

@@ -96,7 +96,7 @@ def apparent_mpa(recording: Recording, body: SoftBody) -> float:
     linear: the modulus is for the stiffness of contacts, and for starts.
 
     Raises:
-        ConfigError: a probe does not touch the body; names the press.
+        ConfigError: a probe does not touch the body, or the forces have the wrong sign.
         ConvergenceError: a press has no equilibrium on a uniform body; names the press.
     """
     with_both = [p for p in recording.presses if p.probe is not None and p.force is not None]
@@ -109,11 +109,16 @@ def apparent_mpa(recording: Recording, body: SoftBody) -> float:
     pairs = map_cases(lambda i: _unit_forces(chosen[i], body), count)
     predicted, measured = (np.concatenate(part) for part in zip(*pairs, strict=True))
     ratio = float(predicted @ measured) / max(float(predicted @ predicted), 1e-300)
-    return ratio if ratio > 0.0 else _ASSUMED_MPA
+    if ratio <= 0.0:
+        raise ConfigError(
+            f"The measured forces of {chosen[0].label} and others pull the probe into the body; "
+            "give the force on the probe (N), in the axes of the mesh."
+        )
+    return ratio
 
 
 def _unit_forces(press: Press, body: SoftBody) -> tuple[np.ndarray, np.ndarray]:
-    """Return the forces on the probe for a modulus of 1 MPa, and the measured ones."""
+    """Return the forces for a modulus of 1 MPa, and the measured ones, in deviations."""
     assert press.force is not None
     supports = Supports(press.fixed, press.prescribed, press.springs)
     uniform, nothing = np.ones(body.mesh.n_tets), np.zeros((body.n_nodes, 3))
@@ -122,4 +127,5 @@ def _unit_forces(press: Press, body: SoftBody) -> tuple[np.ndarray, np.ndarray]:
     if not result.converged:
         raise ConvergenceError(f"{press.label}: {result.reason}")
     wrench = Wrench(press.force.axes, press.force.about_mm)
-    return wrench.value(search, result), press.force.values
+    deviations = press.force.deviations
+    return wrench.value(search, result) / deviations, press.force.values / deviations

@@ -306,7 +306,16 @@ class Evaluation:
 
         It takes one solve per press more than the two of Gauss-Newton; see
         `tactorch.fem.Linearization.second_order`.
+
+        Raises:
+            ConfigError: a press is by a probe, or has a measured force.
         """
+        for solution, observation in zip(self._presses, self.data.observations, strict=True):
+            if solution.newton.contact is not None or observation.force is not None:
+                raise ConfigError(
+                    "The exact Hessian is not known for presses by a probe, or with measured "
+                    "forces; choose an optimizer or a Hessian by Gauss-Newton."
+                )
         pairs = zip(self.sensitivities, self._adjoints, strict=True)
         return np.sum([s.linearization.second_order(a, change) for s, a in pairs], axis=0)
 

@@ -19,7 +19,8 @@ def make_array(
     """Return a copy of `value` with `shape` (None: any length), or raise `RecordingError`.
 
     It is float64, or bool where `kinds` is "b". An array that is read-only and has this type is
-    shared instead, so that many presses need not have a copy each. Numbers are refused for a mask:
+    shared instead, so that many presses need not have a copy each; what it is a view of must not
+    change. Numbers are refused for a mask:
     a list of indices would otherwise be read as one.
     """
     try:

@@ -139,12 +139,22 @@ class Press:
 
     def readings_bytes(self) -> bytes:
         """Return bytes that distinguish probes and readings; none without."""
+        return self.geometry_bytes() + b"".join(
+            array.tobytes()
+            for reading in (self.force, self.surface)
+            if reading is not None
+            for array in vars(reading).values()
+        )
+
+    def geometry_bytes(self) -> bytes:
+        """Return bytes that distinguish probes, and what is measured; none without."""
         parts: list[Any] = []
-        if self.probe is not None:
-            parts += [repr(self.probe.probe), self.probe.position_mm, self.probe.rotation]
-        for reading in (self.force, self.surface):
-            if reading is not None:
-                parts += [type(reading).__name__, *vars(reading).values()]
+        if (pose := self.probe) is not None:
+            parts += [repr(pose.probe), pose.position_mm, pose.rotation]
+        if self.force is not None:
+            parts += ["force", self.force.axes, self.force.about_mm]
+        if self.surface is not None:
+            parts += ["surface", self.surface.points_mm, self.surface.directions]
         return b"".join(p.encode() if isinstance(p, str) else p.tobytes() for p in parts)
 
     @property

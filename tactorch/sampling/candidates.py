@@ -197,6 +197,11 @@ def _plan(last: Press, patch: Patch, mesh: TetMesh, pressure_mpa: float) -> Pres
             "the presses have no net force, so the force of the next one is not known; choose "
             "suggest.rule=largest_uncertainty."
         )
+    if last.probe is not None or last.has_readings:
+        raise ConfigError(
+            f"{last.label} is by a probe, or has other data than displacements of nodes, for which "
+            "the next press cannot be suggested yet."
+        )
     unit, zero = patch.forces(mesh), np.zeros((mesh.n_points, 3))
     observed = all_directions(np.any(unit != 0.0, axis=1))
     return replace(

@@ -29,10 +29,13 @@ def _search(body: SoftBody, kind: str):
     if kind == "ball":
         position = np.array([5.3, 4.6, 13.2])
         contact = Contact.of(body.discretisation, Ball(4.0), position, 0.2)
-    else:
+    else:  # a platen without friction, or one that is bonded
         top = face_nodes(MESH, "z+")
-        fixed[top] = True
-        prescribed[top] = 0.2, 0.1, -0.6
+        fixed[top, 2] = True
+        prescribed[top, 2] = -0.6
+        if kind == "support":
+            fixed[top] = True
+            prescribed[top] = 0.2, 0.1, -0.6
     supports = Supports(fixed=fixed, prescribed=prescribed)
 
     def search(youngs):
@@ -42,7 +45,7 @@ def _search(body: SoftBody, kind: str):
 
 
 @pytest.mark.parametrize("element", ["tet4", "tet10"])
-@pytest.mark.parametrize("kind", ["ball", "support"])
+@pytest.mark.parametrize("kind", ["ball", "support", "platen"])
 def test_force_and_moment_balance_those_at_the_bottom(element: str, kind: str) -> None:
     body = _body(element)
     newton = _search(body, kind)(YOUNGS)
@@ -61,7 +64,7 @@ def test_force_and_moment_balance_those_at_the_bottom(element: str, kind: str) -
 
 
 @pytest.mark.parametrize("element", ["tet4", "tet10"])
-@pytest.mark.parametrize("kind", ["ball", "support"])
+@pytest.mark.parametrize("kind", ["ball", "support", "platen"])
 def test_derivatives_by_moduli_are_finite_differences(element: str, kind: str) -> None:
     from tactorch.fem import Sensitivity
 
@@ -117,3 +120,10 @@ def test_displacements_at_surface_points_are_interpolated(element: str) -> None:
     expected = (field(on_surface) * directions).sum(axis=1)
     found = rows @ field(body.discretisation.positions).ravel()
     np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
+def test_a_point_far_from_the_body_is_refused() -> None:
+    body = _body("tet4")
+    points = np.array([[5.0, 5.0, 10.0], [0.005, 0.005, 30.0]])
+    with pytest.raises(ConfigError, match=r"surface point 1 at .* is 20 mm from the body"):
+        surface_rows(body.discretisation, points, np.tile([0.0, 0.0, 1.0], (2, 1)))

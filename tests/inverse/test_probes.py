@@ -8,10 +8,11 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions
 from tactorch.fem.contact import Ball, FlatPunch
-from tactorch.inverse import InverseProblem, find_shapes
+from tactorch.inverse import IncrementalInversion, InverseProblem, NoiseModel, find_shapes
+from tactorch.inverse.data import Observation, group_by_contact
 from tactorch.inverse.nuisance import NuisancePrior
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
-from tactorch.inverse.shapes.footprint import Footprint, loaded_nodes
+from tactorch.inverse.shapes.footprint import Footprint, largest_depth, loaded_nodes
 from tactorch.inverse.shapes.poses import probe_patterns
 from tactorch.inverse.starts import uniform_fit
 from tactorch.mesh import box_mesh, face_nodes
@@ -122,7 +123,7 @@ def test_presses_at_one_place_share_the_error_of_the_pose(recording: Recording) 
     patterns = probe_patterns(recording, evaluation)
     assert patterns.shape == (29, 6)  # two places
     motions = evaluation.probe_motions()
-    np.testing.assert_allclose(patterns[:8, :3], 1.0 * np.vstack(motions[:2]), rtol=1e-6)
+    np.testing.assert_allclose(patterns[:8, :3], 1.0 * np.vstack(motions[:2]), rtol=2e-3)
     assert not patterns[8:, :3].any()
 
 
@@ -217,3 +218,58 @@ def test_an_inclusion_is_found_by_the_forces_of_a_probe() -> None:
     low, high = inclusion.youngs_90_mpa
     assert 0.3 < low < 1.0 < 1.5 * high  # 0.2 MPa around it
     assert 0.7 < found.chi2 < 1.3
+
+
+def test_the_exact_hessian_is_refused(recording: Recording) -> None:
+    evaluation = _problem(recording).evaluate(YOUNGS)
+    with pytest.raises(ConfigError, match="exact Hessian is not known"):
+        evaluation.second_order_times(YOUNGS)
+
+
+def test_the_noise_of_readings_is_stated(recording: Recording) -> None:
+    forces_only = replace(recording, presses=recording.presses[:2])
+    assert not NoiseModel().assumed(forces_only)
+    assert not NoiseModel().floored(forces_only)
+    seen = replace(recording.presses[2], noise_mm=None)
+    assert NoiseModel().assumed(replace(recording, presses=(recording.presses[0], seen)))
+
+
+def test_forces_on_the_object_instead_of_the_probe_are_refused(recording: Recording) -> None:
+    presses = tuple(
+        replace(press, force=replace(press.force, values=-press.force.values))
+        for press in recording.presses
+    )
+    with pytest.raises(ConfigError, match="pull the probe into the body"):
+        _problem(replace(recording, presses=presses)).evaluate(YOUNGS)
+
+
+def test_steps_that_differ_by_their_data_are_one_contact(recording: Recording) -> None:
+    forces = np.zeros((MESH.n_points, 3))
+    forces[face_nodes(MESH, "z+"), 2] = -1e-3
+    first = replace(_seen(), probe=None, force=None, forces=forces)
+    other = replace(SURFACE, displacement_mm=np.array([0.2, 0.2]))
+    second = replace(first, forces=2.0 * forces, surface=other)
+    observations = [Observation.of(press, 0.01) for press in (first, second)]
+    assert group_by_contact((first, second), observations) == [(0, 1)]
+    observations = [Observation.of(press, 0.01) for press in recording.presses[:2]]
+    assert len(group_by_contact(recording.presses[:2], observations)) == 2  # other depths
+
+
+def test_a_probe_between_the_nodes_has_a_footprint() -> None:
+    triangle = MESH.surface.triangles[
+        np.argmax(MESH.points[MESH.surface.triangles].mean(axis=1)[:, 2])
+    ]
+    x, y, z = MESH.points[triangle].mean(axis=0)
+    press = _press(x, y, 0.0, probe=ProbePose(Ball(0.5), np.array([x, y, z + 0.4])))
+    assert largest_depth(press, MESH) == pytest.approx(0.1, rel=0.1)
+    assert loaded_nodes(press, MESH).sum() == 1
+    away = ProbePose(Ball(0.5), np.array([x, y, z + 0.6]))
+    with pytest.raises(ConfigError, match="does not touch the body"):
+        Footprint.of(away, MESH)
+
+
+def test_a_session_takes_presses_by_a_probe(recording: Recording) -> None:
+    session = IncrementalInversion(recording)
+    result = session.add(recording.presses[:2])
+    assert len(session.presses) == 2
+    assert result.point.evaluation.chi2 < 2.0

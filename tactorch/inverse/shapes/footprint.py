@@ -23,15 +23,17 @@ def loaded_nodes(press: Press, mesh: TetMesh) -> Bool[np.ndarray, " n"]:
     if press.probe is not None:
         nodes = mesh.surface.nodes()
         depths = press.probe.depths(mesh.points[nodes])
-        limit = _TOUCHED * float(depths.max())
-        loaded[nodes[depths > limit]] = True
+        touched = depths > _TOUCHED * float(depths.max())
+        if not touched.any():  # the probe is between nodes
+            touched[press.probe.distances(mesh.points[nodes]).argmin()] = True
+        loaded[nodes[touched]] = True
     return loaded
 
 
 def largest_depth(press: Press, mesh: TetMesh) -> float:
     """Return the largest depth of nodes of the undeformed surface within the probe, mm."""
     assert press.probe is not None
-    return float(press.probe.depths(mesh.points[mesh.surface.nodes()]).max())
+    return float(press.probe.depths(_samples_near(press.probe, mesh)[0]).max(initial=0.0))
 
 
 class Footprint(NamedTuple):
@@ -54,11 +56,7 @@ class Footprint(NamedTuple):
         Raises:
             ConfigError: the probe does not touch the surface.
         """
-        surface, corners = mesh.surface, mesh.points[mesh.surface.triangles]
-        reach = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
-        near = np.flatnonzero(pose.distances(corners.mean(axis=1)) < reach)
-        samples = lattice(_SAMPLES, corners=3)
-        points = np.einsum("sc,tcd->tsd", samples, corners[near]).reshape(-1, 3)
+        points, areas = _samples_near(pose, mesh)
         depths = pose.depths(points)
         if not depths.any():
             raise ConfigError(
@@ -66,8 +64,19 @@ class Footprint(NamedTuple):
                 " check its position (mm) and the axes."
             )
         touched = depths > _TOUCHED * depths.max()
-        areas = np.repeat(surface.areas[near] / len(samples), len(samples))
         radius = float(np.sqrt(areas[touched].sum() / np.pi))
         spacing = 2.0 * float(np.sqrt(areas[touched].max()))
         beside, _ = cKDTree(points[~touched]).query(points[touched])
         return Footprint(points[touched], points[touched][beside < spacing], radius)
+
+
+def _samples_near(
+    pose: ProbePose, mesh: TetMesh
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
+    """Return points of the surface triangles near a probe (mm), and the area of each (mm^2)."""
+    surface, corners = mesh.surface, mesh.points[mesh.surface.triangles]
+    reach = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+    near = np.flatnonzero(pose.distances(corners.mean(axis=1)) < reach)
+    samples = lattice(_SAMPLES, corners=3)
+    points = np.einsum("sc,tcd->tsd", samples, corners[near]).reshape(-1, 3)
+    return points, np.repeat(surface.areas[near] / len(samples), len(samples))

@@ -96,7 +96,7 @@ def contact_sizing(recording: Recording) -> Sizing:
     """
     rims: dict[bytes, Rim | None] = {}
     for press in recording.presses:
-        key = (press.forces != 0).any(axis=1).tobytes() + press.readings_bytes()
+        key = (press.forces != 0).any(axis=1).tobytes() + press.geometry_bytes()
         if key not in rims:
             rims[key] = Rim.of(press, recording.mesh)
 
