@@ -31,7 +31,9 @@ class PressReadings:
         """Return the readings of a press."""
         surface, force = press.surface, press.force
         return PressReadings(
-            surface and surface_rows(discretisation, surface.points_mm, surface.directions),
+            None
+            if surface is None
+            else surface_rows(discretisation, surface.points_mm, surface.directions),
             None if force is None else Wrench(force.axes, force.about_mm),
         )
 

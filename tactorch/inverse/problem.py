@@ -447,7 +447,7 @@ class InverseProblem:
     @cached_property
     def _contacts(self) -> list[Contact | None]:
         """Contact of each press with its probe."""
-        if all(press.probe is None for press in self.recording.presses):
+        if not self.recording.has_probes:
             return [None] * len(self.recording.presses)
         return make_contacts(self.recording, self.body, self.contact_mpa)
 

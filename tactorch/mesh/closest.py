@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from tactorch.mesh.values import Points, Triangles
 
-_CHUNK = 4096  # pairs of points and triangles at once; bounds the memory
+_CHUNK = 4096  # pairs of points and triangles whose closest points are found at once
 
 
 class Closest(NamedTuple):

@@ -20,8 +20,7 @@ def make_array(
 
     It is float64, or bool where `kinds` is "b". An array that is read-only and has this type is
     shared instead, so that many presses need not have a copy each; what it is a view of must not
-    change. Numbers are refused for a mask:
-    a list of indices would otherwise be read as one.
+    change. Numbers are refused for a mask: a list of indices would otherwise be read as one.
     """
     try:
         array = np.asarray(value)

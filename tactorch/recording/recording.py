@@ -115,6 +115,11 @@ class Recording:
         selected = tuple(self.presses[index] for index in indices)
         return replace(self, presses=selected, check_units=False)
 
+    @property
+    def has_probes(self) -> bool:
+        """Whether some press is by a rigid probe."""
+        return any(press.probe is not None for press in self.presses)
+
     def summary(self) -> str:
         """Return a description of the recording in a few lines of text."""
         size = " x ".join(f"{edge:.3g}" for edge in self.mesh.bounds[1] - self.mesh.bounds[0])

@@ -37,20 +37,17 @@ SURFACE = SurfaceReading(
 )
 
 
+FIXED = np.zeros((MESH.n_points, 3), dtype=bool)
+FIXED[face_nodes(MESH, "z-")] = True
+
+
 def _press(x: float, y: float, depth: float, **changes) -> Press:
-    n = MESH.n_points
-    fixed = np.zeros((n, 3), dtype=bool)
-    fixed[face_nodes(MESH, "z-")] = True
     fields = {
-        "forces": np.zeros((n, 3)),
-        "observed": np.zeros((n, 3), dtype=bool),
-        "displacement": np.full((n, 3), np.nan),
-        "fixed": fixed,
         "probe": ProbePose(BALL, np.array([x, y, 14.0 - depth])),
         "force": ForceReading(AXES, np.ones(4), np.full(4, 0.01), np.array([5.0, 5.0, 10.0])),
         "name": f"({x}, {y})",
     }
-    return Press(**{**fields, **changes})
+    return Press.by_probe(n_points=MESH.n_points, fixed=FIXED, **{**fields, **changes})
 
 
 def _seen() -> Press:
@@ -261,7 +258,7 @@ def test_a_probe_between_the_nodes_has_a_footprint() -> None:
     ]
     x, y, z = MESH.points[triangle].mean(axis=0)
     press = _press(x, y, 0.0, probe=ProbePose(Ball(0.5), np.array([x, y, z + 0.4])))
-    assert largest_depth(press, MESH) == pytest.approx(0.1, rel=0.1)
+    assert largest_depth(press.probe, MESH) == pytest.approx(0.1, rel=0.1)
     assert loaded_nodes(press, MESH).sum() == 1
     away = ProbePose(Ball(0.5), np.array([x, y, z + 0.6]))
     with pytest.raises(ConfigError, match="does not touch the body"):

@@ -140,10 +140,9 @@ class Correction:
         pairs = []
         for numbers in group_by_contact(recording.presses, problem.data.observations):
             pairs.append((numbers, Rim.of(recording.presses[numbers[0]], recording.mesh)))
-        probed = any(press.probe is not None for press in recording.presses)
         return Correction(
             recording, element, solver, problem.noise, tuple(pairs), kept or KeptRims(),
-            problem.contact_mpa if probed else None,
+            problem.contact_mpa if recording.has_probes else None,
         )  # fmt: skip
 
     @property

@@ -30,10 +30,9 @@ def loaded_nodes(press: Press, mesh: TetMesh) -> Bool[np.ndarray, " n"]:
     return loaded
 
 
-def largest_depth(press: Press, mesh: TetMesh) -> float:
-    """Return the largest depth of nodes of the undeformed surface within the probe, mm."""
-    assert press.probe is not None
-    return float(press.probe.depths(_samples_near(press.probe, mesh)[0]).max(initial=0.0))
+def largest_depth(pose: ProbePose, mesh: TetMesh) -> float:
+    """Return the largest depth of the undeformed surface within a probe, mm."""
+    return float(pose.depths(_samples_near(pose, mesh)[0]).max(initial=0.0))
 
 
 class Footprint(NamedTuple):

@@ -1,11 +1,13 @@
 """Changes of the data by errors of the poses of probes."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.inverse.problem import Evaluation
 from tactorch.inverse.shapes.footprint import largest_depth
-from tactorch.recording import Press, Recording
+from tactorch.recording import ProbePose, Recording
 
 _SAME_PLACE = 0.1  # distance across the approach, over the probe's depth, at which places differ
 
@@ -24,37 +26,47 @@ def probe_patterns(
     """
     motions = evaluation.probe_motions()
     begins, columns = evaluation.data.begins, []
-    for numbers in _places(recording):
-        depth = max(largest_depth(recording.presses[i], recording.mesh) for i in numbers)
-        place = np.zeros((sum(evaluation.data.counts), 3))
-        for i in numbers:
-            place[begins[i] : begins[i] + len(motions[i])] = depth * motions[i]
-        columns.append(place)
+    for place in _places(recording):
+        pattern = np.zeros((sum(evaluation.data.counts), 3))
+        for i in place.presses:
+            pattern[begins[i] : begins[i] + len(motions[i])] = place.depth_mm * motions[i]
+        columns.append(pattern)
     return np.hstack(columns)
 
 
-def _places(recording: Recording) -> list[list[int]]:
-    """Return the presses of each place: by one probe, whose positions differ along its axis."""
-    places: list[list[int]] = []
+@dataclass(eq=False)
+class _Place:
+    """Presses by one probe, whose positions differ along its axis.
+
+    Attributes:
+        pose: Pose of the first.
+        depth_mm: Largest depth.
+        presses: Their numbers.
+    """
+
+    pose: ProbePose
+    depth_mm: float
+    presses: list[int]
+
+    def has(self, pose: ProbePose) -> bool:
+        """Return whether a press is at this place."""
+        if pose.probe != self.pose.probe or not np.allclose(pose.rotation, self.pose.rotation):
+            return False
+        axis, apart = pose.rotation[:, 2], pose.position_mm - self.pose.position_mm
+        across = float(np.linalg.norm(apart - (apart @ axis) * axis))
+        return across < _SAME_PLACE * self.depth_mm
+
+
+def _places(recording: Recording) -> list[_Place]:
+    places: list[_Place] = []
     for i, press in enumerate(recording.presses):
-        if press.probe is None:
+        if (pose := press.probe) is None:
             continue
-        for place in places:
-            if _is_same(press, recording.presses[place[0]], recording):
-                place.append(i)
-                break
+        depth = largest_depth(pose, recording.mesh)
+        place = next((place for place in places if place.has(pose)), None)
+        if place is None:
+            places.append(_Place(pose, depth, [i]))
         else:
-            places.append([i])
+            place.depth_mm = max(place.depth_mm, depth)
+            place.presses.append(i)
     return places
-
-
-def _is_same(first: Press, second: Press, recording: Recording) -> bool:
-    assert first.probe is not None
-    assert second.probe is not None
-    a, b = first.probe, second.probe
-    if a.probe != b.probe or not np.allclose(a.rotation, b.rotation):
-        return False
-    axis = a.rotation[:, 2]
-    apart = a.position_mm - b.position_mm
-    across = float(np.linalg.norm(apart - (apart @ axis) * axis))
-    return across < _SAME_PLACE * largest_depth(first, recording.mesh)

@@ -92,7 +92,7 @@ class ShapeProblem:
             return InverseProblem(recording, element=element, newton=newton, **options, **more)
 
         self.linear = problem("tet4")
-        if any(press.probe is not None for press in recording.presses):
+        if recording.has_probes:
             options["contact_mpa"] = self.linear.contact_mpa
         self.quadratic = problem(self._element, derivative_rtol=_DERIVATIVE_RTOL)
         self.sites = Sites.of(self.quadratic.body.assembly)
@@ -115,8 +115,8 @@ class ShapeProblem:
         self._last: tuple[ShapeFit, Evaluation] | None = None
         self._floored = noise.floored(recording)
         observations = self.quadratic.data.observations
-        self._pose_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
-        self._probed = any(press.probe is not None for press in recording.presses)
+        self._rigid_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
+        self._pose_patterns = self._rigid_patterns
 
     @property
     def has_rims(self) -> bool:
@@ -137,10 +137,9 @@ class ShapeProblem:
         youngs = ShapesOnSites(field, self._linear_sites).at(start.z).youngs
         coarse = self.linear.evaluate(youngs)
         self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / FORCE_DEVIATIONS[-1])
-        if self._probed:
+        if self.quadratic.recording.has_probes:
             probes = probe_patterns(self.quadratic.recording, coarse)
-            self._pose_patterns = np.hstack([self._pose_patterns, probes])
-            self._probed = False
+            self._pose_patterns = np.hstack([self._rigid_patterns, probes])
         displacements = [extend(u) for u in coarse.displacements]
         if self._correction is None or not self._correction.has_contacts:
             return self.fit(start, displacements)
