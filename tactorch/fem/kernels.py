@@ -279,3 +279,53 @@ def tangent(
                         for j in range(i if a == b else 0, 3):
                             values[slots[e, entry]] += mean[e] * average[a, i] * average[b, j]
                             entry += 1
+
+
+@no_type_check
+@numba.njit(**_OPTIONS)
+def strain_energies(nodes, gradients, weights, lame, shear, fields, out):
+    """Add to `out` (pairs, m s, cases) products of the small strains of fields in pairs.
+
+    A product is the integral of lame tr(a) tr(b) + 2 shear a : b over an element (s = 1), or the
+    part of each quadrature point (s = q). `fields` (n, 3, k, cases) are k fields of each case; the
+    pairs are (0, 0), (0, 1), ..., (1, 1), ... of these. The innermost loops are over the cases.
+    """
+    count, cases = fields.shape[2], fields.shape[3]
+    points = gradients.shape[1]
+    sites = out.shape[1] // gradients.shape[0]
+    strains = np.empty((count, 6, cases), dtype=np.float32)
+    for e in range(gradients.shape[0]):
+        for q in range(points):
+            row = e * sites + min(q, sites - 1)
+            strains[:] = 0.0
+            for a in range(gradients.shape[2]):
+                node = nodes[e, a]
+                gx = np.float32(gradients[e, q, a, 0])
+                gy = np.float32(gradients[e, q, a, 1])
+                gz = np.float32(gradients[e, q, a, 2])
+                for k in range(count):
+                    u = fields[node, 0, k]
+                    v = fields[node, 1, k]
+                    w = fields[node, 2, k]
+                    strain = strains[k]
+                    for c in range(cases):
+                        strain[0, c] += u[c] * gx
+                        strain[1, c] += v[c] * gy
+                        strain[2, c] += w[c] * gz
+                        strain[3, c] += u[c] * gy + v[c] * gx
+                        strain[4, c] += v[c] * gz + w[c] * gy
+                        strain[5, c] += w[c] * gx + u[c] * gz
+            one = np.float32(weights[e, q] * lame[e])
+            two = np.float32(weights[e, q] * shear[e])
+            p = 0
+            for k in range(count):
+                a = strains[k]
+                for j in range(k, count):
+                    b = strains[j]
+                    target = out[p, row]
+                    for c in range(cases):
+                        volume = (a[0, c] + a[1, c] + a[2, c]) * (b[0, c] + b[1, c] + b[2, c])
+                        normal = a[0, c] * b[0, c] + a[1, c] * b[1, c] + a[2, c] * b[2, c]
+                        sheared = a[3, c] * b[3, c] + a[4, c] * b[4, c] + a[5, c] * b[5, c]
+                        target[c] += one * volume + two * (normal + normal + sheared)
+                    p += 1

@@ -1,9 +1,22 @@
 """Readers of other formats; each returns a `tactorch.recording.Recording`."""
 
 from tactorch.config import Registry
+from tactorch.importers.palpation import PalpationOptions, import_palpation
 from tactorch.importers.published import PublishedOptions, import_published
 
-#: Formats by name; calling the settings of one with `folder=` reads a recording.
-FORMATS = Registry("format", {"published": "tactorch.importers:PublishedOptions"})
+#: Formats by name; calling the settings of one with `path=` reads a recording.
+FORMATS = Registry(
+    "format",
+    {
+        "published": "tactorch.importers:PublishedOptions",
+        "palpation": "tactorch.importers:PalpationOptions",
+    },
+)
 
-__all__ = ["FORMATS", "PublishedOptions", "import_published"]
+__all__ = [
+    "FORMATS",
+    "PalpationOptions",
+    "PublishedOptions",
+    "import_palpation",
+    "import_published",
+]

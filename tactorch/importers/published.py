@@ -79,9 +79,9 @@ class PublishedOptions(Options):
         True, "Refuse magnitudes that suggest a wrong unit, as `Recording` does"
     )
 
-    def __call__(self, *, folder: str | Path) -> Recording:
+    def __call__(self, *, path: str | Path) -> Recording:
         """Read the case in a folder; see `import_published`."""
-        root = require_folder(folder, "published case")
+        root = require_folder(path, "published case")
         mesh = _read_rest(root / "mesh.msh", self.round_rest_m, self.check_units)
         numbers = _press_files(require_folder(root / "presses", "presses of the published case"))
         presses = [_read_press(n, files, mesh, self.noise_mm) for n, files in numbers.items()]
@@ -126,7 +126,7 @@ def import_published(folder: str | Path, **options: Any) -> Recording:
         MeshError: The mesh cannot be used.
         RecordingError: The files are readable but do not make a valid recording.
     """
-    return PublishedOptions(**options)(folder=folder)
+    return PublishedOptions(**options)(path=folder)
 
 
 def _read_rest(path: Path, round_rest_m: float | None, check_units: bool) -> TetMesh:

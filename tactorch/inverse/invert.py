@@ -20,6 +20,7 @@ from tactorch.inverse.monitor import Monitor, progress
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
+from tactorch.inverse.palpation import PALPATION_ELEMENT, PalpationProblem, is_palpation
 from tactorch.inverse.problem import InverseProblem, make_body
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings
@@ -112,14 +113,17 @@ class ObjectiveBuilder:
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
         self.settings = settings
-        self._body = make_body(recording, settings.element, settings.solver, settings.newton)
-        name = resolve_model_error(settings.model_error, recording, settings.element)
-        self.corrects = name == "discretisation"
+        self._palpation = is_palpation(recording)
+        element = PALPATION_ELEMENT if self._palpation else settings.element
+        self._body = make_body(recording, element, settings.solver, settings.newton)
+        name = resolve_model_error(settings.model_error, recording, element)
+        self.corrects = name == "discretisation" and not self._palpation
         self._finer: SoftBody | None = None
 
     def problem(self, recording: Recording) -> InverseProblem:
         """Return the inverse problem without a correction for the model's error."""
-        return InverseProblem(
+        kind = PalpationProblem if self._palpation else InverseProblem
+        return kind(
             recording,
             noise=self.settings.noise,
             misfit=self.settings.misfit,
@@ -152,6 +156,7 @@ class ObjectiveBuilder:
             ),
             settings.nuisance,
             settings.regularization.weight,
+            strong_contrast=self._palpation,
         )
         return _adapt(objective) if isinstance(settings.misfit, Adaptive) else objective
 
@@ -252,7 +257,7 @@ def result_of(
     return Reconstruction(
         mesh=recording.mesh,
         youngs=point.youngs,
-        displacements=np.stack([u[:n] for u in point.evaluation.displacements]),
+        displacements=np.array([u[:n] for u in point.evaluation.displacements]).reshape(-1, n, 3),
         history=monitor.history,
         stop_reason=reason,
         seconds=monitor.seconds,

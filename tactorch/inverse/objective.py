@@ -180,6 +180,8 @@ class Objective:
         weight: Weight of the prior; None where the optimizer chooses it.
         stable_only: Whether points without derivatives count as points without equilibrium.
         starts: Displacements from which equilibria start where no evaluation is near, mm.
+        strong_contrast: Whether first steps are cut by their limits, so that their misfit is not
+            that of the weight of the prior, which then starts higher and is kept.
     """
 
     problem: InverseProblem
@@ -188,6 +190,7 @@ class Objective:
     weight: float | None = None
     stable_only: bool = False
     starts: Sequence[np.ndarray] | None = None
+    strong_contrast: bool = False
 
     @property
     def size(self) -> int:
@@ -241,6 +244,5 @@ class Objective:
             field.youngs, before, nuisance, take_over, starts=self.starts if near is None else None
         )
         if self.stable_only:
-            for sensitivity in evaluation.sensitivities:
-                sensitivity.linearization.factor()
+            evaluation.factor()
         return Point(x, field, evaluation, self)

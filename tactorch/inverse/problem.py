@@ -141,6 +141,15 @@ class Evaluation:
 
         return map_cases(work, len(self._presses))
 
+    def factor(self) -> None:
+        """Factor the tangent of each press.
+
+        Raises:
+            ConvergenceError: an equilibrium is unstable.
+        """
+        for sensitivity in self.sensitivities:
+            sensitivity.linearization.factor()
+
     def jacobian(self) -> Float[np.ndarray, "data m"]:
         """Return d residuals / d youngs, 1/MPa, by one solve per observed degree of freedom."""
         cases, data = self.sensitivities, self.data.observations

@@ -151,6 +151,7 @@ class Press:
         parts: list[Any] = []
         if (pose := self.probe) is not None:
             parts += [repr(pose.probe), pose.position_mm, pose.rotation]
+            parts += [f"{pose.deviation_mm!r}"] if pose.deviation_mm else []
         if self.force is not None:
             parts += ["force", self.force.axes, self.force.about_mm]
         if self.surface is not None:

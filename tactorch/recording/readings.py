@@ -27,16 +27,25 @@ class ProbePose:
         position_mm: Its position, (3,), mm: of a ball the centre.
         rotation: Rotation from the axes of the probe to those of the mesh, (3, 3); none by
             default. The probe pushes along its -z axis.
+        deviation_mm: Standard deviation of the position along the push, mm, common to the presses
+            of a place.
 
     Raises:
-        RecordingError: A value is not finite, or `rotation` is not a rotation.
+        RecordingError: A value is not finite, `rotation` is not a rotation, or `deviation_mm` is
+            negative.
     """
 
     probe: "Probe"
     position_mm: Float[np.ndarray, "3"]
     rotation: Float[np.ndarray, "3 3"] = _IDENTITY
+    deviation_mm: float = 0.0
 
     def __post_init__(self) -> None:
+        if not (np.isfinite(self.deviation_mm) and self.deviation_mm >= 0.0):
+            raise RecordingError(
+                f"probe: deviation_mm is {self.deviation_mm}; give a standard deviation of at "
+                "least 0 mm"
+            )
         rotation = np.eye(3) if self.rotation is None else self.rotation
         for name, value, shape in (
             ("position_mm", self.position_mm, (3,)),

@@ -31,11 +31,14 @@ fixed length; the structure is that of HDF5 1.10, with checksums):
 | /presses/0000/probe `name`, `sizes` | attributes, JSON object of numbers; may be absent | mm |
 | /presses/0000/probe/position_mm | float64 (3,) | mm |
 | /presses/0000/probe/rotation | float64 (3, 3) | |
+| /presses/0000/probe `deviation_mm` | attribute, float64; absent where zero | mm |
 | /presses/0000/force/axes | float64 (k, 6), may be absent | |
 | /presses/0000/force/values, deviations | float64 (k,) | N, N mm |
 | /presses/0000/force/about_mm | float64 (3,) | mm |
 | /presses/0000/surface/points_mm, directions | float64 (k, 3), may be absent | mm |
 | /presses/0000/surface/displacement_mm, deviations_mm | float64 (k,) | mm |
+
+With a probe, nodal fields that are zero, or NaN, throughout are absent.
 
 Links, external storage and virtual datasets are refused: they lead to other files.
 
@@ -56,7 +59,15 @@ SAVED, GROWING = 4, 5
 VERSION = GROWING
 GROWING_VERSIONS = (3, GROWING)
 UNITS = "mm, N, MPa, tonne/mm^3"
-PRESS_ARRAYS = ("forces", "observed", "displacement", "springs", "fixed", "prescribed")
+#: Nodal fields with the value they have throughout where a press by a probe does not store them.
+PRESS_ARRAYS: dict[str, float | bool] = {
+    "forces": 0.0,
+    "observed": False,
+    "displacement": float("nan"),
+    "springs": 0.0,
+    "fixed": False,
+    "prescribed": 0.0,
+}
 PRESS_MASKS = ("observed", "fixed")
 PRESS_OPTIONAL = {"weights": (None, 3), "direction": (3,)}
 PRESS_READINGS = {

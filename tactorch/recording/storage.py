@@ -36,6 +36,7 @@ class RecordingReader(Hdf5Reader):
     def __init__(self, root: "h5py.Group", source: Path | str, mesh: TetMesh | None = None) -> None:
         super().__init__(root, source, "recording", _LAYOUT, RecordingError)
         self._mesh = mesh
+        self._shared: dict[str, np.ndarray] = {}
         growing = self._check_format() in schema.GROWING_VERSIONS
         self.tail = PressTail(root.file, source, self._count_stored()) if growing else None
 
@@ -112,22 +113,40 @@ class RecordingReader(Hdf5Reader):
     def press(self, index: int) -> Press:
         """Read and check a press by its number from 0."""
         if self.tail is None or index < self.tail.first:
-            return _read_press(self, f"presses/{index:04d}", self.mesh().n_points)
+            n_points = self.mesh().n_points
+            return _read_press(self, f"presses/{index:04d}", n_points, self._shared)
         import h5py
 
         image = BytesIO(self.tail.image(index - self.tail.first))
         with h5py.File(image, "r") as file:
             source = f"{self.source}, press {index + 1}"
             reader = Hdf5Reader(file, source, "recording", "append_press", RecordingError)
-            return _read_press(reader, "/", self.mesh().n_points)
+            return _read_press(reader, "/", self.mesh().n_points, self._shared)
 
 
-def _read_press(reader: Hdf5Reader, path: str, n_points: int) -> Press:
-    """Read and check the press in the group `path`."""
+def _shared(known: dict[str, np.ndarray], field: str, array: np.ndarray) -> np.ndarray:
+    """Return the array of the press before, where this one has the same values."""
+    last = known.get(field)
+    if last is not None and np.array_equal(last, array, equal_nan=True):
+        return last
+    array.setflags(write=False)
+    known[field] = array
+    return array
+
+
+def _read_press(
+    reader: Hdf5Reader, path: str, n_points: int, shared: dict[str, np.ndarray]
+) -> Press:
+    """Read and check the press in the group `path`; `shared` has the arrays of the one before."""
     fields: dict[str, Any] = {}
-    for field in schema.PRESS_ARRAYS:
+    by_probe = reader.has(f"{path}/probe")
+    for field, constant in schema.PRESS_ARRAYS.items():
         kind = "b" if field in schema.PRESS_MASKS else "f"
-        fields[field] = reader.array(f"{path}/{field}", kind, (n_points, 3))
+        if by_probe and not reader.has(f"{path}/{field}"):
+            fields[field] = np.broadcast_to(np.array(constant), (n_points, 3))
+        else:
+            array = reader.array(f"{path}/{field}", kind, (n_points, 3))
+            fields[field] = _shared(shared, field, array)
     for field, shape in schema.PRESS_OPTIONAL.items():
         if reader.has(f"{path}/{field}"):
             wanted = tuple(n_points if size is None else size for size in shape)
@@ -158,6 +177,9 @@ def _read_readings(reader: Hdf5Reader, path: str) -> dict[str, Any]:
             _make_probe(reader, group, name, sizes),
             reader.array(f"{group}/position_mm", "f", (3,)),
             reader.array(f"{group}/rotation", "f", (3, 3)),
+            reader.attribute(group, "deviation_mm", float)
+            if "deviation_mm" in reader.group(group).attrs
+            else 0.0,
         )
     return fields
 
@@ -206,8 +228,10 @@ def write_press(group: "h5py.Group", press: Press) -> None:
     write_attributes(group, name=press.name, step=press.step)
     if press.noise_mm is not None:
         write_attributes(group, noise_mm=press.noise_mm)
-    for field in schema.PRESS_ARRAYS:
+    for field, constant in schema.PRESS_ARRAYS.items():
         array = getattr(press, field)
+        if press.probe is not None and _is_constant(array, constant):
+            continue
         write_array(group, field, array.astype(np.uint8) if field in schema.PRESS_MASKS else array)
     for field in schema.PRESS_OPTIONAL:
         if getattr(press, field) is not None:
@@ -220,10 +244,16 @@ def write_press(group: "h5py.Group", press: Press) -> None:
         _write_probe(group.create_group("probe"), press.probe)
 
 
+def _is_constant(array: np.ndarray, value: float | bool) -> bool:
+    return bool(np.array_equal(array, np.broadcast_to(np.array(value), array.shape), equal_nan=True))
+
+
 def _write_probe(group: "h5py.Group", pose: ProbePose) -> None:
     from tactorch.fem.contact import PROBES
 
     name = PROBES.name_of(type(pose.probe))
     write_attributes(group, name=name, sizes=json.dumps(to_mapping(pose.probe)))
+    if pose.deviation_mm:
+        write_attributes(group, deviation_mm=float(pose.deviation_mm))
     write_array(group, "position_mm", pose.position_mm)
     write_array(group, "rotation", pose.rotation)

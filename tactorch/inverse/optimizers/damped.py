@@ -29,6 +29,7 @@ _MAX_RISE = 2.0
 # Directions that the data do not determine are the prior's; damping is for the nonlinearity alone,
 # so it starts small, falls after every step of sufficient gain, and jumps where a step failed.
 _MIN_DAMPING, _MIN_RAISED_DAMPING = 1e-12, 1e-4
+_CUT_FALL = 0.05  # relative fall of the objective by a step that was cut, below which it converges
 Vector = Float[np.ndarray, " size"]
 Mask = Bool[np.ndarray, " size"]
 
@@ -150,7 +151,8 @@ class DampedNewton(Optimizer):
             weight, before = schedule.weight, point
             point, damping, gain = step
             fall = before.value(weight) - point.value(weight)
-            schedule.update(point, gain if solver.leaps else np.nan)
+            if not _is_cut(before, point, fall / point.value(weight)):
+                schedule.update(point, gain if solver.leaps else np.nan)
             converged = final and fall <= self.tolerance * point.value(weight)
             done = not schedule.retry(point, converged=converged) and converged
             report(weight, float(np.abs(point.x - before.x).max()))
@@ -196,6 +198,14 @@ class DampedNewton(Optimizer):
             damping = 10.0 * max(damping, _MIN_RAISED_DAMPING)
             monitor.check_time()
         return None
+
+
+def _is_cut(before: Point, point: Point, fall: float) -> bool:
+    """Whether limits of the step leave much to fall, for a map of strong contrast."""
+    if not point.objective.strong_contrast or fall < _CUT_FALL:
+        return False
+    change = np.abs(point.x - before.x)
+    return bool((change >= (1.0 - 1e-6) * point.objective.max_step).any())
 
 
 def projected_gradient(x: Vector, gradient: Vector, limits: tuple[Any, Any]) -> Vector:

@@ -38,6 +38,7 @@ _MAX_RATIO, _MARGIN = 0.9, 1.05
 # Largest change of a chosen weight per step; largest number of choices; change that ends them.
 _MAX_CHANGE, _MAX_CHOICES, _CHANGE_TOLERANCE = 3.0, 30, 1.2
 _DOMINANCE = 30.0  # of the prior's trace over that of J^T J at the first weight
+_STRONG = 10.0  # factor of the first weight for maps of strong contrast
 # Attribute of the schedule for each number of its state.
 _STATE = {"weight": "weight", "first_weight": "first"} | {
     f"weight_{name}": name
@@ -79,6 +80,7 @@ class RegularizationSchedule:
                 if trace is None:
                     trace = float(np.einsum("ij,ij->", point.jacobian, point.jacobian))
                 first = _DOMINANCE * (trace / prior)
+                first *= _STRONG if point.objective.strong_contrast else 1.0
             return RegularizationSchedule(first, first, fixed=first == 0.0, rule=rule)
         schedule = RegularizationSchedule(0.0, 0.0, False, _ENDS[int(state["ended"])], rule)
         for key, name in _STATE.items():

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from tactorch.errors import CancelledError, ConvergenceError
+from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
 from tactorch.inverse.shapes.kept import KeptRims
@@ -29,6 +30,7 @@ from tactorch.inverse.shapes.model import (
     gain,
     without,
 )
+from tactorch.inverse.shapes.palpation import find_palpation_shapes
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.proposals import propose
@@ -78,6 +80,10 @@ def find_shapes(
             elements have none where quadratic ones have.
     """
     settings = settings or Settings()
+    if is_palpation(recording):
+        return find_palpation_shapes(
+            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, stop=stop
+        )
     if not is_same_model(recording):
         recording = refined_at_contacts(recording)
     problem = ShapeProblem(recording, settings, stop, kept)
