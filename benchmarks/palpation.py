@@ -117,7 +117,9 @@ def process(where: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.nda
     from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
     kernel = ConstantKernel(1.0) * Matern([5.0, 5.0], (1.0, 100.0), nu=2.5) + WhiteKernel(0.1)
-    model = GaussianProcessRegressor(kernel, normalize_y=True, n_restarts_optimizer=2, random_state=0)
+    model = GaussianProcessRegressor(
+        kernel, normalize_y=True, n_restarts_optimizer=2, random_state=0
+    )
     return model.fit(where, values).predict(wanted)
 
 
@@ -171,9 +173,7 @@ def errors(test: Sequence[Probe], predicted: Sequence[np.ndarray]) -> dict[str, 
     """Errors of forces: root mean square and mean size, over all and at each step."""
     steps = np.concatenate([p.steps for p in test])
     wrong = np.concatenate(predicted) - np.concatenate([p.forces for p in test])
-    by_step = {
-        int(s): float(np.sqrt(np.mean(wrong[steps == s] ** 2))) for s in np.unique(steps)
-    }
+    by_step = {int(s): float(np.sqrt(np.mean(wrong[steps == s] ** 2))) for s in np.unique(steps)}
     return {
         "rms_n": float(np.sqrt(np.mean(wrong**2))),
         "mean_n": float(np.mean(np.abs(wrong))),

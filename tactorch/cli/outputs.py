@@ -148,8 +148,8 @@ def describe(
     lines = [
         f"{summary['optimizer']}: {summary['iterations']} iterations in "
         f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
-        f"The data are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations "
-        f"(misfit {summary['misfit']:.3g} mm2).",
+        f"The data are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations"
+        + (f" (misfit {summary['misfit']:.3g} mm2)." if summary["misfit"] else "."),
         *_describe_map(reconstruction, inclusion),
         *(_describe_estimate(name, value) for name, value in reconstruction.nuisance.items()),
         *(f"DO NOT TRUST THIS MAP: {warning}" for warning in reconstruction.warnings),

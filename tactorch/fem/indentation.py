@@ -18,6 +18,7 @@ from typing import TypeVar
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
+from threadpoolctl import threadpool_limits
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import kernels
@@ -321,7 +322,7 @@ class IndentedBody:
             part = np.ascontiguousarray(columns[:, moduli])
             return np.stack([part @ rates for rates in self._rates_of(elements)])
 
-        total = np.sum(self._by_parts(work), axis=0, dtype=np.float64)
+        total: np.ndarray = np.array(self._by_parts(work)).sum(axis=0, dtype=np.float64)
         return total.swapaxes(1, 2).reshape(-1, len(changes))
 
     def _by_parts(self, work: Callable[[slice, slice], T]) -> list[T]:
@@ -334,7 +335,9 @@ class IndentedBody:
             first, last = firsts[i], min(firsts[i] + _ELEMENTS, count)
             return work(slice(first, last), slice(first * sites, last * sites))
 
-        return map_cases(part, len(firsts))
+        # The threads of NumPy's BLAS would wait for each other beside ours.
+        with threadpool_limits(1, user_api="blas"):
+            return map_cases(part, len(firsts))
 
     def _rates_of(self, elements: slice) -> Float[np.ndarray, "pairs moduli places"]:
         """Minus the derivatives of the compliance by the moduli of some elements."""

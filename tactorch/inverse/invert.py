@@ -262,6 +262,7 @@ def result_of(
         stop_reason=reason,
         seconds=monitor.seconds,
         nuisance=point.nuisance_estimates(monitor.history[-1].get("weight", 0.0)),
+        predicted=np.concatenate(point.evaluation.predicted),
         config={
             "settings": to_mapping(settings),
             "optimizer": to_mapping(optimizer, "optimizer"),

@@ -143,7 +143,7 @@ class PalpationEvaluation(Evaluation):
         return other
 
     @property
-    def sensitivities(self) -> list[Any]:  # type: ignore[override]
+    def sensitivities(self) -> list[Any]:
         """Not known: displacements of nodes have no derivatives here."""
         raise ConfigError(
             "A palpation with one factorisation has no sensitivities of displacements; use the "
@@ -292,7 +292,7 @@ class PalpationProblem(InverseProblem):
         return replace(data, observations=tuple(observations), correlated=noise)
 
     def _measured_stiffness(self) -> Float[np.ndarray, " presses"]:
-        """Slope of the force by the depth of each press in the measured forces of its place, N/mm."""
+        """Slope of the measured force by the depth at each press, N/mm."""
         forces = np.array([
             float(np.linalg.norm(press.force.values))
             for press in self.recording.presses
@@ -338,9 +338,7 @@ class PalpationProblem(InverseProblem):
         check_youngs(youngs, self.body.assembly.weights.shape)
         self.evaluations += 1
         body = self.indentation.at(youngs)
-        return PalpationEvaluation(
-            self, body, body.press(self.places, self.depths_mm), self.data
-        )
+        return PalpationEvaluation(self, body, body.press(self.places, self.depths_mm), self.data)
 
 
 def group_places(
@@ -351,7 +349,8 @@ def group_places(
     Poses of a place have one probe and axis, and lie on it.
     """
     keys: dict[bytes, list[int]] = {}
-    places, first = np.zeros(len(poses), dtype=int), []
+    places = np.zeros(len(poses), dtype=int)
+    first: list[int] = []
     for i, pose in enumerate(poses):
         key = np.round(pose.rotation[:, 2], 6).tobytes() + repr(pose.probe).encode()
         axis = pose.rotation[:, 2]

@@ -33,17 +33,19 @@ class Reconstruction:
 
     On disk (HDF5): attributes `format`, `version`, `stop_reason` and `seconds`; datasets
     `mesh/points` (mm), `mesh/tets`, `youngs` (MPa), `displacements` (presses, n, 3; mm), `config`
-    (JSON), `history` (JSON, a list of records) and `nuisance` (JSON, by name).
+    (JSON), `history` (JSON, a list of records), `nuisance` (JSON, by name) and `predicted`.
 
     Attributes:
         mesh: The object.
         youngs: Young's modulus of each element, MPa.
-        displacements: Predicted displacement of each press at the map, mm.
+        displacements: Predicted displacement of each press at the map, mm; none of a palpation.
         history: One record per iteration; see `tactorch.inverse.Monitor`.
         stop_reason: Reason for the end of the optimization: a `StopReason` or its text.
         seconds: Elapsed time, including earlier runs of a resumed inversion, s.
         config: Settings, versions and provenance, as plain JSON values.
         nuisance: Estimates of the nuisance parameters by name.
+        predicted: Predicted data of all presses (mm, N, N mm), those of each in the order of its
+            `tactorch.inverse.data.Observation`; None in files of earlier versions.
     """
 
     mesh: TetMesh
@@ -54,6 +56,7 @@ class Reconstruction:
     seconds: float
     config: dict[str, Any] = field(default_factory=dict)
     nuisance: dict[str, NuisanceEstimate] = field(default_factory=dict)
+    predicted: Float[np.ndarray, " data"] | None = None
 
     @property
     def iterations(self) -> int:
@@ -105,6 +108,8 @@ class Reconstruction:
         write_array(file, "mesh/tets", self.mesh.tets)
         write_array(file, "youngs", self.youngs)
         write_array(file, "displacements", self.displacements)
+        if self.predicted is not None:
+            write_array(file, "predicted", self.predicted)
 
     @staticmethod
     def load(path: str | Path) -> "Reconstruction":
@@ -128,6 +133,9 @@ class Reconstruction:
                 seconds=reader.attribute("/", "seconds", float),
                 config=reader.json("config"),
                 nuisance={n: NuisanceEstimate.of(plain) for n, plain in estimates.items()},
+                predicted=reader.array("predicted", "f", (None,))
+                if reader.has("predicted")
+                else None,
             )
 
     def write_vtu(self, path: str | Path, truth: Float[np.ndarray, " m"] | None = None) -> Path:

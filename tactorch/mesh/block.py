@@ -96,9 +96,7 @@ class Block(NamedTuple):
     sides: np.ndarray
 
 
-def block_below(
-    height: HeightField, *, depth_mm: float, margin_mm: float, edge_mm: float
-) -> Block:
+def block_below(height: HeightField, *, depth_mm: float, margin_mm: float, edge_mm: float) -> Block:
     """Mesh the block below a surface, with a flat bottom.
 
     Cells have about the edge length below the surface, and become higher with the depth.

@@ -245,7 +245,9 @@ def write_press(group: "h5py.Group", press: Press) -> None:
 
 
 def _is_constant(array: np.ndarray, value: float | bool) -> bool:
-    return bool(np.array_equal(array, np.broadcast_to(np.array(value), array.shape), equal_nan=True))
+    return bool(
+        np.array_equal(array, np.broadcast_to(np.array(value), array.shape), equal_nan=True)
+    )
 
 
 def _write_probe(group: "h5py.Group", pose: ProbePose) -> None:

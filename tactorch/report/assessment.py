@@ -10,6 +10,7 @@ import numpy as np
 from tactorch.findings import Finding, build_finding, build_shape_finding, find_lump
 from tactorch.findings.finding import build_lump
 from tactorch.inverse import Nuisance, Point, settings_from
+from tactorch.inverse.data import Observation
 from tactorch.inverse.invert import solution
 from tactorch.inverse.nuisance import PressModel
 from tactorch.recording import Recording
@@ -96,23 +97,41 @@ def _corrected_fits(recording: Recording, point: Point) -> list[PressFit]:
         values = np.full((2, recording.mesh.n_points * 3), np.nan)
         values[0, index] = reported.ravel()[index] - observation.values[observation.nodal]
         values[1, index] = deviations[observation.nodal]
-        fits.append(PressFit(*values.reshape(2, -1, 3)))
+        others = deviations[len(index) :]
+        residual, scaled = values.reshape(2, -1, 3)
+        fits.append(PressFit(residual, scaled, others))
     return fits
 
 
 def _uncorrected_fits(run: Run, recording: Recording) -> list[PressFit]:
     """Return residuals without the corrections that require solving the presses again."""
-    values = _nuisance(run, recording)
+    values, predicted = _nuisance(run, recording), _predicted(run, recording)
     deviations = run.noise.deviations(recording)
+    unknown = np.broadcast_to(np.nan, recording.mesh.points.shape)
     fits = []
-    pairs = zip(recording.presses, run.result.displacements, strict=True)
-    for i, (press, displacement) in enumerate(pairs):
+    for i, press in enumerate(recording.presses):
+        observation = Observation.of(press, deviations[i])
+        others = (predicted[i] - observation.values)[len(observation.index) :]
+        others = others * observation.scale[len(observation.index) :]
+        if not len(run.result.displacements):
+            fits.append(PressFit(unknown, unknown, others))
+            continue
         weights = np.ones_like(press.forces) if press.weights is None else press.weights
         used = press.data & (weights > 0)
-        reported = PressModel.of(press, recording.mesh, values).reported(displacement)
+        model = PressModel.of(press, recording.mesh, values)
+        reported = model.reported(run.result.displacements[i])
         residual = np.where(used, reported - press.displacement, np.nan)
-        fits.append(PressFit(residual, residual * weights / deviations[i]))
+        fits.append(PressFit(residual, residual * weights / deviations[i], others))
     return fits
+
+
+def _predicted(run: Run, recording: Recording) -> list[np.ndarray]:
+    """Return the predictions of the data of each press, NaN where the result does not have them."""
+    counts = [len(Observation.of(press, 1.0).values) for press in recording.presses]
+    predicted = run.result.predicted
+    if predicted is None or len(predicted) != sum(counts):
+        predicted = np.full(sum(counts), np.nan)
+    return np.split(predicted, np.cumsum(counts)[:-1])
 
 
 def _nuisance(run: Run, recording: Recording) -> Nuisance:

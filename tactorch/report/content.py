@@ -18,6 +18,7 @@ from tactorch.text import one_line
 
 _MAX_FACTOR = 2.0  # an interval of a larger factor is reported as a limitation
 _MIN_VOLUME = 0.02  # fraction of the volume from which it is reported
+_MAX_LISTED, _LISTED = 100, 20  # presses up to which all are shown, and the number of those of more
 _MAX_FIT = 1.5  # standard deviations; a larger residual is reported
 # Title of each score and the best value: the minimum, the maximum, or 1.
 _SCORES = {
@@ -70,16 +71,17 @@ class PressFit:
 
     residual: Float[np.ndarray, "n 3"]  # mm
     deviations: Float[np.ndarray, "n 3"]  # in standard deviations, weighted as in the inversion
+    others: Float[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))  # of other data
 
     @property
     def rms_mm(self) -> float:
-        """Root mean square residual, mm."""
-        return float(np.sqrt(np.nanmean(self.residual**2)))
+        """Root mean square residual of displacements of nodes, mm; NaN without any."""
+        return _rms(self.residual)
 
     @property
     def rms_deviations(self) -> float:
-        """Root mean square residual, standard deviations."""
-        return float(np.sqrt(np.nanmean(self.deviations**2)))
+        """Root mean square residual of all data, standard deviations."""
+        return _rms(np.concatenate([self.deviations.ravel(), self.others]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,15 +190,27 @@ class RunReport:
         if self.run.recording is None:
             return None
         rows = []
-        pairs = zip(self.run.recording.presses, self.fits, strict=True)
-        for number, (press, fit) in enumerate(pairs, start=1):
-            size = float(np.sqrt(np.nanmean(press.displacement[press.data] ** 2)))
-            force, displacement = f"{np.linalg.norm(press.total_force):.3g}", f"{1e3 * size:.4g}"
-            residual = (f"{1e3 * fit.rms_mm:.3g}", f"{fit.rms_deviations:.2g}")
-            rows.append([press_label(number, press), force, displacement, *residual])
+        for k in self.listed:
+            press, fit = self.run.recording.presses[k], self.fits[k]
+            size = _rms(press.displacement[press.data])
+            force = f"{np.linalg.norm(press.total_force):.3g}"
+            residual = (_number(1e3 * fit.rms_mm), _number(fit.rms_deviations, 2))
+            rows.append([press_label(k + 1, press), force, _number(1e3 * size, 4), *residual])
         header = ["Press", "Force (N)", "Displacement, RMS (µm)", "Residual, RMS (µm)"]
         caption = "Residual of each press (SD: standard deviations)"
+        if len(self.listed) < len(self.fits):
+            caption = (
+                f"Presses of the largest residuals, of {len(self.fits)} (SD: standard deviations)"
+            )
         return Table(caption, [*header, "Residual (SD)"], rows)
+
+    @property
+    def listed(self) -> list[int]:
+        """Indices of the presses that are shown: those of the largest residuals, of many."""
+        if len(self.fits) <= _MAX_LISTED:
+            return list(range(len(self.fits)))
+        sizes = np.nan_to_num([fit.rms_deviations for fit in self.fits])
+        return np.argsort(-sizes, kind="stable")[:_LISTED].tolist()
 
     @property
     def details(self) -> list[tuple[str, str]]:
@@ -213,6 +227,16 @@ class RunReport:
             "Log": run.log,
         }
         return [(title, text) for title, text in texts.items() if text]
+
+
+def _rms(values: Float[np.ndarray, "*n"]) -> float:
+    """Root mean square of the values that are not NaN; NaN without any."""
+    known = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
+
+
+def _number(value: float, digits: int = 3) -> str:
+    return "–" if math.isnan(value) else f"{value:.{digits}g}"
 
 
 def _fit(run: Run) -> float:

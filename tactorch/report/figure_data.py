@@ -114,8 +114,11 @@ def _run_data(report: RunReport) -> dict[str, Any]:
             {"triangles": indices(p.triangles, mesh.n_points), "direction": p.direction.tolist()}
             for p in (contact_patches(mesh, forces) if forces.any() else [])
         ]
-        pairs = enumerate(zip(recording.presses, report.fits, strict=True), start=1)
-        data["presses"] = [_press_data(number, press, fit) for number, (press, fit) in pairs]
+        data["presses"] = [
+            _press_data(k + 1, recording.presses[k], report.fits[k])
+            for k in report.listed
+            if recording.presses[k].data.any()
+        ]
     return data
 
 

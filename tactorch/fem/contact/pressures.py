@@ -89,9 +89,7 @@ def contact_coefficients(
     return found, rates
 
 
-def ball_force(
-    depths_mm: Float[np.ndarray, " s"], ball_mm: float
-) -> Float[np.ndarray, " s"]:
+def ball_force(depths_mm: Float[np.ndarray, " s"], ball_mm: float) -> Float[np.ndarray, " s"]:
     """Return the force on a rigid ball pressed into a half-space, over its plane-strain modulus.
 
     Linear elasticity without friction: I. N. Sneddon, Int. J. Engng Sci. 3, 1965, p. 47, which is

@@ -1,14 +1,15 @@
 """The search for inclusions under the presses of a palpation.
 
 A round adds the ball that the matched filter sees in the residuals, lets the background vary, or
-makes a ball an ellipsoid. Each model is fitted, and kept where its evidence is larger. The body is
+makes a ball an ellipsoid. The models that promise most evidence by linearised predictions are
+fitted, and the first whose evidence is larger is kept. The body is
 linear, so that predictions need no correction at the contacts (see `tactorch.fem.indentation`).
 """
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,15 +33,23 @@ _START_CONTRAST = (0.5, 1.5)  # range of the log-contrast of a start
 _ROUGH, _FINE = 0.5, 0.05  # tolerances of fits
 _MAX_STEPS = 12  # of a fit
 _OPTIMISM = 3.0  # falls of the objective over those of its quadratic model, at best
+_MAX_FITS = 3  # of a round
 _MAX_LOG_ODDS = 1e6
+
+
+class _Proposal(NamedTuple):
+    """A model to be fitted, and the gain of log-evidence that is expected."""
+
+    what: str
+    field: ShapeField
+    z: np.ndarray
+    promise: float
 
 
 class _Search:
     """The presses, and the present model."""
 
-    def __init__(
-        self, recording: Recording, settings: Settings, stop: Callable[[], bool]
-    ) -> None:
+    def __init__(self, recording: Recording, settings: Settings, stop: Callable[[], bool]) -> None:
         self.problem = PalpationProblem(
             recording, solver=settings.solver, noise=settings.noise, newton=settings.newton
         )
@@ -85,40 +94,61 @@ class _Search:
 
     def improve(self, max_shapes: int) -> bool:
         """Accept a model of more evidence; return whether there was one."""
-        for what, field, z in self._proposals(max_shapes):
-            fit, evaluation = self._fit(field, z, _ROUGH, self.fit)
+        for proposal in self._proposals(max_shapes)[:_MAX_FITS]:
+            fit, evaluation = self._fit(proposal.field, proposal.z, _ROUGH, self.fit)
             change = gain(fit, self.fit)
-            _log.info("%s: chi2 %.4g, log-evidence %+.4g", what, fit.chi2, change)
+            _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, fit.chi2, change)
             if change > MIN_GAIN:
                 self.fit, self.evaluation = fit, evaluation
-                self._record(what)
+                self._record(proposal.what)
                 return True
         return False
 
-    def _proposals(self, max_shapes: int) -> Iterator[tuple[str, ShapeField, np.ndarray]]:
+    def _proposals(self, max_shapes: int) -> list["_Proposal"]:
+        """Return models that may have more evidence, those that seem to have most first."""
         field, z = self.fit.field, self.fit.z
+        starts = [
+            (f"inclusion {k} as an ellipsoid", *as_ellipsoid(field, z, k))
+            for k, distorted in enumerate(field.distorted)
+            if not distorted
+        ]
+        degree = next((degree for degree in _DEGREES if degree > field.degree), None)
+        if degree is not None:
+            starts.append((f"background of degree {degree}", *varied(field, z, degree=degree)))
+        found = [_Proposal(*start, self._promise(*start[1:])) for start in starts]
         if len(field.distorted) < max_shapes:
-            yield from self._balls()
-        for k, distorted in enumerate(field.distorted):
-            if not distorted:
-                yield (f"inclusion {k} as an ellipsoid", *as_ellipsoid(field, z, k))
-        for degree in _DEGREES:
-            if degree > field.degree:
-                yield (f"background of degree {degree}", *varied(field, z, degree=degree))
-                break
+            found += self._balls()
+        found = [proposal for proposal in found if proposal.promise > 0.0]
+        return sorted(found, key=lambda proposal: -proposal.promise)
 
-    def _balls(self) -> Iterator[tuple[str, ShapeField, np.ndarray]]:
-        fit = self.fit
+    def _promise(self, field: ShapeField, z: np.ndarray) -> float:
+        """Return the gain of log-evidence by a linearised fit."""
+        self._check()
+        jacobian = ShapesOnSites(field, self.sites).at(z).jacobian(self.evaluation)
+        residuals, inflation = self.fit.residuals, max(1.0, self.fit.chi2)
+        hessian = jacobian.T @ jacobian / inflation + np.eye(len(z))
+        step = -np.linalg.solve(hessian, jacobian.T @ residuals / inflation + z)
+        left = residuals + jacobian @ step
+        misfit = 0.5 * float(left @ left) / inflation + 0.5 * float((z + step) @ (z + step))
+        unscaled = jacobian.T @ jacobian + np.eye(len(z))
+        determinant = 0.5 * (
+            float(np.linalg.slogdet(unscaled)[1]) + self.problem.data.log_determinant
+        )
+        return -misfit - determinant - self.fit.log_evidence(inflation)
+
+    def _balls(self) -> list["_Proposal"]:
+        fit, inflation = self.fit, max(1.0, self.fit.chi2)
         field = replace(fit.field, distorted=(*fit.field.distorted, False))
-        data = self.problem.data
-        for candidate in self.matched.best(fit.residuals, fit.jacobian, data, _STARTS):
-            if candidate.gain < _MIN_CANDIDATE_GAIN * max(1.0, fit.chi2):
-                return
+        proposals = []
+        for candidate in self.matched.best(fit.residuals, fit.jacobian, self.problem.data, _STARTS):
             size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
             contrast = np.copysign(size, candidate.log_contrast)
             ball = [*candidate.center_mm, np.log(candidate.radius_mm), contrast]
             z = field.standard(np.concatenate([fit.field.physical(fit.z), ball]))
-            yield f"ball at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
+            what = f"ball at {np.round(candidate.center_mm, 1).tolist()} mm"
+            promise = candidate.gain / inflation - _MIN_CANDIDATE_GAIN
+            proposals.append(_Proposal(what, field, z, promise))
+        return proposals
 
     def result(self) -> ShapeReconstruction:
         """Fit the model closely, and return it with its posterior."""

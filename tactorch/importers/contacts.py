@@ -1,0 +1,185 @@
+"""First contacts of a palpation, found from the forces.
+
+The force of a probe is that on a ball in a half-space, whose modulus and surface are unknown.
+"""
+
+import logging
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import FileError
+from tactorch.fem.contact.pressures import ball_force
+from tactorch.importers.samples import MIN_SAMPLES, MIN_TRAVEL, NAMED, Samples, name_probes
+
+_log = logging.getLogger(__name__)
+_MIN_CLEAR = 20  # samples clear of the surface that tell the offset of the force sensor
+_STEPS = 60  # of the search for the first contact, within the ball's radius
+_COMMON = 0.3  # deviation of the depth of the first sample among probes, over the ball's radius
+_OUTLIER = 12.0  # distance of a sample from the others of its probe, over theirs
+_MAX_OUTLIERS = 2  # of a probe
+
+
+class Contacts(NamedTuple):
+    """First contacts.
+
+    Attributes:
+        points_mm: First contact of each probe.
+        depth_mm: Depth of the ball at its origin, (probes,), mm.
+        noise_n: Standard deviation of the noise of a sample.
+        tare_n: Offset of the force sensor, which the forces no longer have.
+        clear: Number of samples that are clear of the surface.
+    """
+
+    points_mm: Float[np.ndarray, "probes 3"]
+    depth_mm: Float[np.ndarray, " probes"]
+    noise_n: float
+    tare_n: float
+    clear: int
+
+
+def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple[Samples, Contacts]:
+    """Return the samples without offset and outliers, and the first contacts.
+
+    Args:
+        samples: The samples.
+        noise_n: Noise of a force; None for an estimate.
+        source: Name of the file in messages.
+
+    Raises:
+        FileError: no probe's force rises with the depth.
+    """
+    noise = noise_n or _noise(samples)
+    samples = _without_outliers(samples, noise, source)
+    tare, clear = _offset(samples, noise)
+    if clear < _MIN_CLEAR:
+        _log.warning(
+            "'%s' has %d samples that are clear of the surface, of %d that are needed: the offset "
+            "of the force sensor is taken as zero.", source, clear, _MIN_CLEAR,
+        )  # fmt: skip
+        tare = 0.0
+    samples = replace(samples, force_n=samples.force_n - tare)
+    samples, depths = _rising(samples, _first_depths(samples, noise), noise, source)
+    contacts = samples.origins_mm - (samples.radius_mm - depths)[:, None] * samples.normals
+    return samples, Contacts(contacts, depths, noise, tare, clear)
+
+
+def _offset(samples: Samples, noise: float) -> tuple[float, int]:
+    """Return the median force of samples clear of the surface (N), and their number.
+
+    With the force of first samples as the offset, those are clear that are clear.
+    """
+    first = np.full(len(samples.numbers), np.nan)
+    order = np.lexsort((-samples.advance_mm, samples.probe))
+    first[samples.probe[order]] = samples.force_n[order]  # the last is the one that remains
+    trial = replace(samples, force_n=samples.force_n - float(np.median(first)))
+    depths = _first_depths(trial, noise)
+    # By more than the uncertainty of the place of the surface.
+    free = samples.advance_mm + depths[samples.probe] < -MIN_TRAVEL * samples.radius_mm
+    return (float(np.median(samples.force_n[free])) if free.any() else 0.0), int(free.sum())
+
+
+def _noise(samples: Samples) -> float:
+    """Estimate the noise of a force from second differences along each probe, N.
+
+    Samples at equal steps are assumed; the curvature of the force adds to the noise. The median
+    over probes hardly depends on those that end in something stiff.
+    """
+    order = np.lexsort((samples.advance_mm, samples.probe))
+    force, probe = samples.force_n[order], samples.probe[order]
+    second = force[2:] - 2.0 * force[1:-1] + force[:-2]
+    same = probe[2:] == probe[:-2]
+    return float(max(np.median(np.abs(second[same])) / (0.6745 * np.sqrt(6.0)), 1e-6))
+
+
+def _half_space(samples: Samples, depths: Float[np.ndarray, " probes"]) -> np.ndarray:
+    """Force of each sample on a half-space of unit plane-strain modulus, N/MPa."""
+    return ball_force(samples.advance_mm + depths[samples.probe], samples.radius_mm)
+
+
+def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"]:
+    """Return the depth of the ball at each origin that fits the forces best, mm.
+
+    A depth is negative where the origin is clear of the surface. The most frequent depth is more
+    probable than others.
+    """
+    radius, count = samples.radius_mm, len(samples.numbers)
+    travel = np.zeros(count)
+    np.maximum.at(travel, samples.probe, samples.advance_mm)
+    lowest = float(np.median(travel))
+    grid = np.linspace(-lowest, 0.5 * radius, 2 * _STEPS)
+    costs = np.array([_cost(samples, np.full(count, depth)) for depth in grid]) / noise**2
+    common = grid[np.argmin(np.median(costs, axis=1))]
+    prior = ((grid - common) / (_COMMON * radius)) ** 2
+    best = np.argmin(costs + prior[:, None], axis=0)
+    depths: np.ndarray = grid[best]
+    return depths
+
+
+def _cost(samples: Samples, depths: Float[np.ndarray, " probes"]) -> Float[np.ndarray, " probes"]:
+    """Sum of squares of each probe left by the best modulus, N^2."""
+    force, unit = samples.force_n, _half_space(samples, depths)
+    count = len(samples.numbers)
+    pairs = ((unit, force), (unit, unit), (force, force))
+    mixed, squares, total = (np.bincount(samples.probe, a * b, count) for a, b in pairs)
+    gain = np.where(squares > 0.0, np.maximum(mixed, 0.0) ** 2 / np.maximum(squares, 1e-300), 0.0)
+    return total - gain
+
+
+def _without_outliers(samples: Samples, noise: float, source: str) -> Samples:
+    """Leave out samples that are far from a parabola through the others of their probe."""
+    far = np.zeros(len(samples.probe), dtype=bool)
+    for k in range(len(samples.numbers)):
+        rows = np.flatnonzero(samples.probe == k)
+        for _ in range(_MAX_OUTLIERS):
+            if len(rows) <= MIN_SAMPLES:
+                break
+            ratios = _distances(samples.advance_mm[rows], samples.force_n[rows], noise)
+            worst = int(np.argmax(ratios))
+            if ratios[worst] < _OUTLIER:
+                break
+            far[rows[worst]] = True
+            rows = np.delete(rows, worst)
+    if far.any():
+        named = np.unique(samples.numbers[samples.probe[far]])
+        _log.warning(
+            "'%s': %d samples far from the others of their probe are left out, of probes %s.",
+            source, far.sum(), ", ".join(map(str, named[:NAMED])),
+        )  # fmt: skip
+    return samples.keep(~far)
+
+
+def _distances(
+    advance: Float[np.ndarray, " k"], force: Float[np.ndarray, " k"], noise: float
+) -> Float[np.ndarray, " k"]:
+    """Return the distance of each sample from the parabola of the others, over their own.
+
+    Distances from a least-squares fit to the others follow from that to all (by the leverages).
+    """
+    powers = np.vander((advance - advance.mean()) / max(np.ptp(advance), 1e-12), 3)
+    hat = powers @ np.linalg.pinv(powers)
+    residual = force - hat @ force
+    left = np.maximum(1.0 - np.diag(hat), 1e-6)
+    others = residual @ residual - residual**2 / left  # sum of squares without each
+    spread = np.sqrt(np.maximum(others, 0.0) / max(len(force) - 4, 1))
+    distances: np.ndarray = np.abs(residual) / left / np.maximum(spread, noise)
+    return distances
+
+
+def _rising(
+    samples: Samples, depths: Float[np.ndarray, " probes"], noise: float, source: str
+) -> tuple[Samples, Float[np.ndarray, " probes"]]:
+    """Leave out probes whose force does not rise with the depth."""
+    unit, count = _half_space(samples, depths), len(samples.numbers)
+    squares = np.bincount(samples.probe, unit**2, count)
+    mixed = np.bincount(samples.probe, unit * samples.force_n, count)
+    flat = ~(mixed > 3.0 * noise * np.sqrt(squares))
+    name_probes(source, samples.numbers[flat], "a force that does not rise")
+    if flat.all():
+        raise FileError(
+            f"'{source}': no probe's force rises with depth; give the force on the ball in N, along"
+            " the outward normal."
+        )
+    return samples.keep(~flat[samples.probe]), depths[~flat]

@@ -1,0 +1,194 @@
+"""Samples of a palpation: read from a table, without those that cannot be used."""
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from tactorch.errors import FileError
+from tactorch.importers.tables import read_table
+
+_log = logging.getLogger(__name__)
+_POSITION = ("x_mm", "y_mm", "z_mm")
+_FORCE = ("fx_n", "fy_n", "fz_n")
+_CONTACT = ("contact_x_mm", "contact_y_mm", "contact_z_mm")
+_NORMAL = ("normal_x", "normal_y", "normal_z")
+MIN_SAMPLES = 4  # of a probe
+#: Travel of a probe, over the ball's radius, below which it did not move.
+MIN_TRAVEL = 0.05
+_UNIT = 0.2  # of the length of a unit normal, which rounding and averaging change
+_MIN_UP = 0.05  # component of a normal along z, the axis of the height of the surface
+NAMED = 8  # probes that a message names
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples of probes.
+
+    Attributes:
+        numbers: Number of each probe in the file.
+        normals: Outward unit normal of each probe.
+        origins_mm: A point on the axis of each probe at which its ball touches nothing or little.
+        radius_mm: Radius of the ball.
+        probe: Index of the probe of each sample.
+        centres_mm: Centre of the ball.
+        advance_mm: Motion along minus the normal from the origin.
+        force_n: Force on the ball along the normal.
+        count: Number of samples that were averaged.
+    """
+
+    numbers: Int[np.ndarray, " probes"]
+    normals: Float[np.ndarray, "probes 3"]
+    origins_mm: Float[np.ndarray, "probes 3"]
+    radius_mm: float
+    probe: Int[np.ndarray, " s"]
+    centres_mm: Float[np.ndarray, "s 3"]
+    advance_mm: Float[np.ndarray, " s"]
+    force_n: Float[np.ndarray, " s"]
+    count: Float[np.ndarray, " s"]
+
+    def keep(self, kept: Bool[np.ndarray, " s"]) -> "Samples":
+        """Return some of the samples, and the probes that have any."""
+        probes, inverse = np.unique(self.probe[kept], return_inverse=True)
+        return replace(
+            self,
+            numbers=self.numbers[probes], normals=self.normals[probes],
+            origins_mm=self.origins_mm[probes], probe=inverse, centres_mm=self.centres_mm[kept],
+            advance_mm=self.advance_mm[kept], force_n=self.force_n[kept], count=self.count[kept],
+        )  # fmt: skip
+
+    def reduced(self, depths: int | None) -> "Samples":
+        """Return means of successive samples, so many of each probe."""
+        if depths is None:
+            return self
+        order = np.lexsort((self.advance_mm, self.probe))
+        sizes = np.bincount(self.probe)
+        rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        parts = np.minimum(rank * depths // np.repeat(sizes, sizes), depths - 1)
+        key = self.probe[order] * depths + parts
+        _, group, count = np.unique(key, return_inverse=True, return_counts=True)
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            total = np.zeros((len(count), *values.shape[1:]))
+            np.add.at(total, group, values[order])
+            return total / count.reshape(-1, *(1,) * (values.ndim - 1))
+
+        return replace(
+            self, probe=mean(self.probe).astype(int), centres_mm=mean(self.centres_mm),
+            advance_mm=mean(self.advance_mm), force_n=mean(self.force_n), count=count * 1.0,
+        )  # fmt: skip
+
+
+def read_samples(path: Path, radius_mm: float | None, *, check_units: bool) -> Samples:
+    """Read a file; rows and probes that cannot be used are left out, and named.
+
+    Args:
+        path: The file.
+        radius_mm: Radius of the ball; None for the distance of its centre from the contacts.
+        check_units: Whether magnitudes that suggest a wrong unit are refused.
+
+    Raises:
+        FileError: the file cannot be used.
+    """
+    table = read_table(path, "palpation", ("probe", *_POSITION, *_FORCE), (*_CONTACT, *_NORMAL))
+
+    def columns(names: tuple[str, ...]) -> Float[np.ndarray, "s 3"]:
+        return np.column_stack([table[name] for name in names])
+
+    centres, forces = columns(_POSITION), columns(_FORCE)
+    bad = ~np.isfinite(np.column_stack([table["probe"], centres, forces])).all(axis=1)
+    if bad.any():
+        _log.warning(
+            "'%s': %d rows without a number in every column are left out.", path, bad.sum()
+        )
+    numbers, first, probe = np.unique(
+        np.where(bad, np.nan, table["probe"]), return_index=True, return_inverse=True
+    )
+    if check_units:
+        _check_units(path, centres[~bad], forces[~bad])
+    has_contacts = _CONTACT[0] in table
+    ends = [_first_and_last(np.flatnonzero((probe == k) & ~bad)) for k in range(len(numbers))]
+    starts = np.array([a for a, _ in ends])
+    motion = centres[[b for _, b in ends]] - centres[starts]
+    travel = np.linalg.norm(motion, axis=1)
+    normals = -motion / np.maximum(travel, 1e-300)[:, None]
+    radius = radius_mm
+    if has_contacts:
+        normals, contacts = columns(_NORMAL)[first], columns(_CONTACT)[first]
+        if radius is None:
+            radius = _radius(path, centres[starts], contacts)
+    if radius is None:
+        raise FileError(
+            f"'{path}' has no contacts that tell the radius of the ball; give format.radius_mm."
+        )
+    lengths = np.linalg.norm(normals, axis=1)
+    faults = {
+        "no number": ~np.isfinite(numbers),
+        f"fewer than {MIN_SAMPLES} samples": np.bincount(probe[~bad], minlength=len(numbers))
+        < MIN_SAMPLES,
+        f"a travel of less than {MIN_TRAVEL * radius:.2g} mm": travel < MIN_TRAVEL * radius,
+        "no unit normal": ~(np.abs(lengths - 1.0) < _UNIT),
+        "a normal that does not point upwards (z)": ~(normals[:, 2] > _MIN_UP * lengths),
+    }
+    usable = np.ones(len(numbers), dtype=bool)
+    for reason, faulty in faults.items():
+        name_probes(path, numbers[faulty & usable], reason)
+        usable &= ~faulty
+    if not usable.any():
+        raise FileError(
+            f"'{path}' has no probe that can be used; see the warnings. Normals must point out of "
+            "the object, with z upwards."
+        )
+    normals = normals / np.maximum(lengths, 1e-300)[:, None]
+    origins = centres[starts]
+    advance = -((centres - origins[probe]) * normals[probe]).sum(axis=1)
+    force = (forces * normals[probe]).sum(axis=1)
+    whole = np.where(np.isfinite(numbers), numbers, -1).astype(int)
+    samples = Samples(
+        whole, normals, origins, radius, probe, centres, advance, force, np.ones(len(force))
+    )
+    return samples.keep(~bad & usable[probe])
+
+
+def _first_and_last(rows: Int[np.ndarray, " k"]) -> tuple[int, int]:
+    return (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
+
+
+def _check_units(
+    path: Path, centres: Float[np.ndarray, "s 3"], forces: Float[np.ndarray, "s 3"]
+) -> None:
+    span = float(np.linalg.norm(np.ptp(centres, axis=0))) if len(centres) else 0.0
+    if not 1.0 < span < 1e4:
+        raise FileError(
+            f"'{path}': positions span {span:.3g} mm; another unit? Convert to mm, or pass "
+            "format.check_units=false."
+        )
+    largest = float(np.linalg.norm(forces, axis=1).max())
+    if not 1e-3 < largest < 1e3:
+        raise FileError(
+            f"'{path}': forces reach {largest:.3g} N; another unit? Convert to N, or pass "
+            "format.check_units=false."
+        )
+
+
+def _radius(
+    path: Path, starts: Float[np.ndarray, "probes 3"], contacts: Float[np.ndarray, "probes 3"]
+) -> float:
+    """Return the distance of the ball's centre from the contacts, mm."""
+    distances = np.linalg.norm(starts - contacts, axis=1)
+    distances = distances[np.isfinite(distances) & (distances > 0.0)]
+    if not len(distances):
+        raise FileError(f"'{path}' has no contact; give format.radius_mm.")
+    radius = float(np.median(distances))
+    _log.info("The radius of the ball is %.3g mm by the contacts of the file.", radius)
+    return radius
+
+
+def name_probes(path: str | Path, numbers: np.ndarray, reason: str) -> None:
+    """Log a warning about probes that are left out, where there are any."""
+    if len(numbers):
+        shown = ", ".join(f"{n:g}" for n in numbers[:NAMED])
+        more = f" and {len(numbers) - NAMED} more" if len(numbers) > NAMED else ""
+        _log.warning("'%s': probes with %s are left out: %s%s.", path, reason, shown, more)
