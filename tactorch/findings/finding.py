@@ -13,6 +13,7 @@ from tactorch.errors import ConfigError
 from tactorch.findings.lumps import Mask, adjacent_elements, find_lumps
 from tactorch.inverse import ShapeReconstruction
 from tactorch.mesh import TetMesh
+from tactorch.mesh.closest import closest_points
 from tactorch.metrics import Inclusion
 from tactorch.metrics.segment import Side, volume_mean
 from tactorch.recording import Press, Recording
@@ -20,6 +21,7 @@ from tactorch.uncertainty import GaussianPosterior
 
 _MIN_AXIS_COSINE = 0.95  # between push and axis, for a press on a named side
 _MIN_NET_FORCE = 0.1  # net force over the sum of nodal forces; below, a press grips
+_UNCERTAIN = 0.1  # width of the interval of a depth, over the depth, from which it is told
 _TAIL = 0.05  # probability outside a 90 % interval, on either side
 # Probabilities above which a lump is certain, and below which it is doubtful.
 _CERTAIN, _DOUBTFUL = 0.99, 0.9
@@ -129,6 +131,8 @@ class Lump:
                 "cover_mm": depth.cover_mm,
                 "under": depth.face or depth.above_mm.tolist(),
             }
+        if (depths := self.depth_90_mm) is not None:
+            values["depth_90_mm"] = list(depths)
         if confidence is not None:
             values |= {
                 "probability": confidence.probability,
@@ -141,6 +145,15 @@ class Lump:
                     "mean_90_mpa": list(confidence.youngs_mpa),
                 }
         return values
+
+    @property
+    def depth_90_mm(self) -> tuple[float, float] | None:
+        """90 % interval of the centre's depth along the push, mm; None if one is not known."""
+        if self.depth is None or self.confidence is None:
+            return None
+        deviation = float(np.linalg.norm(self.confidence.center_deviation_mm * self.depth.inward))
+        half = float(ndtri(1.0 - _TAIL)) * deviation
+        return max(self.depth.center_mm - half, 0.0), self.depth.center_mm + half
 
     def text(self) -> str:
         """Return location, depth, size, contrast and confidence in up to three sentences."""
@@ -165,6 +178,9 @@ class Lump:
                 f"90 % intervals are {radius[0]:.3g} to {radius[1]:.3g} mm for that radius and "
                 f"{youngs[0]:.2g} to {youngs[1]:.2g} MPa for its modulus"
             )
+            depths = self.depth_90_mm
+            if depth and depths and depths[1] - depths[0] > _UNCERTAIN * depth.center_mm:
+                bounds += f", {depths[0]:.2g} to {depths[1]:.2g} mm for its depth"
         text += (
             f" Given noise and prior, its probability is {percent}, {bounds}, and the standard "
             f"deviation of its centre is {deviation:.2g} mm."
@@ -283,7 +299,8 @@ def measure_depth(
     """Return the depth of a region below the press that is nearest to it; None if no press pushes.
 
     The surface of a press is that of the nodes it loads; above the region it is taken at the node
-    nearest to the line through the centre along the push.
+    nearest to the line through the centre along the push. Where only probes push, it is at the one
+    whose axis is nearest to the centre.
     """
     if not elements.any():
         raise ConfigError("the region has no element; give one with at least one.")
@@ -301,7 +318,28 @@ def measure_depth(
         cover = float(((mesh.centroids[elements] - above) @ inward).min())
         if center > 0:
             depths.append(Depth(center, cover, inward, center_mm - center * inward))
-    return min(depths, key=lambda depth: depth.center_mm, default=None)
+    if not depths:
+        return _depth_below_probe(mesh, presses, center_mm, elements)
+    return min(depths, key=lambda depth: depth.center_mm)
+
+
+def _depth_below_probe(
+    mesh: TetMesh, presses: Sequence[Press], center_mm: Float[np.ndarray, "3"], elements: Mask
+) -> Depth | None:
+    poses = [press.probe for press in presses if press.probe is not None]
+    if not poses:
+        return None
+    inward = np.array([-pose.rotation[:, 2] for pose in poses])
+    positions = np.array([pose.position_mm for pose in poses])
+    apart = center_mm - positions
+    across = apart - (apart * inward).sum(axis=1, keepdims=True) * inward
+    nearest = int(np.argmin(np.linalg.norm(across, axis=1)))
+    closest = closest_points(mesh.points, mesh.surface.triangles, positions[nearest][None])
+    corners = mesh.points[mesh.surface.triangles[closest.triangles[0]]]
+    above, push = closest.barycentric[0] @ corners, inward[nearest]
+    center = float((center_mm - above) @ push)
+    cover = float(((mesh.centroids[elements] - above) @ push).min())
+    return Depth(center, cover, push, center_mm - center * push) if center > 0 else None
 
 
 def compute_confidence(

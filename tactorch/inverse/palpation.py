@@ -309,6 +309,11 @@ class PalpationProblem(InverseProblem):
                 slopes[order] = 1.5 * forces[order] / np.maximum(depths, 1e-3)
         return np.maximum(slopes, 0.0)
 
+    @property
+    def noise_is_limit(self) -> bool:
+        """True: the errors of contacts and depths may be smaller than assumed."""
+        return True
+
     @cached_property
     def contact_mpa(self) -> float:
         """Best uniform modulus, MPa."""

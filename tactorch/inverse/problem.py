@@ -466,6 +466,11 @@ class InverseProblem:
         return self._contact_mpa or apparent_mpa(self.recording, self.body)
 
     @property
+    def noise_is_limit(self) -> bool:
+        """Whether the noise of some press may be smaller than its deviation."""
+        return self.noise.floored(self.recording)
+
+    @property
     def n_data(self) -> int:
         """Number of data over all presses."""
         return sum(self.data.counts)
