@@ -19,6 +19,7 @@ import csv
 import json
 import tempfile
 import time
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,6 +114,7 @@ def by_map(recording: Recording, youngs: np.ndarray, probes: Sequence[Probe], fi
 
 def process(where: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Predict by a Gaussian process over the surface."""
+    from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
@@ -120,7 +122,9 @@ def process(where: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.nda
     model = GaussianProcessRegressor(
         kernel, normalize_y=True, n_restarts_optimizer=2, random_state=0
     )
-    return model.fit(where, values).predict(wanted)
+    with warnings.catch_warnings():  # of lengths at their limits, where values hardly vary
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return model.fit(where, values).predict(wanted)
 
 
 def by_processes(train: Sequence[Probe], test: Sequence[Probe], radius: float, first_n: float):

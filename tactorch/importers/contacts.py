@@ -18,6 +18,9 @@ _log = logging.getLogger(__name__)
 _MIN_CLEAR = 20  # samples clear of the surface that tell the offset of the force sensor
 _STEPS = 60  # of the search for the first contact, within the ball's radius
 _COMMON = 0.3  # deviation of the depth of the first sample among probes, over the ball's radius
+# Median force of first samples, in standard deviations, from which they are in contact; deviation
+# of this force among probes, over the force.
+_CONTACT_NOISE, _THRESHOLD = 5.0, 0.05
 _OUTLIER = 12.0  # distance of a sample from the others of its probe, over theirs
 _MAX_OUTLIERS = 2  # of a probe
 
@@ -71,10 +74,7 @@ def _offset(samples: Samples, noise: float) -> tuple[float, int]:
 
     With the force of first samples as the offset, those are clear that are clear.
     """
-    first = np.full(len(samples.numbers), np.nan)
-    order = np.lexsort((-samples.advance_mm, samples.probe))
-    first[samples.probe[order]] = samples.force_n[order]  # the last is the one that remains
-    trial = replace(samples, force_n=samples.force_n - float(np.median(first)))
+    trial = replace(samples, force_n=samples.force_n - float(np.median(_first_forces(samples))))
     depths = _first_depths(trial, noise)
     # By more than the uncertainty of the place of the surface.
     free = samples.advance_mm + depths[samples.probe] < -MIN_TRAVEL * samples.radius_mm
@@ -102,30 +102,45 @@ def _half_space(samples: Samples, depths: Float[np.ndarray, " probes"]) -> np.nd
 def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"]:
     """Return the depth of the ball at each origin that fits the forces best, mm.
 
-    A depth is negative where the origin is clear of the surface. The most frequent depth is more
-    probable than others.
+    A depth is negative where the origin is clear of the surface; the most frequent depth is then
+    more probable than others. A robot that begins at its first contact does so at about the same
+    force everywhere, by which stiff places are less deep.
     """
     radius, count = samples.radius_mm, len(samples.numbers)
     travel = np.zeros(count)
     np.maximum.at(travel, samples.probe, samples.advance_mm)
-    lowest = float(np.median(travel))
-    grid = np.linspace(-lowest, 0.5 * radius, 2 * _STEPS)
-    costs = np.array([_cost(samples, np.full(count, depth)) for depth in grid]) / noise**2
-    common = grid[np.argmin(np.median(costs, axis=1))]
-    prior = ((grid - common) / (_COMMON * radius)) ** 2
-    best = np.argmin(costs + prior[:, None], axis=0)
-    depths: np.ndarray = grid[best]
+    grid = np.linspace(-float(np.median(travel)), 0.5 * radius, 2 * _STEPS)
+    fits = [_fit(samples, np.full(count, depth)) for depth in grid]
+    costs = np.array([cost for cost, _ in fits]) / noise**2
+    first = float(np.median(_first_forces(samples)))
+    if first > _CONTACT_NOISE * noise / np.sqrt(count):
+        begins = np.array([modulus for _, modulus in fits]) * ball_force(grid, radius)[:, None]
+        prior = ((begins - first) / (_THRESHOLD * first)) ** 2
+    else:
+        common = grid[np.argmin(np.median(costs, axis=1))]
+        prior = (((grid - common) / (_COMMON * radius)) ** 2)[:, None]
+    depths: np.ndarray = grid[np.argmin(costs + prior, axis=0)]
     return depths
 
 
-def _cost(samples: Samples, depths: Float[np.ndarray, " probes"]) -> Float[np.ndarray, " probes"]:
-    """Sum of squares of each probe left by the best modulus, N^2."""
+def _first_forces(samples: Samples) -> Float[np.ndarray, " probes"]:
+    """Return the force of the sample of least advance of each probe, N."""
+    first = np.full(len(samples.numbers), np.nan)
+    order = np.lexsort((-samples.advance_mm, samples.probe))
+    first[samples.probe[order]] = samples.force_n[order]  # the last of a probe remains
+    return first
+
+
+def _fit(
+    samples: Samples, depths: Float[np.ndarray, " probes"]
+) -> tuple[Float[np.ndarray, " probes"], Float[np.ndarray, " probes"]]:
+    """Return the sum of squares of each probe left by the best modulus (N^2), and that (MPa)."""
     force, unit = samples.force_n, _half_space(samples, depths)
     count = len(samples.numbers)
     pairs = ((unit, force), (unit, unit), (force, force))
     mixed, squares, total = (np.bincount(samples.probe, a * b, count) for a, b in pairs)
-    gain = np.where(squares > 0.0, np.maximum(mixed, 0.0) ** 2 / np.maximum(squares, 1e-300), 0.0)
-    return total - gain
+    modulus = np.where(squares > 0.0, np.maximum(mixed, 0.0) / np.maximum(squares, 1e-300), 0.0)
+    return total - modulus**2 * squares, modulus
 
 
 def _without_outliers(samples: Samples, noise: float, source: str) -> Samples:

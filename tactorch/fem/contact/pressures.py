@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 _RINGS, _SPOKES = 5, 12  # quadrature points of a profile
 _MAX_RATIO = 0.99  # of the radius of a contact to that of the ball
+_MAX_CORRECTION = 1.1  # of a force for the restriction to few profiles
 _PULL = 1e-12  # of a coefficient, over the largest, that is round-off
 
 
@@ -118,6 +119,9 @@ def restriction_ratio(
         radii_mm: Radii of the profiles.
         ball_mm: Radius of the ball.
         depths_mm: Depths of the ball, mm; the ratio is one where it does not touch.
+
+    Returns:
+        The ratios, within 10 % of one: contacts much narrower than all profiles have small forces.
     """
     radii, _, weights = disc_rule()
     heights = np.sqrt(ball_mm**2 - (radii_mm[:, None] * radii) ** 2) - ball_mm
@@ -127,4 +131,5 @@ def restriction_ratio(
     forces = contact_coefficients(many, means)[0].sum(axis=1)
     touching = (depths_mm > 0.0) & (forces > 0.0)
     exact = ball_force(depths_mm, ball_mm)
-    return np.where(touching, exact / np.where(touching, forces, 1.0), 1.0)
+    ratios = np.where(touching, exact / np.where(touching, forces, 1.0), 1.0)
+    return np.clip(ratios, 1.0 / _MAX_CORRECTION, _MAX_CORRECTION)

@@ -20,7 +20,7 @@ from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.matched import MatchedFilter
-from tactorch.inverse.shapes.model import MIN_GAIN, as_ellipsoid, gain, varied, without
+from tactorch.inverse.shapes.model import as_ellipsoid, gain, varied, without
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.recording import Recording
@@ -34,6 +34,8 @@ _ROUGH, _FINE = 0.5, 0.05  # tolerances of fits
 _MAX_STEPS = 12  # of a fit
 _OPTIMISM = 3.0  # falls of the objective over those of its quadratic model, at best
 _MAX_FITS = 3  # of a round
+# Of the log-evidence, for a model that is accepted: errors of real presses are not independent.
+_MIN_GAIN = 10.0
 _MAX_LOG_ODDS = 1e6
 
 
@@ -98,7 +100,7 @@ class _Search:
             fit, evaluation = self._fit(proposal.field, proposal.z, _ROUGH, self.fit)
             change = gain(fit, self.fit)
             _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, fit.chi2, change)
-            if change > MIN_GAIN:
+            if change > _MIN_GAIN:
                 self.fit, self.evaluation = fit, evaluation
                 self._record(proposal.what)
                 return True
