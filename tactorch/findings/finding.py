@@ -21,7 +21,7 @@ from tactorch.uncertainty import GaussianPosterior
 
 _MIN_AXIS_COSINE = 0.95  # between push and axis, for a press on a named side
 _MIN_NET_FORCE = 0.1  # net force over the sum of nodal forces; below, a press grips
-_UNCERTAIN = 0.1  # width of the interval of a depth, over the depth, from which it is told
+_UNCERTAIN = 0.1  # width of the interval of a depth, over the depth, from which it is reported
 _TAIL = 0.05  # probability outside a 90 % interval, on either side
 # Probabilities above which a lump is certain, and below which it is doubtful.
 _CERTAIN, _DOUBTFUL = 0.99, 0.9

@@ -11,6 +11,7 @@ from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.optimizers.newton_cg import NewtonCG
 from tactorch.inverse.optimizers.scipy_methods import LBFGS, TNC
+from tactorch.inverse.palpation import PalpationProblem, is_palpation
 from tactorch.inverse.parameterization import (
     PARAMETERIZATIONS,
     Bounds,
@@ -60,6 +61,7 @@ __all__ = [
     "NuisancePrior",
     "Objective",
     "Optimizer",
+    "PalpationProblem",
     "Parameterization",
     "Point",
     "Prior",
@@ -81,6 +83,7 @@ __all__ = [
     "find_shapes",
     "homogeneous",
     "invert",
+    "is_palpation",
     "make_objective",
     "monte_carlo",
     "settings_from",
