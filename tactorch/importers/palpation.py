@@ -61,7 +61,7 @@ class PalpationOptions(Options):
         None, "Noise of a force; null: estimated from the samples", unit="N", gt=0
     )
     contact_mm: float = option(
-        0.05, "Standard deviation of the depth of a probe, common to its presses", unit="mm", ge=0
+        0.1, "Standard deviation of the depth of a probe, common to its presses", unit="mm", ge=0
     )
     check_units: bool = option(True, "Refuse magnitudes that suggest a wrong unit")
 
