@@ -41,7 +41,7 @@ def run(options: DemoOptions) -> Reconstruction:
     elif options.path is None:
         raise ConfigError("source=published needs path=FOLDER, the folder of a published case.")
     else:
-        recording = options.format(folder=options.path)
+        recording = options.format(path=options.path)
     path = run_folder() / "recording.h5"
     recording.save(path)
     log.info("%s\n", recording.summary())
