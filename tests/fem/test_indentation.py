@@ -89,7 +89,7 @@ def test_the_restriction_to_few_profiles_costs_little() -> None:
 
 
 def layer_factor(poisson: float, chi: float) -> float:
-    """E. K. Dimitriadis et al., Biophys. J. 82 (2002), p. 2798, eq. 13 to 15: a bonded layer."""
+    """E. K. Dimitriadis et al., Biophys. J. 82 (2002), p. 2798: a bonded layer."""
     nu, pi = poisson, np.pi
     a = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1.0 - nu)
     b = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1.0 - nu)
