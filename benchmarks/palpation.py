@@ -91,11 +91,9 @@ def by_map(recording: Recording, youngs: np.ndarray, probes: Sequence[Probe], fi
     mesh, ball = recording.mesh, recording.provenance["ball_radius_mm"]
     contacts = np.array([probe.contact for probe in probes])
     closest = closest_points(mesh.points, mesh.surface.triangles, contacts)
-    corners = mesh.points[mesh.surface.triangles[closest.triangles]]
-    at = np.einsum("pk,pkd->pd", closest.barycentric, corners)
     places = [
         BallPlace(point, probe.normal, ball, float(probe.depths.max()) + 0.5)
-        for point, probe in zip(at, probes, strict=True)
+        for point, probe in zip(closest.points, probes, strict=True)
     ]
     supports = Supports(press.fixed, press.prescribed, press.springs)
     indented = Indentation(body, supports, places).at(youngs)

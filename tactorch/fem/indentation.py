@@ -26,6 +26,7 @@ from tactorch.fem.body import SoftBody
 from tactorch.fem.boundary import Supports
 from tactorch.fem.contact.pressures import (
     contact_coefficients,
+    contact_radius,
     disc_rule,
     half_space_compliance,
     restriction_ratio,
@@ -41,7 +42,6 @@ _WIDE = 1.2  # radius of the wide profile, over that of the largest contact and 
 _MAX_COLUMNS = 96  # right-hand sides solved at once
 _ELEMENTS = 256  # whose derivatives are computed at once
 T = TypeVar("T")
-_MAX_RADIUS_STEPS = 40  # of the bisection for the radius of a contact
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,16 +60,6 @@ class BallPlace:
     ball_mm: float
     deepest_mm: float
 
-    @property
-    def radii_mm(self) -> Float[np.ndarray, " k"]:
-        """Radii of the profiles, largest first."""
-        low, high = 0.0, _MAX_RATIO
-        for _ in range(_MAX_RADIUS_STEPS):
-            ratio = 0.5 * (low + high)
-            depth = 0.5 * self.ball_mm * ratio * np.log((1.0 + ratio) / (1.0 - ratio))
-            low, high = (ratio, high) if depth < self.deepest_mm else (low, ratio)
-        return 0.5 * (low + high) * self.ball_mm * np.array(_FRACTIONS)
-
 
 class Indentation:
     """Places on a body.
@@ -81,6 +71,8 @@ class Indentation:
 
     Attributes:
         places: The places.
+        radii_mm: Radii of the profiles of each place, largest first.
+        balls_mm: Radius of the ball at each place.
         heights: Mean height of the surface over the ball's, for each profile, when the ball
             touches the contact point, mm; the depth is added to it.
 
@@ -95,6 +87,10 @@ class Indentation:
                 f"material is {type(body.assembly.material).__name__}."
             )
         self.body, self.places, self._supports = body, tuple(places), supports
+        self.balls_mm = np.array([place.ball_mm for place in self.places])
+        deepest = np.array([place.deepest_mm for place in self.places])
+        largest = np.minimum(contact_radius(deepest, self.balls_mm), _MAX_RATIO * self.balls_mm)
+        self.radii_mm = largest[:, None] * np.array(_FRACTIONS)
         self._wide_mm = self._wide_radii()
         self._loads, self.heights = self._profiles()
         self._unit = self._solve(np.ones(body.mesh.n_tets), self._loads)
@@ -104,34 +100,36 @@ class Indentation:
         """Number of profiles of a place."""
         return len(_FRACTIONS)
 
+    @property
+    def _all_radii(self) -> Float[np.ndarray, "places k"]:
+        """Radii of the profiles and of the wide one, mm."""
+        return np.column_stack([self.radii_mm, self._wide_mm])
+
     def _wide_radii(self) -> Float[np.ndarray, " places"]:
         """Radius of the wide profile of each place, mm."""
         surface = self.body.mesh.surface
         edge = float(np.sqrt(np.median(surface.areas) * 4.0 / np.sqrt(3.0)))
-        largest = np.array([place.radii_mm[0] for place in self.places])
-        return _WIDE * np.maximum(largest, edge)
+        return _WIDE * np.maximum(self.radii_mm[:, 0], edge)
 
     def _profiles(self) -> tuple[sp.csr_matrix, Float[np.ndarray, "places k"]]:
         """Return the loads of all profiles, the wide ones last, and the heights."""
         ring, directions, weights = disc_rule()
         points, normals = [], []
-        for place, wide in zip(self.places, self._wide_mm, strict=True):
+        for place, radii in zip(self.places, self._all_radii, strict=True):
             across = np.linalg.svd(place.normal[None])[2][1:]
             offsets = ring[:, None] * (directions @ across)
-            radii = np.append(place.radii_mm, wide)
             points.append(place.contact_mm + radii[:, None, None] * offsets)
             normals.append(np.broadcast_to(-place.normal, points[-1].shape))
         # All places of one profile follow each other.
         at, pushes = (np.stack(parts, axis=1) for parts in (points, normals))
         queries = at.reshape(-1, 3)
-        rows = surface_rows(self.body.discretisation, queries, pushes.reshape(-1, 3))
+        mesh = self.body.mesh
+        closest = closest_points(mesh.points, mesh.surface.triangles, queries)
+        rows = surface_rows(self.body.discretisation, queries, pushes.reshape(-1, 3), closest)
         means = sp.kron(
             sp.eye(len(queries) // len(weights)), sp.csr_matrix(weights[None]), format="csr"
         )
-        mesh = self.body.mesh
-        closest = closest_points(mesh.points, mesh.surface.triangles, queries)
-        corners = mesh.points[mesh.surface.triangles[closest.triangles]]
-        found = np.einsum("pk,pkd->pd", closest.barycentric, corners).reshape(at.shape)
+        found = closest.points.reshape(at.shape)
         heights = self._heights(found[:-1].swapaxes(0, 1)) @ weights
         return (means @ rows).tocsr(), heights
 
@@ -139,7 +137,7 @@ class Indentation:
         """Return heights of surface points over a ball that touches the contact point, mm."""
         contacts = np.array([place.contact_mm for place in self.places])[:, None, None]
         normals = np.array([place.normal for place in self.places])[:, None, None]
-        balls = np.array([place.ball_mm for place in self.places])[:, None, None]
+        balls = self.balls_mm[:, None, None]
         apart = at - contacts
         along = (apart * normals).sum(axis=-1)
         across = np.linalg.norm(apart - along[..., None] * normals, axis=-1)
@@ -195,9 +193,8 @@ class Indentation:
     @cached_property
     def missed(self) -> Float[np.ndarray, "places k k"]:
         """Compliance that the mesh misses at each contact, times its modulus, 1/mm."""
-        radii = np.array([place.radii_mm for place in self.places])
         poisson = float(np.mean(self.body.assembly.poisson))
-        exact = half_space_compliance(np.column_stack([radii, self._wide_mm]), poisson)
+        exact = half_space_compliance(self._all_radii, poisson)
         difference = exact - self.compliance(self._unit)
         missed: np.ndarray = difference[:, :-1, :-1] - difference[:, -1:, -1:]
         return missed
@@ -283,12 +280,9 @@ class IndentedBody:
         indentation = self._indentation
         depths = depths_mm[:, None] + indentation.heights[places]
         c, rates = contact_coefficients(self.compliance[places], depths)
-        ratios = np.ones(len(places))
-        order = np.argsort(places, kind="stable")
-        present, begins = np.unique(places[order], return_index=True)
-        for i, here in zip(present, np.split(order, begins[1:]), strict=True):
-            place = indentation.places[i]
-            ratios[here] = restriction_ratio(place.radii_mm, place.ball_mm, depths_mm[here])
+        ratios = restriction_ratio(
+            indentation.radii_mm[places], indentation.balls_mm[places], depths_mm
+        )
         return BallForces(places, ratios * c.sum(axis=1), _terms(ratios, c, rates))
 
     @cached_property

@@ -16,7 +16,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem.elements import Discretisation
 from tactorch.fem.newton import EquilibriumResult, Newton
 from tactorch.fem.reading_rates import ReadingRates
-from tactorch.mesh.closest import closest_points
+from tactorch.mesh.closest import Closest, closest_points
 
 _MAX_DISTANCE = 0.05  # of a datum from the surface, over the size of the body
 
@@ -25,6 +25,7 @@ def surface_rows(
     discretisation: Discretisation,
     points_mm: Float[np.ndarray, "k 3"],
     directions: Float[np.ndarray, "k 3"],
+    closest: Closest | None = None,
 ) -> sp.csr_matrix:
     """Return the map from nodal displacements to those along directions at surface points.
 
@@ -32,6 +33,7 @@ def surface_rows(
         discretisation: The body.
         points_mm: Rest positions; the nearest points of the surface are taken.
         directions: Direction of each datum.
+        closest: The nearest points, where they are known already.
 
     Returns:
         Matrix (k, unknowns).
@@ -40,7 +42,7 @@ def surface_rows(
         ConfigError: a point is far from the surface.
     """
     mesh, surface = discretisation.mesh, discretisation.mesh.surface
-    closest = closest_points(mesh.points, surface.triangles, points_mm)
+    closest = closest or closest_points(mesh.points, surface.triangles, points_mm)
     farthest = int(closest.distances.argmax())
     if closest.distances[farthest] > _MAX_DISTANCE * mesh.diagonal:
         raise ConfigError(

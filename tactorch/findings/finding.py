@@ -335,8 +335,7 @@ def _depth_below_probe(
     across = apart - (apart * inward).sum(axis=1, keepdims=True) * inward
     nearest = int(np.argmin(np.linalg.norm(across, axis=1)))
     closest = closest_points(mesh.points, mesh.surface.triangles, positions[nearest][None])
-    corners = mesh.points[mesh.surface.triangles[closest.triangles[0]]]
-    above, push = closest.barycentric[0] @ corners, inward[nearest]
+    above, push = closest.points[0], inward[nearest]
     center = float((center_mm - above) @ push)
     cover = float(((mesh.centroids[elements] - above) @ push).min())
     return Depth(center, cover, push, center_mm - center * push) if center > 0 else None

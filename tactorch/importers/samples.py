@@ -68,7 +68,7 @@ class Samples:
         rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         parts = np.minimum(rank * depths // np.repeat(sizes, sizes), depths - 1)
         key = self.probe[order] * depths + parts
-        _, group, count = np.unique(key, return_inverse=True, return_counts=True)
+        keys, group, count = np.unique(key, return_inverse=True, return_counts=True)
 
         def mean(values: np.ndarray) -> np.ndarray:
             total = np.zeros((len(count), *values.shape[1:]))
@@ -76,7 +76,7 @@ class Samples:
             return total / count.reshape(-1, *(1,) * (values.ndim - 1))
 
         return replace(
-            self, probe=mean(self.probe).astype(int), centres_mm=mean(self.centres_mm),
+            self, probe=keys // depths, centres_mm=mean(self.centres_mm),
             advance_mm=mean(self.advance_mm), force_n=mean(self.force_n), count=count * 1.0,
         )  # fmt: skip
 

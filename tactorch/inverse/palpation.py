@@ -7,7 +7,6 @@ none.
 """
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -22,7 +21,6 @@ from tactorch.fem.body import check_youngs
 from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallForces, BallPlace, Indentation, IndentedBody
 from tactorch.inverse.data import CorrelatedNoise, DataModel
-from tactorch.inverse.nuisance import Nuisance
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.mesh.closest import closest_points
 from tactorch.recording import Press, ProbePose, Recording
@@ -138,9 +136,7 @@ class PalpationEvaluation(Evaluation):
 
     def with_data(self, data: DataModel) -> "PalpationEvaluation":
         """Return the same forces with other statistics of the same data."""
-        other = copy(self)
-        other.__init__(self._problem, self._body, self._forces, data)  # type: ignore[misc]
-        return other
+        return PalpationEvaluation(self._problem, self._body, self._forces, data)
 
     @property
     def sensitivities(self) -> list[Any]:
@@ -233,6 +229,11 @@ class PalpationProblem(InverseProblem):
     def __init__(self, recording: Recording, **options: Any) -> None:
         options = {**options, "element": PALPATION_ELEMENT}
         super().__init__(recording, **options)
+        if self.nuisance.size:
+            raise ConfigError(
+                f"{', '.join(self.nuisance.names)}: nuisance parameters are not estimated with a "
+                "palpation; leave them out."
+            )
         poses = [press.probe for press in recording.presses]
         self.places, first = group_places([pose for pose in poses if pose is not None])
         self._set_places(first)
@@ -253,9 +254,7 @@ class PalpationProblem(InverseProblem):
         radii = np.array([pose.probe.sizes[0] for pose in poses])
         lowest = np.array([pose.position_mm for pose in poses]) - radii[:, None] * normals
         closest = closest_points(mesh.points, mesh.surface.triangles, lowest[first])
-        corners = mesh.points[mesh.surface.triangles[closest.triangles]]
-        contacts = np.einsum("pk,pkd->pd", closest.barycentric, corners)
-        self.depths_mm = ((contacts[self.places] - lowest) * normals).sum(axis=1)
+        self.depths_mm = ((closest.points[self.places] - lowest) * normals).sum(axis=1)
         deepest = np.full(len(first), -np.inf)
         np.maximum.at(deepest, self.places, self.depths_mm)
         away = np.flatnonzero(deepest <= 0.0)
@@ -270,7 +269,7 @@ class PalpationProblem(InverseProblem):
             self.body, supports,
             [
                 BallPlace(contact, normals[i], float(radii[i]), float(depth))
-                for contact, i, depth in zip(contacts, first, deepest, strict=True)
+                for contact, i, depth in zip(closest.points, first, deepest, strict=True)
             ],
         )  # fmt: skip
 
@@ -333,11 +332,8 @@ class PalpationProblem(InverseProblem):
     def evaluate(
         self,
         youngs: Float[np.ndarray, "m *q"],
-        near: Evaluation | None = None,
-        nuisance: Nuisance | None = None,
-        take_over: bool = False,
-        chained: bool = False,
-        starts: Sequence[Float[np.ndarray, "nodes 3"]] | None = None,
+        *_near: Any,
+        **_options: Any,
     ) -> PalpationEvaluation:
         """Return all presses at these moduli; the other arguments have no effect."""
         check_youngs(youngs, self.body.assembly.weights.shape)

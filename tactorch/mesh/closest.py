@@ -17,11 +17,13 @@ class Closest(NamedTuple):
     Attributes:
         triangles: Triangle of each.
         barycentric: Its barycentric coordinates there.
+        points: The closest points, mm.
         distances: Distance from the given point, mm.
     """
 
     triangles: Int[np.ndarray, " q"]
     barycentric: Float[np.ndarray, "q 3"]
+    points: Float[np.ndarray, "q 3"]
     distances: Float[np.ndarray, " q"]
 
 
@@ -54,7 +56,7 @@ def closest_points(
     distances = np.linalg.norm(at - queries[rows], axis=1)
     order = np.lexsort((pairs, distances, rows))
     first = order[np.searchsorted(rows[order], np.arange(len(queries)))]
-    return Closest(pairs[first], coordinates[first], distances[first])
+    return Closest(pairs[first], coordinates[first], at[first], distances[first])
 
 
 def _closest(

@@ -51,8 +51,8 @@ of such a file.
 
 A reader refuses a version above its own. A change of the layout raises `VERSION`;
 `tactorch.recording.storage` reads all versions. Version 1 had no `unloaded`; versions 2 and 3 were
-4 and 5 without `probe`, `force` and `surface`; in versions 4 and 5 all nodal fields were stored, and
-probes had no `deviation_mm`.
+4 and 5 without `probe`, `force` and `surface`; in versions 4 and 5 all nodal fields were stored,
+and probes had no `deviation_mm`.
 """
 
 FORMAT = "tactorch-recording"

@@ -11,6 +11,7 @@ from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.contact.pressures import (
     ball_force,
     contact_coefficients,
+    contact_radius,
     disc_rule,
     half_space_compliance,
     restriction_ratio,
@@ -64,6 +65,8 @@ def test_the_force_on_a_ball_is_that_of_hertz_at_small_depths_and_less_at_large(
     depth = 0.5 * a * np.log((BALL + a) / (BALL - a))
     force = 0.5 * ((a**2 + BALL**2) * np.log((BALL + a) / (BALL - a)) - 2.0 * a * BALL)
     assert ball_force(np.array([depth]), BALL)[0] == pytest.approx(force, rel=1e-3)
+    assert contact_radius(np.array([depth]), BALL)[0] == pytest.approx(a, rel=1e-3)
+    assert contact_radius(small, BALL) == pytest.approx(np.sqrt(BALL * small), rel=1e-3)
     assert ball_force(large, BALL)[0] < hertz[1][0]
     assert not ball_force(np.array([-1.0, 0.0]), BALL).any()
 
@@ -83,8 +86,10 @@ def test_pressures_have_the_least_energy_that_does_not_pull(seed: int, size: int
 
 
 def test_the_restriction_to_few_profiles_costs_little() -> None:
-    place = places((0.0, 0.0))[0]
-    ratios = restriction_ratio(place.radii_mm, BALL, np.linspace(0.3, 1.5, 13))
+    depths = np.linspace(0.3, 1.5, 13)
+    radii = contact_radius(depths[-1:], BALL) * np.array([1.0, 0.72, 0.48])
+    many = np.broadcast_to(radii, (13, 3))
+    ratios = restriction_ratio(many, np.full(13, BALL), depths)
     assert np.abs(ratios - 1.0).max() < 0.06
 
 

@@ -9,7 +9,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallPlace, Indentation
-from tactorch.inverse import Settings, find_shapes, invert
+from tactorch.inverse import NuisancePrior, Settings, find_shapes, invert
 from tactorch.inverse.data import CorrelatedNoise
 from tactorch.inverse.palpation import (
     PalpationProblem,
@@ -166,6 +166,11 @@ def test_shapes_find_the_lump_and_none_where_there_is_none(with_lump: Recording)
     assert inclusion.youngs_mpa > 2.0 * BACKGROUND
     assert inclusion.probability > 0.99
     assert not find_shapes(recording(lump=False, seed=1)).inclusions
+
+
+def test_nuisance_parameters_are_refused(with_lump: Recording) -> None:
+    with pytest.raises(ConfigError, match="poisson: nuisance parameters are not estimated"):
+        invert(with_lump, Settings(nuisance=NuisancePrior(poisson=0.02)))
 
 
 def test_a_ball_clear_of_the_object_or_pulled_is_refused(with_lump: Recording) -> None:

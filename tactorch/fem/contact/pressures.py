@@ -90,33 +90,56 @@ def contact_coefficients(
     return found, rates
 
 
-def ball_force(depths_mm: Float[np.ndarray, " s"], ball_mm: float) -> Float[np.ndarray, " s"]:
+def _sneddon() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return radii of contact, depths (both over the ball's radius) and forces (over its square).
+
+    Linear elasticity without friction; the force is over the plane-strain modulus: I. N. Sneddon,
+    Int. J. Engng Sci. 3, 1965, p. 47. For small depths it is Hertz's.
+    """
+    radii = np.linspace(0.0, _MAX_RATIO, 2000)[1:]
+    logs = np.log((1.0 + radii) / (1.0 - radii))
+    return radii, 0.5 * radii * logs, 0.5 * ((1.0 + radii**2) * logs - 2.0 * radii)
+
+
+_RADII, _DEPTHS, _FORCES = _sneddon()
+
+
+def contact_radius(
+    depths_mm: Float[np.ndarray, " s"], ball_mm: float | Float[np.ndarray, " s"]
+) -> Float[np.ndarray, " s"]:
+    """Return the radius of the contact of a rigid ball with a half-space, mm; see `ball_force`."""
+    depths = np.maximum(depths_mm, 0.0) / ball_mm
+    # Radius over the root of the depth varies little.
+    radius: np.ndarray = np.interp(depths, _DEPTHS, _RADII / np.sqrt(_DEPTHS)) * np.sqrt(depths)
+    return np.minimum(radius, _MAX_RATIO) * ball_mm
+
+
+def ball_force(
+    depths_mm: Float[np.ndarray, " s"], ball_mm: float | Float[np.ndarray, " s"]
+) -> Float[np.ndarray, " s"]:
     """Return the force on a rigid ball pressed into a half-space, over its plane-strain modulus.
 
-    Linear elasticity without friction: I. N. Sneddon, Int. J. Engng Sci. 3, 1965, p. 47, which is
-    Hertz's force for small depths. The unit is mm^2.
+    By Sneddon (1965), without friction; Hertz's force for small depths. The unit is mm^2.
 
     Args:
         depths_mm: Depths, mm; there is no force where they are not positive.
-        ball_mm: Radius of the ball.
+        ball_mm: Radius of the ball, or one for each depth.
     """
-    ratios = np.linspace(0.0, _MAX_RATIO, 2000)[1:]  # of the radius of the contact to the ball's
-    logs = np.log((1.0 + ratios) / (1.0 - ratios))
-    depths = 0.5 * ball_mm * ratios * logs
-    forces = 0.5 * ball_mm**2 * ((1.0 + ratios**2) * logs - 2.0 * ratios)
+    depths = np.maximum(depths_mm, 0.0) / ball_mm
     # Force over depth^1.5 varies little.
-    factors = np.interp(depths_mm, depths, forces / depths**1.5)
-    force: np.ndarray = factors * np.maximum(depths_mm, 0.0) ** 1.5
-    return force
+    force: np.ndarray = np.interp(depths, _DEPTHS, _FORCES / _DEPTHS**1.5) * depths**1.5
+    return force * ball_mm**2
 
 
 def restriction_ratio(
-    radii_mm: Float[np.ndarray, " k"], ball_mm: float, depths_mm: Float[np.ndarray, " s"]
+    radii_mm: Float[np.ndarray, "s k"],
+    ball_mm: Float[np.ndarray, " s"],
+    depths_mm: Float[np.ndarray, " s"],
 ) -> Float[np.ndarray, " s"]:
     """Return the force on a ball in a half-space over that by a sum of few profiles.
 
     Args:
-        radii_mm: Radii of the profiles.
+        radii_mm: Radii of the profiles of each press.
         ball_mm: Radius of the ball.
         depths_mm: Depths of the ball, mm; the ratio is one where it does not touch.
 
@@ -124,11 +147,10 @@ def restriction_ratio(
         The ratios, within 10 % of one: contacts much narrower than all profiles have small forces.
     """
     radii, _, weights = disc_rule()
-    heights = np.sqrt(ball_mm**2 - (radii_mm[:, None] * radii) ** 2) - ball_mm
+    balls = ball_mm[:, None, None]
+    heights = np.sqrt(balls**2 - (radii_mm[..., None] * radii) ** 2) - balls
     means = depths_mm[:, None] + heights @ weights
-    compliance = half_space_compliance(radii_mm, 0.0)
-    many = np.broadcast_to(compliance, (len(means), *compliance.shape))
-    forces = contact_coefficients(many, means)[0].sum(axis=1)
+    forces = contact_coefficients(half_space_compliance(radii_mm, 0.0), means)[0].sum(axis=1)
     touching = (depths_mm > 0.0) & (forces > 0.0)
     exact = ball_force(depths_mm, ball_mm)
     ratios = np.where(touching, exact / np.where(touching, forces, 1.0), 1.0)
