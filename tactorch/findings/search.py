@@ -11,6 +11,7 @@ from tactorch.inverse import (
     Settings,
     ShapeReconstruction,
     find_shapes,
+    is_palpation,
     settings_from,
 )
 from tactorch.inverse.shapes import KeptRims, ShapeState
@@ -39,8 +40,8 @@ def find(
     """Find the lumps under the presses of a recording.
 
     Lumps are shapes that are fitted to the presses, see `find_shapes`. Without `shapes`, where the
-    fit fails, or on meshes of more than 20,000 elements, they are regions of the map; a note of the
-    finding states the reason.
+    fit fails, or on meshes of more than 20,000 elements but for a palpation, they are regions of
+    the map; a note of the finding states the reason.
 
     Args:
         recording: Presses; the truth is not read.
@@ -90,7 +91,8 @@ def find(
 
 def _check_size(recording: Recording) -> None:
     count = recording.mesh.n_tets
-    if count > MAX_ELEMENTS:
+    # All places of a palpation share one factorisation.
+    if count > MAX_ELEMENTS and not is_palpation(recording):
         raise ConfigError(
             f"the mesh has {count} elements, more than {MAX_ELEMENTS}, and the fits would take "
             "much time and memory; call tactorch.find_shapes to fit them all the same"

@@ -17,9 +17,16 @@ from tactorch.inverse.shapes.correction import Correction, _LoadSeries
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.fractions import Geometry
-from tactorch.inverse.shapes.model import Errors, Model, as_ellipsoid, varied, without
+from tactorch.inverse.shapes.model import (
+    Errors,
+    Model,
+    as_ellipsoid,
+    make_posterior,
+    varied,
+    without,
+)
 from tactorch.inverse.shapes.problem import ShapeProblem
-from tactorch.inverse.shapes.search import _first, make_posterior
+from tactorch.inverse.shapes.search import _first
 from tactorch.inverse.shapes.sizing import (
     Rim,
     contact_sizing,
@@ -540,7 +547,7 @@ def test_the_posterior_of_a_ball_is_that_of_an_ellipsoid(recording):
     fit, evaluation = fit_shapes(
         problem, field, field.standard(values), sites=presses.sites, max_iterations=0
     )
-    posterior = make_posterior(presses, Model(fit, evaluation, Errors(0.0, 0.002)))
+    posterior = make_posterior(Model(fit, evaluation, Errors(0.0, 0.002)), presses.sites)
     assert posterior.field.distorted == (True,)
     assert posterior.covariance[4, 4] > 1.02 * fit.covariance[4, 4] * max(1.0, fit.chi2)
     other = replace(field, distorted=(True,))

@@ -13,11 +13,10 @@ from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import fit_shapes
 from tactorch.inverse.shapes.kept import KeptRims
-from tactorch.inverse.shapes.model import RIM_DEVIATIONS, Errors
+from tactorch.inverse.shapes.model import RIM_DEVIATIONS, Errors, make_posterior
 from tactorch.inverse.shapes.problem import ShapeProblem
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.rims import _midside_loads, rim_edges, rim_patterns
-from tactorch.inverse.shapes.search import make_posterior
 from tactorch.mesh import box_mesh
 from tactorch.mesh.tractions import LoadedSurface
 from tactorch.phantoms import make_phantom
@@ -154,7 +153,7 @@ def test_a_search_starts_from_the_deviation_at_rims_of_another(recording):
 def test_the_result_states_the_deviation_at_rims(recording):
     presses = ShapeProblem(recording, Settings())
     model = presses.uniform()
-    posterior = make_posterior(presses, model)
+    posterior = make_posterior(model, presses.sites)
     result = ShapeReconstruction(model.fit.field, model.fit.z, posterior, 1.0, (), 0.0)
     plain = replace(result, rim_deviation=0.2).plain()
     assert ShapeReconstruction.of(plain).rim_deviation == 0.2

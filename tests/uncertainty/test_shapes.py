@@ -13,11 +13,10 @@ from tactorch.inverse.shapes import ShapeReconstruction
 from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import fit_shapes
-from tactorch.inverse.shapes.model import Errors, Model, Start
+from tactorch.inverse.shapes.model import Errors, Model, Start, make_posterior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem
 from tactorch.inverse.shapes.result import InclusionValues
-from tactorch.inverse.shapes.search import make_posterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate
@@ -49,7 +48,7 @@ def recording():
 
 def reconstruct(presses: ShapeProblem, model: Model) -> ShapeReconstruction:
     """Return the result of a search that ends at a model of one ball."""
-    fit, posterior = model.fit, make_posterior(presses, model)
+    fit, posterior = model.fit, make_posterior(model, presses.sites)
     return ShapeReconstruction(fit.field, fit.z, posterior, fit.chi2, (9.0,), 9.0, *model.errors)
 
 
@@ -333,7 +332,7 @@ def test_inclusions_are_in_the_order_of_the_result():
 def test_a_body_without_inclusion_has_samples_too(recording):
     presses = ShapeProblem(recording, Settings())
     model = presses.uniform()
-    posterior = make_posterior(presses, model)
+    posterior = make_posterior(model, presses.sites)
     fit = model.fit
     result = ShapeReconstruction(fit.field, fit.z, posterior, fit.chi2, (), 0.0)
     samples = sample_shapes(recording, result, draws=40)

@@ -7,15 +7,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.inverse.data import DataModel
 from tactorch.inverse.problem import Evaluation
-from tactorch.inverse.shapes.field import ShapeField
-from tactorch.inverse.shapes.fit import ShapeFit
+from tactorch.inverse.shapes.field import ShapeField, Sites
+from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
+from tactorch.inverse.shapes.matched import Candidate
+from tactorch.inverse.shapes.posterior import ShapePosterior
 
 FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 MIN_POSE_DEVIATION = 0.001  # that of the discretisation after its correction
 _POSE_DEVIATIONS = (0.002, 0.01, 0.05)
 RIM_DEVIATIONS = (0.1, 0.2, 0.5)
 MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
+DEGREES = (2, 4)  # of smooth backgrounds
+# Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
+# reduces that of pure noise by six or so.
+MIN_CANDIDATE_GAIN = 8.0
+MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
+_START_CONTRAST = (0.3, 1.5)  # range of the log-contrast of a start
 _MAX_START_CONTRAST = 1.0  # log-contrast of a start with quadratic elements
 
 
@@ -85,6 +94,61 @@ def gain(fit: ShapeFit, rival: ShapeFit) -> float:
     """
     inflation = max(1.0, min(fit.chi2, rival.chi2))
     return fit.log_evidence(inflation) - rival.log_evidence(inflation)
+
+
+def falls_short(fit: ShapeFit, fall: float, rival: ShapeFit, margin: float = 0.0) -> bool:
+    """Return whether a fit will have less evidence than another one.
+
+    Args:
+        fit: The fit.
+        fall: Largest fall of the objective that is expected of it.
+        rival: The other one.
+        margin: Log-evidence by which it will have less.
+    """
+    misfit = max(0.0, fit.misfit - fall)
+    best = replace(fit, misfit=misfit, chi2=2.0 * misfit / len(fit.residuals))
+    return gain(best, rival) < -margin
+
+
+def record(what: str, fit: ShapeFit) -> dict[str, Any]:
+    """Return the record of an accepted model for the history of a search."""
+    evidence = fit.log_evidence(max(1.0, fit.chi2))
+    return {"model": what, "chi2": fit.chi2, "log_evidence": evidence}
+
+
+def unexplained(fit: ShapeFit, data: DataModel) -> float:
+    """Return the root mean square of the residuals beyond their noise, over the data's."""
+    observed = np.concatenate([o.values for o in data.observations]) * data.scale
+    return float(np.sqrt(max(fit.chi2 - 1.0, 0.0) / np.mean(observed**2)))
+
+
+def make_posterior(model: Model, sites: Sites) -> ShapePosterior:
+    """Return the posterior of a model, where balls may be ellipsoids.
+
+    The data of a ball's evidence do not exclude an ellipsoid, whose modulus and size are less
+    certain, and differ. The model is linearised at the balls.
+    """
+    fit = model.fit
+    field, z = fit.field, fit.z
+    for k in range(len(field.distorted)):
+        field, z = as_ellipsoid(field, z, k)
+    inflation = max(1.0, fit.chi2)
+    jacobian = ShapesOnSites(field, sites).at(z).jacobian(model.evaluation)
+    covariance = np.linalg.inv(jacobian.T @ jacobian / inflation + np.eye(len(z)))
+    gradient = jacobian.T @ fit.residuals / inflation + z
+    return ShapePosterior(field, z, -covariance @ gradient, covariance)
+
+
+def with_ball(
+    fit: ShapeFit, candidate: Candidate
+) -> tuple[str, ShapeField, Float[np.ndarray, " size"]]:
+    """Return the description, field and parameters of a model with a further ball."""
+    field = replace(fit.field, distorted=(*fit.field.distorted, False))
+    size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
+    contrast = np.copysign(size, candidate.log_contrast)
+    ball = [*candidate.center_mm, np.log(candidate.radius_mm), contrast]
+    z = field.standard(np.concatenate([fit.field.physical(fit.z), ball]))
+    return f"ball at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
 
 
 def varied(

@@ -2,41 +2,51 @@
 
 A round adds the ball that the matched filter sees in the residuals, lets the background vary, or
 makes a ball an ellipsoid. The models that promise most evidence by linearised predictions are
-fitted, and the first whose evidence is larger is kept. The body is
-linear, so that predictions need no correction at the contacts (see `tactorch.fem.indentation`).
+fitted, and the first whose evidence is larger is kept. The body is linear, so that predictions need
+no correction at the contacts (see `tactorch.fem.indentation`).
 """
 
 import logging
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tactorch.errors import CancelledError
 from tactorch.inverse.palpation import PalpationProblem
-from tactorch.inverse.problem import Evaluation
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.matched import MatchedFilter
-from tactorch.inverse.shapes.model import as_ellipsoid, gain, varied, without
-from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.shapes.model import (
+    DEGREES,
+    MAX_LOG_ODDS,
+    MIN_CANDIDATE_GAIN,
+    Errors,
+    Model,
+    as_ellipsoid,
+    falls_short,
+    gain,
+    make_posterior,
+    record,
+    unexplained,
+    varied,
+    with_ball,
+    without,
+)
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
-_DEGREES = (2, 4)  # of smooth backgrounds
-_MIN_CANDIDATE_GAIN = 8.0  # see `tactorch.inverse.shapes.proposals`
 _STARTS = 2  # balls that are tried in a round
-_START_CONTRAST = (0.5, 1.5)  # range of the log-contrast of a start
 _ROUGH, _FINE = 0.5, 0.05  # tolerances of fits
 _MAX_STEPS = 12  # of a fit
 _OPTIMISM = 3.0  # falls of the objective over those of its quadratic model, at best
 _MAX_FITS = 3  # of a round
 # Of the log-evidence, for a model that is accepted: errors of real presses are not independent.
 _MIN_GAIN = 10.0
-_MAX_LOG_ODDS = 1e6
+_CERTAIN = 20.0  # log-odds beyond which they need not be known
+_NO_ERRORS = Errors(0.0, 0.0)
 
 
 class _Proposal(NamedTuple):
@@ -58,133 +68,117 @@ class _Search:
         self._stop = stop
         self.sites = Sites.of(self.problem.body.assembly)
         youngs = self.problem.contact_mpa
-        self.prior = ShapePrior.of(recording.mesh, youngs)
+        field = ShapeField(ShapePrior.of(recording.mesh, youngs))
         self.matched = MatchedFilter.of(self.problem, youngs)
         self.history: list[dict[str, Any]] = []
-        field = ShapeField(self.prior)
-        self.fit, self.evaluation = self._fit(field, np.zeros(field.size), _ROUGH)
-        self._record("uniform")
+        self._accept("uniform", self._fit(field, np.zeros(field.size)))
 
     def _fit(
-        self, field: ShapeField, z: np.ndarray, tolerance: float, rival: ShapeFit | None = None
-    ) -> tuple[ShapeFit, Evaluation]:
-        def give_up(fit: ShapeFit, fall: float) -> bool:
-            self._check()
-            if rival is None:
-                return False
-            misfit = max(0.0, fit.misfit - _OPTIMISM * fall)
-            best = replace(fit, misfit=misfit, chi2=2.0 * misfit / len(fit.residuals))
-            return gain(best, rival) < 0.0
+        self,
+        field: ShapeField,
+        z: np.ndarray,
+        tolerance: float = _ROUGH,
+        *,
+        rival: ShapeFit | None = None,
+        margin: float = 0.0,
+    ) -> Model:
+        """Fit a model, as far as it may have at most so much less evidence than a rival."""
 
-        self._check()
-        return fit_shapes(
+        def give_up(fit: ShapeFit, fall: float) -> bool:
+            self._check(fit)
+            return rival is not None and falls_short(fit, _OPTIMISM * fall, rival, margin)
+
+        fitted = fit_shapes(
             self.problem, field, z, sites=self.sites, tolerance=tolerance,
             max_iterations=_MAX_STEPS, give_up=give_up,
         )  # fmt: skip
+        return Model(*fitted, _NO_ERRORS)
 
-    def _check(self) -> None:
+    def _check(self, first: ShapeFit) -> None:
+        """Raise `CancelledError` where the search is stopped, with the model that it reached."""
         if self._stop():
+            fit = self.model.fit if self.history else first
             error = CancelledError("the search for inclusions was stopped.")
-            error.reached = ShapeState(self.fit.field, self.fit.z, 0.0, 0.0, 0.0)
+            error.reached = ShapeState(fit.field, fit.z, *_NO_ERRORS)
             raise error
 
-    def _record(self, what: str) -> None:
-        chi2 = self.fit.chi2
-        evidence = self.fit.log_evidence(max(1.0, chi2))
-        self.history.append({"model": what, "chi2": chi2, "log_evidence": evidence})
-        _log.info("%s: chi2 %.4g", what, chi2)
+    def _accept(self, what: str, model: Model) -> None:
+        self.model = model
+        self.history.append(record(what, model.fit))
+        _log.info("%s: chi2 %.4g", what, model.fit.chi2)
 
     def improve(self, max_shapes: int) -> bool:
         """Accept a model of more evidence; return whether there was one."""
+        fit = self.model.fit
         for proposal in self._proposals(max_shapes)[:_MAX_FITS]:
-            fit, evaluation = self._fit(proposal.field, proposal.z, _ROUGH, self.fit)
-            change = gain(fit, self.fit)
-            _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, fit.chi2, change)
+            trial = self._fit(proposal.field, proposal.z, rival=fit)
+            change = gain(trial.fit, fit)
+            _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
             if change > _MIN_GAIN:
-                self.fit, self.evaluation = fit, evaluation
-                self._record(proposal.what)
+                self._accept(proposal.what, trial)
                 return True
         return False
 
-    def _proposals(self, max_shapes: int) -> list["_Proposal"]:
+    def _proposals(self, max_shapes: int) -> list[_Proposal]:
         """Return models that may have more evidence, those that seem to have most first."""
-        field, z = self.fit.field, self.fit.z
+        fit, inflation = self.model.fit, max(1.0, self.model.fit.chi2)
+        field, z = fit.field, fit.z
         starts = [
             (f"inclusion {k} as an ellipsoid", *as_ellipsoid(field, z, k))
             for k, distorted in enumerate(field.distorted)
             if not distorted
         ]
-        degree = next((degree for degree in _DEGREES if degree > field.degree), None)
+        degree = next((degree for degree in DEGREES if degree > field.degree), None)
         if degree is not None:
             starts.append((f"background of degree {degree}", *varied(field, z, degree=degree)))
         found = [_Proposal(*start, self._promise(*start[1:])) for start in starts]
         if len(field.distorted) < max_shapes:
-            found += self._balls()
+            data = self.problem.data
+            found += [
+                _Proposal(*with_ball(fit, ball), ball.gain / inflation - MIN_CANDIDATE_GAIN)
+                for ball in self.matched.best(fit.residuals, fit.jacobian, data, _STARTS)
+            ]
         found = [proposal for proposal in found if proposal.promise > 0.0]
         return sorted(found, key=lambda proposal: -proposal.promise)
 
     def _promise(self, field: ShapeField, z: np.ndarray) -> float:
         """Return the gain of log-evidence by a linearised fit."""
-        self._check()
-        jacobian = ShapesOnSites(field, self.sites).at(z).jacobian(self.evaluation)
-        residuals, inflation = self.fit.residuals, max(1.0, self.fit.chi2)
-        hessian = jacobian.T @ jacobian / inflation + np.eye(len(z))
-        step = -np.linalg.solve(hessian, jacobian.T @ residuals / inflation + z)
-        left = residuals + jacobian @ step
-        misfit = 0.5 * float(left @ left) / inflation + 0.5 * float((z + step) @ (z + step))
-        unscaled = jacobian.T @ jacobian + np.eye(len(z))
-        determinant = 0.5 * (
-            float(np.linalg.slogdet(unscaled)[1]) + self.problem.data.log_determinant
+        fit, inflation = self.model.fit, max(1.0, self.model.fit.chi2)
+        self._check(fit)
+        jacobian = ShapesOnSites(field, self.sites).at(z).jacobian(self.model.evaluation)
+        squares, unit = jacobian.T @ jacobian, np.eye(len(z))
+        step = -np.linalg.solve(
+            squares / inflation + unit, jacobian.T @ fit.residuals / inflation + z
         )
-        return -misfit - determinant - self.fit.log_evidence(inflation)
-
-    def _balls(self) -> list["_Proposal"]:
-        fit, inflation = self.fit, max(1.0, self.fit.chi2)
-        field = replace(fit.field, distorted=(*fit.field.distorted, False))
-        proposals = []
-        for candidate in self.matched.best(fit.residuals, fit.jacobian, self.problem.data, _STARTS):
-            size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
-            contrast = np.copysign(size, candidate.log_contrast)
-            ball = [*candidate.center_mm, np.log(candidate.radius_mm), contrast]
-            z = field.standard(np.concatenate([fit.field.physical(fit.z), ball]))
-            what = f"ball at {np.round(candidate.center_mm, 1).tolist()} mm"
-            promise = candidate.gain / inflation - _MIN_CANDIDATE_GAIN
-            proposals.append(_Proposal(what, field, z, promise))
-        return proposals
+        left = fit.residuals + jacobian @ step
+        misfit = 0.5 * float(left @ left) / inflation + 0.5 * float((z + step) @ (z + step))
+        determinant = float(np.linalg.slogdet(squares + unit)[1])
+        determinant += self.problem.data.log_determinant
+        return -misfit - 0.5 * determinant - fit.log_evidence(inflation)
 
     def result(self) -> ShapeReconstruction:
         """Fit the model closely, and return it with its posterior."""
-        self.fit, self.evaluation = self._fit(self.fit.field, self.fit.z, _FINE)
-        self._record("final fit")
-        fit = self.fit
-        observed = np.concatenate([o.values for o in self.problem.data.observations])
-        signal = np.mean((observed * self.problem.data.scale) ** 2)
-        unexplained = float(np.sqrt(max(fit.chi2 - 1.0, 0.0) / signal))
-        each = tuple(self._log_odds([k]) for k in range(len(fit.field.parts)))
+        fit = self.model.fit
+        self._accept("final fit", self._fit(fit.field, fit.z, _FINE))
+        fit = self.model.fit
+        count = len(fit.field.parts)
+        each = tuple(self._log_odds([k]) for k in range(count))
+        whole = each[0] if count == 1 else self._log_odds(range(count)) if count else 0.0
         return ShapeReconstruction(
-            fit.field, fit.z, self._posterior(), fit.chi2, each, max(each, default=0.0),
-            unexplained=unexplained, history=tuple(self.history),
+            fit.field, fit.z, make_posterior(self.model, self.sites), fit.chi2, each, whole,
+            unexplained=unexplained(fit, self.problem.data), history=tuple(self.history),
         )  # fmt: skip
 
-    def _log_odds(self, removed: list[int]) -> float:
-        """Return the log-evidence over that of the model without some inclusions."""
-        field, z = without(self.fit.field, self.fit.z, removed)
-        trial, _ = self._fit(field, z, _ROUGH, self.fit)
-        inflation = max(1.0, self.fit.chi2)
-        odds = self.fit.log_evidence(inflation) - trial.log_evidence(inflation)
-        return min(odds, _MAX_LOG_ODDS)
+    def _log_odds(self, removed: Sequence[int]) -> float:
+        """Return the log-evidence over that of the model without some inclusions.
 
-    def _posterior(self) -> ShapePosterior:
-        """Return the posterior, where balls may be ellipsoids."""
-        fit = self.fit
-        field, z = fit.field, fit.z
-        for k in range(len(field.distorted)):
-            field, z = as_ellipsoid(field, z, k)
+        The fit ends where it is certain that the other model has much less.
+        """
+        fit = self.model.fit
+        field, z = without(fit.field, fit.z, removed)
+        trial = self._fit(field, z, rival=fit, margin=_CERTAIN).fit
         inflation = max(1.0, fit.chi2)
-        jacobian = ShapesOnSites(field, self.sites).at(z).jacobian(self.evaluation)
-        covariance = np.linalg.inv(jacobian.T @ jacobian / inflation + np.eye(len(z)))
-        gradient = jacobian.T @ fit.residuals / inflation + z
-        return ShapePosterior(field, z, -covariance @ gradient, covariance)
+        return min(fit.log_evidence(inflation) - trial.log_evidence(inflation), MAX_LOG_ODDS)
 
 
 def find_palpation_shapes(

@@ -27,7 +27,7 @@ from tactorch.inverse.shapes.model import (
     Model,
     Start,
     Trial,
-    gain,
+    falls_short,
 )
 from tactorch.inverse.shapes.poses import probe_patterns
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
@@ -184,9 +184,7 @@ class ShapeProblem:
 
         def is_worse(fit: ShapeFit, fall: float) -> bool:
             self._check()
-            misfit = max(0.0, fit.misfit - _OPTIMISM * fall)
-            best = replace(fit, misfit=misfit, chi2=2.0 * misfit / len(fit.residuals))
-            return gain(best, model.fit) < 0.0
+            return falls_short(fit, _OPTIMISM * fall, model.fit)
 
         family = ShapesOnSites(start.field, self.sites)
         z = np.clip(start.z, *family.limits)

@@ -2,11 +2,12 @@
 
 import logging
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from tactorch.inverse.shapes.model import (
+    DEGREES,
+    MIN_CANDIDATE_GAIN,
     MIN_GAIN,
     Model,
     Proposal,
@@ -14,18 +15,14 @@ from tactorch.inverse.shapes.model import (
     as_ellipsoid,
     moderate,
     varied,
+    with_ball,
     without,
 )
 from tactorch.inverse.shapes.problem import ShapeProblem
 
 _log = logging.getLogger(__name__)
 _STARTS = 3  # fits of each further inclusion
-_DEGREES = (2, 4)  # of smooth backgrounds
 _LAYERS = 8  # largest wave number of layers
-# Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
-# reduces that of pure noise by six or so.
-_MIN_CANDIDATE_GAIN = 8.0
-_START_CONTRAST = (0.3, 1.5)  # range of the log-contrast of a start
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball
 
 
@@ -69,7 +66,7 @@ def _starts(problem: ShapeProblem, model: Model, max_shapes: int) -> Iterator[St
     field, z, errors = model.fit.field, model.fit.z, model.errors
     if len(field.distorted) < max_shapes:
         yield from _further(problem, model)
-    for degree in _DEGREES:
+    for degree in DEGREES:
         if degree > field.degree:
             yield Start(f"background of degree {degree}", *varied(field, z, degree=degree), errors)
             break
@@ -105,16 +102,10 @@ def _layers(problem: ShapeProblem, model: Model) -> Iterator[Start]:
 def _further(problem: ShapeProblem, model: Model) -> Iterator[Start]:
     """Yield the model with a further ball, at the places where it would explain most."""
     fit, data = model.fit, problem.data(model.errors)
-    field = replace(fit.field, distorted=(*fit.field.distorted, False))
     for candidate in problem.matched.best(fit.residuals, fit.jacobian, data, _STARTS):
-        if candidate.gain < _MIN_CANDIDATE_GAIN:
+        if candidate.gain < MIN_CANDIDATE_GAIN:
             return
-        size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
-        contrast = np.copysign(size, candidate.log_contrast)
-        ball = [*candidate.center_mm, np.log(candidate.radius_mm), contrast]
-        z = field.standard(np.concatenate([fit.field.physical(fit.z), ball]))
-        what = f"ball at {np.round(candidate.center_mm, 1).tolist()} mm"
-        yield Start(what, field, z, model.errors)
+        yield Start(*with_ball(fit, candidate), model.errors)
 
 
 def _is_inside(start: Start, proposal: Proposal) -> bool:

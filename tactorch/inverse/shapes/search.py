@@ -14,24 +14,23 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
-import numpy as np
-
 from tactorch.errors import CancelledError, ConvergenceError
 from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
 from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.model import (
+    MAX_LOG_ODDS,
     MIN_GAIN,
     Model,
     Proposal,
     Start,
-    as_ellipsoid,
     gain,
+    make_posterior,
+    record,
+    unexplained,
     without,
 )
 from tactorch.inverse.shapes.palpation import find_palpation_shapes
-from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.proposals import propose
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
@@ -42,7 +41,6 @@ _log = logging.getLogger(__name__)
 _MAX_SHAPES = 4
 _MAX_MODELS = 10  # one after the other
 _MAX_FITS = 3  # with quadratic elements, of proposals from one model
-_MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
 
 
 def find_shapes(
@@ -95,7 +93,7 @@ def find_shapes(
                 break
             proposal, model = accepted
             model = problem.precise(model)
-            history.append(_record(proposal.what, model))
+            history.append(record(proposal.what, model.fit))
         return _result(problem, _final(problem, model), history)
     except CancelledError as error:
         error.reached = ShapeState(model.fit.field, model.fit.z, *model.errors)
@@ -115,11 +113,12 @@ def _result(
     problem: ShapeProblem, model: Model, history: list[dict[str, Any]]
 ) -> ShapeReconstruction:
     fit = model.fit
-    history.append(_record("final fit", model))
+    history.append(record("final fit", fit))
     _log.info("final fit: chi2 %.4g", fit.chi2)
     return ShapeReconstruction(
-        fit.field, fit.z, make_posterior(problem, model), fit.chi2, *_log_odds(problem, model),
-        *model.errors, _unexplained(problem, fit), tuple(history),
+        fit.field, fit.z, make_posterior(model, problem.sites), fit.chi2,
+        *_log_odds(problem, model), *model.errors, unexplained(fit, problem.quadratic.data),
+        tuple(history),
     )  # fmt: skip
 
 
@@ -137,12 +136,7 @@ def _first(
             _log.info("%s fails, and the search starts from a uniform body: %s", start.what, error)
     model = model or problem.uniform()
     _log.info("%s: chi2 %.4g", what, model.fit.chi2)
-    return model, [_record(what, model)]
-
-
-def _record(what: str, model: Model) -> dict[str, Any]:
-    evidence = model.fit.log_evidence(max(1.0, model.fit.chi2))
-    return {"model": what, "chi2": model.fit.chi2, "log_evidence": evidence}
+    return model, [record(what, model.fit)]
 
 
 def _accept(
@@ -159,23 +153,6 @@ def _accept(
     return None
 
 
-def make_posterior(problem: ShapeProblem, model: Model) -> ShapePosterior:
-    """Return the posterior of a model, where balls may be ellipsoids.
-
-    The data of a ball's evidence do not exclude an ellipsoid, whose modulus and size are less
-    certain, and differ. The model is linearised at the balls.
-    """
-    fit = model.fit
-    field, z = fit.field, fit.z
-    for k in range(len(field.distorted)):
-        field, z = as_ellipsoid(field, z, k)
-    inflation = max(1.0, fit.chi2)
-    jacobian = ShapesOnSites(field, problem.sites).at(z).jacobian(model.evaluation)
-    covariance = np.linalg.inv(jacobian.T @ jacobian / inflation + np.eye(len(z)))
-    gradient = jacobian.T @ fit.residuals / inflation + z
-    return ShapePosterior(field, z, -covariance @ gradient, covariance)
-
-
 def _log_odds(problem: ShapeProblem, model: Model) -> tuple[tuple[float, ...], float]:
     """Return the log-evidence of a model over those without an inclusion, or without any."""
     fit, offsets = model.fit, problem.offsets(model)
@@ -185,14 +162,7 @@ def _log_odds(problem: ShapeProblem, model: Model) -> tuple[tuple[float, ...], f
         start = Start(f"without {removed}", *without(fit.field, fit.z, removed), model.errors)
         trial, _ = problem.try_model(start, offsets)
         odds = fit.log_evidence(inflation) - trial.log_evidence(inflation)
-        return min(odds, _MAX_LOG_ODDS)
+        return min(odds, MAX_LOG_ODDS)
 
     each = tuple(over([k]) for k in range(count))
     return each, (each[0] if count == 1 else over(range(count)) if count else 0.0)
-
-
-def _unexplained(problem: ShapeProblem, fit: ShapeFit) -> float:
-    """Return the root mean square of the residuals beyond their noise, over the data's."""
-    data = problem.quadratic.data
-    observed = np.concatenate([o.values for o in data.observations]) * data.scale
-    return float(np.sqrt(max(fit.chi2 - 1.0, 0.0) / np.mean(observed**2)))
