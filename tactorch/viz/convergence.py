@@ -14,7 +14,6 @@ from tactorch.errors import ConfigError
 from tactorch.text import one_line
 from tactorch.viz.figure import COLOURS, new_figure
 
-_FIELDS = ("iteration", "seconds", "misfit")
 _STYLES = ("-", "--", "-.", ":")  # distinguish curves in greyscale prints
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
@@ -28,7 +27,8 @@ def convergence_figure(
 
     Args:
         histories: Records of each optimizer in order, with the keys `iteration`, `seconds` and
-            `misfit`; other keys are ignored.
+            `misfit`. Where no displacement is measured, so that all misfits are zero, `chi2` is
+            drawn; other keys are ignored.
         noise_level: Expected misfit of the noise, mm^2, drawn as a line.
         title: Title of the figure.
 
@@ -37,7 +37,9 @@ def convergence_figure(
     """
     if not histories:
         raise ConfigError("convergence_figure: no history given; pass at least one optimizer's.")
-    curves = {name: _curve(name, history) for name, history in histories.items()}
+    forces = not any(r.get("misfit", 1.0) for history in histories.values() for r in history)
+    fields = ("iteration", "seconds", "chi2" if forces else "misfit")
+    curves = {name: _curve(name, history, fields) for name, history in histories.items()}
     figure = new_figure(9.5, 4.2)
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, column, label in ((left, 0, "iteration"), (right, 1, "time (s)")):
@@ -51,7 +53,7 @@ def convergence_figure(
         axes.grid(True, which="major", alpha=0.3)
         if noise_level is not None:
             axes.axhline(noise_level, color="0.35", linewidth=1, linestyle=(0, (1, 2)))
-    left.set_ylabel("misfit (mm²)")
+    left.set_ylabel("mean squared residual (noise: 1)" if forces else "misfit (mm²)")
     _scale_iterations(left, [curve[-1, 0] for curve in curves.values()])
     if noise_level is not None:
         right.annotate(
@@ -74,16 +76,16 @@ def _scale_iterations(axes: Axes, last: Sequence[float]) -> None:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _curve(name: str, history: History) -> np.ndarray:
-    """Return iteration, seconds and misfit of each record, (records, 3)."""
+def _curve(name: str, history: History, fields: Sequence[str]) -> np.ndarray:
+    """Return some fields of each record, (records, fields)."""
     if len(history) == 0:
         raise ConfigError(f"history '{name}' is empty; it needs at least one record.")
     for index, record in enumerate(history):
-        for field in _FIELDS:
+        for field in fields:
             if field not in record:
                 raise ConfigError(f"history '{name}', record {index}: no field '{field}'.")
             if not math.isfinite(record[field]):
                 raise ConfigError(
                     f"history '{name}', record {index}: {field} is {record[field]}, no number."
                 )
-    return np.array([[float(record[field]) for field in _FIELDS] for record in history])
+    return np.array([[float(record[field]) for field in fields] for record in history])

@@ -68,3 +68,13 @@ def test_picture_is_written(tmp_path: Path) -> None:
 def test_unusable_histories_are_refused(histories: dict, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         convergence_figure(histories)
+
+
+def test_without_displacements_the_mean_squared_residual_is_drawn() -> None:
+    records = [
+        {"iteration": i, "seconds": 1.0 * i, "misfit": 0.0, "chi2": 10.0 * 0.5**i} for i in range(4)
+    ]
+    figure = convergence_figure({"gauss_newton": records})
+    left = figure.axes[0]
+    np.testing.assert_allclose(left.lines[0].get_ydata(), [10.0, 5.0, 2.5, 1.25])
+    assert "mean squared residual" in left.get_ylabel()
