@@ -16,7 +16,9 @@ from tactorch.mesh.values import Real, positive
 
 #: Default slope above which the face counts as deformed.
 MIN_SLOPE = 0.12
-_MARGIN_MM = 0.4  # around steep pixels, in which the face deforms slightly
+_MARGIN_MM = 0.4  # least distance of undeformed pixels from deformed ones
+_MIN_STEEP_MM2, _MIN_STEEP_PX = 0.02, 9.0  # smallest area of steep pixels that is not noise
+_DEEP_FRACTION = 0.4  # of the depth of steep pixels, below which level ones are deformed
 _CONTACT_FRACTION = 0.35  # of the largest depth, above which contact is likely
 _RTOL = 1e-6
 _MAX_ITERATIONS = 500
@@ -49,7 +51,11 @@ class HeightMap:
 def reconstruct_height(
     slopes: Float[np.ndarray, "h w 2"], mm_per_px: tuple[float, float], min_slope: Real = MIN_SLOPE
 ) -> HeightMap:
-    """Return the height from slopes, drawn to zero wherever the face is not steep.
+    """Return the height from slopes, relative to the face far from any contact.
+
+    The face also moves around a contact, by an amount that decreases over about the contact's own
+    size. Its height is therefore only drawn to zero at larger distances from pixels that are steep,
+    or as deep as those.
 
     Args:
         slopes: dz/dx and dz/dy.
@@ -61,22 +67,60 @@ def reconstruct_height(
         ConvergenceError: The linear solver does not converge.
     """
     magnitude = np.asarray(cv2.GaussianBlur(np.linalg.norm(slopes, axis=-1), (0, 0), 2.0))
-    undeformed = _undeformed(magnitude > positive("min_slope", min_slope), mm_per_px)
+    steep = magnitude > positive("min_slope", min_slope)
     zero_mean = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px)
+    deformed = _deformed(steep, zero_mean, mm_per_px)
+    undeformed = _undeformed(deformed, mm_per_px)
     height = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px, zero=undeformed)
+    if deformed.any():  # with the level of the undeformed face, which the mean is not
+        undeformed = _undeformed(_deformed(steep, height, mm_per_px), mm_per_px)
+        height = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px, zero=undeformed)
     lowest = float(height.min())
     contact = (height < _CONTACT_FRACTION * lowest) & ~undeformed & (lowest < 0)
     return HeightMap(height, zero_mean, undeformed, np.asarray(contact), float(magnitude.max()))
 
 
-def _undeformed(steep: np.ndarray, mm_per_px: tuple[float, float]) -> np.ndarray:
+def _deformed(
+    steep: Bool[np.ndarray, "h w"],
+    height: Float[np.ndarray, "h w"],
+    mm_per_px: tuple[float, float],
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels that are steep, or as deep as steep ones: the face under a flat object is level."""
     from scipy.ndimage import binary_fill_holes
 
-    width, height = (2 * max(1, round(_MARGIN_MM / size)) + 1 for size in mm_per_px)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, height))
-    # Isolated steep pixels are noise. The center of a ball is level within a ring of steep slopes.
-    opened = cv2.morphologyEx(steep.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    return np.asarray(~binary_fill_holes(cv2.dilate(opened, disc) > 0))
+    # Isolated steep pixels are noise. Edges of flat objects are thin.
+    kept = _without_specks(steep, _MIN_STEEP_MM2 / (mm_per_px[0] * mm_per_px[1]))
+    if not kept.any() or kept.all():
+        return kept
+    level = float(np.median(height[~kept]))
+    depth = level - float(height[kept].min())
+    deep = height < level - _DEEP_FRACTION * depth
+    # Only where a steep edge leads down to it.
+    _, labels = cv2.connectedComponents((kept | deep).astype(np.uint8))
+    return np.asarray(binary_fill_holes(np.isin(labels, np.unique(labels[kept]))))
+
+
+def _without_specks(mask: Bool[np.ndarray, "h w"], area_px: float) -> Bool[np.ndarray, "h w"]:
+    """Remove connected parts that are smaller than an area."""
+    _, labels, statistics, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    large = statistics[:, cv2.CC_STAT_AREA] >= max(_MIN_STEEP_PX, area_px)
+    large[0] = False
+    return np.asarray(large[labels])
+
+
+def _undeformed(
+    deformed: Bool[np.ndarray, "h w"], mm_per_px: tuple[float, float]
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels farther from the deformed region than the radius of a disc of its area."""
+    from scipy.ndimage import distance_transform_edt
+
+    if not deformed.any():
+        return np.ones(deformed.shape, dtype=bool)
+    x, y = mm_per_px
+    radius = float(np.sqrt(deformed.sum() * x * y / np.pi))
+    distance = distance_transform_edt(~deformed, sampling=(y, x))
+    # A contact that fills the image leaves at least its farthest pixels.
+    return np.asarray(distance > min(max(radius, _MARGIN_MM), 0.8 * float(distance.max())))
 
 
 def integrate_slopes(

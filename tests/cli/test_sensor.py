@@ -228,9 +228,9 @@ def test_map_is_chosen_by_presses_left_out(tactorch: Any, files: Path, tmp_path:
     assert done.status == 0, done.err
     facts = load_calibration(tmp_path / "run" / "calib.npz").facts
     assert facts["maps"].keys() == {"mlp", "mlp_colour", "lookup"}
-    assert facts["fit"]["map"]["name"] == min(
-        facts["maps"], key=lambda n: sum(facts["maps"][n]["mae"])
-    )
+    scores = {n: sum(facts["maps"][n]["mae"]) for n in facts["maps"]}
+    scores["mlp_colour"] *= 0.95  # the others, which use the position, gain 5 %
+    assert facts["fit"]["map"]["name"] == min(scores, key=lambda n: scores[n])
 
 
 # ---------------------------------------------------------------- frames

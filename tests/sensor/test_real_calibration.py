@@ -20,6 +20,8 @@ from tactorch.sensor.calibration import (
     read_labels,
 )
 from tactorch.sensor.calibration.fit import fit_new_contact
+from tactorch.sensor.calibration.maps import map_slopes
+from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.frames import read_image
 from tactorch.sensor.markers import MarkerAppearance
 
@@ -59,20 +61,18 @@ def test_held_out_presses(presses: tuple[list[BallPress], Ball], shared_data: Pa
     held, used = ([touches[k] for k in part] for part in (order[:6], order[6:]))
     found, _ = fit_map(used, ball, FitOptions())
     held = [fit_new_contact(touch, found, ball) for touch in held]
-    quality = evaluate_map(found, held, ball)
-    assert min(quality.r2) > 0.94
-    assert max(quality.mae) < 0.06
-    assert quality.depth_rms_mm < 0.05
-    # Nor is that only where the fit chose to look: within 0.72 of the labels' radii. Farther out
-    # this sensor's colours hardly change any more.
+    quality = evaluate_map(found, held, ball)  # within 0.9 of the whole contacts
+    assert min(quality.r2) > 0.95
+    assert max(quality.mae) < 0.09
     labels = read_labels(shared_data / "fots-mini/labels.csv")
-    wide = [
-        replace(touch, fitted=Circle(touch.contact.center_px, 0.8 * labels[touch.name].radius_px))
-        for touch in held
-    ]
-    quality = evaluate_map(found, wide, ball)
-    assert min(quality.r2) > 0.94
-    assert quality.depth_rms_mm < 0.05
+    for fraction, r2, depth_mm in ((1.0, 0.95, 0.07), (0.7, 0.94, 0.05)):
+        circles = [Circle(p.contact.center_px, fraction * labels[p.name].radius_px) for p in held]
+        same = [replace(p, fitted=circle) for p, circle in zip(held, circles, strict=True)]
+        quality = evaluate_map(found, same, ball)
+        assert min(quality.r2) > r2, fraction
+        assert quality.depth_rms_mm < depth_mm, fraction
+    off = [abs(press.contact.radius_px - labels[press.name].radius_px) for press in held]
+    assert np.median(off) < 4.0
 
 
 @pytest.mark.slow
@@ -86,9 +86,47 @@ def test_six_presses_through_markers(shared_data: Path) -> None:
         image = read_image(folder / "cali_180110" / name)
         known = ~marker_pixels(image, reference, look)
         circle = Circle(label.center_px, 42.0)  # its own radius is that of a table, and loose
-        touches.append(BallPress(name, image_change(image, reference, look), known, circle))
+        change = image_change(image, reference, look)
+        touches.append(BallPress(name, change, known, circle, labeled=True))
     options = FitOptions("mlp_colour", rounds=3)
     quality = cross_validate(touches, ball, options, folds=len(touches))
     assert min(quality.r2) > 0.94
-    assert max(quality.mae) < 0.05
-    assert quality.depth_rms_mm < 0.05
+    assert max(quality.mae) < 0.06  # within 38 px; beyond, the colours of slopes hardly differ
+    assert quality.depth_rms_mm < 0.045
+
+
+@pytest.mark.slow
+def test_known_depths_from_a_calibration_without_labels(shared_data: Path) -> None:
+    """Heights of a ball and a prism pressed to known depths; 22 presses of the ball calibrate."""
+    folder = shared_data / "known-depth"
+    mm_per_px, radius = 0.059259, 2.92
+    ball, reference = Ball(radius, (mm_per_px, mm_per_px)), read_image(folder / "still.png")
+    labels = read_labels(folder / "labels.csv")
+    presses = []
+    for name in labels:
+        change = image_change(read_image(folder / "balls" / name), reference)
+        known = np.ones(change.shape[:2], dtype=bool)
+        presses.append(BallPress(name, change, known, find_circle(change, ball, name)))
+    found, fitted = fit_map(presses, ball, FitOptions("mlp_colour"))
+    assert not any(press.outlying for press in fitted)
+    off = np.array([p.contact.center_px for p in fitted]) - [
+        labels[p.name].center_px for p in fitted
+    ]
+    assert np.median(np.hypot(*off.T)) < 2.5
+    ratios = [p.contact.radius_px / labels[p.name].radius_px for p in fitted]
+    assert 0.85 < np.median(ratios) < 1.1  # labels are where the imprint ends
+    rows, columns = np.mgrid[:320, :320]
+    distance = np.hypot(columns - 208, rows - 166) * mm_per_px
+    for shape in ("sphere", "prism"):
+        squares = []
+        for depth in (0.25, 0.5, 0.75, 1.0):
+            image = read_image(folder / shape / f"{shape}_{depth}_real.png")
+            slopes = map_slopes(found, image_change(image, reference))
+            height = reconstruct_height(slopes, ball.mm_per_px).height_mm
+            below = np.sqrt(np.maximum(radius**2 - distance**2, 0.0)) - (radius - depth)
+            inside, true = below > 0, -below
+            if shape == "prism":
+                inside = (abs(columns - 207) <= 35) & (abs(rows - 167) <= 53)
+                true = np.full(inside.shape, -depth)
+            squares.append(np.mean((height - true)[inside] ** 2))
+        assert np.sqrt(np.mean(squares)) < 0.08, shape

@@ -6,7 +6,8 @@ r"""`tactorch sensor calibrate`: fit the map from colours to slopes, from presse
     tactorch sensor calibrate ... folds=6              few presses: cross-validation
 
 The run folder gets calib.npz, quality.json and .txt, circles.csv (the contacts found, to be
-corrected and given as labels=) and held_out.png: each held-out press and the ball.
+corrected and given as labels=) and held_out.png: each held-out press and the ball. The accuracy is
+that of a map fitted without the held-out presses; the calibration is fitted to all presses.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +40,8 @@ from tactorch.sensor.calibration import (
     save_calibration,
     select_map,
 )
-from tactorch.sensor.calibration.fit import fit_new_contact, validation_groups
+from tactorch.sensor.calibration.fit import fit_new_contact
+from tactorch.sensor.calibration.quality import positions_differ, validation_groups
 from tactorch.sensor.frames import read_reference
 
 AUTO = "auto"
@@ -58,6 +60,12 @@ def run(cfg: CalibrateSettings) -> Path:
     presses, images = read_presses(cfg, sensor, ball, reference, markers)
     training, held_out = _split(presses, cfg)
     options, maps = _select_map(cfg.map, training, ball, options)
+    if options.map.uses_position and not positions_differ(presses):
+        log.info(
+            "warning: all presses are at one position, but the map '%s' uses the position; slopes"
+            " elsewhere are extrapolated. Add presses all over the gel, or give map=mlp_colour.",
+            SENSOR_MAPS.name_of(type(options.map)),
+        )
     with progress("fitting map and contacts", "rounds") as report:
         slope_map, fitted = fit_map(training, ball, options, report)
     title = f"{SENSOR_MAPS.name_of(type(options.map))}, "
@@ -72,7 +80,11 @@ def run(cfg: CalibrateSettings) -> Path:
             others = fitted
             title += f"on the {len(training)} presses it was fitted to: others do worse"
         evaluated = [(press, slope_map) for press in others]
-        quality = evaluate_map(slope_map, others, ball)
+        quality = evaluate_map(slope_map, [p for p in others if not p.outlying] or others, ball)
+    if held_out:  # the calibration is fitted to all presses
+        with progress("fitting to all presses", "rounds") as report:
+            slope_map, fitted = fit_map(presses, ball, options, report)
+    _report_outlying(fitted)
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,
@@ -80,12 +92,23 @@ def run(cfg: CalibrateSettings) -> Path:
         "maps": {name: asdict(each) for name, each in maps.items()},
         "evaluated": title,
         "quality": asdict(quality),
-        "fitted_to": {press.name: checksum(images[press.name]) for press in training},
+        "fitted_to": {press.name: checksum(images[press.name]) for press in fitted},
+        "outlying": [press.name for press in fitted if press.outlying],
     }
     save_calibration(Calibration(slope_map, reference, ball.mm_per_px, markers, facts), out)
     write_report(folder, title, quality, evaluated, images, ball, fitted, facts)
     log.info("calibration: %s", out)
     return out
+
+
+def _report_outlying(presses: Sequence[BallPress]) -> None:
+    names = [press.name for press in presses if press.outlying]
+    if names:
+        log.info(
+            "warning: %d of %d presses disagree with the others, and the map is not fitted to them:"
+            " %s. Look at them in held_out.png; label their contacts, or leave them out.",
+            len(names), len(presses), ", ".join(names),
+        )  # fmt: skip
 
 
 def _fit_options(cfg: CalibrateSettings) -> FitOptions:

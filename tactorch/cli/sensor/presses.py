@@ -27,7 +27,7 @@ from tactorch.sensor.calibration import (
     read_labels,
 )
 from tactorch.sensor.calibration.maps import map_slopes
-from tactorch.sensor.depth import integrate_slopes
+from tactorch.sensor.depth import integrate_slopes, reconstruct_height
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image, read_frames
 from tactorch.sensor.markers import MarkerAppearance
@@ -76,7 +76,8 @@ def read_presses(
         change = image_change(image, reference, markers)
         circle = labels.get(name) or find_circle(change, ball, name)
         ball.check(circle, name)
-        presses.append(BallPress(name, change, ~marker_pixels(image, reference, markers), circle))
+        known = ~marker_pixels(image, reference, markers)
+        presses.append(BallPress(name, change, known, circle, labeled=name in labels))
     found = len(images) - len(labels)
     log.info("%d presses: %d contacts by labels, %d found", len(presses), len(labels), found)
     return presses, images
@@ -117,18 +118,28 @@ def write_report(
     """
     single = {p.name: evaluate_map(slope_map, [p], ball) for p, slope_map in evaluated}
     radii = {p.name: p.contact.radius_px * ball.mm_per_px[0] for p, _ in evaluated}
-    head = ("", "R^2 x", "R^2 y", "MAE x", "MAE y", "depth rms, mm", "contact radius, mm")
+    depths = {press.name: _depth(press, slope_map, ball) for press, slope_map in evaluated}
+    head = (
+        "", "R^2 x", "R^2 y", "MAE x", "MAE y", "slope outside", "height rms, mm",
+        "contact radius, mm", "depth, mm",
+    )  # fmt: skip
     lines = []
     for name, q in [*single.items(), ("all together", quality)]:
-        radius = f"{radii[name]:.2f}" if name in radii else ""
-        numbers = [f"{v:.3f}" for v in (*q.r2, *q.mae)]
-        lines.append((name, *numbers, f"{q.depth_rms_mm:.4f}", radius))
+        sizes = (f"{radii[name]:.2f}", f"{depths[name]:.3f}") if name in radii else ("", "")
+        numbers = [f"{v:.3f}" for v in (*q.r2, *q.mae, q.flat_slope)]
+        lines.append((name, *numbers, f"{q.depth_rms_mm:.4f}", *sizes))
     table = Table(head, lines)
     note = (
         f"Slopes are compared at {quality.pixels} pixels within 0.9 of the contacts' radii;"
-        " centers and radii were fitted to these presses. Depth is compared up to a constant."
+        " centers and radii were fitted to these presses. Slopes outside are root mean squares"
+        " beyond 2.5 radii, where the gel is flat. Heights are compared up to a constant; depth is"
+        " that of the contact's center below the gel far from it. On a thick gel, the depth is the"
+        " squared contact radius over the ball's radius."
     )
-    presses = {n: {**asdict(q), "contact_radius_mm": radii[n]} for n, q in single.items()}
+    presses = {
+        n: {**asdict(q), "contact_radius_mm": radii[n], "depth_mm": depths[n]}
+        for n, q in single.items()
+    }
     figures = {"quality": asdict(quality), "presses": presses}
     write_json(folder / _REPORT, {"evaluated": title, **figures, **facts})
     write_file(folder / _TEXT, f"{title}\n{table.text()}\n{note}\n")
@@ -141,6 +152,14 @@ def write_report(
     save_figure(ball_press_figure(plotted, title), folder / _PICTURE)
     log_text(title, table, note)
     log.info("pictures of them: %s", folder / _PICTURE)
+
+
+def _depth(press: BallPress, slope_map: SlopeMap, ball: Ball) -> float:
+    """Depth at the center of a contact relative to the gel far from it, mm."""
+    height = reconstruct_height(map_slopes(slope_map, press.change), ball.mm_per_px).height_mm
+    column, row = (round(value) for value in press.contact.center_px)
+    rows, columns = height.shape
+    return -float(height[int(np.clip(row, 0, rows - 1)), int(np.clip(column, 0, columns - 1))])
 
 
 def _plotted(press: BallPress, slope_map: SlopeMap, image: Image, ball: Ball) -> PlottedPress:

@@ -1,14 +1,7 @@
 """Calibration of a sensor: colors by presses of a ball (Section VI-B), gel by known loads."""
 
 from tactorch.sensor.calibration.ball import Ball, BallPress, Circle, find_circle, read_labels
-from tactorch.sensor.calibration.fit import (
-    FitOptions,
-    MapQuality,
-    cross_validate,
-    evaluate_map,
-    fit_map,
-    select_map,
-)
+from tactorch.sensor.calibration.fit import FitOptions, fit_map
 from tactorch.sensor.calibration.maps import (
     SENSOR_MAPS,
     SensorMap,
@@ -17,6 +10,12 @@ from tactorch.sensor.calibration.maps import (
     marker_pixels,
 )
 from tactorch.sensor.calibration.modulus import GelModulus, KnownLoad, calibrate_modulus
+from tactorch.sensor.calibration.quality import (
+    MapQuality,
+    cross_validate,
+    evaluate_map,
+    select_map,
+)
 from tactorch.sensor.calibration.storage import Calibration, load_calibration, save_calibration
 
 __all__ = [

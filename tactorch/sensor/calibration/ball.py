@@ -17,7 +17,8 @@ _COLUMNS = ("image", "center_x_px", "center_y_px", "radius_px")
 _MIN_GRADIENT = 0.02  # change of color per pixel, about a gray value
 _MAX_RADIUS = 2.0  # of a ball, over the longer side of the image
 _CONTACT_LEVEL = 0.4  # of the largest smoothed gradient
-_MAX_CONTACT = 0.65  # radius of a detected contact, over that of the ball
+_MAX_DETECTED = 0.65  # radius of a detected contact, over that of the ball
+_CHANGED = 0.2  # change of color of a contact, 10 gray values
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class BallPress:
         known: Pixels not covered by markers.
         circle: Contact, labeled or detected.
         fitted: Contact fitted to the slopes of a map; None before.
+        labeled: Whether the circle is labeled, which makes its center more certain.
+        outlying: Whether the fitted contact does not agree with the others, see `fit_map`.
     """
 
     name: str
@@ -45,6 +48,8 @@ class BallPress:
     known: Bool[np.ndarray, "h w"]
     circle: Circle
     fitted: Circle | None = None
+    labeled: bool = False
+    outlying: bool = False
 
     def __post_init__(self) -> None:
         rows, columns = self.shape
@@ -158,6 +163,8 @@ def read_labels(path: str | Path) -> Mapping[str, Circle]:
 def find_circle(change: Float[np.ndarray, "h w 3"], ball: Ball, name: str = "image") -> Circle:
     """Return an approximate contact: center and size of the region of largest color gradient.
 
+    The size is rough, and at most 0.65 of the ball's; `fit_map` measures it.
+
     `change` is that of the colors against the reference, see `image_change`; messages contain the
     `name` of the image.
 
@@ -176,10 +183,7 @@ def find_circle(change: Float[np.ndarray, "h w 3"], ball: Ball, name: str = "ima
     gradient = _smooth_gradient(change, radius_px)
     largest = float(gradient.max())
     if largest < _MIN_GRADIENT:
-        raise ConfigError(
-            f"{name}: no ball found; nothing changed against the reference. Leave the"
-            " image out, or check that the reference is without contact."
-        )
+        raise ConfigError(f"{name}: no ball found; {_without_gradient(change)}")
     mask = (gradient > _CONTACT_LEVEL * largest).astype(np.uint8)
     _, labels, statistics, centers = cv2.connectedComponentsWithStats(mask)
     weights = np.bincount(labels.ravel(), gradient.ravel())
@@ -195,7 +199,22 @@ def find_circle(change: Float[np.ndarray, "h w 3"], ball: Ball, name: str = "ima
             f"{name}: no ball found; the whole image changed. Is the reference of this sensor?"
         )
     x, y = centers[label]
-    return Circle((x, y), min(np.sqrt(area / np.pi), _MAX_CONTACT * radius_px))
+    return Circle((x, y), min(np.sqrt(area / np.pi), _MAX_DETECTED * radius_px))
+
+
+def _without_gradient(change: Float[np.ndarray, "h w 3"]) -> str:
+    smooth = cv2.GaussianBlur(change, (0, 0), 2.0)
+    largest = float(np.linalg.norm(smooth, axis=-1).max())
+    if largest < _CHANGED:
+        return (
+            "nothing changed against the reference. Leave the image out, or check that the"
+            " reference is without contact."
+        )
+    return (
+        f"its colors change by up to {50 * largest:.0f} gray values, but nowhere as steeply as in a"
+        " contact. Either the ball is too large for the image (check radius_mm and mm_per_px), or"
+        " the colors of this sensor do not depend on slopes (its light is not directed)."
+    )
 
 
 def _smooth_gradient(change: Float[np.ndarray, "h w 3"], radius_px: float) -> np.ndarray:

@@ -1,13 +1,14 @@
-"""Joint fit of the map from colors to slopes and of the contacts of a ball, and its accuracy.
+"""Joint fit of the map from colors to slopes and of the contacts of a ball.
 
 Labels and detected contacts are off by some pixels, which makes slopes inconsistent with any map.
-Map and contacts are therefore fitted alternately: the map to the slopes of the contacts, each
-contact to the slopes of the map. The mean offset of the contacts is determined because no change of
-color means no slope. The size of a pixel is not: slopes of a larger ball are an equally good
-function of the colors, so `mm_per_px` has to be measured.
+The centers are therefore first fitted together with a simple map, see `align`, and then map and
+contacts alternately: the map to the slopes of the ball well inside the contacts, each contact to
+the slopes of the map. Radii follow from where the slopes are steepest, see `profile`. The size of a
+pixel is not determined: slopes of a larger ball are an equally good function of the colors, so
+`mm_per_px` has to be measured.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,27 +16,29 @@ from scipy.optimize import minimize
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
+from tactorch.sensor.calibration.align import align_contacts
 from tactorch.sensor.calibration.ball import Ball, BallPress, Circle
 from tactorch.sensor.calibration.maps import (
-    SENSOR_MAPS,
     Mlp,
     SensorMap,
     SlopeMap,
     map_slopes,
     pixel_features,
 )
-from tactorch.sensor.depth import integrate_slopes
+from tactorch.sensor.calibration.profile import fit_profile, radial_means, steepest_contact
 
 _TRAINING_RADIUS = 0.92  # of the pixels that the map is fitted to, over the contact's radius
 _CENTER_RADIUS = 0.8  # of the pixels that a circle's center is fitted to
-_EVALUATED_RADIUS = 0.9  # of the pixels that the map is evaluated at
-_FREE_RADIUS = 2.2  # beyond which the gel is not in contact
-_PIXELS, _FREE_PIXELS = 2500, 600  # drawn per press
+#: Radius of the pixels that a map is evaluated at, over the contact's radius.
+EVALUATED_RADIUS = 0.9
+#: Radius beyond which the slopes of the gel are about zero, over the contact's radius.
+FLAT_RADIUS = 2.5
+_PIXELS, _FLAT_PIXELS = 2500, 600  # drawn per press
 _MAX_SQUARED_ERROR = 0.25  # of slopes, for pixels that count as outliers
-_SLOPE_FRACTION = 0.85  # of the ball's slope, below which the contact ends
-# A map not yet fitted to steep slopes underestimates them. Without this limit circles would shrink
-# from round to round and exclude steep pixels.
-_MIN_RADIUS = 0.9  # of a fitted contact, over its labeled or detected radius
+_RESOLVED = 0.8  # of the ball's slopes, from which a map follows them
+_MIN_RESOLVED = 0.6  # of the contact's radius, within which all slopes are
+_PASSES = 3  # of the fit of a left-out contact
+_OUTLYING, _MIN_OUTLYING = 3.0, 0.08  # error of an outlying press, over the median, and absolute
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,8 @@ def fit_map(
 ) -> tuple[SlopeMap, list[BallPress]]:
     """Fit the map from colors to slopes together with the contacts.
 
+    Presses whose slopes disagree with those of the others are left out of the fit of the map.
+
     Args:
         presses: Presses of the ball.
         ball: Ball, and the size of a pixel.
@@ -62,7 +67,7 @@ def fit_map(
         progress: Callback with the number of finished rounds and of all.
 
     Returns:
-        The map, and the presses with fitted contacts.
+        The map, and the presses with fitted contacts; `outlying` marks those that disagree.
     """
     options = options or FitOptions()
     if not presses:
@@ -70,19 +75,44 @@ def fit_map(
             "no press of the ball to calibrate with; give images and where it touches."
         )
     slope_map, fitted = options.map.create(options.seed), list(presses)
+    if options.rounds > 0:
+        fitted = _initial_contacts(fitted, ball, options.seed)
     for number in range(options.rounds + 1):
-        _fit_map_to_contacts(slope_map, fitted, ball, options.seed + number)
+        agreeing = [press for press in fitted if not press.outlying]
+        radii = [_TRAINING_RADIUS * press.contact.radius_px for press in agreeing]
+        if number > 0:
+            resolved = [_resolved_radius(press, slope_map, ball) for press in agreeing]
+            radii = np.minimum(radii, resolved).tolist()
+        _fit_map_to_contacts(slope_map, agreeing, radii, ball, options.seed + number)
         if number < options.rounds:
             fitted = [fit_contact(press, slope_map, ball) for press in fitted]
+            fitted = _mark_outlying(fitted, slope_map, ball)
         progress(number + 1, options.rounds + 1)
     return slope_map, fitted
+
+
+def _initial_contacts(presses: list[BallPress], ball: Ball, seed: int) -> list[BallPress]:
+    """Fit the centers, and estimate the radii by where the colors change most."""
+    for press in presses:
+        ball.check(press.circle, press.name)
+    rough = [_with_steepest_contact(press, ball) for press in presses]
+    radii = [press.contact.radius_px * ball.mm_per_px[0] for press in rough]
+    aligned = align_contacts(rough, ball, radii, seed)
+    return [_with_steepest_contact(press, ball) for press in aligned]
+
+
+def _with_steepest_contact(press: BallPress, ball: Ball) -> BallPress:
+    """Return a press with the radius where its colors change most."""
+    strength, center = np.linalg.norm(press.change, axis=-1), press.contact.center_px
+    radius = steepest_contact(strength, press.known, ball, center) / ball.mm_per_px[0]
+    return _with_contact(press, center, radius)
 
 
 def fit_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
     """Return a press with its contact fitted to the slopes of a map, from the present contact.
 
-    The center is fitted to the slopes well inside. The radius is where the slope of the map falls
-    below that of the ball, and at least 0.9 of the press's labeled or detected radius.
+    The center is fitted to the slopes well inside, the radius to the decay of the slopes outside; a
+    labeled radius is its upper limit.
 
     Raises:
         ConfigError: Markers cover the contact.
@@ -107,160 +137,94 @@ def fit_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
         options={"xatol": 0.05, "fatol": 1e-6, "initial_simplex": simplex},
     ).x  # fmt: skip
     radius = _contact_radius(slopes, press, ball, Circle((x, y), circle.radius_px))
-    radius = max(radius, _MIN_RADIUS * press.circle.radius_px)
-    return replace(press, fitted=Circle((x, y), radius))
+    return _with_contact(press, (x, y), radius)
+
+
+def _with_contact(press: BallPress, center: tuple[float, float], radius_px: float) -> BallPress:
+    """Return a press with this contact, which is at most as large as a labeled one."""
+    largest = press.circle.radius_px if press.labeled else np.inf
+    return replace(press, fitted=Circle(center, max(2.0, min(radius_px, largest))))
 
 
 def fit_new_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
-    """Fit the contact of a left-out press in two passes, since the first changes the radius."""
-    return fit_contact(fit_contact(press, slope_map, ball), slope_map, ball)
+    """Fit the contact of a left-out press in passes, each from the contact of the one before."""
+    press = _with_steepest_contact(press, ball)
+    for _ in range(_PASSES):
+        press = fit_contact(press, slope_map, ball)
+    return press
 
 
 def _contact_radius(slopes: np.ndarray, press: BallPress, ball: Ball, circle: Circle) -> float:
-    """Radius at which the outward slope falls below the ball's, pixels."""
+    """Radius of a contact by the slopes around its center, pixels."""
     x, y = ball.offsets(press.shape, circle)
     distance = np.hypot(x, y)
     outward = (slopes[..., 0] * x + slopes[..., 1] * y) / np.maximum(distance, 1e-9)
+    seen = np.where(press.known, distance, np.nan)
     width = ball.mm_per_px[0]
-    ring_index = (distance / width).astype(int)
-    max_ring = int(ball.radius_mm / width)
-    for ring in range(max(3, round(0.3 * max_ring)), max_ring):
-        values = outward[press.known & (ring_index == ring)]
-        radius = (ring + 0.5) * width
-        expected = radius / np.sqrt(max(ball.radius_mm**2 - radius**2, 1e-9))
-        if len(values) and np.median(values) < _SLOPE_FRACTION * expected:
-            return float(ring)
-    return float(max_ring)
+    return fit_profile(outward, seen, ball, circle.radius_px * width).contact_mm / width
+
+
+def _resolved_radius(press: BallPress, slope_map: SlopeMap, ball: Ball) -> float:
+    """Radius up to which the map follows the slopes of the ball, pixels.
+
+    Colors of steep slopes may not differ any more, which would make others inconsistent.
+    """
+    slopes, circle = map_slopes(slope_map, press.change), press.contact
+    x, y = ball.offsets(press.shape, circle)
+    distance, width = np.hypot(x, y), ball.mm_per_px[0]
+    outward = (slopes[..., 0] * x + slopes[..., 1] * y) / np.maximum(distance, 1e-9)
+    contact = circle.radius_px * width
+    rings = radial_means(outward, np.where(press.known, distance, np.nan), width, contact)
+    radii, means, numbers = rings
+    expected = ball.slopes_at(np.stack([radii, np.zeros_like(radii)]))[:, 0]
+    below = (means < _RESOLVED * expected) & (numbers > 0) & (radii > _MIN_RESOLVED * contact)
+    return float(radii[int(below.argmax())] / width) if below.any() else circle.radius_px
+
+
+def _mark_outlying(
+    presses: Sequence[BallPress], slope_map: SlopeMap, ball: Ball
+) -> list[BallPress]:
+    """Mark presses whose slopes are far from the ball's at their contacts."""
+    errors = np.array([_slope_error(press, slope_map, ball) for press in presses])
+    limit = max(_OUTLYING * float(np.median(errors)), _MIN_OUTLYING)
+    return [
+        replace(press, outlying=bool(error > limit))
+        for press, error in zip(presses, errors, strict=True)
+    ]
+
+
+def _slope_error(press: BallPress, slope_map: SlopeMap, ball: Ball) -> float:
+    """Root mean square error of the slopes inside a contact."""
+    inside = press.known & (ball.distance(press.shape, press.contact) < EVALUATED_RADIUS)
+    error = map_slopes(slope_map, press.change) - ball.slopes(press.shape, press.contact)
+    return float(np.sqrt((error[inside] ** 2).sum(axis=-1).mean())) if inside.any() else np.inf
 
 
 def _fit_map_to_contacts(
-    slope_map: SlopeMap, presses: Sequence[BallPress], ball: Ball, seed: int
+    slope_map: SlopeMap,
+    presses: Sequence[BallPress],
+    radii_px: Sequence[float],
+    ball: Ball,
+    seed: int,
 ) -> None:
+    """Fit the map to the ball's slopes within these radii, and to zero where the gel is flat."""
     rng = np.random.default_rng(seed)
     features, slopes = [], []
-    for press in presses:
+    for press, radius in zip(presses, radii_px, strict=True):
         circle = press.contact
         ball.check(circle, press.name)
         rows = pixel_features(press.change)
         distance = np.where(press.known, ball.distance(press.shape, circle), np.nan).ravel()
-        inside = _draw(rng, np.flatnonzero(distance < _TRAINING_RADIUS), _PIXELS)
+        inside = _draw(rng, np.flatnonzero(distance * circle.radius_px < radius), _PIXELS)
         if not len(inside):
             raise ConfigError(f"{press.name}: markers cover the whole contact; leave it out.")
-        # Pixels without contact have zero slope and no change of color but noise.
-        free = _draw(rng, np.flatnonzero(distance > _FREE_RADIUS), _FREE_PIXELS)
-        unchanged = rows[free]
-        unchanged[:, :3] = rng.normal(0.0, 0.02, (len(free), 3))
-        features += [rows[inside], unchanged]
+        flat = _draw(rng, np.flatnonzero(distance > FLAT_RADIUS), _FLAT_PIXELS)
+        features += [rows[inside], rows[flat]]
         slopes += [
-            ball.slopes(press.shape, circle).reshape(-1, 2)[inside], np.zeros((len(free), 2))
+            ball.slopes(press.shape, circle).reshape(-1, 2)[inside], np.zeros((len(flat), 2))
         ]  # fmt: skip
     slope_map.fit(np.concatenate(features), np.concatenate(slopes), seed)
 
 
 def _draw(rng: np.random.Generator, pixels: np.ndarray, count: int) -> np.ndarray:
     return rng.choice(pixels, min(count, len(pixels)), replace=False)
-
-
-@dataclass(frozen=True)
-class MapQuality:
-    """Errors inside the contacts of presses.
-
-    Attributes:
-        r2: Coefficient of determination of the slopes along x and y.
-        mae: Mean absolute error of the slopes along x and y.
-        depth_rms_mm: Root mean square error of the ball's height up to a constant, mm.
-        pixels: Number of evaluated pixels.
-    """
-
-    r2: tuple[float, float]
-    mae: tuple[float, float]
-    depth_rms_mm: float
-    pixels: int
-
-    @classmethod
-    def pool(cls, parts: "Sequence[MapQuality]") -> "MapQuality":
-        """Return the errors of groups of presses, weighted by their pixels."""
-        counts = [part.pixels for part in parts]
-        r2 = np.average([part.r2 for part in parts], axis=0, weights=counts)
-        mae = np.average([part.mae for part in parts], axis=0, weights=counts)
-        squares = np.average([part.depth_rms_mm**2 for part in parts], weights=counts)
-        depth = float(np.sqrt(squares))
-        return cls(tuple(r2.tolist()), tuple(mae.tolist()), depth, sum(counts))
-
-
-def evaluate_map(slope_map: SlopeMap, presses: Sequence[BallPress], ball: Ball) -> MapQuality:
-    """Return the errors of the slopes and heights of a map for all presses together.
-
-    They are compared with those of the ball at the contacts of the presses.
-    """
-    results = [_compare(slope_map, press, ball) for press in presses]
-    slopes, expected, heights = (np.concatenate(parts) for parts in zip(*results, strict=True))
-    spread = ((expected - expected.mean(axis=0)) ** 2).sum(axis=0)
-    r2 = 1 - ((slopes - expected) ** 2).sum(axis=0) / spread
-    mae = np.abs(slopes - expected).mean(axis=0)
-    depth = float(np.sqrt(np.mean(heights**2)))
-    return MapQuality(tuple(r2.tolist()), tuple(mae.tolist()), depth, len(slopes))
-
-
-def _compare(slope_map: SlopeMap, press: BallPress, ball: Ball) -> tuple[np.ndarray, ...]:
-    """Slopes of the map and of the ball, and errors of the height."""
-    slopes, circle = map_slopes(slope_map, press.change), press.contact
-    contact = ball.distance(press.shape, circle) < _EVALUATED_RADIUS
-    inside = press.known & contact
-    height = integrate_slopes(slopes[..., 0], slopes[..., 1], ball.mm_per_px)
-    error = (height - ball.heights(press.shape, circle))[contact]
-    return slopes[inside], ball.slopes(press.shape, circle)[inside], error - error.mean()
-
-
-def validation_groups(
-    presses: Sequence[BallPress], ball: Ball, options: FitOptions, folds: int
-) -> Iterator[tuple[SlopeMap, list[BallPress]]]:
-    """Yield for each group the map fitted to all other presses, and the group.
-
-    The contacts of left-out presses are fitted: three parameters to thousands of pixels.
-    """
-    if not 2 <= folds <= len(presses):
-        raise ConfigError(f"folds={folds}: give 2 to {len(presses)}, the number of presses.")
-    order = np.random.default_rng(options.seed).permutation(len(presses))
-    for fold in range(folds):
-        group = set(order[fold::folds].tolist())
-        training = [press for i, press in enumerate(presses) if i not in group]
-        left_out = [press for i, press in enumerate(presses) if i in group]
-        slope_map, _ = fit_map(training, ball, options)
-        yield slope_map, [fit_new_contact(press, slope_map, ball) for press in left_out]
-
-
-def cross_validate(
-    presses: Sequence[BallPress], ball: Ball, options: FitOptions | None = None, folds: int = 3
-) -> MapQuality:
-    """Return the errors on presses that are left out of the fit, each once, pooled over the groups.
-
-    Arguments are those of `fit_map`; the seed of the options also assigns presses to the `folds`
-    groups.
-    """
-    groups = validation_groups(presses, ball, options or FitOptions(), folds)
-    return MapQuality.pool([evaluate_map(*group, ball) for group in groups])
-
-
-def select_map(
-    presses: Sequence[BallPress],
-    ball: Ball,
-    options: FitOptions | None = None,
-    folds: int = 3,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[str, dict[str, MapQuality]]:
-    """Select the map with the smallest error on left-out presses.
-
-    Arguments are those of `cross_validate`, and a callback with the number of evaluated maps and of
-    all. `map` of the options is ignored.
-
-    Returns:
-        The name of the map, and the errors of each by name.
-    """
-    options, names = options or FitOptions(), SENSOR_MAPS.names()
-    quality = {}
-    for number, name in enumerate(names):
-        candidate = replace(options, map=SENSOR_MAPS.build(name))
-        quality[name] = cross_validate(presses, ball, candidate, folds)
-        progress(number + 1, len(names))
-    return min(quality, key=lambda name: sum(quality[name].mae)), quality

@@ -6,7 +6,7 @@ A further map is an `Options` class derived from `SensorMap` in a separate file,
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 from tactorch.sensor.depth import fill_masked
 from tactorch.sensor.frames import Image
+from tactorch.sensor.light import light_drift
 from tactorch.sensor.markers import MarkerAppearance, marker_mask
 
 Arrays = dict[str, np.ndarray]
@@ -26,6 +27,8 @@ Features = Float[np.ndarray, "_ 5"]  # change of the three colors, and position 
 Slopes = Float[np.ndarray, "_ 2"]
 _UNIT = 50.0  # gray values
 _BATCH = 2048
+_ACTIVATION_HELP = "Activation; silu extrapolates to steeper slopes, tanh levels off"
+_ACTIVATIONS: dict[str, type[nn.Module]] = {"silu": nn.SiLU, "tanh": nn.Tanh}
 
 #: Maps from colors to slopes by name.
 SENSOR_MAPS = Registry(
@@ -54,6 +57,8 @@ def image_change(
 ) -> Float[np.ndarray, "h w 3"]:
     """Return the smoothed change of each color in units of 50 gray values.
 
+    The change is relative to that of the gel without contact, see `light_drift`.
+
     Args:
         image: Frame.
         reference: Image of the gel without contact.
@@ -67,7 +72,9 @@ def image_change(
         )
     difference = (image.astype(np.float64) - reference) / _UNIT
     difference = fill_masked(difference, ~marker_pixels(image, reference, markers))
-    return cv2.GaussianBlur(difference, (0, 0), smooth_px) if smooth_px > 0 else difference
+    if smooth_px > 0:
+        difference = np.asarray(cv2.GaussianBlur(difference, (0, 0), smooth_px))
+    return difference - light_drift(difference)
 
 
 def pixel_features(change: Float[np.ndarray, "h w 3"]) -> Features:
@@ -103,6 +110,11 @@ class SensorMap(Options, ABC):
 
     section: ClassVar[str] = "sensor_map"
 
+    @property
+    def uses_position(self) -> bool:
+        """Whether slopes depend on the position of a pixel, not on its color alone."""
+        return True
+
     @abstractmethod
     def create(self, seed: int) -> SlopeMap:
         """Return a map with initial parameters of a seed, that is not fitted."""
@@ -123,6 +135,12 @@ class Mlp(SensorMap):
     width: int = option(48, "Width of the hidden layers", ge=1, le=4096)
     steps: int = option(300, "Steps of Adam in each round", ge=1)
     learning_rate: float = option(5e-3, "Initial learning rate, annealed to zero", gt=0)
+    activation: Literal["silu", "tanh"] = option("tanh", _ACTIVATION_HELP)
+
+    @property
+    def uses_position(self) -> bool:
+        """Whether slopes depend on the position of a pixel."""
+        return self.position
 
     def create(self, seed: int) -> SlopeMap:
         """Return a network with initial weights that depend on the seed only."""
@@ -136,6 +154,7 @@ class MlpColour(Mlp):
     """Network of two hidden layers without the position, for few presses."""
 
     position: bool = option(False, "Use the position of pixels")
+    activation: Literal["silu", "tanh"] = option("silu", _ACTIVATION_HELP)
 
 
 @dataclass(frozen=True)
@@ -157,9 +176,10 @@ class _MlpMap:
         self.options: SensorMap = options
         self._steps, self._learning_rate = options.steps, options.learning_rate
         self._inputs, width = 5 if options.position else 3, options.width
+        activation = _ACTIVATIONS[options.activation]
         self.network = nn.Sequential(
-            nn.Linear(self._inputs, width), nn.Tanh(),
-            nn.Linear(width, width), nn.Tanh(),
+            nn.Linear(self._inputs, width), activation(),
+            nn.Linear(width, width), activation(),
             nn.Linear(width, 2),
         )  # fmt: skip
 

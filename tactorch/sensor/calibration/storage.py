@@ -110,7 +110,10 @@ def _parse(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> Calibration:
     for name, values in arrays.items():
         if not np.isfinite(values).all():
             raise ValueError(f"its {name} is not finite")
-    slope_map = SENSOR_MAPS.build(about["map"]).create(0)
+    settings = about["map"]
+    if str(settings.get("name", "")).startswith("mlp"):
+        settings.setdefault("activation", "tanh")  # of files without this setting
+    slope_map = SENSOR_MAPS.build(settings).create(0)
     slope_map.restore({k[len(_PREFIX) :]: v for k, v in arrays.items() if k != "reference"})
     x, y = map(float, about["mm_per_px"])
     check_pixel_size((x, y))
