@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 # on a damaged file, so the modules are called directly.
 _MESH_FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".inp": "abaqus"}
 _SURFACE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply"}
+#: Suffixes of files that `write_mesh` writes.
+MESH_SUFFIXES = tuple(_MESH_FORMATS)
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 #: Bounding-box diagonals between which an object pressed by hand or robot is plausible, mm.
 PLAUSIBLE_MM = (0.5, 5000.0)
@@ -93,7 +95,8 @@ def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]
     """Return vertices (mm) and triangles of the surface in a .stl, .obj or .ply file.
 
     Vertices with equal coordinates are merged, as STL stores the vertices of each triangle
-    separately; quadrangles are halved. Vertices keep the order of the file. See `read_mesh` for the
+    separately; triangles that become points or lines are dropped, and quadrangles are halved.
+    Vertices keep the order of the file. See `read_mesh` for the
     unit.
     """
     scale, source = _mm_per(unit), require_file(path, "Surface")
@@ -102,7 +105,11 @@ def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]
         vertices = as_points(content.points, "vertices")
         faces = as_cells(_triangles(content), 3, len(vertices), "triangles")
         _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-        vertices, triangles, _ = compact(vertices, first[same.reshape(-1)][faces])
+        merged = first[same.reshape(-1)][faces]
+        flat = (np.diff(np.sort(merged, axis=1), axis=1) == 0).any(axis=1)
+        if flat.all():
+            raise MeshError("all its triangles are points or lines.")
+        vertices, triangles, _ = compact(vertices, merged[~flat])
     _warn_of_unit(f"Surface '{source}'", bounding_diagonal(vertices) * scale, unit)
     return vertices * scale, triangles
 
@@ -134,6 +141,9 @@ def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
         _check_header(path, name)
         if name == "obj":
             content = meshio.Mesh(*_read_obj(path))
+        elif name == "ply":  # meshio knows one of the two names that files have
+            text = path.read_bytes().replace(b" vertex_index\n", b" vertex_indices\n", 1)
+            content = meshio.ply.read(io.BytesIO(text))
         else:
             content = importlib.import_module(f"meshio.{name}").read(str(path))
     if not len(content.points):
