@@ -3,6 +3,7 @@
 from tactorch.config import Registry
 from tactorch.importers.palpation import PalpationOptions, import_palpation
 from tactorch.importers.published import PublishedOptions, import_published
+from tactorch.importers.table import TableOptions, import_table
 
 #: Formats by name; calling the settings of one with `path=` reads a recording.
 FORMATS = Registry(
@@ -10,6 +11,7 @@ FORMATS = Registry(
     {
         "published": "tactorch.importers:PublishedOptions",
         "palpation": "tactorch.importers:PalpationOptions",
+        "table": "tactorch.importers:TableOptions",
     },
 )
 
@@ -17,6 +19,8 @@ __all__ = [
     "FORMATS",
     "PalpationOptions",
     "PublishedOptions",
+    "TableOptions",
     "import_palpation",
     "import_published",
+    "import_table",
 ]

@@ -131,7 +131,7 @@ def _cost(attempt: _Attempt) -> float:
 def _next(attempts: list[_Attempt]) -> tuple[float, float]:
     """Return envelope and factor of the next mesh.
 
-    Between a factor that gives too long edges and one that gives too short ones, it is interpolated.
+    It is interpolated between a factor that gives too long edges and one that gives too short ones.
     """
     last = attempts[-1]
     if abs(last.loss) > _MAX_LOSS:
