@@ -4,6 +4,7 @@ from tactorch.config import Registry
 from tactorch.importers.palpation import PalpationOptions, import_palpation
 from tactorch.importers.published import PublishedOptions, import_published
 from tactorch.importers.table import TableOptions, import_table
+from tactorch.importers.vtk import VtkOptions, import_vtk
 
 #: Formats by name; calling the settings of one with `path=` reads a recording.
 FORMATS = Registry(
@@ -12,6 +13,7 @@ FORMATS = Registry(
         "published": "tactorch.importers:PublishedOptions",
         "palpation": "tactorch.importers:PalpationOptions",
         "table": "tactorch.importers:TableOptions",
+        "vtk": "tactorch.importers:VtkOptions",
     },
 )
 
@@ -20,7 +22,9 @@ __all__ = [
     "PalpationOptions",
     "PublishedOptions",
     "TableOptions",
+    "VtkOptions",
     "import_palpation",
     "import_published",
     "import_table",
+    "import_vtk",
 ]

@@ -237,27 +237,28 @@ def _forces(data: PointData, mesh: TetMesh, closest: Closest) -> Float[np.ndarra
     A force at a point is divided by its barycentric coordinates among the nodes of the triangle,
     which is consistent with linear elements.
     """
-    at_node = data.nodes >= 0
-    tractions = np.nan_to_num(data.tractions) - np.nan_to_num(data.pressure)[:, None] * data.normals
-    at_points = np.nan_to_num(data.forces)
-    by_area = np.isfinite(data.areas)
-    at_points += np.where(by_area, np.nan_to_num(data.areas), 0.0)[:, None] * tractions
-    bare = tractions.any(axis=1) & ~by_area
+    at_node, by_area = data.nodes >= 0, np.isfinite(data.areas)
+    tractions, pressure = np.nan_to_num(data.tractions), np.nan_to_num(data.pressure)
+    bare = (tractions.any(axis=1) | (pressure != 0.0)) & ~by_area
     off = bare & ~at_node
     if off.any():
         raise FileError(
             f"{data.where(int(off.argmax()))}: a traction or pressure at a point that is no node "
             "needs a column 'area'; give it, or forces."
         )
+    stresses = tractions - pressure[:, None] * data.normals
+    at_points = np.nan_to_num(data.forces) + np.nan_to_num(data.areas)[:, None] * stresses
     forces = np.zeros((mesh.n_points, 3))
     np.add.at(forces, data.nodes[at_node], at_points[at_node])
     corners = mesh.surface.triangles[closest.triangles[~at_node]]
     shares = closest.barycentric[~at_node, :, None] * at_points[~at_node, None, :]
     np.add.at(forces, corners, shares)
     if bare.any():
-        field = np.zeros((mesh.n_points, 3))
-        field[data.nodes[bare]] = tractions[bare]
-        forces += consistent_loads(mesh.points, mesh.surface.triangles, field)
+        nodes, triangles = data.nodes[bare], mesh.surface.triangles
+        field, scalar = np.zeros((mesh.n_points, 3)), np.zeros(mesh.n_points)
+        field[nodes], scalar[nodes] = tractions[bare], pressure[bare]
+        forces += consistent_loads(mesh.points, triangles, field)
+        forces += pressure_loads(mesh.points, triangles, scalar)
     return forces
 
 
@@ -277,6 +278,23 @@ def consistent_loads(
     loads = areas[:, None, None] / 12.0 * (corners + corners.sum(axis=1, keepdims=True))
     forces = np.zeros_like(points)
     np.add.at(forces, loaded, loads)
+    return forces
+
+
+def pressure_loads(
+    points: Float[np.ndarray, "n 3"],
+    triangles: Int[np.ndarray, "k 3"],
+    pressure: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "n 3"]:
+    """Return nodal forces (N) of a pressure (MPa) that is linear on each outward triangle.
+
+    It acts along the inward normal of the triangles all of whose nodes have a pressure.
+    """
+    loaded = triangles[(pressure[triangles] != 0.0).all(axis=1)]
+    corners = pressure[loaded]
+    shares = (corners + corners.sum(axis=1, keepdims=True)) / 12.0
+    forces = np.zeros_like(points)
+    np.add.at(forces, loaded, -shares[:, :, None] * area_vectors(points, loaded)[:, None])
     return forces
 
 

@@ -49,7 +49,7 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
             others.
     """
     scale, source = _mm_per(unit), require_file(path, "Mesh")
-    content = _read(source, _MESH_FORMATS)
+    content = read_any(source, _MESH_FORMATS)
     with _naming(source):
         points = as_points(content.points) * scale
         tets = as_cells(_solid_cells(content), 4, len(points))
@@ -100,7 +100,7 @@ def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]
     unit.
     """
     scale, source = _mm_per(unit), require_file(path, "Surface")
-    content = _read(source, _SURFACE_FORMATS)
+    content = read_any(source, _SURFACE_FORMATS)
     with _naming(source):
         vertices = as_points(content.points, "vertices")
         faces = as_cells(_triangles(content), 3, len(vertices), "triangles")
@@ -132,7 +132,16 @@ def _format(path: str | Path, formats: Mapping[str, str]) -> str:
     return formats[suffix]
 
 
-def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
+def read_any(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
+    """Return the content of a file as meshio reads it.
+
+    Args:
+        path: Path of a file that exists.
+        formats: Name of meshio's module by suffix.
+
+    Raises:
+        FileError: The suffix is unknown, or the file is damaged or has no points.
+    """
     name = _format(path, formats)
     hint = " Is the file complete, and of the format its suffix says?"
     with _meshio(f"'{path}' cannot be read as {name}", hint):
