@@ -145,8 +145,9 @@ class PointData:
                 f"from the surface of the mesh, more than {max_distance_mm:.3g} mm, as {far.sum()} "
                 f"of {len(far)} points are; check units and axes, or raise format.max_distance_mm."
             )
-        order = np.argsort(nodes, kind="stable")
-        twice = np.flatnonzero((np.diff(nodes[order]) == 0) & (nodes[order][1:] >= 0))
+        order = np.flatnonzero((nodes >= 0) & self._nodal())
+        order = order[np.argsort(nodes[order], kind="stable")]
+        twice = np.flatnonzero(np.diff(nodes[order]) == 0)
         if len(twice):
             first, second = order[twice[0]], order[twice[0] + 1]
             raise FileError(
@@ -156,6 +157,12 @@ class PointData:
             )
         normals = self._outward(mesh, nodes, closest)
         return replace(self, nodes=nodes, points=points, normals=normals), closest
+
+    def _nodal(self) -> Bool[np.ndarray, " k"]:
+        """Return whether there is more than a displacement along a normal."""
+        parts = [self.displacement, self.forces, self.tractions, self.pressure[:, None]]
+        parts += [values for values in (self.fixed, self.springs) if values is not None]
+        return np.isfinite(np.column_stack(parts)).any(axis=1)
 
     def _outward(
         self, mesh: TetMesh, nodes: Int[np.ndarray, " k"], closest: Closest
@@ -185,9 +192,9 @@ def _press(given: PointData, mesh: TetMesh, options: PointOptions) -> Press:
     reach = options.max_distance_mm or _MAX_DISTANCE * mesh.diagonal
     data, closest = given.located(mesh, reach)
     at_node = data.nodes >= 0
-    nodes = data.nodes[at_node]
     displacement = np.full((mesh.n_points, 3), np.nan)
-    displacement[nodes] = data.displacement[at_node]
+    rows, axes = np.nonzero(at_node[:, None] & np.isfinite(data.displacement))
+    displacement[data.nodes[rows], axes] = data.displacement[rows, axes]
     forces = _forces(data, mesh, closest)
     fixed, springs = _supports(data, mesh, options)
     noise = np.where(np.isfinite(data.noise), data.noise, options.noise_mm or np.nan)
@@ -304,10 +311,11 @@ def _supports(
     fixed, springs = np.zeros((mesh.n_points, 3), dtype=bool), np.zeros((mesh.n_points, 3))
     at_node = data.nodes >= 0
     if data.fixed is not None or data.springs is not None:
+        nodes = data.nodes[at_node]
         if data.fixed is not None:
-            fixed[data.nodes[at_node]] = np.nan_to_num(data.fixed[at_node]) != 0.0
+            np.logical_or.at(fixed, nodes, np.nan_to_num(data.fixed[at_node]) != 0.0)
         if data.springs is not None:
-            springs[data.nodes[at_node]] = np.nan_to_num(data.springs[at_node])
+            np.add.at(springs, nodes, np.nan_to_num(data.springs[at_node]))
         return fixed, springs
     if options.support is not None:
         axis, high = "xyz".index(options.support[0]), int(options.support[1] == "+")
