@@ -64,7 +64,7 @@ def test_points_between_nodes_become_readings_and_shared_forces(
     tmp_path: Path, body: Path, rows: Columns
 ) -> None:
     columns = {
-        "x": np.array([1.0, 4.0, 7.0]), "y": np.array([2.0, 3.0, 8.0]),
+        "x": np.array([1.0, 4.1, 7.0]), "y": np.array([2.3, 3.3, 8.0]),
         "z": np.array([10.05, 10.0, 9.95]), "uz": np.array([-0.1, -0.2, np.nan]),
         "u_n": np.array([np.nan, np.nan, -0.3]), "fz": np.array([-0.01, -0.02, np.nan]),
         "fx": np.array([np.nan, 0.001, np.nan]),
@@ -79,7 +79,7 @@ def test_points_between_nodes_become_readings_and_shared_forces(
     np.testing.assert_allclose(press.forces.sum(axis=0), [0.001, 0.0, -0.03], atol=1e-12)
     # The moment about any axis is that of the forces at the nearest points of the surface.
     mesh = import_table(path, mesh=body, noise_mm=0.02).mesh
-    at = np.array([(1.0, 2.0, 10.0), (4.0, 3.0, 10.0)])
+    at = np.array([(1.0, 2.3, 10.0), (4.1, 3.3, 10.0)])
     forces = np.array([(0.0, 0.0, -0.01), (0.001, 0.0, -0.02)])
     np.testing.assert_allclose(
         np.cross(mesh.points, press.forces).sum(axis=0), np.cross(at, forces).sum(axis=0), atol=1e-9

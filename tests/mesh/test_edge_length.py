@@ -4,6 +4,7 @@ import logging
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tactorch.errors import MeshError
 from tactorch.mesh import Box, Cylinder, Ellipsoid, Sphere, TetMesh, box_mesh, tetrahedralize
@@ -14,6 +15,7 @@ from tactorch.mesh.snap import onto_surface
 from tactorch.mesh.solids import solid_surface
 from tactorch.mesh.surfaces import marching_cubes
 
+ROTATION = Rotation.from_rotvec((0.3, 0.5, 0.2)).as_matrix()
 CUBE = Box((0.0, 0.0, 0.0), 20.0).surface()
 
 
@@ -119,12 +121,21 @@ def test_nodes_are_moved_onto_faces_edges_and_corners() -> None:
     assert (on_planes == np.isclose(np.abs(exact.points[nodes]), 10.0)).all()
 
 
-def test_nodes_that_would_spoil_elements_stay() -> None:
-    mesh = box_mesh(20.0, 5, center_mm=(0, 0, 0))
-    shrunk = np.array(Box((0, 0, 0), (20.0, 20.0, 13.0)).surface()[0])
-    moved = onto_surface(mesh, shrunk, CUBE[1], 5.0)
+def test_only_nodes_that_would_spoil_elements_stay() -> None:
+    """The layer below the top is 1 mm thick, and 0.35 mm below one node."""
+    layered = box_mesh(20.0, (4, 4, 20), center_mm=(0, 0, 0))
+    points = layered.points.copy()
+    inner = np.linalg.norm(points - (0.0, 0.0, 9.0), axis=1).argmin()
+    points[inner, 2] = 9.65
+    lower = np.where(CUBE[0][:, 2:] > 0, CUBE[0] - (0.0, 0.0, 0.4), CUBE[0])
+    moved = onto_surface(TetMesh.create(points, layered.tets), lower, CUBE[1], 0.9)
     assert (moved.volumes > 0.0).all()
-    far = onto_surface(mesh, shrunk, CUBE[1], 1.0)
+    top = moved.points[layered.points[:, 2] > 9.9]
+    above = np.linalg.norm(top[:, :2], axis=1) < 0.1
+    assert top[above, 2] == pytest.approx(10.0)
+    at_rim = np.abs(top[:, :2]).max(axis=1) > 9.9
+    assert top[at_rim, 2] == pytest.approx(9.6)
+    far = onto_surface(layered, lower, CUBE[1], 0.3)
     assert far.points[:, 2].max() == pytest.approx(10.0)
 
 
@@ -191,6 +202,9 @@ def test_crossing_triangles_are_those_of_a_search_of_all_pairs() -> None:
                        (0, 0, 3), (4, 0, 3), (0, 4, 3)], float)  # fmt: skip
     pairs = crossing_triangles(points, np.array([(0, 1, 2), (3, 4, 5), (6, 7, 8)]))
     assert [sorted(pair) for pair in pairs.tolist()] == [[0, 1]]
+    # Rounding far from the origin makes no crossings of triangles that share a vertex.
+    tiny, faces = Sphere((0, 0, 0), 1e-4).surface(24)
+    assert not len(crossing_triangles(tiny @ ROTATION + 1e3, faces))
     # Triangles that share a vertex or an edge, or lie in one plane, do not cross.
     fan = np.array([(0, 1, 2), (0, 1, 6), (0, 6, 7)])
     assert not len(crossing_triangles(points, fan))

@@ -32,7 +32,10 @@ def recording() -> Recording:
     directions = np.array([(0.0, 0.0, 1.0), (0.6, 0.0, 0.8)])
     reading = SurfaceReading(points, directions, np.array([-0.3, -0.2]), np.array([0.01, 0.02]))
     first, second = made.presses
-    return replace(made, presses=(first, replace(second, surface=reading)), check_units=False)
+    fixed = np.zeros((made.mesh.n_points, 3), dtype=bool)
+    fixed[made.mesh.points[:, 2] < 0.1, :2] = True
+    presses = (first, replace(second, surface=reading, fixed=fixed))
+    return replace(made, presses=presses, check_units=False)
 
 
 def test_rows_are_presses_and_nodes(recording: Recording) -> None:
