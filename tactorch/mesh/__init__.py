@@ -1,5 +1,6 @@
 """Tetrahedral meshes: generation, files, validation and queries. Lengths in mm."""
 
+from tactorch.mesh.body_file import BodyFile
 from tactorch.mesh.io import read_mesh, read_surface, write_mesh, write_surface
 from tactorch.mesh.meshing import box_mesh, tetrahedralize
 from tactorch.mesh.refine import Refinement, refine
@@ -13,6 +14,7 @@ from tactorch.mesh.voxels import VoxelGrid, locate
 __all__ = [
     "FACE_NAMES",
     "Adjacency",
+    "BodyFile",
     "Box",
     "Cone",
     "Cylinder",
