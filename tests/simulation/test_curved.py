@@ -106,7 +106,7 @@ def test_a_plan_survives_its_configuration() -> None:
                 make_phantom("uniform_cube"), plan((5, 5, 0), base="z+"),
                 mesh=TetMesh.create(dome().points * (1, 1, 2), dome().tets),
             ),
-            MeshError, "",
+            MeshError, r"is on side 'z\+'",
         ),
     ],
 )  # fmt: skip
