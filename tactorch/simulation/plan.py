@@ -11,9 +11,11 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.mesh.closest import closest_points
 from tactorch.mesh.tetmesh import FaceName, TetMesh
+from tactorch.mesh.topology import Surface
 
 Point = tuple[float, float, float]
 _MAX_DISTANCE = 0.05  # of a pressed point from the surface, over the diagonal
+_SHARP = np.cos(np.deg2rad(40.0))  # cosine of the angle between normals at a sharp edge
 
 
 @dataclass(frozen=True)
@@ -157,15 +159,9 @@ class PressPlan(Options):
                 f"press.points_mm: {list(self.points_mm[farthest])} is "
                 f"{closest.distances[farthest]:.3g} mm from the surface of the body; move it there."
             )
-        normals = np.zeros((mesh.n_points, 3))
-        for corner in surface.triangles.T:
-            np.add.at(normals, corner, surface.areas[:, None] * surface.normals)
-        corners = surface.triangles[closest.triangles]
-        inward = -np.einsum("qk,qkd->qd", closest.barycentric, normals[corners])
-        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
         return tuple(
-            SurfaceSite(point, direction, self.base)
-            for point, direction in zip(closest.points, inward, strict=True)
+            SurfaceSite(point, -_normal(surface, int(triangle), weights), self.base)
+            for triangle, weights, point, _ in zip(*closest, strict=True)
         )
 
     @property
@@ -179,3 +175,20 @@ class PressPlan(Options):
         if self.patch_centers_mm is None:
             return tuple(PressSite(face) for face in self.faces)
         return tuple(PressSite(f, center) for f in self.faces for center in self.patch_centers_mm)
+
+
+def _normal(
+    surface: Surface, triangle: int, weights: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Return the outward normal at a point of a triangle, interpolated between its nodes.
+
+    Triangles beyond a sharp edge do not count: near the rim of a flat side the normal is the
+    side's on every mesh.
+    """
+    smooth = surface.normals @ surface.normals[triangle] > _SHARP
+    touching = surface.triangles[:, :, None] == surface.triangles[triangle]
+    vectors = (surface.areas * smooth)[:, None] * surface.normals
+    at_nodes = touching.any(axis=1).T @ vectors
+    at_nodes /= np.linalg.norm(at_nodes, axis=1, keepdims=True)
+    normal: np.ndarray = weights @ at_nodes
+    return normal / np.linalg.norm(normal)

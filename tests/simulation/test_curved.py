@@ -45,6 +45,14 @@ def test_on_a_plane_it_is_the_patch_of_a_face() -> None:
     assert (nodes_under(BOX, site, 2.0) == np.flatnonzero(within & (BOX.points[:, 2] > 3.9))).all()
 
 
+@pytest.mark.parametrize("divisions", [2, 5])
+def test_the_normal_near_a_rim_is_that_of_the_side(divisions: int) -> None:
+    block = box_mesh(10.0, divisions)
+    sites = plan((7.0, 5.0, 10.0), (9.0, 9.5, 10.0), (10.0, 5.0, 8.0)).sites_on(block)
+    directions = [site.direction for site in sites]
+    np.testing.assert_allclose(directions, [(0, 0, -1), (0, 0, -1), (-1, 0, 0)], atol=1e-12)
+
+
 @pytest.mark.parametrize("element", ["tet4", "tet10"])
 def test_force_is_along_the_normal_through_the_point_on_every_mesh(element: str) -> None:
     for divisions in (8, 13):
