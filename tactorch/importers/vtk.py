@@ -121,15 +121,13 @@ class VtkOptions(PointOptions):
                 raise FileError(f"'{file.path}' point {row} has an infinite {name}; repair it.")
         points = self._points(file)
         triangles = _outward(points, self._boundary(file, points), mesh)
-        total = np.zeros_like(points)
-        if force is not None:
-            total += _NEWTON[self.force_unit] * np.nan_to_num(force)
-        if traction is not None or pressure is not None:
-            total += self._stresses(points, triangles, traction, pressure, file)
-        # Exporters repeat points where normals differ; the forces at all of them act.
         _, first, same = np.unique(points, axis=0, return_index=True, return_inverse=True)
-        merged = np.zeros_like(points)
-        np.add.at(merged, first[same.ravel()], total)
+        same, merged = first[same.ravel()], np.zeros_like(points)
+        _check_repeated(same, {"displacement": displacement, "force": force}, file)
+        if traction is not None or pressure is not None:
+            np.add.at(merged, same, self._stresses(points, triangles, traction, pressure, file))
+        if force is not None:
+            merged[first] += _NEWTON[self.force_unit] * np.nan_to_num(force[first])
         if len(file.tets):
             used = np.union1d(triangles, np.flatnonzero(merged.any(axis=1)))
             first = np.intersect1d(first, used)
@@ -214,6 +212,30 @@ def _files(path: Path) -> list[Path]:
     if twice is not None:
         raise FileError(f"'{path}' has two files of the press '{twice}'; rename one.")
     return files
+
+
+def _check_repeated(
+    same: Int[np.ndarray, " n"], fields: dict[str, np.ndarray | None], file: VtkFile
+) -> None:
+    """Refuse repeated points whose values differ.
+
+    Filters repeat points where normals differ, and copy their values: the force acts once.
+
+    Args:
+        same: First of the points at the position of each.
+        fields: Values at the points.
+        file: The file, for messages.
+    """
+    for name, values in fields.items():
+        if values is None:
+            continue
+        unlike = ~((values == values[same]) | (np.isnan(values) & np.isnan(values[same])))
+        if unlike.any():
+            row = int(unlike.any(axis=1).argmax())
+            raise FileError(
+                f"'{file.path}' point {row} is at the position of point {same[row]}, but has "
+                f"another {name}; merge them."
+            )
 
 
 def _outward(

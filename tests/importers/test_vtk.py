@@ -165,7 +165,26 @@ def test_other_points_are_readings_and_repeated_points_are_one(tmp_path: Path, b
     (press,) = import_vtk(tmp_path / "a.vtu", mesh=body, noise_mm=0.01).presses
     assert press.surface is not None
     assert len(press.surface.points_mm) == 6
-    assert press.total_force == pytest.approx([0.0, 0.0, -0.04])
+    assert press.total_force == pytest.approx([0.0, 0.0, -0.03])
+    for name, what, row in (("u", "displacement", 2), ("f", "force", 1)):
+        unlike = fields | {name: fields[name] + np.eye(4)[:, [row]] * 0.01}
+        meshio.vtu.write(str(tmp_path / "a.vtu"), meshio.Mesh(points, cells, unlike))
+        with pytest.raises(FileError, match=rf"point 2 is at .* point 1, .* another {what}"):
+            import_vtk(tmp_path / "a.vtu", mesh=body, noise_mm=0.01)
+
+
+def test_split_edges_of_a_surface_keep_forces_and_pressures(
+    tmp_path: Path, simulated: Recording, body: Path
+) -> None:
+    """Each triangle has points of its own, as after filters that compute normals."""
+    mesh, press = simulated.mesh, simulated.presses[0]
+    nodes = mesh.surface.triangles.ravel()
+    cells = [("triangle", np.arange(len(nodes)).reshape(-1, 3))]
+    pressure = np.where(mesh.points[:, 2] > 9.99, 0.01, 0.0)
+    for load in ({"force": press.forces[nodes]}, {"pressure": pressure[nodes]}):
+        fields = {"u": press.displacement[nodes], **load}
+        meshio.vtu.write(str(tmp_path / "a.vtu"), meshio.Mesh(mesh.points[nodes], cells, fields))
+        assert_same(import_vtk(tmp_path / "a.vtu", mesh=body), simulated.select([0]))
 
 
 def rename(**names: str | None) -> Callable[[Fields], Fields]:
