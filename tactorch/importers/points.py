@@ -311,6 +311,13 @@ def _supports(
     fixed, springs = np.zeros((mesh.n_points, 3), dtype=bool), np.zeros((mesh.n_points, 3))
     at_node = data.nodes >= 0
     if data.fixed is not None or data.springs is not None:
+        given = [np.nan_to_num(v) for v in (data.fixed, data.springs) if v is not None]
+        off = ~at_node & np.hstack(given).any(axis=1)
+        if off.any():
+            raise FileError(
+                f"{data.where(int(off.argmax()))} is fixed or on springs, but is no node of the "
+                "mesh; state supports at nodes."
+            )
         nodes = data.nodes[at_node]
         if data.fixed is not None:
             np.logical_or.at(fixed, nodes, np.nan_to_num(data.fixed[at_node]) != 0.0)

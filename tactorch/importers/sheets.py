@@ -43,11 +43,8 @@ class Sheet:
         return values
 
     def texts(self, name: str) -> list[str]:
-        """Return a column of text; whole numbers have no decimals."""
-        return [
-            f"{cell:g}" if isinstance(cell, float) else str(cell).strip()
-            for cell in self.columns[name]
-        ]
+        """Return a column of text, "" where a cell is empty; whole numbers have no decimals."""
+        return [_as_text(cell) for cell in self.columns[name]]
 
     def _number(self, name: str, row: int) -> float:
         cell = self.columns[name][row]
@@ -132,6 +129,14 @@ def _parquet(source: Path) -> Sheet:
     _check_names(source, table.column_names)
     columns = {name: table.column(name).to_pylist() for name in table.column_names}
     return Sheet(source, columns, [f"row {i}" for i in range(table.num_rows)])
+
+
+def _as_text(cell: Any) -> str:
+    if cell is None or cell != cell:  # NaN stands for an empty cell, too
+        return ""
+    if isinstance(cell, float) and cell.is_integer():
+        return str(int(cell))
+    return str(cell).strip()
 
 
 def _check_names(source: Path, names: list[str]) -> None:

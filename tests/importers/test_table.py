@@ -156,6 +156,26 @@ def test_parquet_and_nodes_from_one(
     assert_same(import_table(tmp_path / "a.parquet", mesh=body, first_node=1), simulated)
 
 
+def test_names_of_presses_in_parquet_are_kept_apart_and_required(
+    tmp_path: Path, body: Path
+) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    def names(*presses: float | str | None) -> list[str]:
+        values = {"press": presses, "node": [26, 25], "uz": [-0.1, -0.1], "fz": [-0.1, -0.1]}
+        parquet.write_table(pyarrow.table(values), tmp_path / "a.parquet")
+        return [press.name for press in import_table(tmp_path / "a.parquet", mesh=body).presses]
+
+    assert names(1234567.0, 1234568.0) == ["1234567", "1234568"]
+    assert names(0.12345671, 0.12345672) == ["0.12345671", "0.12345672"]
+    for missing in (None, float("nan")):
+        with pytest.raises(FileError, match="row 1 names no press"):
+            names(1.0, missing)
+    with pytest.raises(FileError, match="row 1 names no press"):
+        names("a", None)
+
+
 def test_parquet_without_pyarrow_names_the_extra(
     tmp_path: Path, body: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -235,6 +255,11 @@ WRONG: dict[str, Wrong] = {
         lambda rows: change(x_mm=(0, 2.7), y_mm=(0, 2.2), z_mm=(0, 10.0))(pointed(rows))
         | {"tz": [-0.01] * 52},
         {"noise_mm": 0.1}, FileError, r"line 2.*'area'",
+    ),
+    "support without a node": (
+        lambda rows: change(x_mm=(8, 2.7), y_mm=(8, 2.2), z_mm=(8, 0.0))(pointed(rows))
+        | {"fixed_z": [0.0] * 8 + [1.0] * 44},
+        {"noise_mm": 0.1}, FileError, r"line 10.*fixed or on springs.*no node",
     ),
     "unlike noise": (
         lambda rows: rows | {"noise": np.linspace(0.1, 0.2, 52)}, {}, FileError, r"noise.*differs"
