@@ -18,7 +18,12 @@ if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
 
 #: Settings of which leading words without a key are values: of the first word, and of the others.
-POSITIONAL = {"find": ("run", ""), "report": ("run", "compare"), "reproduce": ("exhibit", "")}
+POSITIONAL = {
+    "find": ("run", ""),
+    "mesh": ("surface", ""),
+    "report": ("run", "compare"),
+    "reproduce": ("exhibit", ""),
+}
 
 
 def named(command: str, words: Sequence[str]) -> list[str]:

@@ -3,6 +3,8 @@
 from tactorch.config import Registry
 from tactorch.importers.palpation import PalpationOptions, import_palpation
 from tactorch.importers.published import PublishedOptions, import_published
+from tactorch.importers.table import TableOptions, import_table
+from tactorch.importers.vtk import VtkOptions, import_vtk
 
 #: Formats by name; calling the settings of one with `path=` reads a recording.
 FORMATS = Registry(
@@ -10,6 +12,8 @@ FORMATS = Registry(
     {
         "published": "tactorch.importers:PublishedOptions",
         "palpation": "tactorch.importers:PalpationOptions",
+        "table": "tactorch.importers:TableOptions",
+        "vtk": "tactorch.importers:VtkOptions",
     },
 )
 
@@ -17,6 +21,10 @@ __all__ = [
     "FORMATS",
     "PalpationOptions",
     "PublishedOptions",
+    "TableOptions",
+    "VtkOptions",
     "import_palpation",
     "import_published",
+    "import_table",
+    "import_vtk",
 ]

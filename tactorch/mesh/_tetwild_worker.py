@@ -18,7 +18,9 @@ def main(source: str, target: str) -> None:
             inputs["triangles"],
             edge_length_abs=float(inputs["edge_length_mm"]),
             epsilon=float(inputs["epsilon"]),
+            coarsen=bool(inputs["coarsen"]),
             quiet=True,
+            vtk_ordering=True,
         )
     np.savez(target, points=points, tets=tets)
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 # on a damaged file, so the modules are called directly.
 _MESH_FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".inp": "abaqus"}
 _SURFACE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply"}
+#: Suffixes of files that `write_mesh` writes.
+MESH_SUFFIXES = tuple(_MESH_FORMATS)
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 #: Bounding-box diagonals between which an object pressed by hand or robot is plausible, mm.
 PLAUSIBLE_MM = (0.5, 5000.0)
@@ -47,7 +49,7 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
             others.
     """
     scale, source = _mm_per(unit), require_file(path, "Mesh")
-    content = _read(source, _MESH_FORMATS)
+    content = read_any(source, _MESH_FORMATS)
     with _naming(source):
         points = as_points(content.points) * scale
         tets = as_cells(_solid_cells(content), 4, len(points))
@@ -93,16 +95,21 @@ def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]
     """Return vertices (mm) and triangles of the surface in a .stl, .obj or .ply file.
 
     Vertices with equal coordinates are merged, as STL stores the vertices of each triangle
-    separately; quadrangles are halved. Vertices keep the order of the file. See `read_mesh` for the
+    separately; triangles that become points or lines are dropped, and quadrangles are halved.
+    Vertices keep the order of the file. See `read_mesh` for the
     unit.
     """
     scale, source = _mm_per(unit), require_file(path, "Surface")
-    content = _read(source, _SURFACE_FORMATS)
+    content = read_any(source, _SURFACE_FORMATS)
     with _naming(source):
         vertices = as_points(content.points, "vertices")
         faces = as_cells(_triangles(content), 3, len(vertices), "triangles")
         _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-        vertices, triangles, _ = compact(vertices, first[same.reshape(-1)][faces])
+        merged = first[same.reshape(-1)][faces]
+        flat = (np.diff(np.sort(merged, axis=1), axis=1) == 0).any(axis=1)
+        if flat.all():
+            raise MeshError("all its triangles are points or lines.")
+        vertices, triangles, _ = compact(vertices, merged[~flat])
     _warn_of_unit(f"Surface '{source}'", bounding_diagonal(vertices) * scale, unit)
     return vertices * scale, triangles
 
@@ -125,7 +132,16 @@ def _format(path: str | Path, formats: Mapping[str, str]) -> str:
     return formats[suffix]
 
 
-def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
+def read_any(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
+    """Return the content of a file as meshio reads it.
+
+    Args:
+        path: Path of a file that exists.
+        formats: Name of meshio's module by suffix.
+
+    Raises:
+        FileError: The suffix is unknown, or the file is damaged or has no points.
+    """
     name = _format(path, formats)
     hint = " Is the file complete, and of the format its suffix says?"
     with _meshio(f"'{path}' cannot be read as {name}", hint):
@@ -134,6 +150,9 @@ def _read(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
         _check_header(path, name)
         if name == "obj":
             content = meshio.Mesh(*_read_obj(path))
+        elif name == "ply":  # meshio knows one of the two names that files have
+            text = path.read_bytes().replace(b" vertex_index\n", b" vertex_indices\n", 1)
+            content = meshio.ply.read(io.BytesIO(text))
         else:
             content = importlib.import_module(f"meshio.{name}").read(str(path))
     if not len(content.points):

@@ -14,6 +14,7 @@ import numpy as np
 from tactorch.errors import ConfigError, MeshError, TactorchError
 from tactorch.files import cache_folder, read_arrays, write_arrays
 from tactorch.mesh.checks import closed_surface
+from tactorch.mesh.edge_length import Progress, fit_edge_length
 from tactorch.mesh.geometry import (
     bounding_box,
     bounding_diagonal,
@@ -69,7 +70,9 @@ def mesh_shape(
         raise ConfigError("generator='structured' cannot follow inclusions; use 'tetwild'.")
     if generator == "tetwild" or inner or (generator == "auto" and not isinstance(shape, Box)):
         surfaces = [part.surface() for part in inner]
-        mesh = tetrahedralize(*shape.surface(), length, inner=surfaces, cache=cache)
+        mesh = tetrahedralize(
+            *shape.surface(), length, epsilon=_EPSILON, inner=surfaces, cache=cache
+        )
         return _with_plane_faces(mesh, shape) if isinstance(shape, Box) else mesh
     if not isinstance(shape, Box):
         raise ConfigError(
@@ -161,11 +164,17 @@ def tetrahedralize(
     edge_length_mm: Real | None = None,
     *,
     relative_edge_length: Real = 0.1,
-    epsilon: Real = _EPSILON,
+    epsilon: Real | None = None,
     inner: Sequence[tuple[Rows, Rows]] = (),
     cache: bool = True,
+    progress: Progress | None = None,
 ) -> TetMesh:
     """Mesh the inside of a closed triangle surface with tetrahedra.
+
+    The median edge length is within about 20 % of the target, and the boundary nodes are on the
+    surface. Where curvature, thin parts or small features need smaller elements, a warning tells
+    the median. With a fixed `epsilon` the target is an upper limit instead: the median may be less
+    than half of it.
 
     fTetWild is not deterministic. Its first result is therefore cached under a hash of the inputs
     (see `tactorch.files.cache_folder`) and returned by later calls.
@@ -177,10 +186,18 @@ def tetrahedralize(
         relative_edge_length: Target edge length as a fraction of the bounding box's diagonal,
             where `edge_length_mm` is not given; default: the paper's 10 %.
         epsilon: Envelope of the surface that the result stays within, as a fraction of the
-            diagonal.
+            diagonal; None for the one, of at most 0.15 edge lengths, that gives the median edge
+            length, and for 1e-3 with inner surfaces.
         inner: Closed inner surfaces (vertices and triangles) that element faces conform to;
             their inside is meshed too.
         cache: Whether to look up and store the result.
+        progress: Called with the number of meshes made, their largest number and a note while the
+            median edge length is fitted.
+
+    Raises:
+        ConfigError: The edge length is larger than the object, or would take too many elements.
+        MeshError: The surface is not closed, manifold and consistently oriented, or fTetWild
+            cannot mesh it.
     """
     points, faces, _ = compact(*closed_surface(vertices, triangles))
     diagonal, volume = bounding_diagonal(points), enclosed_volume(points, faces)
@@ -190,7 +207,9 @@ def tetrahedralize(
             f"The edge length {length:.4g} mm exceeds the object's diagonal {diagonal:.4g} mm;"
             " choose a smaller one, and check the units of the surface."
         )
-    tolerance = positive("epsilon", epsilon)
+    if epsilon is None and len(inner):
+        epsilon = _EPSILON
+    tolerance = None if epsilon is None else positive("epsilon", epsilon)
     expected = volume / (0.118 * length**3)  # regular tetrahedra
     if expected > MAX_ELEMENTS:
         raise ConfigError(
@@ -203,8 +222,17 @@ def tetrahedralize(
     digest.update(all_faces.astype("<i8").tobytes())
     path = cache_folder() / "meshes" / f"{digest.hexdigest()}.npz"
     mesh = _load_cached(path) if cache else None
-    if mesh is None:
-        mesh = _validated(*_run_tetwild(all_points, all_faces, length, tolerance))
+    if mesh is not None:
+        return mesh
+
+    def mesher(target_mm: float, envelope_mm: float) -> TetMesh:
+        relative, coarsen = envelope_mm / diagonal, tolerance is None
+        return _validated(*_run_tetwild(all_points, all_faces, target_mm, relative, coarsen))
+
+    if tolerance is None:
+        mesh = fit_edge_length(mesher, points, faces, length, progress)
+    else:
+        mesh = mesher(length, tolerance * diagonal)
         # The result stays within epsilon of the surface, so this much volume may differ.
         allowed = 2 * tolerance * diagonal * surface_area(points, faces)
         if abs(mesh.volumes.sum() - volume) > allowed:
@@ -213,9 +241,9 @@ def tetrahedralize(
                 f" {volume:.4g} mm^3: the surface intersects itself, or has parts thinner than"
                 " epsilon. Repair it, or choose a smaller epsilon."
             )
-        logger.info("Meshed: %r, target edge length %.4g mm.", mesh, length)
-        if cache:
-            _store_cached(path, mesh)
+    logger.info("Meshed: %r, target edge length %.4g mm.", mesh, length)
+    if cache:
+        _store_cached(path, mesh)
     return mesh
 
 
@@ -246,14 +274,16 @@ def _with_inner(
 
 
 def _run_tetwild(
-    points: Points, faces: Triangles, length: float, epsilon: float
+    points: Points, faces: Triangles, length: float, epsilon: float, coarsen: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     if importlib.util.find_spec("pytetwild") is None:
         raise ConfigError("Meshing a surface needs pytetwild: pip install pytetwild.")
     with tempfile.TemporaryDirectory(prefix="tactorch-") as folder:
         source, target = Path(folder, "surface.npz"), Path(folder, "tets.npz")
         surface = {"vertices": points, "triangles": faces.astype(np.int32)}
-        write_arrays(source, {**surface, "edge_length_mm": length, "epsilon": epsilon})
+        write_arrays(
+            source, {**surface, "edge_length_mm": length, "epsilon": epsilon, "coarsen": coarsen}
+        )
         # -P: keeps the worker's folder off the module search path.
         process = subprocess.run(
             [sys.executable, "-P", str(_WORKER), str(source), str(target)],

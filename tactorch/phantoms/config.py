@@ -9,8 +9,8 @@ from tactorch.errors import ConfigError
 from tactorch.phantoms.background import Gradient, Layers, RandomField
 
 _SHAPES = (
-    mesh.Box, mesh.Cone, mesh.Cylinder, mesh.Ellipsoid, mesh.Hemisphere, mesh.Hyperboloid,
-    mesh.Lathe, mesh.Rotated, mesh.Sphere, mesh.Torus, mesh.Union,
+    mesh.BodyFile, mesh.Box, mesh.Cone, mesh.Cylinder, mesh.Ellipsoid, mesh.Hemisphere,
+    mesh.Hyperboloid, mesh.Lathe, mesh.Rotated, mesh.Sphere, mesh.Torus, mesh.Union,
 )  # fmt: skip
 #: Classes by name, for each key that a dictionary gives the name under.
 CLASSES: dict[str, dict[str, type[Any]]] = {

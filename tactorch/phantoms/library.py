@@ -30,6 +30,7 @@ PHANTOMS = Registry(
         "hemisphere_spheres": "tactorch.phantoms.curved:HemisphereSpheres",
         "hemisphere_random": "tactorch.phantoms.curved:HemisphereRandom",
         "hemisphere_two_spheres": "tactorch.phantoms.curved:HemisphereTwoSpheres",
+        "mesh": "tactorch.phantoms.files:FilePhantom",
         "toy_two_spheres": "tactorch.phantoms.curved:ToyTwoSpheres",
     },
 )

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.mesh import Hyperboloid, Lathe, Shape, Union
+from tactorch.mesh import BodyFile, Hyperboloid, Lathe, Shape, Union
 from tactorch.mesh.quadrature import lattice
 
 # Sides of round shapes: results are short by 0.1 % of the radius at most.
@@ -19,7 +19,7 @@ def protrusion(shape: Shape, body: Shape) -> float:
     The distance to a convex body is convex and largest at an extreme point of the shape. For
     bodies that are not convex, the whole surface of the shape is sampled.
     """
-    steps = _MAX_EDGE_STEPS if isinstance(body, Hyperboloid | Lathe) else 1
+    steps = _MAX_EDGE_STEPS if isinstance(body, Hyperboloid | Lathe | BodyFile) else 1
     return float(body.signed_distance(_surface_points(shape, _SEGMENTS, steps)).max())
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, MeshError
-from tactorch.mesh import Box, Cylinder, Hemisphere, Hyperboloid, Lathe, Shape, TetMesh
+from tactorch.mesh import BodyFile, Box, Cylinder, Hemisphere, Hyperboloid, Lathe, Shape, TetMesh
 from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.meshing import mesh_shape
 from tactorch.mesh.quadrature import element_means
@@ -19,7 +19,7 @@ from tactorch.phantoms.config import as_mapping, from_config, to_config
 from tactorch.phantoms.overlap import protrusion
 
 #: Bodies: each can have a flat side for supports.
-BODIES = (Box, Cylinder, Hemisphere, Hyperboloid, Lathe)
+BODIES = (Box, Cylinder, Hemisphere, Hyperboloid, Lathe, BodyFile)
 #: Young's modulus of a hole: the lower bound of the paper's inversions (Section IV-A), MPa.
 HOLE_MPA = 1e-3
 #: Maximum difference of a mesh's bounding box from the body's, as a fraction of its diagonal.
@@ -38,7 +38,8 @@ class Phantom:
     """Soft body with inclusions.
 
     Attributes:
-        body: Outer shape, one of `BODIES`: box, cylinder, hemisphere, hyperboloid or lathe; mm.
+        body: Outer shape, one of `BODIES`: box, cylinder, hemisphere, hyperboloid, lathe
+            or file; mm.
         inclusions: Pairs of a shape and its Young's modulus, MPa. Where inclusions overlap, the
             last one applies. They may touch the body's surface but not protrude from it.
         youngs_mpa: Young's modulus elsewhere, MPa; a number or a `Background`. A hole is an

@@ -5,7 +5,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,9 @@ from tactorch.recording.material import MaterialSpec
 from tactorch.recording.plausibility import check_units, free_motion
 from tactorch.recording.press import Press
 from tactorch.recording.storage import open_recording, write_recording
+
+if TYPE_CHECKING:
+    import pandas
 
 _log = logging.getLogger(__name__)
 
@@ -114,6 +117,39 @@ class Recording:
                 )
         selected = tuple(self.presses[index] for index in indices)
         return replace(self, presses=selected, check_units=False)
+
+    def to_frame(self, *, interior: bool = False) -> "pandas.DataFrame":
+        """Return the presses as a table, which `tactorch import format=table` reads.
+
+        There is a row for each press and node of the surface, and for each displacement along a
+        direction. The columns are
+
+        | column | value |
+        |---|---|
+        | press | name of the press; with its index where names repeat or are empty |
+        | step | load step |
+        | node | number of the node; missing for displacements along a direction |
+        | x_mm, y_mm, z_mm | rest position |
+        | ux_mm, uy_mm, uz_mm | measured displacement; NaN where not observed |
+        | fx_n, fy_n, fz_n | external force |
+        | fixed_x, fixed_y, fixed_z | 1 where the node is fixed, else 0 |
+        | spring_x_n_per_mm, ... | stiffness of the springs |
+        | noise_mm | standard deviation of the displacements; NaN where unknown |
+        | u_n_mm, nx, ny, nz | displacement along a direction; only where there are any |
+
+        Prescribed displacements and weights are not in the table. Its `attrs` have the material.
+        `to_frame().set_index(["press", "node"]).to_xarray()` gives a dataset of xarray.
+
+        Args:
+            interior: Whether nodes that are not on the surface have rows, too.
+
+        Raises:
+            ConfigError: pandas is not installed.
+            RecordingError: A press is by a probe, or its force is measured.
+        """
+        from tactorch.recording.frame import to_frame
+
+        return to_frame(self.mesh, self.presses, self.material, interior=interior)
 
     @property
     def has_probes(self) -> bool:

@@ -92,7 +92,7 @@ def simulate(
     if density is not None:
         weight = body.gravity(density, acceleration.tolist()).numpy()
     simulator = PressSimulator(body, phantom.on_mesh(fine_mesh, samples), mesh, plan, weight)
-    sites = [simulator.conditions(site) for site in plan.sites]
+    sites = [simulator.conditions(site) for site in plan.sites_on(mesh)]
     lock, solved = threading.Lock(), itertools.count(1)
 
     def on_solved() -> None:

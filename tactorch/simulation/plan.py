@@ -9,9 +9,13 @@ from jaxtyping import Float
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.mesh.tetmesh import FaceName
+from tactorch.mesh.closest import closest_points
+from tactorch.mesh.tetmesh import FaceName, TetMesh
+from tactorch.mesh.topology import Surface
 
 Point = tuple[float, float, float]
+_MAX_DISTANCE = 0.05  # of a pressed point from the surface, over the diagonal
+_SHARP = np.cos(np.deg2rad(40.0))  # cosine of the angle between normals at a sharp edge
 
 
 @dataclass(frozen=True)
@@ -49,9 +53,41 @@ class PressSite:
         return f"{self.face} at ({', '.join(f'{x:.4g}' for x in self.center_mm)}) mm"
 
 
+@dataclass(frozen=True, eq=False)
+class SurfaceSite:
+    """Location of presses on a surface of any shape.
+
+    Attributes:
+        point_mm: Point of the surface, (3,), mm.
+        direction: Unit vector into the object, (3,).
+        opposite: Supported side of the bounding box.
+    """
+
+    point_mm: Float[np.ndarray, "3"]
+    direction: Float[np.ndarray, "3"]
+    opposite: str
+
+    @property
+    def axis(self) -> int:
+        """Axis of the normal of the supported side: 0, 1 or 2."""
+        return "xyz".index(self.opposite[0])
+
+    @property
+    def tangential(self) -> list[int]:
+        """The two other axes."""
+        return [i for i in range(3) if i != self.axis]
+
+    @property
+    def name(self) -> str:
+        """Name in messages and reports."""
+        return f"({', '.join(f'{x:.4g}' for x in self.point_mm)}) mm"
+
+
 @dataclass(frozen=True)
 class PressPlan(Options):
     """Presses on flat faces with increasing pressure, the opposite face supported.
+
+    With `points_mm` presses are on a surface of any shape, and the side `base` is supported.
 
     Pressure is a dead load: per area of the undeformed object, along the undeformed normal.
     `pressures_mpa`, `p_max_mpa` and `steps` are made consistent; the first has precedence.
@@ -81,6 +117,13 @@ class PressPlan(Options):
         1.0, "Stiffness of each spring (k_c of the paper)", unit="N/mm", gt=0
     )
 
+    points_mm: tuple[Point, ...] | None = option(
+        None, "Points of a surface of any shape, pressed along its normal by a round tool of"
+        " patch_radius_mm, instead of faces",
+        unit="mm", nonempty=True,
+    )  # fmt: skip
+    base: FaceName = option("z-", "Supported side of presses at points_mm")
+
     def __post_init__(self) -> None:
         faces: Any = self.faces
         if isinstance(faces, str):
@@ -95,10 +138,31 @@ class PressPlan(Options):
             raise ConfigError(f"press.pressures_mpa={list(self.pressures)} must increase.")
         object.__setattr__(self, "p_max_mpa", self.pressures[-1])
         object.__setattr__(self, "steps", len(self.pressures))
+        if self.points_mm is not None and self.patch_radius_mm is None:
+            raise ConfigError("press.points_mm needs press.patch_radius_mm, that of the tool.")
+        if self.points_mm is not None and self.patch_centers_mm is not None:
+            raise ConfigError("press.points_mm and press.patch_centers_mm are given; give one.")
         if self.patch_centers_mm is not None and self.patch_radius_mm is None:
             raise ConfigError(
                 "press.patch_centers_mm is given without press.patch_radius_mm; give both."
             )
+
+    def sites_on(self, mesh: TetMesh) -> "tuple[PressSite | SurfaceSite, ...]":
+        """Return all pressed locations on a mesh."""
+        if self.points_mm is None:
+            return self.sites
+        surface = mesh.surface
+        closest = closest_points(mesh.points, surface.triangles, np.array(self.points_mm))
+        farthest = int(closest.distances.argmax())
+        if closest.distances[farthest] > _MAX_DISTANCE * mesh.diagonal:
+            raise ConfigError(
+                f"press.points_mm: {list(self.points_mm[farthest])} is "
+                f"{closest.distances[farthest]:.3g} mm from the surface of the body; move it there."
+            )
+        return tuple(
+            SurfaceSite(point, -_normal(surface, int(triangle), weights), self.base)
+            for triangle, weights, point, _ in zip(*closest, strict=True)
+        )
 
     @property
     def pressures(self) -> tuple[float, ...]:
@@ -111,3 +175,20 @@ class PressPlan(Options):
         if self.patch_centers_mm is None:
             return tuple(PressSite(face) for face in self.faces)
         return tuple(PressSite(f, center) for f in self.faces for center in self.patch_centers_mm)
+
+
+def _normal(
+    surface: Surface, triangle: int, weights: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Return the outward normal at a point of a triangle, interpolated between its nodes.
+
+    Triangles beyond a sharp edge do not count: near the rim of a flat side the normal is the
+    side's on every mesh.
+    """
+    smooth = surface.normals @ surface.normals[triangle] > _SHARP
+    touching = surface.triangles[:, :, None] == surface.triangles[triangle]
+    vectors = (surface.areas * smooth)[:, None] * surface.normals
+    at_nodes = touching.any(axis=1).T @ vectors
+    at_nodes /= np.linalg.norm(at_nodes, axis=1, keepdims=True)
+    normal: np.ndarray = weights @ at_nodes
+    return normal / np.linalg.norm(normal)

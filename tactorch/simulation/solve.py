@@ -6,15 +6,16 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, Discretisation, SoftBody, Supports
 from tactorch.fem.boundary import pressure_forces
 from tactorch.fem.transfer import Transfer
 from tactorch.mesh import TetMesh, face_nodes
+from tactorch.simulation.curved import curved_forces, nodes_under
 from tactorch.simulation.patch import nodes_within, patch_forces
-from tactorch.simulation.plan import PressPlan, PressSite
+from tactorch.simulation.plan import PressPlan, PressSite, SurfaceSite
 
 Nodal = Float[np.ndarray, "nodes 3"]
 # Maximum relative difference of the total force on two meshes of a curved body; it is corrected.
@@ -24,7 +25,7 @@ _MAX_FORCE_DIFFERENCE = 0.05
 class BoundaryConditions(NamedTuple):
     """Boundary conditions of one site on the n nodes of the recording's mesh."""
 
-    site: PressSite
+    site: PressSite | SurfaceSite
     forces: Float[np.ndarray, "n 3"]  # of 1 MPa, N
     observed: Bool[np.ndarray, "n 3"]  # all components of the pressed nodes
     springs: Float[np.ndarray, "n 3"]  # N/mm
@@ -62,7 +63,7 @@ class PressSimulator:
             return lambda u: u[:n]
         return Transfer.between(self.body.discretisation, self.mesh.points)
 
-    def conditions(self, site: PressSite) -> BoundaryConditions:
+    def conditions(self, site: PressSite | SurfaceSite) -> BoundaryConditions:
         """Return the boundary conditions of a site on the recording's mesh.
 
         Equal springs, as in the paper, are stiffer per area where nodes are dense, along edges
@@ -71,9 +72,7 @@ class PressSimulator:
         """
         mesh, plan = self.mesh, self.plan
         discretisation = Discretisation(mesh, ELEMENTS["tet4"])
-        nodes = face_nodes(mesh, site.face)
-        if plan.patch_radius_mm is not None:
-            nodes = nodes_within(mesh, nodes, site, plan.patch_radius_mm)
+        nodes = _pressed_nodes(mesh, site, plan)
         observed = np.zeros((mesh.n_points, 3), dtype=bool)
         observed[nodes] = True
         springs = np.zeros((mesh.n_points, 3))
@@ -126,15 +125,30 @@ class PressSimulator:
         return forces * (recorded / total), Supports(fixed=fixed, springs=springs)
 
 
-def _unit_forces(discretisation: Discretisation, site: PressSite, plan: PressPlan) -> Nodal:
+def _pressed_nodes(
+    mesh: TetMesh, site: PressSite | SurfaceSite, plan: PressPlan
+) -> Int[np.ndarray, " k"]:
+    if isinstance(site, SurfaceSite):
+        return nodes_under(mesh, site, plan.patch_radius_mm or 0.0)
+    nodes = face_nodes(mesh, site.face)
+    if plan.patch_radius_mm is None:
+        return nodes
+    return nodes_within(mesh, nodes, site, plan.patch_radius_mm)
+
+
+def _unit_forces(
+    discretisation: Discretisation, site: PressSite | SurfaceSite, plan: PressPlan
+) -> Nodal:
     """Consistent nodal forces of 1 MPa on the face or its patch, N."""
+    if isinstance(site, SurfaceSite):
+        return curved_forces(discretisation, site, plan.patch_radius_mm or 0.0)
     if plan.patch_radius_mm is not None:
         return patch_forces(discretisation, site, plan.patch_radius_mm)
     return pressure_forces(discretisation, site.face, 1.0).numpy()
 
 
 def _distribute(
-    stiffness: Float[np.ndarray, "3"], discretisation: Discretisation, site: PressSite
+    stiffness: Float[np.ndarray, "3"], discretisation: Discretisation, site: PressSite | SurfaceSite
 ) -> Nodal:
     """Distribute a total stiffness (N/mm along each axis) evenly over the supported face.
 
@@ -142,11 +156,13 @@ def _distribute(
     elements carry load.
     """
     forces = pressure_forces(discretisation, site.opposite, 1.0).numpy()
-    areas = np.abs(forces @ site.direction)
+    areas = np.abs(forces[:, site.axis])
     return (areas / areas.sum())[:, None] * stiffness
 
 
-def _fixed_dofs(mesh: TetMesh, site: PressSite, plan: PressPlan) -> Bool[np.ndarray, "n 3"]:
+def _fixed_dofs(
+    mesh: TetMesh, site: PressSite | SurfaceSite, plan: PressPlan
+) -> Bool[np.ndarray, "n 3"]:
     """Degrees of freedom with zero displacement; none with springs.
 
     A roller fixes two more nodes tangentially against rigid motion.

@@ -31,17 +31,24 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Replace fTetWild by a structured mesh, and record the edge length of each run."""
     lengths: list[float] = []
 
-    def run(points, faces, length, epsilon):
+    def run(points, faces, length, epsilon, coarsen):
         lengths.append(length)
         return np.array(BOX.points), np.array(BOX.tets)
 
     monkeypatch.setattr(meshing, "_run_tetwild", run)
+    monkeypatch.setattr(meshing, "fit_edge_length", once)
     return lengths
+
+
+def once(mesher, vertices, triangles, length_mm, progress):
+    """Replace the search for the edge length, which test_edge_length.py tests."""
+    return mesher(length_mm, 0.1 * length_mm)
 
 
 def replace_result(monkeypatch: pytest.MonkeyPatch, points: object, tets: object) -> None:
     result = np.asarray(points, float), np.asarray(tets)
     monkeypatch.setattr(meshing, "_run_tetwild", lambda *_: result)
+    monkeypatch.setattr(meshing, "fit_edge_length", once)
 
 
 @pytest.mark.slow
@@ -190,7 +197,7 @@ def test_slivers_are_refused(monkeypatch: pytest.MonkeyPatch, cache: Path) -> No
 def test_lost_parts_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     replace_result(monkeypatch, BOX.points * (1, 1, 0.9), BOX.tets)
     with pytest.raises(MeshError, match=r"fills 900 mm\^3 where the surface encloses 1000 mm\^3"):
-        tetrahedralize(VERTICES, TRIANGLES, cache=False)
+        tetrahedralize(VERTICES, TRIANGLES, epsilon=1e-3, cache=False)
     replace_result(monkeypatch, np.empty((0, 3)), np.empty((0, 4), int))
     with pytest.raises(MeshError, match="returned no elements"):
         tetrahedralize(VERTICES, TRIANGLES, cache=False)

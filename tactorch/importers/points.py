@@ -1,0 +1,351 @@
+"""Presses from displacements and forces at points: nodes, or any points of the surface."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from tactorch.config import Options, option
+from tactorch.config.registry import unknown_choice
+from tactorch.errors import ConfigError, FileError, RecordingError
+from tactorch.fem import MATERIALS
+from tactorch.mesh import TetMesh
+from tactorch.mesh.closest import Closest, closest_points
+from tactorch.mesh.geometry import area_vectors
+from tactorch.mesh.tetmesh import FaceName
+from tactorch.recording import MaterialSpec, Press, Recording, SurfaceReading
+
+_SAME_NODE = 1e-4  # distance of a point from a node that it is, over the diagonal
+_MAX_DISTANCE = 0.02  # of a point from the surface, over the diagonal
+_UNIT = 0.2  # of the length of a unit normal, which rounding and averaging change
+_SIDE = 1e-3  # distance of supported nodes from a side, over the diagonal
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointOptions(Options):
+    """Settings of formats of displacements and forces at points."""
+
+    unit: Literal["mm", "cm", "m"] = option("mm", "Length unit of the mesh")
+    support: FaceName | None = option(
+        "z-", "Side of the bounding box that is held, where the files do not state it; null: none"
+    )
+    spring_n_per_mm: float | None = option(
+        None, "Stiffness of springs at each node of that side; null: fixed", unit="N/mm", gt=0
+    )
+    noise_mm: float | None = option(
+        None, "Standard deviation of the displacements, where the files do not state it", unit="mm",
+        gt=0,
+    )  # fmt: skip
+    max_distance_mm: float | None = option(
+        None, "Largest distance of a point from the surface; null: 2 % of the diagonal",
+        unit="mm", gt=0,
+    )  # fmt: skip
+    material: str = option("neo_hookean", "Material of the object")
+    poisson: float = option(0.45, "Poisson's ratio of the object", gt=0, lt=0.5)
+    check_units: bool = option(True, "Refuse magnitudes that suggest a wrong unit")
+
+    def record(
+        self, mesh: TetMesh, presses: "list[PointData]", source: str | Path, importer: str
+    ) -> Recording:
+        """Return the recording of presses.
+
+        Raises:
+            ConfigError: The material is unknown.
+            FileError: A point is far from the surface, or lacks what a press needs.
+            RecordingError: The presses are not consistent.
+        """
+        if self.material not in MATERIALS:
+            raise ConfigError(unknown_choice("format.material", self.material, MATERIALS.names()))
+        try:
+            made = tuple(_press(data, mesh, self) for data in presses)
+            return Recording(
+                mesh,
+                made,
+                MaterialSpec(self.material, self.poisson),
+                provenance={"importer": importer, "files": Path(source).name},
+                check_units=self.check_units,
+            )
+        except RecordingError as error:
+            raise RecordingError(f"'{source}': {error}") from error
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PointData:
+    """Displacements and forces of one press at k points; NaN where there are none.
+
+    Attributes:
+        name: Name of the press.
+        where: Text that names a point in messages, such as "'a.csv' line 3".
+        nodes: Node of each point; -1 where it is given by its position.
+        points: Rest position, mm.
+        displacement: Components along x, y and z, mm.
+        along_normal: Displacement along the normal, mm.
+        normals: Outward normals; NaN for those of the mesh.
+        forces: External forces, N.
+        tractions: Tractions, MPa.
+        pressure: Pressure, along the inward normal, MPa.
+        areas: Area of each point, mm^2.
+        noise: Standard deviation of the displacement, mm.
+        fixed: 1 where a node is held.
+        springs: Stiffness of springs at nodes, N/mm.
+        step: Load step.
+    """
+
+    name: str
+    where: Callable[[int], str]
+    nodes: Int[np.ndarray, " k"]
+    points: Float[np.ndarray, "k 3"]
+    displacement: Float[np.ndarray, "k 3"]
+    along_normal: Float[np.ndarray, " k"]
+    normals: Float[np.ndarray, "k 3"]
+    forces: Float[np.ndarray, "k 3"]
+    tractions: Float[np.ndarray, "k 3"]
+    pressure: Float[np.ndarray, " k"]
+    areas: Float[np.ndarray, " k"]
+    noise: Float[np.ndarray, " k"]
+    fixed: Float[np.ndarray, "k 3"] | None = None
+    springs: Float[np.ndarray, "k 3"] | None = None
+    step: int = 0
+
+    def located(self, mesh: TetMesh, max_distance_mm: float) -> tuple["PointData", Closest]:
+        """Return the data with nodes and positions, and the closest points of the surface.
+
+        Raises:
+            FileError: A node does not exist or appears twice, or a point is far from the surface.
+        """
+        beyond = self.nodes >= mesh.n_points
+        if beyond.any():
+            row = int(beyond.argmax())
+            raise FileError(
+                f"{self.where(row)} names node {self.nodes[row]}, but the mesh has {mesh.n_points} "
+                f"(0 to {mesh.n_points - 1}); is it counted from 1, or of another mesh?"
+            )
+        placed = self.nodes >= 0
+        bare = ~placed & ~np.isfinite(self.points).all(axis=1)
+        if bare.any():
+            raise FileError(
+                f"{self.where(int(bare.argmax()))} has neither a node nor a position x, y, z; "
+                "give one of them."
+            )
+        points = np.where(placed[:, None], mesh.points[self.nodes], self.points)
+        nearest_mm, nearest = cKDTree(mesh.points).query(points)
+        nodes = np.where(nearest_mm < _SAME_NODE * mesh.diagonal, nearest, -1)
+        nodes = np.where(placed, self.nodes, nodes)
+        closest = closest_points(mesh.points, mesh.surface.triangles, points)
+        far = (closest.distances > max_distance_mm) & (nodes < 0)
+        if far.any():
+            row = int(np.where(far, closest.distances, 0.0).argmax())
+            place = ", ".join(f"{x:.4g}" for x in points[row])
+            raise FileError(
+                f"{self.where(row)}: the point ({place}) mm is {closest.distances[row]:.3g} mm "
+                f"from the surface of the mesh, more than {max_distance_mm:.3g} mm, as {far.sum()} "
+                f"of {len(far)} points are; check units and axes, or raise format.max_distance_mm."
+            )
+        order = np.flatnonzero((nodes >= 0) & self._nodal())
+        order = order[np.argsort(nodes[order], kind="stable")]
+        twice = np.flatnonzero(np.diff(nodes[order]) == 0)
+        if len(twice):
+            first, second = order[twice[0]], order[twice[0] + 1]
+            raise FileError(
+                f"{self.where(int(second))} has node {nodes[second]} of press '{self.name}' again, "
+                f"after {self.where(int(first))}; remove one, or distinguish presses by a "
+                "column 'press'."
+            )
+        normals = self._outward(mesh, nodes, closest)
+        return replace(self, nodes=nodes, points=points, normals=normals), closest
+
+    def _nodal(self) -> Bool[np.ndarray, " k"]:
+        """Return whether there is more than a displacement along a normal."""
+        parts = [self.displacement, self.forces, self.tractions, self.pressure[:, None]]
+        parts += [values for values in (self.fixed, self.springs) if values is not None]
+        return np.isfinite(np.column_stack(parts)).any(axis=1)
+
+    def _outward(
+        self, mesh: TetMesh, nodes: Int[np.ndarray, " k"], closest: Closest
+    ) -> Float[np.ndarray, "k 3"]:
+        """Return unit normals: those given, else those of the mesh."""
+        surface = mesh.surface
+        at_nodes = np.zeros((mesh.n_points, 3))
+        vectors = surface.areas[:, None] * surface.normals
+        for corner in surface.triangles.T:
+            np.add.at(at_nodes, corner, vectors)
+        normals = np.where(
+            (nodes < 0)[:, None], surface.normals[closest.triangles], at_nodes[nodes]
+        )
+        given = np.isfinite(self.normals).all(axis=1)
+        lengths = np.linalg.norm(self.normals, axis=1)
+        wrong = given & ~(np.abs(lengths - 1.0) < _UNIT)
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise FileError(
+                f"{self.where(row)} has a normal of length {lengths[row]:.3g}; give unit vectors."
+            )
+        normals = np.where(given[:, None], self.normals, normals)
+        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
+def _press(given: PointData, mesh: TetMesh, options: PointOptions) -> Press:
+    reach = options.max_distance_mm or _MAX_DISTANCE * mesh.diagonal
+    data, closest = given.located(mesh, reach)
+    at_node = data.nodes >= 0
+    displacement = np.full((mesh.n_points, 3), np.nan)
+    rows, axes = np.nonzero(at_node[:, None] & np.isfinite(data.displacement))
+    displacement[data.nodes[rows], axes] = data.displacement[rows, axes]
+    forces = _forces(data, mesh, closest)
+    fixed, springs = _supports(data, mesh, options)
+    noise = np.where(np.isfinite(data.noise), data.noise, options.noise_mm or np.nan)
+    total = forces.sum(axis=0)
+    length = float(np.linalg.norm(total))
+    return Press(
+        forces,
+        np.isfinite(displacement),
+        displacement,
+        fixed=fixed,
+        springs=springs,
+        noise_mm=_one_noise(data, noise, at_node & np.isfinite(data.displacement).any(axis=1)),
+        direction=total / length if length > 1e-9 * np.abs(forces).sum() else None,
+        name=data.name,
+        step=data.step,
+        surface=_readings(data, at_node, noise),
+    )
+
+
+def _readings(
+    data: PointData, at_node: Bool[np.ndarray, " k"], noise: Float[np.ndarray, " k"]
+) -> SurfaceReading | None:
+    """Return displacements along normals, and components at points that are no nodes."""
+    components = np.isfinite(data.displacement) & ~at_node[:, None]
+    rows, axes = np.nonzero(components)
+    along = np.flatnonzero(np.isfinite(data.along_normal))
+    every = np.concatenate([rows, along])
+    if not len(every):
+        return None
+    unknown = every[~(noise[every] > 0.0)]
+    if len(unknown):
+        raise FileError(
+            f"{data.where(int(unknown[0]))}: a displacement at a point that is no node, or along a "
+            "normal, needs its noise; give format.noise_mm, or a column 'noise'."
+        )
+    return SurfaceReading(
+        data.points[every],
+        np.concatenate([np.eye(3)[axes], data.normals[along]]),
+        np.concatenate([data.displacement[rows, axes], data.along_normal[along]]),
+        noise[every],
+    )
+
+
+def _forces(data: PointData, mesh: TetMesh, closest: Closest) -> Float[np.ndarray, "n 3"]:
+    """Return the nodal forces, N.
+
+    A force at a point is divided by its barycentric coordinates among the nodes of the triangle,
+    which is consistent with linear elements.
+    """
+    at_node, by_area = data.nodes >= 0, np.isfinite(data.areas)
+    tractions, pressure = np.nan_to_num(data.tractions), np.nan_to_num(data.pressure)
+    bare = (tractions.any(axis=1) | (pressure != 0.0)) & ~by_area
+    off = bare & ~at_node
+    if off.any():
+        raise FileError(
+            f"{data.where(int(off.argmax()))}: a traction or pressure at a point that is no node "
+            "needs a column 'area'; give it, or forces."
+        )
+    stresses = tractions - pressure[:, None] * data.normals
+    at_points = np.nan_to_num(data.forces) + np.nan_to_num(data.areas)[:, None] * stresses
+    forces = np.zeros((mesh.n_points, 3))
+    np.add.at(forces, data.nodes[at_node], at_points[at_node])
+    corners = mesh.surface.triangles[closest.triangles[~at_node]]
+    shares = closest.barycentric[~at_node, :, None] * at_points[~at_node, None, :]
+    np.add.at(forces, corners, shares)
+    if bare.any():
+        nodes, triangles = data.nodes[bare], mesh.surface.triangles
+        field, scalar = np.zeros((mesh.n_points, 3)), np.zeros(mesh.n_points)
+        field[nodes], scalar[nodes] = tractions[bare], pressure[bare]
+        forces += consistent_loads(mesh.points, triangles, field)
+        forces += pressure_loads(mesh.points, triangles, scalar)
+    return forces
+
+
+def consistent_loads(
+    points: Float[np.ndarray, "n 3"],
+    triangles: Int[np.ndarray, "k 3"],
+    tractions: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """Return nodal forces (N) of tractions (MPa) that are linear on each triangle.
+
+    Triangles are loaded where all their nodes have a traction: beyond a rim, for instance on the
+    sides of a block that is pressed from the top, there is none.
+    """
+    loaded = triangles[(tractions[triangles] != 0.0).any(axis=2).all(axis=1)]
+    areas = np.linalg.norm(area_vectors(points, loaded), axis=1)
+    corners = tractions[loaded]
+    loads = areas[:, None, None] / 12.0 * (corners + corners.sum(axis=1, keepdims=True))
+    forces = np.zeros_like(points)
+    np.add.at(forces, loaded, loads)
+    return forces
+
+
+def pressure_loads(
+    points: Float[np.ndarray, "n 3"],
+    triangles: Int[np.ndarray, "k 3"],
+    pressure: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "n 3"]:
+    """Return nodal forces (N) of a pressure (MPa) that is linear on each outward triangle.
+
+    It acts along the inward normal of the triangles all of whose nodes have a pressure.
+    """
+    loaded = triangles[(pressure[triangles] != 0.0).all(axis=1)]
+    corners = pressure[loaded]
+    shares = (corners + corners.sum(axis=1, keepdims=True)) / 12.0
+    forces = np.zeros_like(points)
+    np.add.at(forces, loaded, -shares[:, :, None] * area_vectors(points, loaded)[:, None])
+    return forces
+
+
+def _supports(
+    data: PointData, mesh: TetMesh, options: PointOptions
+) -> tuple[Bool[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    fixed, springs = np.zeros((mesh.n_points, 3), dtype=bool), np.zeros((mesh.n_points, 3))
+    at_node = data.nodes >= 0
+    if data.fixed is not None or data.springs is not None:
+        given = [np.nan_to_num(v) for v in (data.fixed, data.springs) if v is not None]
+        off = ~at_node & np.hstack(given).any(axis=1)
+        if off.any():
+            raise FileError(
+                f"{data.where(int(off.argmax()))} is fixed or on springs, but is no node of the "
+                "mesh; state supports at nodes."
+            )
+        nodes = data.nodes[at_node]
+        if data.fixed is not None:
+            np.logical_or.at(fixed, nodes, np.nan_to_num(data.fixed[at_node]) != 0.0)
+        if data.springs is not None:
+            np.add.at(springs, nodes, np.nan_to_num(data.springs[at_node]))
+        return fixed, springs
+    if options.support is not None:
+        axis, high = "xyz".index(options.support[0]), int(options.support[1] == "+")
+        height = np.abs(mesh.points[:, axis] - mesh.bounds[high, axis])
+        held = height < _SIDE * mesh.diagonal
+        if options.spring_n_per_mm is None:
+            fixed[held] = True
+        else:
+            springs[held] = options.spring_n_per_mm
+    return fixed, springs
+
+
+def _one_noise(
+    data: PointData, noise: Float[np.ndarray, " k"], rows: Bool[np.ndarray, " k"]
+) -> float | None:
+    """Return the noise of the displacements of nodes, which is the same for all."""
+    known = noise[rows]
+    if not len(known) or np.isnan(known).all():
+        return None
+    if not np.allclose(known, known[0], rtol=1e-6):
+        row = int(np.flatnonzero(rows)[np.argmax(~np.isclose(known, known[0], rtol=1e-6))])
+        raise FileError(
+            f"{data.where(row)}: the noise at nodes differs within press '{data.name}'; give one "
+            "value for each press."
+        )
+    return float(known[0])

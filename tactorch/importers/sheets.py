@@ -1,0 +1,145 @@
+"""Tables in CSV and Parquet files: columns by name, with errors that name file and row."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError, FileError
+from tactorch.files import require_file
+
+SUFFIXES = (".csv", ".txt", ".tsv", ".parquet")
+_DELIMITERS = ",;\t"
+_MISSING = ("", "nan", "na", "null", "none")
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A table.
+
+    Attributes:
+        path: Its file.
+        columns: Cells of each column, text or numbers.
+        lines: What messages call each row.
+    """
+
+    path: Path
+    columns: dict[str, Sequence[Any]]
+    lines: Sequence[str]
+
+    def numbers(self, name: str) -> Float[np.ndarray, " rows"]:
+        """Return a column of numbers, NaN where a cell is empty.
+
+        Raises:
+            FileError: A cell is not a finite number.
+        """
+        values = np.array([self._number(name, i) for i in range(len(self.lines))])
+        if np.isinf(values).any():
+            self._refuse(name, int(np.isinf(values).argmax()))
+        return values
+
+    def texts(self, name: str) -> list[str]:
+        """Return a column of text, "" where a cell is empty; whole numbers have no decimals."""
+        return [_as_text(cell) for cell in self.columns[name]]
+
+    def _number(self, name: str, row: int) -> float:
+        cell = self.columns[name][row]
+        if cell is None or (isinstance(cell, str) and cell.strip().lower() in _MISSING):
+            return float("nan")
+        try:
+            return float(cell)
+        except (TypeError, ValueError):
+            self._refuse(name, row)
+        return float("nan")
+
+    def _refuse(self, name: str, row: int) -> None:
+        raise FileError(
+            f"'{self.path}' {self.lines[row]}, column {name!r}, has {self.columns[name][row]!r}, "
+            "which is not a finite number; repair it, or leave the cell empty."
+        )
+
+
+def read_sheet(path: str | Path) -> Sheet:
+    """Read a table with a line of names: text with commas, semicolons or tabs, or Parquet.
+
+    Lines that are empty or start with # are ignored.
+
+    Raises:
+        ConfigError: pyarrow, which reads Parquet, is not installed.
+        FileError: The file is missing, damaged or empty, has no rows, or names a column twice.
+    """
+    source = require_file(path, "table of presses")
+    if source.suffix.lower() not in SUFFIXES:
+        raise FileError(
+            f"'{source}' has the unknown suffix '{source.suffix}'; use one of "
+            f"{', '.join(SUFFIXES)}."
+        )
+    sheet = _parquet(source) if source.suffix.lower() == ".parquet" else _text(source)
+    if not len(sheet.lines):
+        raise FileError(f"'{source}' has no rows; a row is a point of a press.")
+    return sheet
+
+
+def _text(source: Path) -> Sheet:
+    try:
+        content = source.read_text(encoding="utf-8-sig")
+        lines = [
+            (number, line)
+            for number, line in enumerate(content.splitlines(), start=1)
+            if line.strip() and not line.lstrip().startswith("#")
+        ]
+        if not lines:
+            raise FileError(f"'{source}' is empty; a table has a line of names, then numbers.")
+        delimiter = max(_DELIMITERS, key=lines[0][1].count)
+        rows = list(csv.reader([line for _, line in lines], delimiter=delimiter, strict=True))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise FileError(f"'{source}' is not a table of text: {error}; save it as CSV.") from error
+    names = [name.strip() for name in rows[0]]
+    _check_names(source, names)
+    for (number, _), row in zip(lines[1:], rows[1:], strict=False):
+        if len(row) != len(names):
+            raise FileError(
+                f"'{source}' line {number} has {len(row)} cells and the line of names"
+                f" {len(names)}; is the file cut short?"
+            )
+    cells = list(zip(*rows[1:], strict=True)) or [()] * len(names)
+    return Sheet(
+        source,
+        dict(zip(names, cells, strict=True)),
+        [f"line {number}" for number, _ in lines[1:]],
+    )
+
+
+def _parquet(source: Path) -> Sheet:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise ConfigError(
+            f"'{source}' needs pyarrow: pip install 'tactorch[tables]', or save it as CSV."
+        ) from error
+    try:
+        table = parquet.read_table(source)
+    except (pyarrow.ArrowException, OSError, ValueError) as error:
+        raise FileError(f"'{source}' cannot be read as Parquet: {error}.") from error
+    _check_names(source, table.column_names)
+    columns = {name: table.column(name).to_pylist() for name in table.column_names}
+    return Sheet(source, columns, [f"row {i}" for i in range(table.num_rows)])
+
+
+def _as_text(cell: Any) -> str:
+    if cell is None or cell != cell:  # NaN stands for an empty cell, too
+        return ""
+    if isinstance(cell, float) and cell.is_integer():
+        return str(int(cell))
+    return str(cell).strip()
+
+
+def _check_names(source: Path, names: list[str]) -> None:
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise FileError(f"'{source}' has two columns {twice!r}; rename or remove one.")

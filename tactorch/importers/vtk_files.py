@@ -1,0 +1,173 @@
+"""Points, triangles and fields of VTK files (.vtu and .vtk through meshio, .vtp through vtk)."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tactorch.errors import ConfigError, FileError
+from tactorch.files import require_file
+from tactorch.mesh.io import read_any
+
+SUFFIXES = (".vtu", ".vtk", ".vtp")
+#: Names that a field may have, in lower case without other characters.
+NAMES = {
+    "displacement": ("u", "disp", "displ", "displacement", "displacements", "displacementvector"),
+    "force": ("f", "force", "forces", "nodalforce", "nodalforces", "externalforce", "load"),
+    "traction": ("t", "traction", "tractions", "tractionvector", "surfacetraction"),
+    "pressure": ("p", "pressure", "contactpressure"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class VtkFile:
+    """Content of a file.
+
+    Attributes:
+        path: The file.
+        points: Positions in the unit of the file.
+        tets: Tetrahedra; none in a file of a surface.
+        triangles: Triangles that are cells of the file.
+        fields: Values at the points.
+        cell_fields: Names of fields of the cells.
+    """
+
+    path: Path
+    points: Float[np.ndarray, "n 3"]
+    tets: Int[np.ndarray, "m 4"]
+    triangles: Int[np.ndarray, "k 3"]
+    fields: Mapping[str, np.ndarray]
+    cell_fields: tuple[str, ...] = ()
+
+    def field(self, what: str, name: str | None, width: int) -> np.ndarray | None:
+        """Return a field at the points; None where there is none.
+
+        Args:
+            what: Quantity, of `NAMES`.
+            name: Name of the field; None to choose by its name.
+            width: Number of components.
+
+        Raises:
+            FileError: There is no field of the name, several may be meant, or its shape is wrong.
+        """
+        if name is None:
+            found = [n for n in self.fields if re.sub("[^a-z]", "", n.lower()) in NAMES[what]]
+            if not found:
+                return None
+            if len(found) > 1:
+                raise FileError(
+                    f"'{self.path}' has several fields that may be the {what}: {', '.join(found)}; "
+                    f"choose one by format.{what}."
+                )
+            name = found[0]
+        if name not in self.fields:
+            raise FileError(
+                f"'{self.path}' has no field {name!r} at points; {self.listing()} Choose another "
+                f"by format.{what}."
+            )
+        values = np.asarray(self.fields[name])
+        if values.dtype.kind not in "fiu" or values.size != width * len(self.points):
+            raise FileError(
+                f"'{self.path}': the field {name!r} has the shape {values.shape}; {what} needs "
+                f"{width} number{'s' if width > 1 else ''} at each of {len(self.points)} points."
+            )
+        return values.astype(np.float64).reshape(len(self.points), -1)
+
+    def listing(self) -> str:
+        """Return the names of the fields, as a sentence."""
+        points = ", ".join(self.fields) or "none"
+        cells = f", of cells, which are not read: {', '.join(self.cell_fields)}"
+        return f"its fields are {points}{cells if self.cell_fields else ''}."
+
+
+def read_vtk(path: str | Path) -> VtkFile:
+    """Read a file.
+
+    Raises:
+        ConfigError: vtk, which reads .vtp, is not installed.
+        FileError: The file is missing, damaged or empty, or has another suffix.
+    """
+    source = require_file(path, "VTK file")
+    if source.suffix.lower() not in SUFFIXES:
+        raise FileError(
+            f"'{source}' has the unknown suffix '{source.suffix}'; use one of "
+            f"{', '.join(SUFFIXES)}."
+        )
+    if source.suffix.lower() == ".vtp":
+        return _read_vtp(source)
+    content = read_any(source, {".vtu": "vtu", ".vtk": "vtk"})
+    blocks: dict[str, list[np.ndarray]] = {"tetra": [], "triangle": [], "quad": []}
+    for block in content.cells:
+        blocks.get(block.type, []).append(block.data.astype(np.int64))
+    tets = np.vstack([np.zeros((0, 4), np.int64), *blocks["tetra"]])
+    triangles = [*blocks["triangle"], *map(_halves, blocks["quad"])]
+    return _checked(
+        source,
+        content.points,
+        tets,
+        np.vstack([np.zeros((0, 3), np.int64), *triangles]),
+        dict(content.point_data),
+        tuple(content.cell_data),
+    )
+
+
+def _halves(quads: Int[np.ndarray, "q 4"]) -> Int[np.ndarray, "h 3"]:
+    """Return quadrangles as triangles."""
+    return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+
+
+def _read_vtp(source: Path) -> VtkFile:
+    try:
+        from vtkmodules.util.numpy_support import vtk_to_numpy
+        from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+    except ImportError as error:
+        raise ConfigError(
+            f"'{source}' needs vtk: pip install 'tactorch[vtk]', or save it as .vtu."
+        ) from error
+    faults: list[bool] = []
+    reader: Any = vtkXMLPolyDataReader()
+    reader.AddObserver("ErrorEvent", lambda *_: faults.append(True))
+    reader.SetFileName(str(source))
+    reader.Update()
+    data = reader.GetOutput()
+    if faults or not data.GetNumberOfPoints():
+        raise FileError(f"'{source}' cannot be read as VTP, or has no points; is it complete?")
+    polygons = data.GetPolys()
+    connectivity = vtk_to_numpy(polygons.GetConnectivityArray()).astype(np.int64)
+    offsets = vtk_to_numpy(polygons.GetOffsetsArray()).astype(np.int64)
+    sizes = np.diff(offsets)
+    three, four = (
+        connectivity[offsets[:-1][sizes == size, None] + np.arange(size)] for size in (3, 4)
+    )
+    fields = {
+        data.GetPointData().GetArrayName(i): vtk_to_numpy(data.GetPointData().GetArray(i))
+        for i in range(data.GetPointData().GetNumberOfArrays())
+        if data.GetPointData().GetArray(i) is not None
+    }
+    cells = tuple(
+        data.GetCellData().GetArrayName(i) for i in range(data.GetCellData().GetNumberOfArrays())
+    )
+    triangles = np.vstack((three, _halves(four)))
+    points = vtk_to_numpy(data.GetPoints().GetData())
+    return _checked(source, points, np.zeros((0, 4), np.int64), triangles, fields, cells)
+
+
+def _checked(
+    source: Path,
+    points: np.ndarray,
+    tets: Int[np.ndarray, "m 4"],
+    triangles: Int[np.ndarray, "k 3"],
+    fields: Mapping[str, np.ndarray],
+    cell_fields: tuple[str, ...],
+) -> VtkFile:
+    places = np.asarray(points, dtype=np.float64)
+    if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
+        raise FileError(f"'{source}' has points that are not three finite numbers; repair it.")
+    for cells in (tets, triangles):
+        if cells.size and not 0 <= cells.min() <= cells.max() < len(places):
+            raise FileError(f"'{source}' has cells of points that do not exist; is it complete?")
+    return VtkFile(source, places, tets, triangles, fields, cell_fields)
