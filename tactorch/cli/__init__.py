@@ -13,6 +13,7 @@ __all__ = ["COMMANDS", "GROUPS", "VERBS", "main"]
 _HELP = ("-h", "--help", "help")
 VERBS = {
     "simulate": "press a phantom and record how its surface moves",
+    "body": "mesh an object from a labelled volume, such as a segmentation of CT or MRI",
     "import": "convert files of other formats into a recording",
     "invert": "reconstruct the map of Young's modulus from a recording",
     "live": "follow a growing recording: the map after each press, and where to press next",

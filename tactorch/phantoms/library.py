@@ -31,6 +31,7 @@ PHANTOMS = Registry(
         "hemisphere_random": "tactorch.phantoms.curved:HemisphereRandom",
         "hemisphere_two_spheres": "tactorch.phantoms.curved:HemisphereTwoSpheres",
         "toy_two_spheres": "tactorch.phantoms.curved:ToyTwoSpheres",
+        "labelled": "tactorch.phantoms.labelled:Labelled",
     },
 )
 
