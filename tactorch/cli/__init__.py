@@ -37,6 +37,7 @@ GROUPS = {
         "track": "follow the markers through frames",
         "reconstruct": "depth of the gel's surface in each frame",
         "force": "force on the gel in each frame: resultant and distribution",
+        "unpack": "frames and poses of a ROS 2 bag into a folder, for record",
         "record": "frames and poses of a session into a recording, to invert",
     }
 }
