@@ -18,8 +18,8 @@ START_S = 1_700_000_000.0
 RADIUS, MODULUS, NOISE = 3.0, 0.05, 0.004
 POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
-#: The tool points downwards, turned about the vertical.
-TOOL = Rotation.from_euler("xz", [180.0, 30.0], degrees=True)
+#: The tool points downwards, at a slant, and is turned about the vertical.
+TOOL = Rotation.from_euler("xz", [155.0, 30.0], degrees=True)
 
 Stamped = tuple[float, Any]
 
@@ -133,13 +133,20 @@ class Robot:
         return [(float(t), c - shift) for t, c in zip(time_s, self.centre(time_s), strict=True)]
 
     def forces(self) -> list[tuple[float, np.ndarray]]:
-        """Forces on the ball in the axes of the base, with noise and without offset."""
+        """Forces on the ball in the axes of the base, with noise and without offset.
+
+        They are half as large while the ball is lifted.
+        """
         rng = np.random.default_rng(self.seed)
         time_s = np.arange(0.007, self.times[-1] - 0.05, 1.0 / self.wrench_hz)
-        rows = zip(time_s, self.centre(time_s), strict=True)
+        centres = self.centre(time_s)
+        lifted = self.centre(time_s + 0.01)[:, 2] > centres[:, 2] + 1e-6
+        sizes = [
+            self.force(c) * (0.5 if up else 1.0) for c, up in zip(centres, lifted, strict=True)
+        ]
         return [
-            (float(t), np.array([0.0, 0.0, self.force(c)]) + NOISE * rng.standard_normal(3))
-            for t, c in rows
+            (float(t), np.array([0.0, 0.0, size]) + NOISE * rng.standard_normal(3))
+            for t, size in zip(time_s, sizes, strict=True)
         ]
 
     def wrenches(self, frame: str = "ft", sign: float = 1.0, fixed: bool = False) -> list[Stamped]:
