@@ -28,6 +28,7 @@ from tactorch.ros2 import PoseTrack, WrenchTrack, open_bag, read_poses, read_wre
 
 _log = logging.getLogger(__name__)
 _MIN_COMMON = 20  # forces at times with poses
+_FIXED = 1e-6  # change of a rotation that is none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +111,15 @@ class Ros2Options(PalpationSettings):
             return at[:, :3, :3]
         if self.wrench_axes == "fixed":
             return np.tile(np.eye(3), (len(time_s), 1, 1))
-        return poses.rotation_of(wrenches.frame, time_s)
+        try:
+            rotations = poses.rotation_of(wrenches.frame, time_s)
+        except FileError as error:
+            raise FileError(f"{error} Or give format.wrench_axes=tool or fixed.") from error
+        _log.info(
+            "Forces are in the axes of the frame %r, which %s.", wrenches.frame,
+            "are fixed" if np.ptp(rotations, axis=0).max() < _FIXED else "move with the tool",
+        )  # fmt: skip
+        return rotations
 
 
 def import_ros2(path: str | Path, **options: Any) -> Recording:

@@ -5,7 +5,15 @@ import pytest
 
 from tactorch import PressPlan, Settings, invert, simulate
 from tactorch.errors import ConfigError
-from tactorch.inverse import INITIALIZATIONS, PRIORS, Bounds, InverseProblem, Sparsity, Tikhonov
+from tactorch.inverse import (
+    INITIALIZATIONS,
+    PRIORS,
+    Bounds,
+    InverseProblem,
+    ShiftedPrior,
+    Sparsity,
+    Tikhonov,
+)
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -41,6 +49,18 @@ def test_equal_moduli_of_all_regions_are_one_level(name: str) -> None:
 
 def test_gaussian_priors_state_the_mean_of_each_element() -> None:
     np.testing.assert_allclose(Tikhonov(region_mpa=MODULI).on(MESH).mean, EXPECTED)
+
+
+def test_parts_and_shifts_of_priors_have_means_by_region() -> None:
+    part = {"tikhonov": {"region_mpa": MODULI, "weight": 2.0}, "smoothness": 1.0}
+    field = EXPECTED + np.random.default_rng(0).normal(0.0, 0.5, MESH.n_tets)
+    alone = Tikhonov(region_mpa=MODULI).on(MESH).value(field)
+    rest = PRIORS.build("smoothness").on(MESH).value(field)
+    together = PRIORS.build({"name": "composite", "parts": part}).on(MESH)
+    assert together.value(field) == pytest.approx(2.0 * alone + rest)
+    map_mpa = np.full(MESH.n_tets, 0.3)
+    shifted = ShiftedPrior(prior=Tikhonov(region_mpa=MODULI), mean_mpa=map_mpa).on(MESH)
+    np.testing.assert_allclose(shifted.mean, EXPECTED + np.log(0.3))
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.fem.contact.pressures import ball_force
 from tactorch.importers import import_ros2
+from tactorch.importers.sessions import Detection, Session, split_presses
 from tactorch.recording import Recording
 
 from .bags import (
@@ -64,6 +65,34 @@ def test_poses_and_wrenches_become_presses(tmp_path: Path, storage: str) -> None
     check(recording)
     assert recording.provenance["file"] == "bag"
     assert recording.provenance["tare_n"] == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_press_is_an_approach_and_ends_where_the_ball_is_deepest() -> None:
+    rows = ROBOT.forces()
+    time_s = np.array([t for t, _ in rows])
+    forces = np.array([f for _, f in rows]) + ROBOT.bias_n
+    session = Session(time_s, ROBOT.centre(time_s), forces)
+    probe, samples = split_presses(session, Detection(approach_mm=1.5), "session")
+    assert probe.max() == 16
+    for number in range(1, 17):
+        centres = samples.centres_mm[probe == number]
+        assert (np.diff(centres[:, 2]) < 0.0).all()
+        assert np.ptp(centres[:, :2], axis=0).max() < 0.02
+        surface = height(*centres[0, :2]) + RADIUS
+        assert surface - centres[-1, 2] == pytest.approx(1.2, abs=0.05)
+        assert 0.5 < centres[0, 2] - surface < 1.5
+    clear = samples.forces_n[samples.centres_mm[:, 2] > -36.5]
+    np.testing.assert_allclose(clear.mean(axis=0), 0.0, atol=0.002)
+
+
+def test_a_short_loss_of_contact_does_not_end_a_press() -> None:
+    rows = ROBOT.forces()
+    time_s = np.array([t for t, _ in rows])
+    forces = np.array([f for _, f in rows])
+    pressed = np.flatnonzero(forces[:, 2] > 0.1)
+    forces[pressed[3:6]] = 0.0
+    session = Session(time_s, ROBOT.centre(time_s), forces)
+    assert split_presses(session, Detection(), "session")[0].max() == 16
 
 
 def test_a_single_file_is_a_bag(tmp_path: Path) -> None:
@@ -116,6 +145,11 @@ def test_transforms_are_chained(tmp_path: Path) -> None:
         import_ros2(bag, pose_topic="/tf", **BLOCK)
     with pytest.raises(TactorchError, match=r"no transform of the frame 'probe'; its frames are"):
         import_ros2(bag, frame="object", tool_frame="probe", **BLOCK)
+    unnamed = [(t, wrench(t, f, "")[1]) for t, f in ROBOT.forces()]
+    topics = {"/tf": (TF, moving), "/tf_static": (TF, static), "/wrench": (WRENCH, unnamed)}
+    bag = write_bag(tmp_path / "unnamed", topics)
+    with pytest.raises(TactorchError, match=r"the frame ''.*give format\.wrench_axes"):
+        import_ros2(bag, frame="object", tool_frame="tool", **BLOCK)
 
 
 def TFMessage() -> Callable[[list[Any]], Any]:
