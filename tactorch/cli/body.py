@@ -41,7 +41,9 @@ def run(options: BodyOptions) -> Path:
     if options.out.suffix.lower() not in _SUFFIXES:
         raise ConfigError(f"out={options.out}: give a name that ends in .vtu or .msh.")
     body = read_body(options.volume, options, check_units=options.check_units)
-    mesh = body.mesh(options.edge_length_mm, max_elements=options.max_elements)
+    length = body.check_edge_length(options.edge_length_mm, options.max_elements)
+    log.info("meshing %.4g mm3 with edges of %.3g mm ...", body.volume_mm3, length)
+    mesh = body.mesh(length, max_elements=options.max_elements)
     write_mesh(options.out, mesh)
     size = " x ".join(f"{edge:.3g}" for edge in mesh.bounds[1] - mesh.bounds[0])
     log.info("body: %s mm, %d nodes, %d tetrahedra", size, mesh.n_points, mesh.n_tets)

@@ -8,7 +8,7 @@ import io
 import re
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -26,15 +26,13 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.table import read_rows
+from tactorch.sensor.times import read_times
 
 #: RGB image with 8 bits per channel.
 Image = UInt8[np.ndarray, "_ _ 3"]
 #: Path of a folder, an image or a video; number of a camera; or images.
 Source = str | Path | int | Iterable[np.ndarray]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-#: Table of the times of the images in a folder: frame (file name), time_s since the first.
-TIMES = "times.csv"
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".mpg", ".mpeg")
 
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF")  # as Pillow names them
@@ -313,27 +311,8 @@ def _folder_frames(path: Path) -> Iterator[Frame]:
     )
     if not files:
         raise FileError(f"folder of frames '{path}' has no image ({', '.join(IMAGE_SUFFIXES)}).")
-    times = _folder_times(folder, files)
+    times = read_times(folder, files)
     return (_image_frame(index, file, times.get(file.name)) for index, file in enumerate(files))
-
-
-def _folder_times(folder: Path, files: Sequence[Path]) -> dict[str, float]:
-    """Return the times of images by name, from the table of a folder; none without a table."""
-    path = folder / TIMES
-    if not path.exists():
-        return {}
-    rows = read_rows(path, "times of frames", ("frame", "time_s"))
-    times = {row.text("frame"): row.number("time_s") for row in rows}
-    missing = [file.name for file in files if file.name not in times]
-    if missing:
-        raise FileError(
-            f"'{path}' has no time of {missing[0]}, and of {len(missing)} images in all; add them,"
-            " or remove the file."
-        )
-    in_order = np.array([times[file.name] for file in files])
-    if not (np.isfinite(in_order).all() and (np.diff(in_order) > 0).all()):
-        raise FileError(f"'{path}': time_s must rise with the names of the images; repair it.")
-    return times
 
 
 def _image_frame(index: int, path: Path, time_s: float | None) -> Frame:

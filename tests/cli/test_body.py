@@ -42,8 +42,8 @@ def test_a_volume_is_simulated_and_inverted_by_region(
     done = tactorch(
         "simulate", "phantom=labelled", f"phantom.volume={labels}",
         "phantom.region_mpa={1: 0.1, 2: 0.4}", "press=top", "press.support=fixed",
-        "press.p_max_mpa=0.01", "press.steps=1", "mesh.edge_length_mm=4",
-        "mesh.fine_edge_length_mm=3.6", f"out={recording}",
+        "press.p_max_mpa=0.01", "press.steps=1", "mesh=same", "mesh.edge_length_mm=4",
+        f"out={recording}",
     )  # fmt: skip
     assert done.status == 0, done.err
     assert set(Recording.load(recording).mesh.regions) == {1, 2}

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError, MeshError
+from tactorch.inverse import INITIALIZATIONS, Bounds, InverseProblem
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.phantoms.labelled import Labelled, VoxelShape
+from tactorch.simulation import PressPlan, simulate
 
 
 @pytest.fixture
@@ -56,3 +58,23 @@ def test_wrong_settings_are_refused(volume: Path) -> None:
         Labelled(volume=volume, region_mpa={1: 0.1}).build()
     with pytest.raises(FileError, match="not found"):
         Labelled(volume=volume.with_name("none.nii"), region_mpa={1: 0.1}).build()
+
+
+@pytest.mark.slow
+def test_a_patch_is_pressed_alike_on_two_meshes(tmp_path: Path) -> None:
+    """The region of larger modulus is found stiffer although the presses are of another mesh."""
+    labels = np.zeros((16, 16, 12), dtype=np.int16)
+    labels[1:-1, 1:-1, 1:-1] = 1
+    labels[6:10, 6:10, 5:9] = 2
+    np.savez(tmp_path / "v.npz", labels=labels, spacing_mm=[1.0, 1.0, 1.0])
+    phantom = make_phantom("labelled", volume=tmp_path / "v.npz", region_mpa={1: 0.1, 2: 0.5})
+    plan = PressPlan(["z+"], [0.02], support="fixed", patch_radius_mm=4.0)
+    recording = simulate(
+        phantom, plan, mesh=phantom.mesh(3.0), fine_mesh=phantom.mesh(2.2), element="tet10",
+        samples=4, snr_db=40,
+    )  # fmt: skip
+    assert not recording.provenance["inverse_crime"]
+    start = INITIALIZATIONS.build("regions")(InverseProblem(recording), Bounds())
+    regions = recording.mesh.regions
+    assert start[regions == 1][0] == pytest.approx(0.1, rel=0.25)
+    assert start[regions == 2][0] > 1.3 * start[regions == 1][0]

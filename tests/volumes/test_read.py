@@ -83,6 +83,25 @@ def test_a_file_without_orientation_is_named(
     np.testing.assert_allclose(volume.voxel_mm, [1.0, 2.0, 3.0])
 
 
+def test_two_orientations_of_a_file_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    image = nib.Nifti1Image(block(), oblique())
+    image.set_qform(np.diag([1.0, 1.5, 2.0, 1.0]), code=1)
+    image.set_sform(oblique(), code=1)
+    image.to_filename(tmp_path / "v.nii")
+    with caplog.at_level(logging.WARNING):
+        volume = read_volume(tmp_path / "v.nii")
+    assert "sform and qform differ by up to" in caplog.text
+    np.testing.assert_allclose(volume.affine, oblique(), atol=1e-4)
+    caplog.clear()
+    image.set_qform(oblique(), code=1)
+    image.to_filename(tmp_path / "w.nii")
+    with caplog.at_level(logging.WARNING):
+        read_volume(tmp_path / "w.nii")
+    assert not caplog.text
+
+
 def test_arrays_state_their_place_or_get_a_spacing(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", labels=block(), affine=oblique())
     np.testing.assert_allclose(read_volume(tmp_path / "a.npz").affine, oblique())
@@ -199,7 +218,25 @@ def _broken_affine(value: float) -> np.ndarray:
     return affine
 
 
+def _header(path: Path, sform: float | None = None, pixdim: float | None = None) -> Path:
+    """Write NIfTI, and overwrite a row of the sform, or a voxel size without an sform."""
+    nifti(path, block())
+    content = bytearray(path.read_bytes())
+    if sform is not None:
+        content[280 : 280 + 16] = np.full(4, sform, dtype="<f4").tobytes()
+    if pixdim is not None:
+        content[254:256] = np.int16(0).tobytes()  # sform_code
+        content[252:254] = np.int16(1).tobytes()  # qform_code
+        content[80:84] = np.float32(pixdim).tobytes()
+    path.write_bytes(content)
+    return path
+
+
 BAD = {
+    "sform of NaN": (lambda p: _header(p / "v.nii", sform=np.nan), {}, "no finite numbers"),
+    "sform of 0": (lambda p: _header(p / "v.nii", sform=0.0), {}, "have no volume"),
+    "pixdim of 0": (lambda p: _header(p / "v.nii", pixdim=0.0), {}, "have no volume"),
+    "pixdim of NaN": (lambda p: _header(p / "v.nii", pixdim=np.nan), {}, "have no volume"),
     "missing": (lambda p: p / "none.nii", {}, "not found"),
     "no suffix": (lambda p: _text(p / "labels.txt"), {}, "no volume of labels"),
     "not NIfTI": (lambda p: _text(p / "v.nii"), {}, "cannot be read as NIfTI"),
