@@ -33,7 +33,7 @@ class VoxelShape(Shape):
     def signed_distance(self, points: Points) -> Distances:
         """Return the distance of each point (n, 3) to the voxels' surface, mm, within a voxel."""
         inverse = np.linalg.inv(self.voxels.volume.affine)
-        indices = points @ inverse[:3, :3].T + inverse[:3, 3]
+        indices = points @ inverse[:3, :3].T + inverse[:3, 3] + 1.0  # one for the padding
         distances: np.ndarray = ndimage.map_coordinates(
             self._distances, indices.T, order=1, mode="nearest"
         )
@@ -52,9 +52,9 @@ class VoxelShape(Shape):
         return self.voxels.surface()
 
     @cached_property
-    def _distances(self) -> Float[np.ndarray, "i j k"]:
-        """Signed distance at the centres of the voxels, mm."""
-        mask, sizes = self.voxels.mask, self.voxels.volume.voxel_mm
+    def _distances(self) -> Float[np.ndarray, "a b c"]:
+        """Signed distance at the centres of the voxels and a layer around them, mm."""
+        mask, sizes = np.pad(self.voxels.mask, 1), self.voxels.volume.voxel_mm
         half = 0.5 * float(sizes.min())
         outside = ndimage.distance_transform_edt(~mask, sampling=sizes)
         inside = ndimage.distance_transform_edt(mask, sampling=sizes)

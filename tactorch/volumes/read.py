@@ -66,8 +66,9 @@ def read_volume(
         file_unit = "mm"
     if unit is not None and unit != file_unit:
         _log.info("'%s': lengths are read in %s instead of %s.", source, unit, file_unit)
-    scale = np.diag([MM_PER_UNIT[unit or file_unit]] * 3 + [1.0])
-    return LabelVolume(labels, scale @ affine, names, str(source))
+    used = unit or file_unit
+    scale = np.diag([MM_PER_UNIT[used]] * 3 + [1.0])
+    return LabelVolume(labels, scale @ affine, names, str(source), used)
 
 
 def _kind(source: Path) -> str:

@@ -67,7 +67,7 @@ def read_body(
         volume = _without_holes(volume)
     body = Body(volume, settings.keep_largest)
     if check_units:
-        _check_size(body, settings)
+        _check_size(body)
     return body
 
 
@@ -136,16 +136,17 @@ def _without_holes(volume: LabelVolume) -> LabelVolume:
     return replace(volume, labels=np.where(holes, nearest, volume.labels))
 
 
-def _check_size(body: Body, settings: BodySettings) -> None:
+def _check_size(body: Body) -> None:
     """Refuse a size that suggests a wrong unit."""
     low, high = PLAUSIBLE_MM
     size, source = body.diagonal_mm, body.volume.source
     if low <= size <= high:
         return
-    here = MM_PER_UNIT[settings.unit or "mm"]
-    likely = [u for u, mm in MM_PER_UNIT.items() if low <= size / here * mm <= high]
+    unit = body.volume.unit
+    number = size / MM_PER_UNIT[unit]
+    likely = [u for u, mm in MM_PER_UNIT.items() if low <= number * mm <= high]
     hint = f"Is it in {' or '.join(likely)}? Give unit." if likely else "Check the spacing."
     raise FileError(
-        f"'{source}': the body is {size:.3g} mm across, from voxels of "
+        f"'{source}': the body is {size:.3g} mm across when read in {unit}, from voxels of "
         f"{body.volume.voxel_mm.max():.3g} mm. {hint} check_units=false accepts it."
     )

@@ -25,6 +25,7 @@ class LabelVolume:
         affine: Matrix from voxel indices (i, j, k, 1) to the position of the voxel's centre, mm.
         names: Names of labels, where the file states them.
         source: Name of the file in messages.
+        unit: Unit of the lengths in the file, in messages.
 
     Raises:
         FileError: The affine matrix is not finite, or voxels have no volume.
@@ -34,6 +35,7 @@ class LabelVolume:
     affine: Float[np.ndarray, "4 4"]
     names: Mapping[int, str] = field(default_factory=dict)
     source: str = "volume"
+    unit: str = "mm"
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.affine).all():

@@ -38,6 +38,13 @@ def test_distances_are_signed(volume: Path) -> None:
     np.testing.assert_allclose(shape.bounds(), [[1.0] * 3, [11.0, 11.0, 9.0]], atol=0.6)
 
 
+def test_a_volume_that_is_all_body_has_distances(tmp_path: Path) -> None:
+    np.savez(tmp_path / "v.npz", labels=np.ones((6, 6, 6), int), spacing_mm=[1.0, 1.0, 1.0])
+    shape = make_phantom("labelled", volume=tmp_path / "v.npz", region_mpa={1: 0.1}).body
+    points = np.array([[2.0, 2.0, 2.0], [2.0, 2.0, 0.0], [2.0, 2.0, -1.0]])
+    np.testing.assert_allclose(shape.signed_distance(points), [-2.5, -0.5, 0.5])
+
+
 def test_its_mesh_has_the_labels_as_regions(volume: Path) -> None:
     phantom = make_phantom("labelled", volume=volume, region_mpa={1: 0.1, 3: 0.3})
     mesh = phantom.mesh(4.0)

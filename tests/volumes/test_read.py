@@ -266,10 +266,13 @@ BAD = {
     "zero spacing": (lambda p: _npz(p, spacing_mm=[1.0, 0.0, 1.0]), {}, "have no volume"),
     "metres as mm": (
         lambda p: nifti(p / "v.nii", block(), np.diag([1e-3, 1e-3, 1e-3, 1.0])), {},
-        r"0.0188 mm across.*in m\?",
+        r"0.0188 mm across when read in mm.*in m\?",
     ),
     "micrometres as mm": (
         lambda p: nifti(p / "v.nii", block(), np.diag([1e3, 1e3, 1e3, 1.0])), {}, "in um",
+    ),
+    "mm as metres": (
+        lambda p: nifti(p / "v.nii", block(), unit="meter"), {}, r"in m, .*Is it in mm or cm\?"
     ),
     "no spacing": (lambda p: _npy(p), {}, "give spacing_mm"),
     "spacing twice": (
