@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError, FileError
 
-_SEGMENTATION = "1.2.840.10008.5.1.4.1.1.66.4"  # SOP class: Segmentation Storage
+# SOP classes: Segmentation Storage, Label Map Segmentation Storage.
+_SEGMENTATIONS = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")
 
 
 def read_segmentation(
@@ -33,7 +34,7 @@ def read_segmentation(
     try:
         with warnings.catch_warnings(action="ignore"):
             dataset = pydicom.dcmread(source)
-            if dataset.get("SOPClassUID") != _SEGMENTATION:
+            if dataset.get("SOPClassUID") not in _SEGMENTATIONS:
                 kind = dataset.get("Modality", "unknown")
                 raise FileError(
                     f"'{source}' is DICOM of modality {kind}, not a segmentation (SEG); give the "

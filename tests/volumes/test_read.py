@@ -133,7 +133,9 @@ def test_positions_and_indices_are_inverse(
     assert (volume.indices(volume.positions(indices.astype(float))) == indices).all()
 
 
-def segmentation(path: Path, labels: np.ndarray) -> Path:
+def segmentation(
+    path: Path, labels: np.ndarray, kind: str = "BINARY", overlap: bool = False
+) -> Path:
     """Write a DICOM segmentation of CT slices of 0.5 x 0.8 mm, 2 mm apart."""
     hd = pytest.importorskip("highdicom")
     import pydicom
@@ -170,17 +172,21 @@ def segmentation(path: Path, labels: np.ndarray) -> Path:
         )
         for number in numbers
     ]  # fmt: skip
+    pixels = np.ascontiguousarray(labels.transpose(2, 1, 0)).astype(np.uint8)
+    if overlap:
+        pixels = np.stack([pixels >= number for number in numbers], axis=-1).astype(np.uint8)
     dataset = hd.seg.Segmentation(
-        images, np.ascontiguousarray(labels.transpose(2, 1, 0)).astype(np.uint8),
-        hd.seg.SegmentationTypeValues.BINARY, described, generate_uid(), 1, generate_uid(), 1,
+        images, pixels,
+        hd.seg.SegmentationTypeValues[kind], described, generate_uid(), 1, generate_uid(), 1,
         "maker", "model", "1", "serial",
     )  # fmt: skip
     dataset.save_as(path)
     return path
 
 
-def test_dicom_segmentations_have_places_and_names(tmp_path: Path) -> None:
-    volume = read_volume(segmentation(tmp_path / "seg.dcm", block()))
+@pytest.mark.parametrize("kind", ["BINARY", "LABELMAP"])
+def test_dicom_segmentations_have_places_and_names(tmp_path: Path, kind: str) -> None:
+    volume = read_volume(segmentation(tmp_path / "seg.dcm", block(), kind))
     assert volume.names == {1: "part 1", 2: "part 2"}
     assert sorted(volume.voxel_mm) == pytest.approx([0.5, 0.8, 2.0])
     ball = volume.positions(np.argwhere(volume.labels == 2).astype(float))
@@ -188,6 +194,12 @@ def test_dicom_segmentations_have_places_and_names(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.sort(ball, axis=0), np.sort(expected, axis=0), atol=1e-6)
     centre = ball.mean(axis=0)
     np.testing.assert_allclose(centre, expected.mean(axis=0))
+
+
+def test_segments_that_overlap_are_refused(tmp_path: Path) -> None:
+    path = segmentation(tmp_path / "seg.dcm", block(), overlap=True)
+    with pytest.raises(TactorchError, match=r"seg\.dcm.*Export segments that do not overlap"):
+        read_volume(path)
 
 
 def test_dicom_images_are_no_segmentations(tmp_path: Path) -> None:
