@@ -206,7 +206,8 @@ def open_recording(path: str | Path) -> Iterator[RecordingReader]:
 
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:
     """Write the fields of a `Recording` into a file or group."""
-    write_attributes(group, format=schema.FORMAT, version=schema.SAVED, units=schema.UNITS)
+    version = schema.written_version(regions=fields["mesh"].regions is not None)
+    write_attributes(group, format=schema.FORMAT, version=version, units=schema.UNITS)
     if fields["density"] is not None:
         write_attributes(group, density=fields["density"])
     write_array(group, "mesh/points", fields["mesh"].points.astype("<f8"))

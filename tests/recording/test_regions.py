@@ -1,5 +1,6 @@
 """Regions of the mesh of a recording: files, refinement, growing files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +20,39 @@ def recording() -> Recording:
     return simulate(make_phantom("cube_sphere"), PressPlan(["z+"], [0.01]), mesh=upper)
 
 
+def version(path: Path) -> int:
+    import h5py
+
+    with h5py.File(path) as file:
+        return int(file.attrs["version"])
+
+
 def test_regions_are_stored(recording: Recording, tmp_path: Path) -> None:
     recording.save(tmp_path / "r.h5")
     loaded = Recording.load(tmp_path / "r.h5")
     np.testing.assert_array_equal(loaded.mesh.regions, recording.mesh.regions)
     assert "regions: 1 (24 elements), 4 (24 elements)" in loaded.summary()
+    assert version(tmp_path / "r.h5") == 8
     append_press(tmp_path / "r.h5", recording.presses[0])
+    assert version(tmp_path / "r.h5") == 9
     compact(tmp_path / "r.h5")
+    assert version(tmp_path / "r.h5") == 8
     grown = Recording.load(tmp_path / "r.h5")
     assert len(grown.presses) == 2
     np.testing.assert_array_equal(grown.mesh.regions, recording.mesh.regions)
+
+
+def test_files_without_regions_keep_the_version_of_earlier_readers(
+    recording: Recording, tmp_path: Path
+) -> None:
+    bare = replace(recording, mesh=recording.mesh.with_regions(None))
+    bare.save(tmp_path / "r.h5")
+    assert version(tmp_path / "r.h5") == 6
+    append_press(tmp_path / "r.h5", bare.presses[0])
+    assert version(tmp_path / "r.h5") == 7
+    compact(tmp_path / "r.h5")
+    assert version(tmp_path / "r.h5") == 6
+    assert len(Recording.load(tmp_path / "r.h5").presses) == 2
 
 
 def test_wrong_regions_of_a_file_are_refused(recording: Recording, tmp_path: Path) -> None:

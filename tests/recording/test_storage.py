@@ -144,7 +144,7 @@ def test_file_is_as_documented(saved: Path) -> None:
     with h5py.File(saved) as file:
         assert dict(file.attrs) == {
             "format": b"tactorch-recording",
-            "version": 8,
+            "version": 6,
             "units": b"mm, N, MPa, tonne/mm^3",
         }
         assert set(file) == {"mesh", "material", "gravity", "provenance", "truth", "presses"}
