@@ -21,7 +21,7 @@ _SMALLEST_N = 1e-3  # of that force
 _MERGE_S = 0.1  # loss of contact that does not end a press
 _END = 0.98  # of the deepest advance, at which a press ends
 _ASIDE = 0.2  # motion aside over motion along, up to which the approach belongs to a press
-_PER_PRESS = 64  # samples that remain of a press, as means
+_PER_PRESS = 64  # samples that remain of a press at most, as means over equal steps of its motion
 
 
 class Session(NamedTuple):
@@ -59,7 +59,8 @@ def split_presses(
 ) -> tuple[Int[np.ndarray, " s"], Session]:
     """Return the number of the press of each sample, from 1, and the samples of presses.
 
-    Many successive samples of a press are averaged. The forces have no offset.
+    Where a press has many samples, they are averaged over steps of its motion. The forces have no
+    offset.
 
     Args:
         session: Positions and forces.
@@ -85,13 +86,26 @@ def split_presses(
             "Give format.contact_n, and check that the poses are those of the tool."
         )
     _log.info("'%s': %d presses, with forces above %.3g N.", source, len(rows), contact_n)
-    parts = [np.array_split(press, min(len(press), _PER_PRESS)) for press in rows]
+    parts = [_parts(session.centres_mm, press) for press in rows]
     means = [
         np.array([values[part].mean(axis=0) for press in parts for part in press])
         for values in (session.time_s, session.centres_mm, forces)
     ]
     probe = np.repeat(numbers, [len(press) for press in parts])
     return probe, Session(*means)
+
+
+def _parts(
+    centres: Float[np.ndarray, "n 3"], press: Int[np.ndarray, " k"]
+) -> list[Int[np.ndarray, " j"]]:
+    """Divide the samples of a press by equal steps along its motion; a stop is in one of them."""
+    if len(press) <= _PER_PRESS:
+        return list(press[:, None])
+    push = centres[press[-1]] - centres[press[0]]
+    along = (centres[press] - centres[press[0]]) @ push
+    low, span = along.min(), max(float(np.ptp(along)), 1e-300)
+    steps = np.minimum((along - low) / span * _PER_PRESS, _PER_PRESS - 1).astype(int)
+    return [press[steps == step] for step in np.unique(steps)]
 
 
 def _rest(

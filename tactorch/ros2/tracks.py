@@ -5,6 +5,7 @@ ROS has metres; they are converted here. Times are since the begin of the bag, s
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -70,12 +71,18 @@ def read_poses(
 
     Raises:
         FileError: There is no such topic; transforms do not connect the frames; a pose is not
-            finite or no rotation; times run backwards.
+            finite or no rotation; times run backwards; frames are given for poses, or those of
+            one topic differ.
     """
     if topic is None and tool_frame is not None:
         topic = "/tf"
     topic = bag.choose(topic, (POSE, TRANSFORMS), "pose_topic")
     if bag.topics[topic] == POSE:
+        if frame is not None or tool_frame is not None:
+            raise FileError(
+                f"bag '{bag.path}': {topic} has poses, which frame and tool_frame do not change; "
+                "leave these out, or give a topic of transforms as pose_topic."
+            )
         return _track_of_poses(bag, topic, max_gap_s)
     if frame is None or tool_frame is None:
         raise FileError(
@@ -105,7 +112,7 @@ def _track_of_poses(bag: Bag, topic: str, max_gap_s: float) -> PoseTrack:
         place, turn = message.pose.position, message.pose.orientation
         poses.append(rigid(place, turn, f"bag '{bag.path}': {topic} at {time_s:.3f} s"))
         times.append(time_s)
-        frame = message.header.frame_id
+        frame = _same_frame(frame, message, len(times), f"bag '{bag.path}': {topic}")
     track = Track(np.array(times), np.array(poses), f"bag '{bag.path}': {topic}", max_gap_s)
 
     def rotation_of(name: str, at: Times) -> np.ndarray:
@@ -117,6 +124,17 @@ def _track_of_poses(bag: Bag, topic: str, max_gap_s: float) -> PoseTrack:
     return PoseTrack(frame, track.begin_s, track.end_s, track.at, rotation_of)
 
 
+def _same_frame(frame: str, message: Any, count: int, what: str) -> str:
+    """Return the frame of a message, the number `count`; refuse another one than before."""
+    new = str(message.header.frame_id)
+    if count > 1 and new != frame:
+        raise FileError(
+            f"{what} has messages in the frames {frame!r} and {new!r}; leave one of the publishers "
+            "out."
+        )
+    return new
+
+
 def read_wrenches(bag: Bag, topic: str | None, max_gap_s: float) -> WrenchTrack:
     """Read the forces of a topic of wrenches.
 
@@ -125,13 +143,14 @@ def read_wrenches(bag: Bag, topic: str | None, max_gap_s: float) -> WrenchTrack:
             gap.
     """
     topic = bag.choose(topic, (WRENCH,), "wrench_topic")
+    what = f"bag '{bag.path}': {topic}"
     times, forces, frame = [], [], ""
     for received, message in bag.messages(topic):
         times.append(bag.seconds(message.header, received, topic))
         force = message.wrench.force
         forces.append((force.x, force.y, force.z))
-        frame = message.header.frame_id
-    what, array = f"bag '{bag.path}': {topic}", np.array(forces, dtype=np.float64)
+        frame = _same_frame(frame, message, len(times), what)
+    array = np.array(forces, dtype=np.float64)
     time_s, kept = increasing(np.array(times), what)
     array = array[kept]
     finite = np.isfinite(array).all(axis=1)

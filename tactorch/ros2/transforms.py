@@ -62,7 +62,7 @@ class Track:
         poses: Transforms, mm.
         what: Name in messages.
         max_gap_s: Longest time between two poses that is interpolated, s.
-        static: Whether the first transform applies at all times.
+        static: Whether the last transform applies at all times.
     """
 
     time_s: Float[np.ndarray, " n"]
@@ -72,6 +72,8 @@ class Track:
     static: bool = False
 
     def __post_init__(self) -> None:
+        if self.static:
+            return
         self.time_s, kept = increasing(self.time_s, self.what)
         self.poses = self.poses[kept]
 
@@ -89,9 +91,17 @@ class Track:
         """Interpolate at times within: linear translation, spherical linear rotation.
 
         Raises:
-            FileError: A time is in a gap.
+            FileError: A time is in a gap, or before or after all transforms.
         """
-        if self.static or len(self.time_s) == 1:
+        if self.static:
+            return np.tile(self.poses[-1], (len(times), 1, 1))
+        outside = times[(times < self.begin_s) | (times > self.end_s)]
+        if len(outside):
+            raise FileError(
+                f"{self.what} is known from {self.begin_s:.3f} to {self.end_s:.3f} s, and needed at"
+                f" {outside[0]:.3f} s; cut the bag to the times of all transforms."
+            )
+        if len(self.time_s) == 1:
             return np.tile(self.poses[-1], (len(times), 1, 1))
         right = np.clip(np.searchsorted(self.time_s, times), 1, len(self.time_s) - 1)
         gaps = self.time_s[right] - self.time_s[right - 1]
