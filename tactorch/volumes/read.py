@@ -141,7 +141,13 @@ def _read_arrays(
         return labels, _numbers(arrays, "affine", (4, 4), source)
     affine = np.eye(4)
     if "spacing_mm" in arrays:
-        affine[:3, :3] = np.diag(_numbers(arrays, "spacing_mm", (3,), source))
+        sizes = _numbers(arrays, "spacing_mm", (3,), source)
+        if not (sizes > 0.0).all():
+            raise FileError(
+                f"'{source}': spacing_mm is {sizes.tolist()}; give positive edge lengths, so that "
+                "voxels have a volume, and the array affine for axes that are reversed."
+            )
+        affine[:3, :3] = np.diag(sizes)
     elif spacing_mm is not None:
         affine[:3, :3] = np.diag(np.asarray(spacing_mm, dtype=np.float64))
     else:

@@ -48,13 +48,16 @@ def smooth_surface(
 
         vertices, triangles, _, _ = measure.marching_cubes(field, level, allow_degenerate=False)
         indices = first + factors * vertices.astype(np.float64) + 0.5 * (factors - 1)
-        return indices @ affine[:3, :3].T + affine[:3, 3], triangles.astype(np.int64)
+        # Those of marching cubes are inward in right-handed axes.
+        outward = triangles[:, ::-1] if determinant > 0.0 else triangles
+        return indices @ affine[:3, :3].T + affine[:3, 3], outward.astype(np.int64)
 
-    volume = float(mask.sum()) * abs(np.linalg.det(affine[:3, :3]))
+    determinant = float(np.linalg.det(affine[:3, :3]))
+    volume = float(mask.sum()) * abs(determinant)
     peak = float(field.max())
 
     def excess(fraction: float) -> float:
-        return abs(enclosed_volume(*surface(fraction * peak))) - volume
+        return enclosed_volume(*surface(fraction * peak)) - volume
 
     low, high = _LEVELS
     if excess(low) < 0.0 or excess(high) > 0.0:

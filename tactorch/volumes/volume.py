@@ -28,7 +28,7 @@ class LabelVolume:
         unit: Unit of the lengths in the file, in messages.
 
     Raises:
-        FileError: The affine matrix is not finite, or voxels have no volume.
+        FileError: The affine matrix is not finite or not affine, or voxels have no volume.
     """
 
     labels: Int[np.ndarray, "i j k"]
@@ -42,6 +42,11 @@ class LabelVolume:
             raise FileError(
                 f"'{self.source}': the affine matrix has entries that are no finite numbers; write "
                 "the file again with the spacing and orientation of the voxels."
+            )
+        if not np.array_equal(self.affine[3], [0.0, 0.0, 0.0, 1.0]):
+            raise FileError(
+                f"'{self.source}': the last row of the affine matrix is {self.affine[3].tolist()}, "
+                "not 0, 0, 0, 1; give the matrix that maps the column (i, j, k, 1) to a position."
             )
         sizes = self.voxel_mm
         if not self.voxel_mm3 > _MIN_VOLUME * sizes.max() ** 3:

@@ -40,15 +40,18 @@ def centroid(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     detail=st.floats(0.0, 2.0),
     sizes=st.tuples(*[st.sampled_from([0.5, 1.0, 2.0])] * 3),
     angle=st.floats(-180.0, 180.0),
+    flip=st.booleans(),
 )
 def test_the_surface_is_closed_and_keeps_the_volume(
-    radius: float, detail: float, sizes: tuple[float, float, float], angle: float
+    radius: float, detail: float, sizes: tuple[float, float, float], angle: float, flip: bool
 ) -> None:
     affine = np.eye(4)
     turn = Rotation.from_euler("xyz", [angle, 20.0, 5.0], degrees=True).as_matrix()
-    affine[:3, :3] = turn @ np.diag(sizes)
+    affine[:3, :3] = turn @ np.diag(sizes) @ np.diag([-1.0 if flip else 1.0, 1.0, 1.0])
     mask = ball(radius)
-    vertices, triangles = closed_surface(*smooth_surface(mask, affine, detail))
+    vertices, triangles = smooth_surface(mask, affine, detail)
+    _, outward = closed_surface(vertices, triangles)
+    np.testing.assert_array_equal(triangles, outward)
     volume = mask.sum() * np.prod(sizes)
     assert enclosed_volume(vertices, triangles) == pytest.approx(volume, rel=5e-3)
     centre = affine[:3, :3] @ np.full(3, 11.5)
@@ -88,7 +91,8 @@ def test_elements_have_the_label_of_most_of_their_volume(body: Body, mesh: TetMe
     lattice = np.random.default_rng(0).dirichlet(np.ones(4), (mesh.n_tets, 200))
     points = np.einsum("msc,mcd->msd", lattice, mesh.points[mesh.tets])
     share = (body.labels_at(points.reshape(-1, 3)) == 2).reshape(mesh.n_tets, 200).mean(axis=1)
-    clear = np.abs(share - 0.5) > 0.15
+    # Shares of the 20 points of an element differ from those of 200 by up to 0.15.
+    clear = np.abs(share - 0.5) > 0.25
     assert ((share > 0.5) == (mesh.regions == 2))[clear].all()
 
 

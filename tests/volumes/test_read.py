@@ -275,7 +275,9 @@ BAD = {
         lambda p: _npz(p, affine=_broken_affine(np.nan)), {}, "no finite numbers"
     ),
     "flat voxels": (lambda p: _npz(p, affine=_broken_affine(0.0)), {}, "have no volume"),
-    "zero spacing": (lambda p: _npz(p, spacing_mm=[1.0, 0.0, 1.0]), {}, "have no volume"),
+    "zero spacing": (lambda p: _npz(p, spacing_mm=[1.0, 0.0, 1.0]), {}, "give positive edge"),
+    "negative spacing": (lambda p: _npz(p, spacing_mm=[-1.0, 1.0, 1.0]), {}, "give positive edge"),
+    "transposed affine": (lambda p: _npz(p, affine=_transposed()), {}, "last row of the affine"),
     "metres as mm": (
         lambda p: nifti(p / "v.nii", block(), np.diag([1e-3, 1e-3, 1e-3, 1.0])), {},
         r"0.0188 mm across when read in mm.*in m\?",
@@ -308,6 +310,12 @@ def _text(path: Path) -> Path:
 def _cut(path: Path) -> Path:
     path.write_bytes(path.read_bytes()[:1000])
     return path
+
+
+def _transposed() -> np.ndarray:
+    affine = np.eye(4)
+    affine[:3, 3] = 5.0, 6.0, 7.0
+    return affine.T
 
 
 def _npz(folder: Path, name: str = "labels", **arrays: object) -> Path:
