@@ -33,7 +33,7 @@ PAGES = {
         "Mechanics",
         ["tactorch.fem", "tactorch.fem.contact", "tactorch.fem.materials", "tactorch.linalg"],
     ),
-    "mesh": ("Meshes", ["tactorch.mesh"]),
+    "mesh": ("Meshes", ["tactorch.mesh", "tactorch.volumes"]),
     "sensor": (
         "Sensors",
         [

@@ -14,6 +14,7 @@ _HELP = ("-h", "--help", "help")
 VERBS = {
     "simulate": "press a phantom and record how its surface moves",
     "mesh": "tetrahedra inside a closed surface (STL, OBJ, PLY)",
+    "body": "mesh an object from a labelled volume, such as a segmentation of CT or MRI",
     "import": "convert files of other formats into a recording",
     "invert": "reconstruct the map of Young's modulus from a recording",
     "live": "follow a growing recording: the map after each press, and where to press next",
@@ -37,6 +38,7 @@ GROUPS = {
         "track": "follow the markers through frames",
         "reconstruct": "depth of the gel's surface in each frame",
         "force": "force on the gel in each frame: resultant and distribution",
+        "unpack": "frames and poses of a ROS 2 bag into a folder, for record",
         "record": "frames and poses of a session into a recording, to invert",
     }
 }

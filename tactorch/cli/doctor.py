@@ -179,7 +179,11 @@ _PACKAGES: dict[str, tuple[str, str]] = {
     "joblib": ("joblib", "generate with several workers"),
     "threadpoolctl": ("threadpoolctl", "generate"),
     "dask": ("distributed", "generate executor=dask, on a cluster"),
+    "nibabel": ("nibabel", "body: segmentations in NIfTI"),
+    "highdicom": ("highdicom", "body: segmentations in DICOM"),
+    "rosbags": ("rosbags", "import format=ros2, sensor unpack: bags of ROS"),
 }
+_EXTRAS = {"dask": "dask", "nibabel": "volumes", "highdicom": "volumes", "rosbags": "ros"}
 _CORE = ("torch", "numpy", "scipy", "numba", "jaxtyping", "h5py", "hydra-core", "pyyaml")
 
 
@@ -217,8 +221,8 @@ def _specifiers() -> dict[str, Any]:
 
 def _install(name: str) -> str:
     """Return the command that installs a package."""
-    if name == "dask":
-        return 'pip install "tactorch[dask]"'
+    if name in _EXTRAS:
+        return f'pip install "tactorch[{_EXTRAS[name]}]"'
     needed = _specifiers().get(name, "")
     return f'pip install "{name}{needed}"' if str(needed) else f"pip install {name}"
 

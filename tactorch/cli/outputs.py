@@ -15,6 +15,7 @@ from tactorch.files import write_file, write_json
 from tactorch.findings import SHAPES, Finding, find_lump
 from tactorch.findings.text import summarize_inclusion
 from tactorch.inverse import NuisanceEstimate, Reconstruction
+from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion, scores
 from tactorch.recording import Recording
 
@@ -130,6 +131,7 @@ def summarise(
         "volume_at_bounds": reconstruction.volume_at_bounds,
         "warnings": reconstruction.warnings,
         "inclusion": None if inclusion is None else inclusion.plain(),
+        "regions": region_moduli(recording.mesh, youngs),
         "nuisance": {name: found.plain() for name, found in reconstruction.nuisance.items()},
     }
     if recording.truth is not None:
@@ -151,6 +153,7 @@ def describe(
         f"The data are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations"
         + (f" (misfit {summary['misfit']:.3g} mm2)." if summary["misfit"] else "."),
         *_describe_map(reconstruction, inclusion),
+        *_describe_regions(summary["regions"]),
         *(_describe_estimate(name, value) for name, value in reconstruction.nuisance.items()),
         *(f"DO NOT TRUST THIS MAP: {warning}" for warning in reconstruction.warnings),
     ]
@@ -168,6 +171,30 @@ def _describe_map(reconstruction: Reconstruction, inclusion: Inclusion | None) -
         return []
     median = float(np.median(reconstruction.youngs))
     return ["In the map: " + summarize_inclusion(inclusion, median)]
+
+
+def region_moduli(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> dict[str, dict[str, float]]:
+    """Return the median and the deciles of the moduli of each region, by volume, MPa."""
+    if mesh.regions is None:
+        return {}
+    moduli = {}
+    for number in np.unique(mesh.regions):
+        mine = mesh.regions == number
+        order = np.argsort(youngs[mine])
+        below = np.cumsum(mesh.volumes[mine][order])
+        places = np.searchsorted(below, np.array([0.1, 0.5, 0.9]) * below[-1])
+        low, median, high = youngs[mine][order][places].tolist()
+        moduli[str(number)] = {"p10_mpa": low, "median_mpa": median, "p90_mpa": high}
+    return moduli
+
+
+def _describe_regions(regions: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Return the moduli of each region as text; none of a mesh without regions."""
+    return [
+        f"Region {number}: median {values['median_mpa']:.3g} MPa, {values['p10_mpa']:.3g} to "
+        f"{values['p90_mpa']:.3g} MPa in the middle 80 % of its volume."
+        for number, values in regions.items()
+    ]
 
 
 def _describe_estimate(name: str, estimate: NuisanceEstimate) -> str:

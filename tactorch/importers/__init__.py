@@ -3,6 +3,7 @@
 from tactorch.config import Registry
 from tactorch.importers.palpation import PalpationOptions, import_palpation
 from tactorch.importers.published import PublishedOptions, import_published
+from tactorch.importers.ros2 import Ros2Options, import_ros2
 from tactorch.importers.table import TableOptions, import_table
 from tactorch.importers.vtk import VtkOptions, import_vtk
 
@@ -14,6 +15,7 @@ FORMATS = Registry(
         "palpation": "tactorch.importers:PalpationOptions",
         "table": "tactorch.importers:TableOptions",
         "vtk": "tactorch.importers:VtkOptions",
+        "ros2": "tactorch.importers:Ros2Options",
     },
 )
 
@@ -21,10 +23,12 @@ __all__ = [
     "FORMATS",
     "PalpationOptions",
     "PublishedOptions",
+    "Ros2Options",
     "TableOptions",
     "VtkOptions",
     "import_palpation",
     "import_published",
+    "import_ros2",
     "import_table",
     "import_vtk",
 ]

@@ -35,8 +35,8 @@ from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Rec
 
 
 @dataclass(frozen=True, kw_only=True)
-class PalpationOptions(Options):
-    """Read the palpation by a robot with a ball and a force sensor (see the module's docstring)."""
+class PalpationSettings(Options):
+    """Object, ball and errors of a palpation, whatever its file."""
 
     section: ClassVar[str] = "format"
     radius_mm: float | None = option(
@@ -65,9 +65,14 @@ class PalpationOptions(Options):
     )
     check_units: bool = option(True, "Refuse magnitudes that suggest a wrong unit")
 
-    def __call__(self, *, path: str | Path) -> Recording:
-        """Read a file; see `import_palpation`."""
-        samples = read_samples(Path(path), self.radius_mm, check_units=self.check_units)
+    def record(self, samples: Samples, path: str | Path) -> Recording:
+        """Return the recording of the samples of a file: contacts, object and presses.
+
+        Raises:
+            FileError: No probe's force rises with the depth.
+            MeshError: The surface or the mesh cannot be used.
+            RecordingError: The samples do not make a valid recording.
+        """
         samples, contacts = find_contacts(samples, self.noise_n, str(path))
         samples = samples.reduced(self.depths)
         block = self._body(samples, contacts)
@@ -92,6 +97,16 @@ class PalpationOptions(Options):
         return block.mesh, fixed, above * samples.normals[:, 2]
 
 
+@dataclass(frozen=True, kw_only=True)
+class PalpationOptions(PalpationSettings):
+    """Read the palpation by a robot with a ball and a force sensor (see the module's docstring)."""
+
+    def __call__(self, *, path: str | Path) -> Recording:
+        """Read a file; see `import_palpation`."""
+        samples = read_samples(Path(path), self.radius_mm, check_units=self.check_units)
+        return self.record(samples, path)
+
+
 def import_palpation(path: str | Path, **options: Any) -> Recording:
     """Read the palpation by a robot with a ball and a force sensor (see the module's docstring).
 
@@ -113,7 +128,7 @@ def import_palpation(path: str | Path, **options: Any) -> Recording:
 
 
 def _record(
-    options: PalpationOptions,
+    options: PalpationSettings,
     samples: Samples,
     contacts: Contacts,
     mesh: TetMesh,

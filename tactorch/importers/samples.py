@@ -97,26 +97,55 @@ def read_samples(path: Path, radius_mm: float | None, *, check_units: bool) -> S
     def columns(names: tuple[str, ...]) -> Float[np.ndarray, "s 3"]:
         return np.column_stack([table[name] for name in names])
 
-    centres, forces = columns(_POSITION), columns(_FORCE)
-    bad = ~np.isfinite(np.column_stack([table["probe"], centres, forces])).all(axis=1)
+    surface = (columns(_CONTACT), columns(_NORMAL)) if _CONTACT[0] in table else None
+    return make_samples(
+        path, table["probe"], columns(_POSITION), columns(_FORCE), radius_mm, surface=surface,
+        check_units=check_units,
+    )  # fmt: skip
+
+
+def make_samples(
+    path: Path,
+    probes: Float[np.ndarray, " s"],
+    centres: Float[np.ndarray, "s 3"],
+    forces: Float[np.ndarray, "s 3"],
+    radius_mm: float | None,
+    *,
+    surface: tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "s 3"]] | None = None,
+    check_units: bool,
+) -> Samples:
+    """Return the samples of rows; rows and probes that cannot be used are left out, and named.
+
+    Args:
+        path: Name of their file in messages.
+        probes: Number of the probe of each row.
+        centres: Centre of the ball, mm.
+        forces: Force on the ball, N.
+        radius_mm: Radius of the ball; None for the distance of its centre from the contacts.
+        surface: First contact and outward normal of the probe of each row, where the file has them.
+        check_units: Whether magnitudes that suggest a wrong unit are refused.
+
+    Raises:
+        FileError: The rows cannot be used.
+    """
+    bad = ~np.isfinite(np.column_stack([probes, centres, forces])).all(axis=1)
     if bad.any():
         _log.warning(
             "'%s': %d rows without a number in every column are left out.", path, bad.sum()
         )
     numbers, first, probe = np.unique(
-        np.where(bad, np.nan, table["probe"]), return_index=True, return_inverse=True
+        np.where(bad, np.nan, probes), return_index=True, return_inverse=True
     )
     if check_units:
         _check_units(path, centres[~bad], forces[~bad])
-    has_contacts = _CONTACT[0] in table
     ends = [_first_and_last(np.flatnonzero((probe == k) & ~bad)) for k in range(len(numbers))]
     starts = np.array([a for a, _ in ends])
     motion = centres[[b for _, b in ends]] - centres[starts]
     travel = np.linalg.norm(motion, axis=1)
     normals = -motion / np.maximum(travel, 1e-300)[:, None]
     radius = radius_mm
-    if has_contacts:
-        normals, contacts = columns(_NORMAL)[first], columns(_CONTACT)[first]
+    if surface is not None:
+        contacts, normals = surface[0][first], surface[1][first]
         if radius is None:
             radius = _radius(path, centres[starts], contacts)
     if radius is None:

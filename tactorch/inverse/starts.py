@@ -47,6 +47,7 @@ INITIALIZATIONS = Registry(
     {
         "uniform": "tactorch.inverse.starts:Uniform",
         "coarse": "tactorch.inverse.starts:CoarseStart",
+        "regions": "tactorch.inverse.region_start:RegionStart",
         "surrogate": "tactorch.learning.surrogate:SurrogateStart",
     },
 )
@@ -179,24 +180,41 @@ class CoarseStart(Options):
 
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
         """Return the map, MPa."""
-        mesh = problem.recording.mesh
-        labels = clusters(mesh, self.groups)
-        # The prior's matrix is the Laplacian of the graph of clusters that share a face.
-        ends = np.sort(labels[mesh.adjacency.pairs], axis=1)
-        i, j = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0).T
-        count = int(labels.max()) + 1
-        graph = sp.csr_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
-        prior = Quadratic(laplacian(graph + graph.T).tocsr() / _JUMP**2)
-        field = ElementField(Log(bounds), prior, mesh.n_tets, labels)
-        objective = Objective(problem, field, weight=1.0)
-        stop_condition = _stop_condition(_COARSE_STEP_TOLERANCE, fitted_chi2=1.0)
-        monitor = Monitor(stop_condition=stop_condition, log=False)
-        first = np.log(uniform_fit(problem, bounds).youngs_mpa)
-        optimizer = GaussNewton(max_iterations=self.steps, tolerance=_NO_TOLERANCE)
-        with suppress(StopOptimization):
-            optimizer.minimize(objective, np.full(objective.size, first), monitor)
-        assert monitor.point is not None
-        return monitor.point.youngs
+        labels = clusters(problem.recording.mesh, self.groups)
+        return fit_groups(problem, bounds, labels, steps=self.steps)
+
+
+def fit_groups(
+    problem: InverseProblem, bounds: Bounds, labels: Int[np.ndarray, " m"], *, steps: int
+) -> Float[np.ndarray, " m"]:
+    """Return the map of one modulus for each group of elements that fits best, MPa.
+
+    Groups that share faces are expected to have similar moduli; this decides where the presses
+    do not.
+
+    Args:
+        problem: Presses.
+        bounds: Limits of the moduli.
+        labels: Group of each element, numbered from 0 without gaps.
+        steps: Limit of Gauss-Newton steps.
+    """
+    mesh = problem.recording.mesh
+    # The prior's matrix is the Laplacian of the graph of groups that share a face.
+    ends = np.sort(labels[mesh.adjacency.pairs], axis=1)
+    i, j = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0).T
+    count = int(labels.max()) + 1
+    graph = sp.csr_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
+    prior = Quadratic(laplacian(graph + graph.T).tocsr() / _JUMP**2)
+    field = ElementField(Log(bounds), prior, mesh.n_tets, labels)
+    objective = Objective(problem, field, weight=1.0)
+    stop_condition = _stop_condition(_COARSE_STEP_TOLERANCE, fitted_chi2=1.0)
+    monitor = Monitor(stop_condition=stop_condition, log=False)
+    first = np.log(uniform_fit(problem, bounds).youngs_mpa)
+    optimizer = GaussNewton(max_iterations=steps, tolerance=_NO_TOLERANCE)
+    with suppress(StopOptimization):
+        optimizer.minimize(objective, np.full(objective.size, first), monitor)
+    assert monitor.point is not None
+    return monitor.point.youngs
 
 
 def best_uniform(

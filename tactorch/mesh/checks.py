@@ -49,6 +49,18 @@ def as_cells(cells: Rows, width: int, n_points: int, what: str = "tets") -> Int[
     return array
 
 
+def as_regions(regions: Rows, n_tets: int) -> Int[np.ndarray, " m"]:
+    """Return an int64 copy of the region number of each element, or raise `MeshError`."""
+    array = np.asarray(regions)
+    if array.shape != (n_tets,):
+        raise MeshError(
+            f"regions have shape {array.shape}; give one number for each of {n_tets} elements."
+        )
+    if array.dtype.kind not in "fiu" or not (np.isfinite(array) & (array == np.round(array))).all():
+        raise MeshError("regions must be whole numbers, such as the labels of a segmentation.")
+    return array.astype(np.int64)
+
+
 def check_elements(points: Points, tets: Tets) -> None:
     """Refuse unreferenced nodes, duplicate, degenerate and inverted elements."""
     _refuse(

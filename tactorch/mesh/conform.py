@@ -172,14 +172,15 @@ class _State:
     def result(self, surfaces: Sequence[ClosedSurface]) -> Conforming:
         """Return the meshes."""
         ends = np.concatenate(self.ends)
-        fine = TetMesh(self.nested, self.tets)
+        coarse = self.start.coarse.regions
+        regions = None if coarse is None else coarse[self.parents]
+        fine = TetMesh(self.nested, self.tets, regions)
         refinement = Refinement(self.start.coarse, fine, self.parents, ends)
         pairs = zip(surfaces, self.values, strict=True)
         sides = [_side(surface, values, self.points, self.tets) for surface, values in pairs]
         shape = len(sides), len(self.tets)
-        return Conforming(
-            refinement, TetMesh(self.points, self.tets), np.array(sides, dtype=int).reshape(shape)
-        )
+        mesh = TetMesh(self.points, self.tets, regions)
+        return Conforming(refinement, mesh, np.array(sides, dtype=int).reshape(shape))
 
     def _crossings(
         self, surface: ClosedSurface, edges: Int[np.ndarray, "k 2"]

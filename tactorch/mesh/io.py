@@ -30,6 +30,8 @@ _MESH_FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".inp": "abaqus"}
 _SURFACE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply"}
 #: Suffixes of files that `write_mesh` writes.
 MESH_SUFFIXES = tuple(_MESH_FORMATS)
+#: Name of the regions in the cell data of a file.
+REGION = "region"
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 #: Bounding-box diagonals between which an object pressed by hand or robot is plausible, mm.
 PLAUSIBLE_MM = (0.5, 5000.0)
@@ -40,7 +42,8 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
 
     Nodes and tetrahedra keep the order of the file, because other files refer to them by index.
     Points, lines and surface cells are ignored; inverted tetrahedra are reoriented. A warning names
-    the likely unit of an object that is implausibly small or large.
+    the likely unit of an object that is implausibly small or large. The regions are those of the
+    cell data `region`, or else the physical groups of gmsh.
 
     Args:
         path: Path of the file.
@@ -61,7 +64,7 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
                 " renumbers the others."
             )
         points, tets, _ = compact(points, tets)
-        mesh = TetMesh.create(points, tets)
+        mesh = TetMesh.create(points, tets, regions=_regions(content))
     _warn_of_unit(f"Mesh '{source}'", mesh.diagonal, unit)
     return mesh
 
@@ -77,17 +80,21 @@ def write_mesh(
     Args:
         path: Path of the file; it is replaced atomically.
         mesh: Mesh to write.
-        cell_data: Fields of m values or m rows, such as Young's modulus; not for .inp.
+        cell_data: Fields of m values or m rows, such as Young's modulus; not for .inp. The regions
+            of the mesh are the field `region`; .inp files do not have them.
         point_data: Fields of n values or n rows, such as displacement; not for .inp.
     """
     cells = _fields("cell_data", cell_data, mesh.n_tets)
     nodes = _fields("point_data", point_data, mesh.n_points)
-    if _format(path, _MESH_FORMATS) == "abaqus" and (cells or nodes):
+    name = _format(path, _MESH_FORMATS)
+    if name == "abaqus" and (cells or nodes):
         raise FileError(f"'{path}': .inp files cannot hold fields; write .vtu or .msh instead.")
     import meshio
 
     tets = [("tetra", np.array(mesh.tets))]
-    data = {name: [values] for name, values in cells.items()}
+    data = {field: [values] for field, values in cells.items()}
+    if mesh.regions is not None and name != "abaqus":
+        data[REGION] = [np.array(mesh.regions, dtype=np.float64 if name == "gmsh" else np.int64)]
     _write(path, _MESH_FORMATS, meshio.Mesh(np.array(mesh.points), tets, nodes, data))
 
 
@@ -232,6 +239,15 @@ def _solid_cells(content: "meshio.Mesh") -> NDArray:
             " tetrahedralize."
         )
     return np.concatenate(tets)
+
+
+def _regions(content: "meshio.Mesh") -> NDArray | None:
+    """Return the region number of each tetrahedron; None where the file has none."""
+    name = next((name for name in (REGION, "gmsh:physical") if name in content.cell_data), None)
+    if name is None:
+        return None
+    pairs = zip(content.cells, content.cell_data[name], strict=True)
+    return np.concatenate([data for block, data in pairs if block.type == "tetra"])
 
 
 def _triangles(content: "meshio.Mesh") -> NDArray:

@@ -150,7 +150,8 @@ def refine(mesh: TetMesh, sizing: Sizing) -> Refinement:
                 f"sizing takes more than {MAX_ELEMENTS:.0e} elements; return larger edge lengths,"
                 " and check that they are in mm."
             )
-    fine = mesh if len(ends) == 1 else TetMesh(points, tets)
+    regions = None if mesh.regions is None else mesh.regions[parents]
+    fine = mesh if len(ends) == 1 else TetMesh(points, tets, regions)
     return Refinement(mesh, fine, frozen(parents), frozen(np.concatenate(ends)))
 
 

@@ -10,7 +10,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError, MeshError
-from tactorch.mesh.checks import as_cells, as_points, check_elements, check_faces
+from tactorch.mesh.checks import (
+    as_cells,
+    as_points,
+    as_regions,
+    check_elements,
+    check_faces,
+)
 from tactorch.mesh.geometry import area_vectors, bounding_box, frozen, signed_volumes
 from tactorch.mesh.topology import (
     LOCAL_EDGES,
@@ -43,22 +49,29 @@ class TetMesh:
     Attributes:
         points: Node positions, mm, float64.
         tets: Node indices of each element, positively oriented, int64.
+        regions: Region number of each element, such as the label of a segmentation; None where the
+            mesh has no regions.
     """
 
     points: Points
     tets: Tets
+    regions: Int[np.ndarray, " m"] | None = None
 
     def __post_init__(self) -> None:
         points = as_points(self.points)
         tets = as_cells(self.tets, 4, len(points))
         object.__setattr__(self, "points", frozen(points))
         object.__setattr__(self, "tets", frozen(tets))
+        if self.regions is not None:
+            object.__setattr__(self, "regions", frozen(as_regions(self.regions, len(tets))))
         check_elements(points, tets)
         check_faces(self._faces, self.n_tets)
 
     @classmethod
-    def create(cls, points: Rows, tets: Rows, repair: bool = True) -> "TetMesh":
-        """Build a mesh from array-likes of shape (n, 3) and (m, 4).
+    def create(
+        cls, points: Rows, tets: Rows, repair: bool = True, regions: Rows | None = None
+    ) -> "TetMesh":
+        """Build a mesh from array-likes of shape (n, 3) and (m, 4), and (m,) for regions.
 
         `repair` swaps the last two vertices of inverted elements rather than refusing them. The
         order of nodes and elements is kept.
@@ -70,14 +83,18 @@ class TetMesh:
             cells[inverted] = cells[inverted][:, [0, 1, 3, 2]]
             if inverted.any():
                 logger.info("Reoriented %d of %d elements.", inverted.sum(), len(cells))
-        return cls(nodes, cells)
+        return cls(nodes, cells, None if regions is None else as_regions(regions, len(cells)))
+
+    def with_regions(self, regions: Rows | None) -> "TetMesh":
+        """Return the same mesh with other region numbers, (m,), or none."""
+        return TetMesh.create(self.points, self.tets, repair=False, regions=regions)
 
     def __repr__(self) -> str:
         return f"TetMesh({self.n_points} nodes, {self.n_tets} tets, {self.diagonal:.4g} mm across)"
 
-    def __reduce__(self) -> tuple[type["TetMesh"], tuple[np.ndarray, np.ndarray]]:
+    def __reduce__(self) -> tuple[type["TetMesh"], tuple[np.ndarray | None, ...]]:
         """Pickle and copy the data only; copies are checked and read-only too."""
-        return type(self), (self.points, self.tets)
+        return type(self), (self.points, self.tets, self.regions)
 
     @property
     def n_points(self) -> int:
@@ -145,7 +162,10 @@ class TetMesh:
         return self._edges[1]
 
     def content_hash(self) -> str:
-        """Return the SHA-256 of points and elements, the same on every platform."""
+        """Return the SHA-256 of points and elements, the same on every platform.
+
+        Regions do not change it: they do not change the equilibrium.
+        """
         digest = hashlib.sha256(f"tetmesh 1 {self.n_points} {self.n_tets} ".encode())
         digest.update((self.points + 0.0).astype("<f8").tobytes())  # -0.0 becomes 0.0
         digest.update(self.tets.astype("<i8").tobytes())

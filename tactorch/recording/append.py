@@ -21,7 +21,7 @@ from tactorch.files import write_file
 from tactorch.hdf5 import hdf5_image, write_attributes
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
-from tactorch.recording.schema import GROWING, PRESS_ARRAYS, PRESS_OPTIONAL, SAVED
+from tactorch.recording.schema import PRESS_ARRAYS, PRESS_OPTIONAL, written_version
 from tactorch.recording.storage import RecordingReader, open_recording, write_press
 from tactorch.recording.tail import tail_record
 
@@ -65,7 +65,7 @@ def append_press(path: str | Path, press: Press) -> int:
         if tail is None or tail.end - tail.begin + len(record) > max(
             tail.begin, _MAX_SMALL_TAIL_BYTES
         ):
-            image = _whole_image(reader, GROWING, press)
+            image = _whole_image(reader, press, growing=True)
             write_file(path, image)
             return count
     _write_at(Path(path), tail.end, record)
@@ -80,7 +80,7 @@ def compact(path: str | Path) -> None:
     with open_recording(path) as reader:
         if reader.tail is None:
             return
-        image = _whole_image(reader, SAVED)
+        image = _whole_image(reader)
     write_file(path, image)
 
 
@@ -134,7 +134,9 @@ def digest(press: Press) -> str:
     return result.hexdigest()[:16]
 
 
-def _whole_image(reader: RecordingReader, version: int, press: Press | None = None) -> bytes:
+def _whole_image(
+    reader: RecordingReader, press: Press | None = None, *, growing: bool = False
+) -> bytes:
     """Return the content of a file with the presses of the tail, and another one, in HDF5."""
     import h5py
 
@@ -142,6 +144,10 @@ def _whole_image(reader: RecordingReader, version: int, press: Press | None = No
     stored = Path(reader.source).read_bytes() if tail is None else tail.hdf5_part()
     images = [tail.image(index) for index in range(len(tail))] if tail else []
     count = reader.count() - len(images)
+    # Without checksums in the file's structure its end is not known, and there is no tail.
+    version = written_version(
+        regions=reader.has("mesh/regions"), growing=growing and stored[8] in (2, 3)
+    )
 
     def change(file: "h5py.File") -> None:
         presses = file["presses"]
@@ -155,8 +161,7 @@ def _whole_image(reader: RecordingReader, version: int, press: Press | None = No
         if press is not None:
             write_press(presses.create_group(f"{reader.count():04d}"), press)
         write_attributes(presses, count=reader.count() + (press is not None))
-        # Without checksums in the file's structure its end is not known, and there is no tail.
-        write_attributes(file, version=version if stored[8] in (2, 3) else SAVED)
+        write_attributes(file, version=version)
 
     return hdf5_image(change, stored)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tactorch.errors import FileError, RecordingError
 from tactorch.hdf5 import write_hdf5
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import pandas
 
 _log = logging.getLogger(__name__)
+_MAX_REGIONS = 12  # that a summary lists
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +184,8 @@ class Recording:
         ]
         if readings := _readings(presses):
             lines.insert(3, readings)
+        if self.mesh.regions is not None:
+            lines.insert(1, f"regions: {_regions(self.mesh.regions)}")
         if self.reference is not None:
             lines.append(f"reference: {_range(self.reference)} MPa")
         if self.density and self.gravity.any():
@@ -253,6 +256,14 @@ class Recording:
                     f"{press.label}: nothing holds the object; it can {motions[key]}. "
                     "Fix more degrees of freedom, or give them springs"
                 )
+
+
+def _regions(regions: Int[np.ndarray, " m"]) -> str:
+    """Return the numbers of elements of each region as text."""
+    numbers, counts = np.unique(regions, return_counts=True)
+    shown = [f"{n} ({k} elements)" for n, k in zip(numbers, counts, strict=True)]
+    more = f", and {len(shown) - _MAX_REGIONS} more" if len(shown) > _MAX_REGIONS else ""
+    return ", ".join(shown[:_MAX_REGIONS]) + more
 
 
 def _readings(presses: Sequence[Press]) -> str:

@@ -71,8 +71,11 @@ class RecordingReader(Hdf5Reader):
         if self._mesh is None:
             points = self.array("mesh/points", "f", (None, 3))
             tets = self.array("mesh/tets", "i", (None, 4))
+            regions = None
+            if self.has("mesh/regions"):
+                regions = self.array("mesh/regions", "i", (len(tets),))
             try:
-                self._mesh = TetMesh.create(points, tets, repair=False)
+                self._mesh = TetMesh.create(points, tets, repair=False, regions=regions)
             except MeshError as error:
                 raise self.error(f"dataset 'mesh' is not a valid mesh: {error}") from error
         return self._mesh
@@ -203,11 +206,14 @@ def open_recording(path: str | Path) -> Iterator[RecordingReader]:
 
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:
     """Write the fields of a `Recording` into a file or group."""
-    write_attributes(group, format=schema.FORMAT, version=schema.SAVED, units=schema.UNITS)
+    version = schema.written_version(regions=fields["mesh"].regions is not None)
+    write_attributes(group, format=schema.FORMAT, version=version, units=schema.UNITS)
     if fields["density"] is not None:
         write_attributes(group, density=fields["density"])
     write_array(group, "mesh/points", fields["mesh"].points.astype("<f8"))
     write_array(group, "mesh/tets", fields["mesh"].tets.astype("<i8"))
+    if fields["mesh"].regions is not None:
+        write_array(group, "mesh/regions", fields["mesh"].regions.astype("<i8"))
     material = group.create_group("material")
     law: MaterialSpec = fields["material"]
     parameters = json.dumps(law.parameters)

@@ -26,6 +26,7 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
 from tactorch.sensor.description import SensorDescription
+from tactorch.sensor.times import read_times
 
 #: RGB image with 8 bits per channel.
 Image = UInt8[np.ndarray, "_ _ 3"]
@@ -255,7 +256,8 @@ def _rectification_steps(sensor: SensorDescription) -> list[Callable[[Image], Im
 def open_source(source: Source) -> Iterator[Frame]:
     """Yield the raw frames of a source in order.
 
-    Files of a folder are sorted by name, with numbers in the names compared as numbers.
+    Files of a folder are sorted by name, with numbers in the names compared as numbers. Their times
+    are those of the table `times.csv` in the folder, if there is one.
     """
     if isinstance(source, int):
         return _open_camera(source)
@@ -309,14 +311,15 @@ def _folder_frames(path: Path) -> Iterator[Frame]:
     )
     if not files:
         raise FileError(f"folder of frames '{path}' has no image ({', '.join(IMAGE_SUFFIXES)}).")
-    return (_image_frame(index, file) for index, file in enumerate(files))
+    times = read_times(folder, files)
+    return (_image_frame(index, file, times.get(file.name)) for index, file in enumerate(files))
 
 
-def _image_frame(index: int, path: Path) -> Frame:
+def _image_frame(index: int, path: Path, time_s: float | None) -> Frame:
     try:
-        return Frame(index, path.name, read_image(path))
+        return Frame(index, path.name, read_image(path), time_s)
     except FileError as error:
-        return _faulty_frame(index, path.name, str(error))
+        return replace(_faulty_frame(index, path.name, str(error)), time_s=time_s)
 
 
 def _faulty_frame(index: int, name: str, fault: str) -> Frame:

@@ -198,7 +198,7 @@ def perturb_recording(
     errors = {"poisson": poisson, "force_scale": force_scale, "size": factors.tolist()}
     return replace(
         recording,
-        mesh=TetMesh.create(mesh.points * factors, mesh.tets),
+        mesh=TetMesh.create(mesh.points * factors, mesh.tets, regions=mesh.regions),
         presses=presses,
         material=replace(material, poisson=material.poisson + poisson),
         provenance={**recording.provenance, "perturbation": errors},

@@ -124,10 +124,12 @@ def test_a_given_mesh_is_used(tmp_path: Path) -> None:
     from tactorch.mesh import box_mesh, write_mesh
 
     mesh = box_mesh((40.0, 40.0, 12.0), (8, 8, 3), origin_mm=(-8.0, -8.0, -52.0))
+    mesh = mesh.with_regions((mesh.centroids[:, 2] > -46.0) + 1)
     write_mesh(tmp_path / "body.vtu", mesh)
     path = write(tmp_path / "p.csv", *table())
     recording = import_palpation(path, radius_mm=RADIUS, mesh=tmp_path / "body.vtu")
     assert recording.mesh.n_tets == mesh.n_tets
+    np.testing.assert_array_equal(recording.mesh.regions, mesh.regions)
     assert recording.presses[0].fixed[:, 2].sum() == 81
 
 

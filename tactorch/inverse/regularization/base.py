@@ -5,6 +5,7 @@ tissues differ by factors.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -13,9 +14,12 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.config import Options, Registry, option
+from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
 
 Field = Float[np.ndarray, " m"]
+#: A log-modulus for all elements, for each of them, or one that follows the present map.
+Level = float | Field | None
 
 
 class Regularizer(ABC):
@@ -72,20 +76,20 @@ class Quadratic(Regularizer):
 
     Args:
         matrix: P, symmetric and positive semi-definite, (m, m).
-        level: Log-modulus of the minimum; None takes the field's average by `volumes`, which must
-            minimise the penalty, so that the gradient is exact although the level depends on the
-            field.
+        level: Log-modulus of the minimum, one or (m,); None takes the field's average by `volumes`,
+            which must minimise the penalty, so that the gradient is exact although the level
+            depends on the field.
         volumes: Weights of that average, (m,).
     """
 
     gaussian = True
 
     def __init__(
-        self, matrix: sp.spmatrix, level: float | None = 0.0, volumes: Field | None = None
+        self, matrix: sp.spmatrix, level: Level = 0.0, volumes: Field | None = None
     ) -> None:
         self._matrix, self._level, self._volumes = matrix.tocsr(), level, volumes
         if level is not None:
-            self.mean = np.full(matrix.shape[0], level)
+            self.mean = np.array(np.broadcast_to(level, matrix.shape[0]), dtype=np.float64)
 
     def _difference(self, field: np.ndarray) -> np.ndarray:
         level = np.average(field, weights=self._volumes) if self._level is None else self._level
@@ -111,6 +115,54 @@ class NoPrior(Prior):
 
     def on(self, mesh: TetMesh) -> Quadratic:
         return Quadratic(sp.csr_matrix((mesh.n_tets, mesh.n_tets)))
+
+
+def log_level(
+    level_mpa: float | None, region_mpa: Mapping[int, float] | None, mesh: TetMesh
+) -> Level:
+    """Return the reference of a prior as a log-modulus: one, (m,), or None for the present map's.
+
+    Args:
+        level_mpa: Modulus of all regions that have none in `region_mpa`, MPa.
+        region_mpa: Modulus of regions by their number, MPa.
+        mesh: Mesh, whose regions these are.
+
+    Raises:
+        ConfigError: The mesh has no regions, not one of these, or regions without a modulus.
+    """
+    if not region_mpa:
+        return None if level_mpa is None else float(np.log(level_mpa))
+    return np.log(region_values(region_mpa, mesh, "regularization.region_mpa", level_mpa))
+
+
+def region_values(
+    by_region: Mapping[int, float], mesh: TetMesh, name: str, others: float | None = None
+) -> Field:
+    """Return the value of the region of each element.
+
+    Args:
+        by_region: Value by the number of the region.
+        mesh: Mesh with regions.
+        name: Name of the setting in messages.
+        others: Value of other regions; None where each must have one.
+
+    Raises:
+        ConfigError: The mesh has no regions, not one of these, or regions without a value.
+    """
+    if mesh.regions is None:
+        raise ConfigError(
+            f"{name} is given, but the mesh has no regions; make it with tactorch body, or read one"
+            " with cell data 'region'."
+        )
+    numbers, index = np.unique(mesh.regions, return_inverse=True)
+    known = ", ".join(map(str, numbers))
+    unknown = [number for number in by_region if number not in numbers]
+    if unknown:
+        raise ConfigError(f"{name} names region {unknown[0]}; those of the mesh are {known}.")
+    missing = [number for number in numbers if number not in by_region]
+    if missing and others is None:
+        raise ConfigError(f"{name} has no value for region {missing[0]}; give one for {known}.")
+    return np.array([by_region.get(int(number), others) for number in numbers])[index]
 
 
 def jumps(mesh: TetMesh) -> sp.csr_matrix:

@@ -8,7 +8,14 @@ from scipy.sparse.linalg import splu
 
 from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.inverse.regularization.base import Field, Prior, Quadratic, jumps, relative
+from tactorch.inverse.regularization.base import (
+    Field,
+    Prior,
+    Quadratic,
+    jumps,
+    log_level,
+    relative,
+)
 from tactorch.mesh import TetMesh
 
 
@@ -37,9 +44,13 @@ class Tikhonov(Prior):
     level_mpa: float | None = option(
         None, "Reference modulus; null: the mean of the present map", unit="MPa", gt=0
     )
+    region_mpa: dict[int, float] | None = option(
+        None, "Reference modulus of regions by number; others take level_mpa", unit="MPa", gt=0
+    )
 
     def on(self, mesh: TetMesh) -> Quadratic:
-        volumes, level = relative(mesh.volumes), self.level_mpa and float(np.log(self.level_mpa))
+        volumes = relative(mesh.volumes)
+        level = log_level(self.level_mpa, self.region_mpa, mesh)
         return Quadratic(sp.diags(volumes), level, volumes)
 
 
@@ -62,6 +73,9 @@ class Matern(Prior):
     level_mpa: float | None = option(
         None, "Mean modulus; null: that of the present map", unit="MPa", gt=0
     )
+    region_mpa: dict[int, float] | None = option(
+        None, "Mean modulus of regions by number; others take level_mpa", unit="MPa", gt=0
+    )
 
     def on(self, mesh: TetMesh) -> "MaternPenalty":
         return MaternPenalty(self, mesh)
@@ -80,7 +94,7 @@ class MaternPenalty(Quadratic):
         self._root = np.sqrt(mesh.volumes / scale)
         precision = scale * self._operator @ sp.diags(1.0 / mesh.volumes) @ self._operator
         # The uniform field is an eigenvector of Q C^-1, so the average by volume is the minimum.
-        level = settings.level_mpa and float(np.log(settings.level_mpa))
+        level = log_level(settings.level_mpa, settings.region_mpa, mesh)
         super().__init__(0.5 * (precision + precision.T), level, relative(mesh.volumes))
 
     def sample(self, rng: np.random.Generator) -> Field:

@@ -14,7 +14,14 @@ from jaxtyping import Float
 
 from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.inverse.regularization.base import Field, Prior, Regularizer, jumps, relative
+from tactorch.inverse.regularization.base import (
+    Field,
+    Prior,
+    Regularizer,
+    jumps,
+    log_level,
+    relative,
+)
 from tactorch.mesh import TetMesh
 from tactorch.metrics.segment import weighted_median
 
@@ -35,7 +42,7 @@ class _ReweightedPenalty(Regularizer):
     weights: Float[np.ndarray, " n"]
     cost: _Function
     stiffness: _Function  # derivative of the cost by the difference, over the difference
-    level: Callable[[np.ndarray], float] = lambda _: 0.0
+    level: Callable[[np.ndarray], float | np.ndarray] = lambda _: 0.0
     variation_edge: float | None = None
 
     def _difference(self, field: np.ndarray) -> np.ndarray:
@@ -113,11 +120,14 @@ class Sparsity(Prior):
     level_mpa: float | None = option(
         None, "Background modulus; null: the median of the present map", unit="MPa", gt=0
     )
+    region_mpa: dict[int, float] | None = option(
+        None, "Background modulus of regions by number; others take level_mpa", unit="MPa", gt=0
+    )
 
     def on(self, mesh: TetMesh) -> Regularizer:
-        volumes, known = relative(mesh.volumes), self.level_mpa and float(np.log(self.level_mpa))
+        volumes, known = relative(mesh.volumes), log_level(self.level_mpa, self.region_mpa, mesh)
 
-        def level(field: np.ndarray) -> float:
+        def level(field: np.ndarray) -> float | np.ndarray:
             return smoothed_median(field, volumes, self.edge) if known is None else known
 
         matrix = sp.identity(mesh.n_tets, format="csr")

@@ -115,7 +115,8 @@ class SurrogateStart(Options):
             return settings
         max_chi2 = MAX_TRUSTED_CHI2 if self.prior_mean == "auto" else float("inf")
         prior, bounds = settings.regularization, settings.bounds
-        if isinstance(prior, NoPrior | BinaryWell) or getattr(prior, "level_mpa", None) is not None:
+        has_level = any(getattr(prior, name, None) for name in ("level_mpa", "region_mpa"))
+        if isinstance(prior, NoPrior | BinaryWell) or has_level:
             raise ConfigError(
                 f"a surrogate's map cannot be the mean of {prior}; choose another prior, such as "
                 "total_variation, without a level."

@@ -1,0 +1,77 @@
+"""Reading of NIfTI files (through nibabel)."""
+
+import importlib.util
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError, FileError
+from tactorch.volumes.volume import MAX_VOXELS
+
+_log = logging.getLogger(__name__)
+_MAX_APART = 0.5  # of the places of a voxel by sform and qform, in voxels
+_UNITS = {"mm": "mm", "meter": "m", "micron": "um", "unknown": "mm"}
+
+
+def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]:
+    """Read the array of a file, its affine matrix, and the unit of the matrix ("um", "mm", "m").
+
+    Raises:
+        ConfigError: nibabel is not installed.
+        FileError: The file is damaged, no NIfTI file, or too large.
+    """
+    if importlib.util.find_spec("nibabel") is None:
+        raise ConfigError("Reading NIfTI needs nibabel: pip install 'tactorch[volumes]'.")
+    import nibabel as nib
+
+    try:
+        image: Any = nib.load(source)
+        # nibabel takes 1 for a size of 0; an sform does not use it.
+        with image.file_map["image"].get_prepare_fileobj("rb") as file:
+            stored = type(image.header).from_fileobj(file, check=False)
+        sizes = np.abs(stored["pixdim"][1:4])
+        shape = image.shape
+        if np.prod(shape, dtype=float) > MAX_VOXELS:
+            raise ValueError(f"{shape} are more than {MAX_VOXELS:.0e} voxels")
+        # With the header's scaling: labels stored as bytes may have a slope.
+        values = np.asarray(image.dataobj)
+        affine = np.asarray(image.affine, dtype=np.float64)
+        unit = str(image.header.get_xyzt_units()[0])
+        forms = {key: int(image.header[f"{key}_code"]) for key in ("sform", "qform")}
+        apart = _apart(image) if all(forms.values()) else 0.0
+    except Exception as error:  # errors of damaged files have no common base
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FileError(
+            f"'{source}' cannot be read as NIfTI: {reason}. Is the file complete, and of the "
+            "format its suffix says?"
+        ) from error
+    if not forms["sform"] and not (sizes > 0.0).all():
+        shown = " x ".join(f"{size:.3g}" for size in sizes)
+        raise FileError(
+            f"'{source}': voxels of {shown} mm have no volume; write the file again with the "
+            "spacing of the voxels."
+        )
+    if unit == "unknown":
+        _log.info("'%s' states no unit of length: mm is taken.", source)
+    if apart > _MAX_APART:
+        _log.warning(
+            "'%s': sform and qform differ by up to %.2g voxels; sform is taken.", source, apart
+        )
+    if not any(forms.values()):
+        _log.warning(
+            "'%s' has neither sform nor qform: the body has its voxel sizes, but no orientation.",
+            source,
+        )
+    return values, affine, _UNITS.get(unit, "mm")
+
+
+def _apart(image: Any) -> float:
+    """Return the largest distance of a corner's places by sform and qform, in voxels."""
+    corners = np.indices((2, 2, 2)).reshape(3, -1).T * (np.array(image.shape[:3]) - 1)
+    sform, qform = image.get_sform(), image.get_qform()
+    difference = corners @ (sform - qform)[:3, :3].T + (sform - qform)[:3, 3]
+    sizes = np.linalg.norm(sform[:3, :3], axis=0)
+    return float(np.linalg.norm(difference, axis=1).max() / max(sizes.min(), 1e-300))
