@@ -111,6 +111,11 @@ class Ros2Options(PalpationSettings):
             return at[:, :3, :3]
         if self.wrench_axes == "fixed":
             return np.tile(np.eye(3), (len(time_s), 1, 1))
+        if not wrenches.frame:
+            raise FileError(
+                "The forces are in the frame '', that is, in unknown axes; give"
+                " format.wrench_axes=tool if they turn with the tool, or fixed if they do not."
+            )
         try:
             rotations = poses.rotation_of(wrenches.frame, time_s)
         except FileError as error:

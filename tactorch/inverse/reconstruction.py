@@ -106,6 +106,8 @@ class Reconstruction:
         write_json(file, "nuisance", estimates)
         write_array(file, "mesh/points", self.mesh.points)
         write_array(file, "mesh/tets", self.mesh.tets)
+        if self.mesh.regions is not None:
+            write_array(file, "mesh/regions", self.mesh.regions)
         write_array(file, "youngs", self.youngs)
         write_array(file, "displacements", self.displacements)
         if self.predicted is not None:
@@ -118,8 +120,11 @@ class Reconstruction:
             reader = Hdf5Reader(file, path, "reconstruction", "Reconstruction.save")
             reader.check_format(_FORMAT, _VERSION, _REMEDY)
             points = reader.array("mesh/points", "f", (None, 3))
+            tets = reader.array("mesh/tets", "i", (None, 4))
+            has_regions = reader.has("mesh/regions")
+            regions = reader.array("mesh/regions", "i", (len(tets),)) if has_regions else None
             try:
-                mesh = TetMesh.create(points, reader.array("mesh/tets", "i", (None, 4)))
+                mesh = TetMesh.create(points, tets, regions=regions)
             except MeshError as error:
                 raise reader.error(f"has no valid mesh: {error}") from error
             moved = (None, mesh.n_points, 3)

@@ -22,6 +22,7 @@ from tactorch.mesh.geometry import (
     signed_volumes,
     surface_area,
 )
+from tactorch.mesh.intersections import crossing_triangles
 from tactorch.mesh.shapes import Box, Shape
 from tactorch.mesh.tetmesh import TetMesh, compact
 from tactorch.mesh.values import (
@@ -196,8 +197,8 @@ def tetrahedralize(
 
     Raises:
         ConfigError: The edge length is larger than the object, or would take too many elements.
-        MeshError: The surface is not closed, manifold and consistently oriented, or fTetWild
-            cannot mesh it.
+        MeshError: The surface is not closed, manifold and consistently oriented, intersects itself,
+            or fTetWild cannot mesh it.
     """
     points, faces, _ = compact(*closed_surface(vertices, triangles))
     diagonal, volume = bounding_diagonal(points), enclosed_volume(points, faces)
@@ -230,6 +231,7 @@ def tetrahedralize(
         return _validated(*_run_tetwild(all_points, all_faces, target_mm, relative, coarsen))
 
     if tolerance is None:
+        _require_no_crossing(points, faces)
         mesh = fit_edge_length(mesher, points, faces, length, progress)
     else:
         mesh = mesher(length, tolerance * diagonal)
@@ -245,6 +247,17 @@ def tetrahedralize(
     if cache:
         _store_cached(path, mesh)
     return mesh
+
+
+def _require_no_crossing(points: Points, faces: Triangles) -> None:
+    """Refuse surfaces that cross themselves, of which parts would be counted twice."""
+    crossing = crossing_triangles(points, faces)
+    if len(crossing):
+        x, y, z = points[faces[crossing[0, 0]]].mean(axis=0)
+        raise MeshError(
+            f"The surface intersects itself at {len(crossing)} places, one near ({x:.3g}, {y:.3g},"
+            f" {z:.3g}) mm. Repair it in a mesh editor, by a union of its parts."
+        )
 
 
 def _edge_length(edge_length_mm: Real | None, relative: Real, diagonal: float) -> float:

@@ -30,6 +30,8 @@ def to_frame(
                 " cannot hold; leave it out by Recording.select"
             )
     nodes = np.arange(mesh.n_points) if interior else mesh.surface.nodes()
+    for press in presses:
+        _require_complete(press, nodes)
     parts = [
         pandas.DataFrame(columns)
         for name, press in zip(_names(presses), presses, strict=True)
@@ -40,6 +42,23 @@ def to_frame(
     frame["node"] = frame["node"].astype("Int64")  # missing for displacements along a direction
     frame.attrs = {"units": "mm, N, MPa", "material": material.name, "poisson": material.poisson}
     return frame
+
+
+def _require_complete(press: Press, nodes: Int[np.ndarray, " k"]) -> None:
+    """Refuse a press with data that the table does not hold."""
+    if press.prescribed is not None and np.any(press.prescribed):
+        raise RecordingError(
+            f"{press.label} has prescribed displacements, which a table of nodes cannot hold; leave"
+            " it out by Recording.select"
+        )
+    inside = np.ones(len(press.forces), dtype=bool)
+    inside[nodes] = False
+    for name in ("forces", "fixed", "springs"):
+        if np.any(getattr(press, name)[inside]):
+            raise RecordingError(
+                f"{press.label} has {name} at interior nodes, which the table of the surface does"
+                " not hold; give interior=True"
+            )
 
 
 def _names(presses: Sequence[Press]) -> list[str]:

@@ -26,6 +26,11 @@ def test_round_trip(found: Reconstruction, file: Path) -> None:
     for name in ("youngs", "displacements"):
         assert getattr(again, name).tobytes() == getattr(found, name).tobytes()
     assert again.mesh.content_hash() == found.mesh.content_hash()
+    assert again.mesh.regions is None
+    labels = np.arange(found.mesh.n_tets) % 3
+    labelled = replace(found, mesh=found.mesh.with_regions(labels))
+    kept = Reconstruction.load(labelled.save(file.with_name("labelled.h5")))
+    np.testing.assert_array_equal(kept.mesh.regions, labels)
     for name in ("history", "stop_reason", "seconds", "config", "iterations", "misfit_mm2"):
         assert getattr(again, name) == getattr(found, name)
     assert again.iterations == 2

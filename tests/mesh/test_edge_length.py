@@ -223,3 +223,11 @@ def test_inward_normals_are_turned_cavities_and_the_largest_part_are_kept(
     points, faces = solid_surface(*debris, largest=True)
     assert np.ptp(points, axis=0) == pytest.approx([20.0] * 3)
     assert len(faces) == 12
+
+
+def test_tetrahedralize_refuses_a_surface_that_crosses_itself() -> None:
+    """Two cubes that overlap by 3 mm: their common part would be meshed once."""
+    vertices, triangles = CUBE
+    both = np.concatenate([vertices, vertices + np.array([17.0, 1.0, 2.0])])
+    with pytest.raises(MeshError, match=r"intersects itself at \d+ places, one near"):
+        tetrahedralize(both, np.concatenate([triangles, triangles + len(vertices)]), 5.0)

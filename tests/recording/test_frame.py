@@ -107,3 +107,20 @@ def test_without_pandas_the_extra_is_named(
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ConfigError, match=r"tactorch\[tables\]"):
         recording.to_frame()
+
+
+def test_data_that_the_table_does_not_hold_are_refused(recording: Recording) -> None:
+    press = recording.presses[1]
+    prescribed = np.where(press.fixed, 0.1, 0.0)
+    moved = replace(recording, presses=(replace(press, prescribed=prescribed),))
+    with pytest.raises(RecordingError, match="has prescribed displacements"):
+        moved.to_frame()
+    inside = np.ones(recording.mesh.n_points, dtype=bool)
+    inside[recording.mesh.surface.nodes()] = False
+    held = press.fixed | (inside[:, None] & (np.arange(3) == 2))
+    if not inside.any():
+        pytest.fail("the mesh has no interior node")
+    deep = replace(recording, presses=(replace(press, fixed=held, prescribed=0.0 * prescribed),))
+    with pytest.raises(RecordingError, match=r"fixed at interior nodes.*interior=True"):
+        deep.to_frame()
+    assert len(deep.to_frame(interior=True)) == recording.mesh.n_points + 2

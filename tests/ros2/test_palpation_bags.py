@@ -168,6 +168,15 @@ def test_transforms_are_chained(tmp_path: Path) -> None:
         import_ros2(bag, frame="object", tool_frame="tool", **BLOCK)
 
 
+def test_forces_of_poses_without_a_frame_have_unknown_axes(tmp_path: Path) -> None:
+    topics = ROBOT.topics()
+    topics["/wrench"] = (WRENCH, ROBOT.wrenches(""))
+    bag = write_bag(tmp_path / "bag", topics)
+    with pytest.raises(TactorchError, match=r"the frame ''.*give format\.wrench_axes"):
+        import_ros2(bag, **BLOCK)
+    check(import_ros2(bag, wrench_axes="tool", **BLOCK))
+
+
 def test_transforms_of_the_sensor_are_known_at_all_forces(tmp_path: Path) -> None:
     message = TFMessage()
     moves = [(t, message([transform(t, "base", "tool", p, TOOL)])) for t, p in ROBOT.poses()]
