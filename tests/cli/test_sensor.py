@@ -149,8 +149,10 @@ def test_calibrate_finds_presses_and_tells_how_good_it_is(
     }  # fmt: skip
     content = json.loads((run / "quality.json").read_text())
     assert len(content["presses"]) == 1
-    assert not content["presses"].keys() & content["fitted_to"].keys()
-    assert len(content["fitted_to"]) == 7
+    assert content["evaluated"].endswith("fitted to 7 presses, on 1 others")
+    assert content["held_out"] == list(content["presses"])
+    assert content["fitted_to"].keys() == set(PRESSES)  # the calibration itself
+    assert content["outlying"] == []
     assert min(content["quality"]["r2"]) > 0.9
     assert content["quality"]["depth_rms_mm"] < 0.05
     assert "lookup, fitted to 7 presses, on 1 others" in done.out

@@ -93,6 +93,7 @@ def run(cfg: CalibrateSettings) -> Path:
         "evaluated": title,
         "quality": asdict(quality),
         "fitted_to": {press.name: checksum(images[press.name]) for press in fitted},
+        "held_out": [press.name for press in held_out],
         "outlying": [press.name for press in fitted if press.outlying],
     }
     save_calibration(Calibration(slope_map, reference, ball.mm_per_px, markers, facts), out)
