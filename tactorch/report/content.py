@@ -125,6 +125,13 @@ class RunReport:
         return f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
 
     @property
+    def others(self) -> list[str]:
+        """Sentences on all lumps but the most conspicuous."""
+        return [
+            f"{headline(lump.inclusion)}. {describe_lump(lump)}" for lump in self.finding.lumps[1:]
+        ]
+
+    @property
     def facts(self) -> list[Fact]:
         """Location, size, modulus, probability and fit."""
         modulus = format_modulus(float(np.median(self.run.result.youngs)))
@@ -203,6 +210,14 @@ class RunReport:
                 f"Presses of the largest residuals, of {len(self.fits)} (SD: standard deviations)"
             )
         return Table(caption, [*header, "Residual (SD)"], rows)
+
+    @property
+    def drawn(self) -> list[int]:
+        """Indices of the listed presses with observed displacements, which figures show."""
+        recording = self.run.recording
+        if recording is None:
+            return []
+        return [k for k in self.listed if recording.presses[k].data.any()]
 
     @property
     def listed(self) -> list[int]:

@@ -115,9 +115,7 @@ def _run_data(report: RunReport) -> dict[str, Any]:
             for p in (contact_patches(mesh, forces) if forces.any() else [])
         ]
         data["presses"] = [
-            _press_data(k + 1, recording.presses[k], report.fits[k])
-            for k in report.listed
-            if recording.presses[k].data.any()
+            _press_data(k + 1, recording.presses[k], report.fits[k]) for k in report.drawn
         ]
     return data
 
