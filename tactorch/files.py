@@ -4,6 +4,7 @@ import io
 import json
 import math
 import os
+import re
 import sys
 import uuid
 from collections.abc import Iterator, Mapping
@@ -17,6 +18,12 @@ from tactorch.errors import FileError
 
 if TYPE_CHECKING:
     import numpy as np
+
+
+def natural_key(path: Path) -> list[str | int]:
+    """Return a key of a file's name that sorts press2 before press10."""
+    # Every second part is a number.
+    return [int(p) if k % 2 else p for k, p in enumerate(re.split(r"(\d+)", path.name))]
 
 
 def cache_folder() -> Path:

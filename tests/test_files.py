@@ -7,7 +7,7 @@ from zipfile import ZipFile
 import numpy as np
 import pytest
 
-from tactorch.files import read_arrays, write_arrays
+from tactorch.files import natural_key, read_arrays, write_arrays
 
 
 def savez_before_2_2(file: Any, **arrays: Any) -> None:
@@ -35,3 +35,11 @@ def test_python_objects_are_refused(compressed: bool, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="array 'x' holds Python objects"):
         write_arrays(tmp_path / "a.npz", {"x": np.array([{}])}, compressed=compressed)
     assert not list(tmp_path.iterdir())
+
+
+def test_names_are_sorted_by_their_numbers() -> None:
+    names = ["press10.csv", "a².csv", "press2.csv", "2.csv", "press2b.csv"]
+    ordered = sorted(map(Path, names), key=natural_key)
+    assert [path.name for path in ordered] == [
+        "2.csv", "a².csv", "press2.csv", "press2b.csv", "press10.csv",
+    ]  # fmt: skip

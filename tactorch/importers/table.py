@@ -7,7 +7,6 @@ nodes; those of other points, and those along a normal, are readings at the near
 surface. Forces at other points are divided among the nodes of their triangle.
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from jaxtyping import Float, Int
 from tactorch.config import option
 from tactorch.errors import ConfigError, FileError
 from tactorch.importers.points import PointData, PointOptions
+from tactorch.importers.press_files import press_files
 from tactorch.importers.quantities import assign, vector
 from tactorch.importers.sheets import SUFFIXES, Sheet, read_sheet
 from tactorch.mesh import read_mesh
@@ -44,7 +44,7 @@ class TableOptions(PointOptions):
         if self.mesh is None:
             raise ConfigError("format.mesh is required: the mesh of the object at rest.")
         mesh = read_mesh(self.mesh, self.unit)
-        files = _files(Path(path))
+        files = press_files(Path(path), SUFFIXES, "table")
         presses = [data for file in files for data in self._read(read_sheet(file), len(files) > 1)]
         names = [data.name for data in presses]
         twice = next((name for name in names if names.count(name) > 1), None)
@@ -146,24 +146,6 @@ def import_table(path: str | Path, *, mesh: str | Path, **options: Any) -> Recor
         RecordingError: The files do not make a valid recording.
     """
     return TableOptions(mesh=Path(mesh), **options)(path=path)
-
-
-def natural(path: Path) -> list[tuple[int, str]]:
-    """Return a key that sorts press2 before press10."""
-    return [
-        (int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)
-    ]
-
-
-def _files(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    files = sorted((f for f in path.iterdir() if f.suffix.lower() in SUFFIXES), key=natural)
-    if not files:
-        raise FileError(
-            f"'{path}' contains no table ({', '.join(SUFFIXES)}); give one for each press."
-        )
-    return files
 
 
 def _check_columns(sheet: Sheet, quantities: dict[str, np.ndarray]) -> None:

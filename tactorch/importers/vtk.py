@@ -23,7 +23,7 @@ from tactorch.importers.points import (
     consistent_loads,
     pressure_loads,
 )
-from tactorch.importers.table import natural
+from tactorch.importers.press_files import press_files
 from tactorch.importers.vtk_files import SUFFIXES, VtkFile, read_vtk
 from tactorch.mesh import TetMesh, compact, read_mesh
 from tactorch.mesh.closest import closest_points
@@ -200,13 +200,7 @@ def import_vtk(path: str | Path, **options: Any) -> Recording:
 
 
 def _files(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    files = sorted((f for f in path.iterdir() if f.suffix.lower() in SUFFIXES), key=natural)
-    if not files:
-        raise FileError(
-            f"'{path}' contains no file {', '.join(SUFFIXES)}; give one for each press."
-        )
+    files = press_files(path, SUFFIXES, "file")
     stems = [file.stem for file in files]
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
     if twice is not None:

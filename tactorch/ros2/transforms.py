@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from tactorch.errors import FileError
+from tactorch.sensor.poses import interpolate_poses
 
 _MM_PER_M = 1e3
 _QUATERNION_TOLERANCE = 1e-2
@@ -111,12 +112,7 @@ class Track:
                 f"{self.what} has no message from {self.time_s[right[i] - 1]:.3f} to "
                 f"{self.time_s[right[i]]:.3f} s; cut the bag there, or raise max_gap_s."
             )
-        poses = np.tile(np.eye(4), (len(times), 1, 1))
-        slerp = Slerp(self.time_s, Rotation.from_matrix(self.poses[:, :3, :3]))
-        poses[:, :3, :3] = slerp(times).as_matrix()
-        for axis in range(3):
-            poses[:, axis, 3] = np.interp(times, self.time_s, self.poses[:, axis, 3])
-        return poses
+        return interpolate_poses(times, self.time_s, self.poses)
 
 
 @dataclass(frozen=True, eq=False)

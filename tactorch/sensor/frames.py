@@ -5,7 +5,6 @@ image and with its fault; reading continues with the next.
 """
 
 import io
-import re
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -24,7 +23,7 @@ from PIL import Image as PillowImage
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
-from tactorch.files import require_file, require_folder
+from tactorch.files import natural_key, require_file, require_folder
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.times import read_times
 
@@ -307,7 +306,7 @@ def _folder_frames(path: Path) -> Iterator[Frame]:
     folder = require_folder(path, "folder of frames")
     files = sorted(
         (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "."),
-        key=lambda p: [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", p.name)],
+        key=natural_key,
     )
     if not files:
         raise FileError(f"folder of frames '{path}' has no image ({', '.join(IMAGE_SUFFIXES)}).")

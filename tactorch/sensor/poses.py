@@ -76,12 +76,24 @@ class Poses:
             )
         if len(self) == 1:
             return np.tile(self.T_object_sensor, (len(times), 1, 1))
-        poses = np.tile(np.eye(4), (len(times), 1, 1))
-        rotations = Slerp(self.time_s, Rotation.from_matrix(self.T_object_sensor[:, :3, :3]))
-        poses[:, :3, :3] = rotations(times).as_matrix()
-        for k in range(3):
-            poses[:, k, 3] = np.interp(times, self.time_s, self.T_object_sensor[:, k, 3])
-        return poses
+        return interpolate_poses(times, self.time_s, self.T_object_sensor)
+
+
+def interpolate_poses(
+    times_s: Float[np.ndarray, " k"],
+    known_s: Float[np.ndarray, " n"],
+    poses: Float[np.ndarray, "n 4 4"],
+) -> Float[np.ndarray, "k 4 4"]:
+    """Return poses at times within two or more known ones.
+
+    Positions are interpolated linearly, rotations along the shortest arc (Shoemake, 1985).
+    """
+    found = np.tile(np.eye(4), (len(times_s), 1, 1))
+    rotations = Slerp(known_s, Rotation.from_matrix(poses[:, :3, :3]))
+    found[:, :3, :3] = rotations(times_s).as_matrix()
+    for k in range(3):
+        found[:, k, 3] = np.interp(times_s, known_s, poses[:, k, 3])
+    return found
 
 
 def check_pose(pose: Pose, name: str = "T_object_sensor") -> None:

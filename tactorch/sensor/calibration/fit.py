@@ -156,12 +156,19 @@ def fit_new_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPr
 
 def _contact_radius(slopes: np.ndarray, press: BallPress, ball: Ball, circle: Circle) -> float:
     """Radius of a contact by the slopes around its center, pixels."""
+    outward, seen = _outward_slopes(slopes, press, ball, circle)
+    width = ball.mm_per_px[0]
+    return fit_profile(outward, seen, ball, circle.radius_px * width).contact_mm / width
+
+
+def _outward_slopes(
+    slopes: np.ndarray, press: BallPress, ball: Ball, circle: Circle
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes away from a center, and distances from it in mm: NaN below markers."""
     x, y = ball.offsets(press.shape, circle)
     distance = np.hypot(x, y)
     outward = (slopes[..., 0] * x + slopes[..., 1] * y) / np.maximum(distance, 1e-9)
-    seen = np.where(press.known, distance, np.nan)
-    width = ball.mm_per_px[0]
-    return fit_profile(outward, seen, ball, circle.radius_px * width).contact_mm / width
+    return outward, np.where(press.known, distance, np.nan)
 
 
 def _resolved_radius(press: BallPress, slope_map: SlopeMap, ball: Ball) -> float:
@@ -170,12 +177,10 @@ def _resolved_radius(press: BallPress, slope_map: SlopeMap, ball: Ball) -> float
     Colors of steep slopes may not differ any more, which would make others inconsistent.
     """
     slopes, circle = map_slopes(slope_map, press.change), press.contact
-    x, y = ball.offsets(press.shape, circle)
-    distance, width = np.hypot(x, y), ball.mm_per_px[0]
-    outward = (slopes[..., 0] * x + slopes[..., 1] * y) / np.maximum(distance, 1e-9)
+    outward, seen = _outward_slopes(slopes, press, ball, circle)
+    width = ball.mm_per_px[0]
     contact = circle.radius_px * width
-    rings = radial_means(outward, np.where(press.known, distance, np.nan), width, contact)
-    radii, means, numbers = rings
+    radii, means, numbers = radial_means(outward, seen, width, contact)
     expected = ball.slopes_at(np.stack([radii, np.zeros_like(radii)]))[:, 0]
     below = (means < _RESOLVED * expected) & (numbers > 0) & (radii > _MIN_RESOLVED * contact)
     return float(radii[int(below.argmax())] / width) if below.any() else circle.radius_px
