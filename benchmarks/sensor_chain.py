@@ -1,20 +1,19 @@
 """From camera images to a map of Young's modulus, without inverse crime (Section VI).
 
-    python benchmarks/sensor_chain.py [--cell 0.5] [--element tet4] [--keep FOLDER] [--out FOLDER]
+    python benchmarks/sensor_chain.py [--session NAME...] [--rim 0.5] [--keep FOLDER] [--out FOLDER]
 
-A cube of 10 mm with a stiff ball is pressed on three sides, to two depths each, by a gel of 16 mm
-that is wider than it, both in one finite element simulation that shares the nodes where they touch
-(contact without slip). The gel's face is rendered as its camera would see it. The further input is
-images, poses and the descriptions of sensor and object only, by the commands of tactorch:
+A cube of 10 mm with a ball is pressed on three sides, to two depths each, by a gel of 16 mm that is
+wider than it. Gel and cube are one body of quadratic elements, refined at the edge of the contact,
+see `sensor_truth.py`. The gel's face is rendered, and drawn as a camera with a distorting lens sees
+it, with noise and 8 bits. The further input is images, poses and the descriptions of sensor and
+object only, by the commands of tactorch:
 
     tactorch sensor calibrate   from drawn presses of a ball
-    tactorch sensor record      markers, depth, forces on a gel mesh twice as coarse, presses on a
-                                cube mesh of another size
-    tactorch invert
+    tactorch sensor record      markers, depth, forces, presses on a mesh of the cube
+    tactorch invert             map and shapes
 
-The error of each stage is relative to the simulation, whose linear elements are about 5 % too stiff
-(10 % on cells of 1 mm); --element tet10 uses quadratic elements. The last line printed is one JSON
-object.
+The error of each stage is relative to the simulation. Sessions differ in the ball, the place of the
+sensor, the depths and the seed of the noise. The last line printed is one JSON object.
 """
 
 import argparse
@@ -23,7 +22,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,33 +30,35 @@ from typing import Any
 import cv2
 import numpy as np
 from machine import OtherWork, write_results
-from scipy.interpolate import LinearNDInterpolator, RegularGridInterpolator
+from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial.transform import Rotation
+from sensor_truth import Ball, Contact, PressedBox, press_box
 
-from tactorch.fem import SoftBody, Supports, make_material
-from tactorch.inverse import Reconstruction
-from tactorch.mesh import TetMesh, box_mesh
-from tactorch.metrics import scores
+from tactorch.inverse import ShapeReconstruction
+from tactorch.inverse.shapes import ShapeInclusion
 from tactorch.recording import Press, Recording
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import ChainOptions, SensorChain
+from tactorch.sensor.contact_edge import surface_edge
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
 from tactorch.sensor.frames import Image, read_frames
-from tactorch.sensor.gel import GelMesh, GelModel
+from tactorch.sensor.gel import GelModel
 from tactorch.sensor.markers import marker_displacements
-from tactorch.sensor.render import GelSurface, build_surface, render
+from tactorch.sensor.render import GelSurface, RenderOptions, build_surface, render
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "opencv-python-headless", "pypardiso", "mkl")
 SIDE, POISSON = 10.0, 0.45
-DEPTHS = (0.5, 1.0)  # mm, to which the window is moved from first touch
 # A wide, flat contact has small slopes; without contact they are below a third of this.
 MIN_SLOPE = 0.03
+CONTACT_EDGE = 0.9  # mm, the default of `sensor record`
 APART = 0.4  # mm, of gel and cube before and after
-BALL_MM, BALL_MPA, SOFT_MPA = (6.0, 4.4, 6.6), 1.0, 0.2
+NOISE = 1.5  # of the camera, gray values
 GEL = GelLayer(4.0, 0.12, POISSON, size_mm=(16.0, 16.0))
 SENSOR = SensorDescription(
     "simulated", (320, 320), (0.05, 0.05), GEL, MarkerGrid(13, 13, (1.2, 1.2), 0.45),
-    frame_rate_hz=10.0,
+    frame_rate_hz=10.0, raw_size_px=(400, 380), intrinsics_px=(520.0, 520.0, 199.0, 188.0),
+    distortion=(-0.18, 0.05, 0.001, -0.0015),
+    warp_corners_px=((42.0, 31.0), (357.0, 34.0), (354.0, 349.0), (39.0, 346.0)),
 )  # fmt: skip
 # Turns of the cube that bring a side up.
 SIDES = {
@@ -66,167 +67,131 @@ SIDES = {
     "y+": np.array([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]),
 }
 MIDDLE = np.full(3, SIDE / 2)
+#: Pose of a sensor whose z axis points down: x along y, y along x.
+DOWN = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """Gel and cube in equilibrium, the cube with the pressed side up.
+@dataclass(frozen=True)
+class Session:
+    """Object and presses of a session.
 
     Attributes:
-        depth: How far the window was moved from first touch, mm.
-        points: Nodes of the gel's face at rest, in the sensor's frame.
-        moved: Their displacement against the gel's window, in the sensor's frame.
-        force: Of the cube on the gel, N, in the sensor's frame.
-        cube: Displacement over the cube's grid, (n, n, n, 3).
+        ball: Inclusion.
+        youngs_mpa: Young's modulus around it, MPa.
+        offset_mm: Of the sensor's axis from the middle of a side.
+        depths_mm: How far the window is moved from first touch.
+        seed: Of the noise of the camera.
     """
 
-    depth: float
-    points: np.ndarray
-    moved: np.ndarray
-    force: np.ndarray
-    cube: np.ndarray
+    ball: Ball
+    youngs_mpa: float = 0.2
+    offset_mm: tuple[float, float] = (0.0, 0.0)
+    depths_mm: tuple[float, float] = (0.5, 1.0)
+    seed: int = 0
+
+
+SESSIONS = {
+    "main": Session(Ball((6.0, 4.4, 6.6), 2.0, 1.0)),
+    "shifted": Session(Ball((4.2, 5.6, 6.2), 1.8, 0.8), 0.2, (0.6, -0.4), (0.6, 1.2), 1),
+    "soft": Session(Ball((5.5, 5.8, 6.3), 2.2, 0.07), 0.25, (-0.5, 0.3), (0.5, 1.0), 2),
+    "small": Session(Ball((6.2, 6.0, 6.8), 1.5, 1.0), 0.15, (0.2, 0.7), (0.4, 0.9), 3),
+    "central": Session(Ball((5.0, 5.0, 5.4), 2.2, 0.9), 0.3, (-0.3, -0.8), (0.5, 1.1), 4),
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the chain and print the tables and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--cell", type=float, default=0.5, help="of the simulation, mm")
-    parser.add_argument("--element", default="tet4", help="of the simulation; tet4 or tet10")
+    parser.add_argument("--session", nargs="+", default=["main"], choices=[*SESSIONS, "all"])
+    parser.add_argument("--rim", type=float, default=0.5, help="edges at the contact's edge, mm")
     parser.add_argument("--keep", type=Path, help="folder for images and runs")
     parser.add_argument("--out", type=Path, help="folder for sensor_chain.json and .md")
     options = parser.parse_args(arguments)
     meter = OtherWork()
+    names = list(SESSIONS) if "all" in options.session else options.session
     with TemporaryDirectory() as temporary:
         place = options.keep or Path(temporary)
-        scenes = {
-            name: simulated(turn, options.cell, element=options.element)
-            for name, turn in SIDES.items()
-        }
-        draw_session(place, scenes)
-        quality = calibrated(place)
-        presses = recorded(place)
-        chain = Stages(place)
-        rows = [
-            {"side": name, "depth_mm": scene.depth, **chain.errors(scene),
-             **on_object(presses[(name, scene.depth)], scene, turn)}
-            for name, turn in SIDES.items()
-            for scene in scenes[name]
-        ]  # fmt: skip
-        located = inverted(place)
-    result = {"calibration": quality, "presses": rows, "map": located}
-    lines = format_tables(result)
+        results = {name: run(SESSIONS[name], place / name, options.rim) for name in names}
+    lines = format_tables(results)
     print("\n".join(lines))
     print(f"Other processes took {meter.share() or 0:.0%} of the cores meanwhile.\n")
     if options.out is not None:
-        write_results(options.out, "sensor_chain", lines, result, PACKAGES)
-    print(json.dumps(result))
+        write_results(options.out, "sensor_chain", lines, results, PACKAGES)
+    print(json.dumps(results))
 
 
-def simulated(
-    turn: np.ndarray, cell: float, depths: Sequence[float] = DEPTHS, element: str = "tet4"
-) -> list[Scene]:
-    """Press the gel on the cube, rotated."""
-    cube = box_mesh(SIDE, round(SIDE / cell))
-    gel = GelMesh(GEL, cell, max(3, round(2.5 / cell)))
-    first = looking_down(SIDE)
-    above = gel.mesh.points @ first[:3, :3].T + first[:3, 3]
-    both, number = glued(cube, gel.mesh, above, gel.face)
-    youngs = np.full(both.n_tets, SOFT_MPA)
-    youngs[cube.n_tets :] = float(GEL.youngs_mpa)
-    center = turn @ (BALL_MM - MIDDLE) + MIDDLE
-    inside = np.linalg.norm(cube.centroids - center, axis=1) < 2.0
-    youngs[: cube.n_tets][inside] = BALL_MPA
-    window, n = number[gel.window], round(SIDE / cell) + 1
-    fixed = np.zeros(both.points.shape, dtype=bool)
-    fixed[both.points[:, 2] < 1e-9] = True
-    fixed[window] = True
-    body = SoftBody(both, make_material("neo_hookean", POISSON), element=element)
-    places = body.discretisation.positions
-    face = face_nodes(body, number[gel.face])
-    points = (places[face] - first[:3, 3]) @ first[:3, :3]
-    heights = places[:, 2]
-    held_up = heights > heights.max() - 1e-6
-    nothing, u, scenes = np.zeros(both.points.shape), None, []
-    for depth in depths:
-        prescribed = np.zeros(both.points.shape)
-        prescribed[window] = (0.0, 0.0, -depth)
-        held = Supports(fixed, prescribed)
-        found = body.equilibrate(youngs, nothing, held, start=u).require()
-        u = found.displacement
-        # What the window does to the gel, the cube does the other way round.
-        force = -body.assembly.internal_force(found.response, youngs)[held_up].sum(axis=0)
-        moved = (u[face] + (0.0, 0.0, depth)) @ first[:3, :3]
-        on_grid = u[: cube.n_points].reshape(n, n, n, 3)
-        scenes.append(Scene(depth, points, moved, force @ first[:3, :3], on_grid))
-    return scenes
+def run(session: Session, place: Path, rim_mm: float) -> dict[str, Any]:
+    """Simulate a session, run the commands, and return the errors of all stages."""
+    contacts = {name: simulated(session, turn, rim_mm) for name, turn in SIDES.items()}
+    draw_session(place, session, contacts)
+    quality = calibrated(place)
+    presses = recorded(place, session)
+    chain = Stages(place, session)
+    rows = [
+        {"side": name, "depth_mm": depth, **chain.errors(contact, session, depth),
+         **on_object(presses[(name, depth)], contact, turn)}
+        for name, turn in SIDES.items()
+        for depth, contact in zip(session.depths_mm, contacts[name], strict=True)
+    ]  # fmt: skip
+    return {"calibration": quality, "presses": rows, "map": inverted(place, session)}
 
 
-def face_nodes(body: SoftBody, vertices: np.ndarray) -> np.ndarray:
-    """Nodes on the gel's face, midside nodes included; one at each place."""
-    if not body.discretisation.element.quadratic:
-        return vertices
-    on = np.zeros(body.n_nodes, dtype=bool)
-    on[vertices] = True
-    midsides = on[body.discretisation.edges].all(axis=1)
-    on[len(on) - len(midsides) :] = midsides
-    found = np.flatnonzero(on)
-    places = np.round(body.discretisation.positions[found], 5)
-    return found[np.sort(np.unique(places, axis=0, return_index=True)[1])]
+def simulated(session: Session, turn: np.ndarray, rim_mm: float) -> list[Contact]:
+    """Press the gel on the cube, turned so that a side is up."""
+    center = turn @ (session.ball.center_mm - MIDDLE) + MIDDLE
+    ball = Ball(tuple(center.tolist()), session.ball.radius_mm, session.ball.youngs_mpa)
+    box = PressedBox(SIDE, session.youngs_mpa, POISSON, ball, GEL, session.offset_mm)
+    return press_box(box, [np.array([0.0, 0.0, -depth]) for depth in session.depths_mm], rim_mm)
 
 
-def glued(
-    cube: TetMesh, gel: TetMesh, above: np.ndarray, face: np.ndarray
-) -> tuple[TetMesh, np.ndarray]:
-    """Make one mesh that shares the nodes where the gel's face meets the cube's top."""
-    top = np.flatnonzero(cube.points[:, 2] > SIDE - 1e-6)
-    twin = {tuple(np.round(cube.points[i], 5)): i for i in top}
-    number = np.full(len(above), -1)
-    for i in face:
-        number[i] = twin.get(tuple(np.round(above[i], 5)), -1)
-    own = number < 0
-    if own.all():
-        raise SystemExit("gel and cube share no node; give a --cell that divides 1 mm.")
-    number[own] = cube.n_points + np.arange(int(own.sum()))
-    points = np.concatenate([cube.points, above[own]])
-    return TetMesh.create(points, np.concatenate([cube.tets, number[gel.tets]])), number
-
-
-def looking_down(z_mm: float) -> np.ndarray:
-    """Pose of a sensor over the cube's middle: x along y, y along x, z down."""
+def looking_down(session: Session, z_mm: float) -> np.ndarray:
+    """Pose of the sensor over the cube."""
     pose = np.eye(4)
-    pose[:3, :3] = [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)]
-    pose[:3, 3] = (SIDE / 2, SIDE / 2, z_mm)
+    pose[:3, :3], pose[:3, 3] = DOWN, (*(SIDE / 2 + np.array(session.offset_mm)), z_mm)
     return pose
 
 
-def draw_session(place: Path, scenes: dict[str, list[Scene]]) -> None:
+def gel_face(contact: Contact, session: Session, depth: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the gel's face at rest and their displacement against the window, sensor frame."""
+    origin = looking_down(session, SIDE)[:3, 3]
+    return (contact.points - origin) @ DOWN, (contact.moved + np.array([0.0, 0.0, depth])) @ DOWN
+
+
+def draw_session(place: Path, session: Session, contacts: dict[str, list[Contact]]) -> None:
     """Write what a user has: description, presses of a ball, frames of the session, poses."""
     for name in ("balls", "frames"):
         (place / name).mkdir(parents=True, exist_ok=True)
     save_sensor(SENSOR, place / "sensor.yaml")
-    save_image(still(1000), place / "still.png")
-    rng = np.random.default_rng(3)
+    first = 10_000 * session.seed
+    save_image(still(first + 1000), place / "still.png")
+    rng = np.random.default_rng(first + 3)
     for i in range(14):
-        image = ball_image(rng.uniform(70, 250, 2), float(rng.uniform(32, 44)), i)
+        image = ball_image(rng.uniform(70, 250, 2), float(rng.uniform(32, 44)), first + 2000 + i)
         save_image(image, place / "balls" / f"{i:02d}.png")
     rows: list[list[float]] = []
     for name, turn in SIDES.items():
-        for scene in (None, None, *scenes[name], None):
+        pairs = list(zip(session.depths_mm, contacts[name], strict=True))
+        for pair in (None, None, *pairs, None):
             number = len(rows)
-            image = still(number) if scene is None else drawn(scene, number)
+            if pair is None:
+                image, depth = still(first + number), -APART
+            else:
+                depth = pair[0]
+                face = build_surface(SENSOR, *gel_face(pair[1], session, depth))
+                image = photographed(face, first + number)
             save_image(image, place / "frames" / f"{number:03d}.png")
-            rows.append([number / 10.0, *pose_row(turn, -APART if scene is None else scene.depth)])
+            rows.append([number / 10.0, *pose_row(session, turn, depth)])
     with open(place / "poses.csv", "w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(["time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"])
         table.writerows([f"{value:.9g}" for value in row] for row in rows)
 
 
-def pose_row(turn: np.ndarray, depth: float) -> list[float]:
+def pose_row(session: Session, turn: np.ndarray, depth: float) -> list[float]:
     """Place and quaternion of the sensor in the cube's frame."""
     back = np.eye(4)
     back[:3, :3], back[:3, 3] = turn.T, MIDDLE - turn.T @ MIDDLE
-    pose = back @ looking_down(SIDE - depth)
+    pose = back @ looking_down(session, SIDE - depth)
     return [*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)]
 
 
@@ -235,15 +200,45 @@ def save_image(image: Image, path: Path) -> None:
     cv2.imwrite(str(path), image[..., ::-1])
 
 
-def drawn(scene: Scene, seed: int) -> Image:
-    """Draw what the camera sees of a press."""
-    return render(SENSOR, build_surface(SENSOR, scene.points, scene.moved), seed=seed)
+def photographed(face: GelSurface, seed: int) -> Image:
+    """Draw what the camera sees of a face: through the lens, with noise and 8 bits."""
+    ideal = render(SENSOR, face, RenderOptions(noise=0.0)).astype(np.float32)
+    columns, rows = lens_map()
+    seen = cv2.remap(ideal, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    noisy = seen + np.random.default_rng(seed).normal(0.0, NOISE, seen.shape)
+    return np.clip(noisy.round(), 0, 255).astype(np.uint8)
+
+
+def lens_map() -> tuple[np.ndarray, np.ndarray]:
+    """Position in the rectified image of each pixel of a raw one."""
+    width, height = SENSOR.raw_size_px
+    fx, fy, cx, cy = SENSOR.intrinsics_px
+    matrix = np.array([(fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)])
+    rows, columns = np.indices((height, width), dtype=np.float64)
+    raw = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+    straight = cv2.undistortPoints(raw, matrix, np.array(SENSOR.distortion), P=matrix)
+    w, h = SENSOR.image_size_px
+    targets = np.array([(0, 0), (w - 1, 0), (w - 1, h - 1), (0, h - 1)], np.float32)
+    warp = cv2.getPerspectiveTransform(np.array(SENSOR.warp_corners_px, np.float32), targets)
+    found = cv2.perspectiveTransform(straight, warp).reshape(height, width, 2)
+    return found[..., 0].astype(np.float32), found[..., 1].astype(np.float32)
 
 
 def still(seed: int) -> Image:
     """Draw the gel without contact."""
     flat = GelSurface(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
-    return render(SENSOR, flat, seed=seed)
+    return photographed(flat, seed)
+
+
+def ball_image(center: np.ndarray, contact_px: float, seed: int) -> Image:
+    """Draw a press of the ball; beyond its contact the gel rises back."""
+    rows, columns = np.indices(SENSOR.shape)
+    away = np.hypot(columns - center[0], rows - center[1]) * 0.05
+    edge = contact_px * 0.05
+    rim = 0.35 * edge / np.sqrt(9.0 - edge**2)
+    inner = np.sqrt(9.0 - edge**2) - np.sqrt(np.maximum(9.0 - away**2, 0.0)) - rim
+    height = np.where(away < edge, inner, -rim * np.exp(-(away - edge) / 0.35))
+    return photographed(GelSurface(height, SENSOR.to_px(SENSOR.markers.positions_mm)), seed)
 
 
 def tactorch(*arguments: str) -> None:
@@ -267,66 +262,52 @@ def calibrated(place: Path) -> dict[str, Any]:
     return quality
 
 
-def recorded(place: Path) -> dict[tuple[str, float], Press]:
+def recorded(place: Path, session: Session) -> dict[tuple[str, float], Press]:
     """Record the session; presses by side and depth, in the order in which they were drawn."""
     tactorch(
         "sensor", "record", f"sensor={place}/sensor.yaml", f"calibration={place}/calib.npz",
         f"frames={place}/frames", f"poses={place}/poses.csv", f"reference={place}/still.png",
         f"object.size_mm=[{SIDE},{SIDE},{SIDE}]", "object.edge_mm=1.25",
-        f"steps={len(DEPTHS)}", f"min_slope={MIN_SLOPE}", f"out={place}/recording.h5",
+        f"steps={len(session.depths_mm)}", f"min_slope={MIN_SLOPE}", f"out={place}/recording.h5",
         f"run_dir={place}/record",
     )  # fmt: skip
     presses = Recording.load(place / "recording.h5").presses
-    wanted = [(name, depth) for name in SIDES for depth in DEPTHS]
+    wanted = [(name, depth) for name in SIDES for depth in session.depths_mm]
     if len(presses) != len(wanted):
         raise SystemExit(f"{len(presses)} presses were recorded, not {len(wanted)}.")
     return dict(zip(wanted, presses, strict=True))
 
 
-def ball_image(center: np.ndarray, contact_px: float, seed: int) -> Image:
-    """Draw a press of the ball; beyond its contact the gel rises back."""
-    rows, columns = np.indices(SENSOR.shape)
-    away = np.hypot(columns - center[0], rows - center[1]) * 0.05
-    edge = contact_px * 0.05
-    rim = 0.35 * edge / np.sqrt(9.0 - edge**2)
-    inner = np.sqrt(9.0 - edge**2) - np.sqrt(np.maximum(9.0 - away**2, 0.0)) - rim
-    height = np.where(away < edge, inner, -rim * np.exp(-(away - edge) / 0.35))
-    return render(SENSOR, GelSurface(height, SENSOR.to_px(SENSOR.markers.positions_mm)), seed=seed)
-
-
 class Stages:
     """Results and errors of each stage for a frame."""
 
-    def __init__(self, place: Path) -> None:
+    def __init__(self, place: Path, session: Session) -> None:
         self.calibration: Calibration = load_calibration(place / "calib.npz")
         self.model = GelModel(GEL)
         reference = self.calibration.reference
         self.chain = SensorChain(
-            SENSOR, self.calibration, reference, self.model, ChainOptions(min_slope=MIN_SLOPE)
-        )
-        self.frames = {
-            (name, depth): frame
-            for (name, depth), frame in zip(
-                [(n, d) for n in SIDES for d in (None, None, *DEPTHS, 0.0)],
-                read_frames(place / "frames", SENSOR, reference),
-                strict=True,
-            )
-            if depth
-        }
-        self._left = list(self.frames.values())
+            SENSOR, self.calibration, reference, self.model,
+            ChainOptions(min_slope=MIN_SLOPE, contact_edge_mm=CONTACT_EDGE),
+        )  # fmt: skip
+        kinds = [depth for _ in SIDES for depth in (None, None, *session.depths_mm, None)]
+        frames = list(read_frames(place / "frames", SENSOR, reference))
+        self._left = [f for f, depth in zip(frames, kinds, strict=True) if depth is not None]
 
-    def errors(self, scene: Scene) -> dict[str, float]:
+    def errors(self, contact: Contact, session: Session, depth: float) -> dict[str, float]:
         """Take the next press and compare it with its simulation."""
         frame = self._left.pop(0)
-        found = self.chain.measure(frame)
+        found = self.chain.measure_deformation(frame)
+        outline = surface_edge(*_top(session))
+        found = replace(found, contact=self.chain.solve_contact(found, outline))
         assert frame.image is not None
         assert found.contact is not None
         assert found.height is not None
-        face = build_surface(SENSOR, scene.points, scene.moved)
+        points, moved = gel_face(contact, session, depth)
+        face = build_surface(SENSOR, points, moved)
         at = self.chain.tracker.reference_px
         _, told_mm = marker_displacements(SENSOR, at, found.markers_px)
-        true_mm = _between(scene.points, scene.moved, SENSOR.to_mm(at))
-        gel_true = _between(scene.points, scene.moved, self.model.points[:, :2])
+        true_mm = _between(points, moved, SENSOR.to_mm(at))
+        gel_true = _between(points, moved, found.contact.points[:, :2])
         slope_true = np.stack(np.gradient(face.height_mm, 0.05)[::-1], axis=-1)
         free = found.height.zero_mean_mm - face.height_mm
         return {
@@ -336,20 +317,35 @@ class Stages:
             "gel_rms_mm": _rms(found.contact.displacement - gel_true),
             "gel_size_mm": _rms(gel_true),
             "force_n": float(found.contact.total[2]),
-            "true_force_n": float(scene.force[2]),
+            "true_force_n": float((-contact.force @ DOWN)[2]),
         }
 
 
-def on_object(press: Press, scene: Scene, turn: np.ndarray) -> dict[str, float]:
+def _top(session: Session) -> tuple[np.ndarray, np.ndarray]:
+    """Pressed side of the cube in the frame of the sensor."""
+    corners = np.array([(0.0, 0.0), (SIDE, 0.0), (SIDE, SIDE), (0.0, SIDE)])
+    points = np.column_stack([corners, np.full(4, SIDE)])
+    return (points - looking_down(session, SIDE)[:3, 3]) @ DOWN, np.array([(0, 1, 2), (0, 2, 3)])
+
+
+def on_object(press: Press, contact: Contact, turn: np.ndarray) -> dict[str, float]:
     """Return the errors of a recorded press on the cube, relative to the simulation."""
-    truth = cube_moved(scene, turn, inversion_mesh().points)
     on = press.observed.all(axis=1)
+    upright = (inversion_nodes()[on] - MIDDLE) @ turn.T + MIDDLE
+    top = contact.nodes[:, 2] > SIDE - 1e-6
+    truth = _between(contact.nodes[top], contact.displacement[top], upright[:, :2]) @ turn
     return {
         "press_force_n": float(press.total_force @ press.direction),
-        "object_rms_mm": _rms((press.displacement - truth)[on]),
-        "object_size_mm": _rms(truth[on]),
+        "object_rms_mm": _rms(press.displacement[on] - truth),
+        "object_size_mm": _rms(truth),
         "observed_nodes": int(on.sum()),
     }
+
+
+def inversion_nodes() -> np.ndarray:
+    """Nodes of the mesh of `object.edge_mm=1.25`."""
+    axis = np.linspace(0.0, SIDE, 9)
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _rms(values: np.ndarray) -> float:
@@ -357,71 +353,74 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _between(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:
-    return LinearNDInterpolator(points[:, :2], values)(places)
+    return LinearNDInterpolator(points[:, :2], values)(places * (1.0 - 1e-9))
 
 
-def cube_moved(scene: Scene, turn: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The simulation's displacement at points of the cube, as it lies."""
-    axis = np.linspace(0.0, SIDE, len(scene.cube))
-    rotate_vectors = np.clip((points - MIDDLE) @ turn.T + MIDDLE, 0.0, SIDE)
-    return RegularGridInterpolator((axis, axis, axis), scene.cube)(rotate_vectors) @ turn
-
-
-def inversion_mesh() -> TetMesh:
-    """Another mesh than the simulation's: that of `object.edge_mm=1.25`."""
-    return box_mesh(SIDE, 8, tets_per_cell=5)
-
-
-def inverted(place: Path) -> dict[str, float]:
-    """Invert and locate the ball: the weighted centre of the moduli above half of the contrast."""
-    tactorch("invert", f"recording={place}/recording.h5", f"run_dir={place}/invert", "find=false")
-    found = Reconstruction.load(place / "invert" / "reconstruction.h5")
-    mesh = found.mesh
-    inside = np.linalg.norm(mesh.centroids - BALL_MM, axis=1) < 2.0
-    truth = np.where(inside, BALL_MPA, SOFT_MPA)
-    soft = float(np.median(found.youngs))
-    over = np.maximum(found.youngs - 0.5 * (soft + found.youngs.max()), 0.0) * mesh.volumes
-    off = over @ mesh.centroids / over.sum() - BALL_MM
-    figures = scores(mesh, found.youngs, truth)
+def inverted(place: Path, session: Session) -> dict[str, Any]:
+    """Invert, and compare the inclusion that was found with the ball."""
+    tactorch("invert", f"recording={place}/recording.h5", f"run_dir={place}/invert")
+    shapes = ShapeReconstruction.of(json.loads((place / "invert" / "shapes.json").read_text()))
+    ball = session.ball
+    figures = {
+        "inclusions": len(shapes.inclusions), "chi2": shapes.chi2,
+        "around_mpa": shapes.background_mpa, "true_around_mpa": session.youngs_mpa,
+        "true_mpa": ball.youngs_mpa, "force_deviation": shapes.force_deviation,
+        "pose_deviation": shapes.pose_deviation,
+    }  # fmt: skip
+    if not shapes.inclusions:
+        return figures
+    found = min(shapes.inclusions, key=lambda one: _off(one, ball))
+    off = np.array(found.shape.center_mm) - ball.center_mm
+    low, high = found.youngs_90_mpa
     return {
-        "off_mm": float(np.linalg.norm(off)),
-        "off_x_mm": float(off[0]),
-        "off_y_mm": float(off[1]),
-        "off_z_mm": float(off[2]),
-        "soft_mpa": soft,
-        "hardest_mpa": float(found.youngs.max()),
-        "pearson": float(figures["pearson"]),
-        "ssim": float(figures["ssim"]),
-        "chi2": float(found.history[-1]["chi2"]),
-    }
+        **figures, "off_mm": float(np.linalg.norm(off)), "off_axes_mm": off.tolist(),
+        "youngs_mpa": found.youngs_mpa, "youngs_90_mpa": [low, high],
+        "within": bool(low <= ball.youngs_mpa <= high),
+        "radius_90_mm": list(found.radius_90_mm), "true_radius_mm": ball.radius_mm,
+        "probability": found.probability,
+    }  # fmt: skip
 
 
-def format_tables(result: dict[str, Any]) -> list[str]:
+def _off(found: ShapeInclusion, ball: Ball) -> float:
+    return float(np.linalg.norm(np.array(found.shape.center_mm) - ball.center_mm))
+
+
+def format_tables(results: dict[str, Any]) -> list[str]:
     """Return the tables as Markdown."""
-    q, m = result["calibration"], result["map"]
     lines = [
-        "| side | pressed by | slopes, rms | depth | markers | gel | force | object |",
+        "| session | side | pressed by | slopes, rms | depth | markers | gel | force | object |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, result in results.items():
+        for one in result["presses"]:
+            ratio = one["force_n"] / one["true_force_n"] - 1.0
+            lines.append(
+                f"| {name} | {one['side']} | {one['depth_mm']:g} mm | {one['slope_rms']:.4f} |"
+                f" {one['depth_rms_mm']:.4f} mm | {one['marker_rms_mm']:.4f} mm |"
+                f" {one['gel_rms_mm']:.4f} of {one['gel_size_mm']:.3f} mm |"
+                f" {one['force_n']:.3f} of {one['true_force_n']:.3f} N ({ratio:+.1%}) |"
+                f" {one['object_rms_mm']:.4f} of {one['object_size_mm']:.3f} mm |"
+            )
+    lines += [
+        "",
+        "| session | lumps | off by | x, y, z | ball, MPa | 90 % | around, MPa | chi2 |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for one in result["presses"]:
-        lines.append(
-            f"| {one['side']} | {one['depth_mm']:g} mm | {one['slope_rms']:.4f} |"
-            f" {one['depth_rms_mm']:.4f} mm |"
-            f" {one['marker_rms_mm']:.4f} mm | {one['gel_rms_mm']:.4f} of"
-            f" {one['gel_size_mm']:.3f} mm | {one['force_n']:.3f} of {one['true_force_n']:.3f} N |"
-            f" {one['object_rms_mm']:.4f} of {one['object_size_mm']:.3f} mm |"
-        )
-    return [
-        f"Calibration, held out: slopes R^2 {q['r2'][0]:.4f} / {q['r2'][1]:.4f}, mean error"
-        f" {q['mae'][0]:.4f} / {q['mae'][1]:.4f}; the ball's depth {q['depth_rms_mm']:.4f} mm rms.",
-        "",
-        *lines,
-        "",
-        f"The ball is found {m['off_mm']:.2f} mm from where it is (x {m['off_x_mm']:+.2f}, y"
-        f" {m['off_y_mm']:+.2f}, z {m['off_z_mm']:+.2f}); the map has {m['soft_mpa']:.3f} MPa"
-        f" around it (true {SOFT_MPA}) and {m['hardest_mpa']:.2f} MPa at most (true {BALL_MPA}), r"
-        f" {m['pearson']:.3f}, SSIM {m['ssim']:.3f}.",
-    ]
+    for name, result in results.items():
+        m = result["map"]
+        place = ["", "", "", ""]
+        if "off_mm" in m:
+            low, high = m["youngs_90_mpa"]
+            place = [
+                f"{m['off_mm']:.2f} mm", ", ".join(f"{v:+.2f}" for v in m["off_axes_mm"]),
+                f"{m['youngs_mpa']:.3f} of {m['true_mpa']:g}", f"{low:.3f} to {high:.3f}",
+            ]  # fmt: skip
+        cells = [
+            name, str(m["inclusions"]), *place,
+            f"{m['around_mpa']:.3f} of {m['true_around_mpa']:g}", f"{m['chi2']:.2f}",
+        ]  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
 
 
 if __name__ == "__main__":

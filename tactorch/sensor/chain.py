@@ -1,6 +1,7 @@
 """Contacts from frames: markers and depth, deformation of the gel, forces."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,16 +11,20 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration
 from tactorch.sensor.contact import interpolate_displacements
+from tactorch.sensor.contact_edge import common_edge, image_edge
 from tactorch.sensor.depth import MIN_SLOPE, HeightMap, reconstruct_height
 from tactorch.sensor.description import SensorDescription
+from tactorch.sensor.face_data import FaceData
 from tactorch.sensor.frames import Frame, Image
 from tactorch.sensor.gel import GelContact, GelModel
+from tactorch.sensor.gel_face import EdgeDistance
 from tactorch.sensor.markers import (
     MarkerAppearance,
     MarkerTracker,
     TrackOptions,
     marker_displacements,
 )
+from tactorch.sensor.refined_gel import RefinedGel
 
 _AXIS = np.array([0.0, 0.0, 1.0])
 _MAX_SCALE_ERROR = 0.02  # between calibration and description
@@ -44,10 +49,33 @@ class ChainOptions(DepthOptions):
     noise_mm: float = option(
         0.01, "Standard deviation of the displacements from markers and depth", unit="mm", gt=0
     )
+    marker_noise_mm: float = option(
+        0.002, "Standard deviation of the displacements of markers, with contact_edge_mm",
+        unit="mm", gt=0,
+    )  # fmt: skip
     margin_mm: float = option(
         0.5, "Margin by which the contact region from depth is widened", unit="mm", gt=0
     )
+    contact_edge_mm: float | None = option(
+        None, "Edge length of the gel's elements at the edge of each contact, for accurate forces"
+        " in 10 to 60 s a frame; null: the mesh of the gel",
+        unit="mm", gt=0,
+    )  # fmt: skip
     track: TrackOptions = option(factory=TrackOptions, help="Tolerances of marker tracking")
+
+
+class ContactView(NamedTuple):
+    """What an image shows of a contact, for a gel that is refined at its edge.
+
+    Attributes:
+        pixels: Pixels in contact.
+        markers_mm: Rest positions of the markers, mm.
+        in_plane_mm: Their displacements along x and y, mm; NaN for markers not seen.
+    """
+
+    pixels: Bool[np.ndarray, "h w"]
+    markers_mm: Float[np.ndarray, "n 2"]
+    in_plane_mm: Float[np.ndarray, "n 2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +93,8 @@ class Measurement:
         in_contact: Nodes of the gel's face in contact.
         contact: Forces and displacements of the gel's face; None without contact, or before
             `SensorChain.solve_contact`.
+        view: What the image shows of the contact; None without contact, or without the option
+            `contact_edge_mm`.
     """
 
     frame: Frame
@@ -75,6 +105,7 @@ class Measurement:
     displacement: Float[np.ndarray, "k 3"] | None
     in_contact: Bool[np.ndarray, " k"]
     contact: GelContact | None = None
+    view: ContactView | None = None
 
 
 class SensorChain:
@@ -136,16 +167,48 @@ class SensorChain:
             return Measurement(frame, markers_px, height, *size, None, nothing)
         displacement = self._face_displacement(markers_px, height)
         in_contact = self._contact_nodes(height, displacement)
-        known = displacement if in_contact.any() else None
-        return Measurement(frame, markers_px, height, *size, known, in_contact)
+        if not in_contact.any():
+            return Measurement(frame, markers_px, height, *size, None, in_contact)
+        view = None
+        if self.options.contact_edge_mm is not None:
+            at, moved = marker_displacements(
+                self.sensor, self.tracker.reference_px, markers_px, height.height_mm
+            )
+            view = ContactView(height.contact, at[:, :2], moved[:, :2])
+        state = (frame, markers_px, height, *size, displacement, in_contact)
+        return Measurement(*state, view=view)
 
-    def solve_contact(self, measurement: Measurement) -> GelContact | None:
-        """Return the contact forces behind a measured deformation; None without contact."""
+    def solve_contact(
+        self, measurement: Measurement, outline: EdgeDistance | None = None
+    ) -> GelContact | None:
+        """Return the contact forces behind a measured deformation; None without contact.
+
+        Args:
+            measurement: Measured deformation.
+            outline: Distance from the outline of the object; None where its shape is unknown.
+        """
         if measurement.displacement is None:
             return None
+        if measurement.view is not None:
+            return self._solve_refined(measurement, measurement.view, outline)
         known, in_contact = measurement.displacement, measurement.in_contact
         # Slopes determine depth up to a constant, and the gel also moves outside the contact.
         return self.model.smooth_forces(known, self.options.noise_mm, in_contact, free_plane=True)
+
+    def _solve_refined(
+        self, measurement: Measurement, view: ContactView, outline: EdgeDistance | None
+    ) -> GelContact:
+        """Contact forces by a gel that is refined at the edge of the contact."""
+        known, points, options = measurement.displacement, self.model.points, self.options
+        assert known is not None
+        assert options.contact_edge_mm is not None
+        edge = image_edge(self.sensor, view.pixels, points, known, options.margin_mm)
+        edge = edge if outline is None else common_edge(edge, outline)
+        data = FaceData.of(
+            view.markers_mm, view.in_plane_mm, options.marker_noise_mm,
+            points[:, :2], known[:, 2], options.noise_mm,
+        )  # fmt: skip
+        return RefinedGel(self.model, edge, options.contact_edge_mm).solve(data, free_plane=True)
 
     def _face_displacement(self, markers_px: np.ndarray, height: HeightMap) -> np.ndarray:
         """Displacements of the gel's nodes: in the plane from markers, along z from depth."""

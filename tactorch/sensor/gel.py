@@ -110,12 +110,14 @@ class GelContact:
         forces: Forces on the gel at each node, (k, 3), N; the object experiences the opposite.
         covariance: Covariance of the total force due to the noise of the displacements, (3, 3),
             N^2; None if no noise was given.
+        in_contact: Nodes in contact, (k,); None for those that the force was computed with.
     """
 
     points: Float[np.ndarray, "k 3"]
     displacement: Float[np.ndarray, "k 3"]
     forces: Float[np.ndarray, "k 3"]
     covariance: Float[np.ndarray, "3 3"] | None = None
+    in_contact: Bool[np.ndarray, " k"] | None = None
 
     @property
     def total(self) -> Float[np.ndarray, "3"]:

@@ -18,7 +18,10 @@ __all__ = ["calibration", "files"]  # fixtures
 # The sensor looks down; its face comes from 0.2 mm above the box to 0.3 mm into its top.
 HEIGHTS_MM = (4.2, 3.9, 3.8, 3.7, 4.2)
 HEADER = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"
-SMALL = ("edge_mm=1.2", "layers=3", "steps=2", "object.size_mm=[6,6,4]", "object.edge_mm=1")
+SMALL = (
+    "edge_mm=1.2", "layers=3", "steps=2", "object.size_mm=[6,6,4]", "object.edge_mm=1",
+    "contact_edge_mm=null",
+)  # fmt: skip
 
 
 def poses(

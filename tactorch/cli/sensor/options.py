@@ -138,4 +138,9 @@ class RecordSettings(RecordOptions, GelOptions, ChainOptions, CalibratedSettings
     as_they_end: bool = option(
         False, "Append the presses of each contact once it has ended, for tactorch live"
     )
+    contact_edge_mm: float | None = option(
+        0.9, "Edge length of the gel's elements at the edge of each contact, for accurate forces in"
+        " 10 to 60 s a press; null: the mesh of the gel",
+        unit="mm", gt=0,
+    )  # fmt: skip
     plots: bool = option(True, "Draw over_time.png and presses.png")

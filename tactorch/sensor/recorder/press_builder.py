@@ -18,7 +18,9 @@ from tactorch.mesh.quadrature import lattice
 from tactorch.recording import Press
 from tactorch.sensor.chain import Measurement, SensorChain
 from tactorch.sensor.contact import MIN_FACING, ContactOptions, build_press
+from tactorch.sensor.contact_edge import surface_edge
 from tactorch.sensor.description import GelLayer
+from tactorch.sensor.gel_face import EdgeDistance
 from tactorch.sensor.poses import Pose, Poses, transform_points
 from tactorch.sensor.recorder.detector import ContactInterval
 from tactorch.sensor.recorder.objects import VirtualCube
@@ -128,10 +130,13 @@ class PressBuilder:
             measurement, pose = contact.measurements[index], poses.at([times_s[index]])[0]
             name = measurement.frame.name
             try:
-                forces = self.chain.solve_contact(measurement)
+                forces = self.chain.solve_contact(measurement, self._outline(first_pose))
                 assert forces is not None
+                in_contact = measurement.in_contact
+                if forces.in_contact is not None:
+                    in_contact = forces.in_contact
                 press = build_press(
-                    forces, pose, first_pose, self.mesh, measurement.in_contact,
+                    forces, pose, first_pose, self.mesh, in_contact,
                     options=self.options, noise_mm=noise_mm, step=step,
                     name=f"contact {number}, {name}",
                     **self.options.supports(self.mesh, pose[:3, 2]),
@@ -142,6 +147,17 @@ class PressBuilder:
             else:
                 step += 1
                 yield measurement, press
+
+    def _outline(self, first_pose: Pose) -> EdgeDistance | None:
+        """Distance from the outline of the object under the gel; None for an unknown shape."""
+        if not isinstance(self.target, TetMesh):
+            return None
+        surface = self.target.surface
+        points = transform_points(np.linalg.inv(first_pose), self.target.points)
+        facing = surface.normals @ first_pose[:3, 2] < -MIN_FACING
+        level = np.abs(points[surface.triangles, 2].mean(axis=1)) <= self.options.reach_mm
+        triangles = surface.triangles[np.asarray(facing & level)]
+        return surface_edge(points, triangles) if len(triangles) else None
 
 
 def first_pose_by_shape(

@@ -1,0 +1,166 @@
+"""Mesh of a gel with small elements at the edge of a contact."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.linalg import eigh
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from tactorch.mesh import TetMesh, refine
+from tactorch.mesh.geometry import signed_volumes
+from tactorch.mesh.refine import Sizing
+from tactorch.sensor.description import GelLayer
+from tactorch.sensor.gel import GelMesh
+
+_GROWTH = 0.7  # of the edge length with the distance from the edge of the contact
+_SNAP, _ON_EDGE = 0.3, 0.05  # distances from the edge, over the edge length of elements there
+_MIN_VOLUME = 0.2  # of an element after its nodes are moved, over that before
+
+#: Distance of points of the face at rest (n, 2) from the edge of the contact, mm; positive inside.
+EdgeDistance = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
+
+
+class GelFace:
+    """Mesh of a gel and the nodes of its outer face and window.
+
+    Attributes:
+        mesh: Mesh, mm.
+        nodes: Nodes of the outer face, (k,).
+        window: Nodes bonded to the window.
+        points: Rest positions of the nodes of the face, (k, 3), mm.
+        triangles: Triangles of the face, as indices among its nodes, (t, 3).
+        touching: Nodes of the face in contact, (k,).
+    """
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        on_face: Bool[np.ndarray, " n"],
+        on_window: Bool[np.ndarray, " n"],
+        touching: Bool[np.ndarray, " n"],
+    ) -> None:
+        self.mesh = mesh
+        self.nodes, self.window = np.flatnonzero(on_face), np.flatnonzero(on_window)
+        self.points = mesh.points[self.nodes]
+        outer = on_face[mesh.surface.triangles].all(axis=1)
+        self.triangles = (np.cumsum(on_face) - 1)[mesh.surface.triangles[outer]]
+        inside = touching[self.nodes][self.triangles].all(axis=1)
+        self.touching = np.zeros(len(self.nodes), dtype=bool)
+        self.touching[self.triangles[inside]] = True
+        self._contact_triangles = (np.cumsum(self.touching) - 1)[self.triangles[inside]]
+
+    @staticmethod
+    def refined(
+        coarse: GelMesh, gel: GelLayer, distance: EdgeDistance, edge_mm: float
+    ) -> "GelFace":
+        """Bisect elements near the edge of a contact, and move nodes of the face onto it.
+
+        Args:
+            coarse: Mesh of the gel.
+            gel: The gel, whose face may be curved.
+            distance: Distance from the edge of the contact.
+            edge_mm: Longest edge of elements at the edge.
+        """
+        refinement = refine(coarse.mesh, edge_sizing(distance, edge_mm, gel))
+        on_window = np.zeros(coarse.mesh.n_points, dtype=bool)
+        on_window[coarse.window] = True
+        on_face, on_window = (
+            refinement.interpolate(mask.astype(float)) > 1.0 - 1e-9
+            for mask in (coarse.on_face, on_window)
+        )
+        points, tets = refinement.mesh.points.copy(), refinement.mesh.tets
+        flat = points[on_face, :2]
+        moved = _onto_edge(flat, distance, _SNAP * edge_mm, np.array(gel.half_size_mm))
+        target = points.copy()
+        target[on_face] = np.column_stack([moved, gel.height_mm(moved)])
+        points = _without_flat_elements(points, target, tets)
+        touching = np.zeros(len(points), dtype=bool)
+        touching[on_face] = distance(points[on_face, :2]) >= -_ON_EDGE * edge_mm
+        return GelFace(TetMesh.create(points, tets), on_face, on_window, touching)
+
+    @property
+    def contact(self) -> Int[np.ndarray, " c"]:
+        """Nodes of the mesh in contact."""
+        return self.nodes[self.touching]
+
+    def smooth_modes(self, count: int) -> tuple[Float[np.ndarray, "c u"], Float[np.ndarray, "c r"]]:
+        """Return linear functions over the contact, and smooth ones of unit roughness.
+
+        Each part of the contact has linear functions of its own. The others are the eigenfunctions
+        of the Laplacian, over their eigenvalues squared.
+
+        Args:
+            count: Number of eigenfunctions.
+        """
+        flat = self.points[self.touching, :2]
+        stiffness, areas = _surface_laplacian(flat, self._contact_triangles)
+        n, pairs = len(flat), self._contact_triangles[:, [0, 1, 2, 1, 2, 0]].reshape(-1, 2, 3)
+        rows, columns = pairs[:, 0].ravel(), pairs[:, 1].ravel()
+        graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+        n_parts, part = connected_components(graph, directed=False)
+        linear = []
+        for k in range(n_parts):
+            own = (part == k).astype(float)
+            offset = (flat - flat[part == k].mean(axis=0)) * own[:, None]
+            linear += [own, *(offset / max(float(np.abs(offset).max()), 1e-9)).T]
+        last = min(count + n_parts, n) - 1
+        values, vectors = eigh(stiffness, np.diag(areas), subset_by_index=[0, last])
+        rough = vectors[:, n_parts:] / values[n_parts:] ** 2
+        return np.column_stack(linear), rough
+
+
+def edge_sizing(distance: EdgeDistance, edge_mm: float, gel: GelLayer) -> Sizing:
+    """Return longest edges of elements that grow with the distance from the contact's edge."""
+
+    def sizing(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        below = gel.height_mm(points[:, :2]) - points[:, 2]
+        return np.maximum(_GROWTH * np.hypot(distance(points[:, :2]), below), edge_mm)
+
+    return sizing
+
+
+def _onto_edge(
+    points: Float[np.ndarray, "k 2"],
+    distance: EdgeDistance,
+    reach_mm: float,
+    half_size_mm: Float[np.ndarray, "2"],
+) -> Float[np.ndarray, "k 2"]:
+    """Move points near the edge of the contact onto it, except those on the border of the face."""
+    away, step = distance(points), 0.1 * reach_mm
+    slopes = [
+        (distance(points + e) - distance(points - e)) / (2.0 * step) for e in step * np.eye(2)
+    ]
+    gradient = np.stack(slopes, axis=1)
+    square = (gradient**2).sum(axis=1)
+    inner = (np.abs(points) < half_size_mm * (1.0 - 1e-6)).all(axis=1)
+    near = inner & (np.abs(away) < reach_mm) & (square > 0.25)
+    moved = points.copy()
+    moved[near] -= (away / np.maximum(square, 0.25))[near, None] * gradient[near]
+    return moved
+
+
+def _without_flat_elements(
+    before: Float[np.ndarray, "n 3"], after: Float[np.ndarray, "n 3"], tets: Int[np.ndarray, "m 4"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return moved nodes, with those of elements that became flat where they were."""
+    limits, moved = _MIN_VOLUME * signed_volumes(before, tets), after.copy()
+    while (flat := signed_volumes(moved, tets) < limits).any():
+        nodes = np.unique(tets[flat])
+        moved[nodes] = before[nodes]
+    return moved
+
+
+def _surface_laplacian(
+    points: Float[np.ndarray, "k d"], triangles: Int[np.ndarray, "t 3"]
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """Stiffness of linear triangles (cotangent weights), and areas of the nodes, mm^2."""
+    corners = points[triangles]
+    opposite = np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1)  # of each corner
+    products = np.einsum("tid,tjd->tij", opposite, opposite)
+    areas = 0.5 * np.sqrt(products[:, 0, 0] * products[:, 1, 1] - products[:, 0, 1] ** 2)
+    stiffness = np.zeros((len(points), len(points)))
+    blocks = products / (4.0 * areas[:, None, None])
+    np.add.at(stiffness, (triangles[:, :, None], triangles[:, None, :]), blocks)
+    return stiffness, np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), len(points))

@@ -1,0 +1,170 @@
+"""Contact forces on a gel whose mesh is refined at the edge of the contact.
+
+At the edge of a contact without slip the traction is singular (Johnson, Contact Mechanics, 1985,
+sec. 2.8): a mesh that does not resolve it, and a prior of smooth tractions, give up to 10 % too
+much force. The displacement of the contact is smooth instead, since it is that of the surface of
+the object. It is prescribed as a sum of smooth modes, the rest of the face is free, and the
+amplitudes follow from the data, see `tactorch.sensor.face_data`: markers measure the plane more
+precisely than slopes the depth, and the motion of a nearly incompressible gel in the plane
+determines the normal force as well.
+"""
+
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from tactorch.errors import ConfigError
+from tactorch.fem import NewtonOptions, SoftBody, Supports, make_material
+from tactorch.fem.equilibrium import SolvedCase
+from tactorch.sensor.face_data import FaceData
+from tactorch.sensor.gel import GelContact, GelModel
+from tactorch.sensor.gel_face import EdgeDistance, GelFace
+from tactorch.sensor.tractions import fit_smooth_forces
+
+_MODES = 60  # smooth modes of the displacement of the contact along each axis
+_NEWTON_RTOL = 1e-8
+_MAX_ITERATIONS, _MAX_LINEARIZATIONS = 8, 3
+_RTOL = 2e-3  # change of the displacements at convergence
+_NOISE_FRACTION = 0.1  # acceptable linearization error, relative to the deviations of the data
+
+
+class RefinedGel:
+    """Finite element model of a gel with small elements at the edge of one contact.
+
+    Args:
+        model: Model of the gel with larger elements.
+        distance: Distance from the edge of the contact.
+        edge_mm: Longest edge of elements there, mm.
+
+    Attributes:
+        face: Mesh with its outer face and the contact.
+        body: Finite element model.
+
+    Raises:
+        ConfigError: No triangle of the face is in contact.
+    """
+
+    def __init__(self, model: GelModel, distance: EdgeDistance, edge_mm: float) -> None:
+        self.face = GelFace.refined(model.gel_mesh, model.gel, distance, edge_mm)
+        if not self.face.touching.any():
+            raise ConfigError(
+                f"the contact is smaller than the elements of the gel; give less than {edge_mm:g}"
+                " mm for contact_edge_mm."
+            )
+        law = make_material(model.gel.material, model.gel.poisson)
+        element = "tet10" if model.body.discretisation.element.quadratic else "tet4"
+        newton = NewtonOptions(rtol=_NEWTON_RTOL)
+        self.body = SoftBody(self.face.mesh, law, element=element, newton=newton)
+        self.youngs = np.full(self.face.mesh.n_tets, model.gel.youngs_mpa)
+
+    def solve(self, data: FaceData, *, free_plane: bool = False) -> GelContact:
+        """Return the most likely contact for displacements of the face.
+
+        The deviations of the data are increased by a common factor where no smooth displacement of
+        the contact explains the data within them.
+
+        Args:
+            data: Measured displacements.
+            free_plane: Whether displacements along z are known up to a constant and a tilt.
+
+        Raises:
+            ConvergenceError: Newton's method does not converge.
+        """
+        rows = sp.diags(1.0 / data.deviations_mm) @ data.rows(self.face.points, self.face.triangles)
+        plane = self._plane(data, free_plane) / data.deviations_mm[:, None]
+        target, modes = data.displacement_mm / data.deviations_mm, np.hstack(self._modes)
+        n_linear, unit = 3 * self._modes[0].shape[1], np.eye(3 * modes.shape[1])
+        basis = unit[:, :n_linear], unit[:, n_linear:]
+        amplitudes, state = np.zeros(len(unit)), self._rest
+        fields = self._fields(state, modes)
+        for iteration in range(_MAX_ITERATIONS):
+            on_face, before = self._on_face(fields), self._moved(state)
+            compliance = rows @ on_face
+            residual = target - rows @ before.ravel() + compliance @ amplitudes
+            fitted, _, noise = fit_smooth_forces(compliance, plane, residual, basis, 1.0)
+            change, amplitudes = fitted - amplitudes, fitted
+            predicted = before + (on_face @ change).reshape(-1, 3)
+            state = self._equilibrium(modes @ amplitudes.reshape(-1, 3), state)
+            wrong = rows @ (self._moved(state) - predicted).ravel()
+            small = _rms(predicted - before) <= _RTOL * _rms(predicted)
+            if small or _rms(wrong) <= _NOISE_FRACTION * noise:
+                break
+            if iteration < _MAX_LINEARIZATIONS - 1:
+                fields = self._fields(state, modes)
+        return GelContact(
+            self.face.points, self._moved(state), self._forces(state), None, self.face.touching
+        )
+
+    @cached_property
+    def _modes(self) -> tuple[Float[np.ndarray, "c u"], Float[np.ndarray, "c r"]]:
+        return self.face.smooth_modes(_MODES)
+
+    @cached_property
+    def _rest(self) -> SolvedCase:
+        return self._equilibrium(np.zeros((len(self.face.contact), 3)))
+
+    def _moved(self, state: SolvedCase) -> Float[np.ndarray, "k 3"]:
+        """Displacements of the nodes of the face, mm."""
+        return state.result.displacement[self.face.nodes]
+
+    def _equilibrium(
+        self, displacement: Float[np.ndarray, "c 3"], previous: SolvedCase | None = None
+    ) -> SolvedCase:
+        """Equilibrium with prescribed displacements of the contact, mm."""
+        prescribed = np.zeros(self.face.mesh.points.shape)
+        prescribed[self.face.contact] = displacement
+        fixed = np.zeros(prescribed.shape, dtype=bool)
+        fixed[self.face.window] = fixed[self.face.contact] = True
+        supports = Supports(fixed=fixed, prescribed=prescribed)
+        after = None if previous is None else previous.newton
+        newton = self.body.search(self.youngs, np.zeros(prescribed.shape), supports, after=after)
+        start = None if previous is None else previous.result.displacement
+        return SolvedCase(newton, newton.run(start).require())
+
+    def _fields(
+        self, state: SolvedCase, modes: Float[np.ndarray, "c m"]
+    ) -> Float[np.ndarray, "unknowns m3"]:
+        """Displacements of all nodes by unit modes along each axis, about an equilibrium, mm."""
+        linear, d = state.linearization, self.body.discretisation
+        values = self.body.assembly.tangent(linear.response, self.youngs)
+        prescribed = []
+        for mode in np.kron(modes, np.eye(3)).T:
+            nodal = np.zeros(self.face.mesh.points.shape)
+            nodal[self.face.contact] = mode.reshape(-1, 3)
+            prescribed.append(np.where(linear.fixed, d.extend(nodal).ravel(), 0.0))
+        loads = np.stack([d.pattern.product(values, field) for field in prescribed], axis=1)
+        loads[linear.fixed] = 0.0
+        return np.stack(prescribed, axis=1) - np.asarray(linear.solve(np.asfortranarray(loads)))
+
+    def _on_face(self, fields: Float[np.ndarray, "unknowns m3"]) -> Float[np.ndarray, "k3 m3"]:
+        nodal = fields.reshape(self.body.n_nodes, 3, -1)
+        return nodal[self.face.nodes].reshape(3 * len(self.face.nodes), -1)
+
+    def _forces(self, state: SolvedCase) -> Float[np.ndarray, "k 3"]:
+        """Reactions at the nodes of the contact, N; those of midside nodes go to both ends."""
+        response = state.result.response
+        assert response is not None
+        forces = self.body.assembly.internal_force(response, self.youngs)
+        n = self.face.mesh.n_points
+        nodal = forces[:n].copy()
+        in_contact = np.zeros(n, dtype=bool)
+        in_contact[self.face.contact] = True
+        if len(forces) > n:
+            edges = self.body.discretisation.edges
+            within = in_contact[edges].all(axis=1)
+            for end in (0, 1):
+                np.add.at(nodal, edges[within, end], 0.5 * forces[n:][within])
+        return np.where(in_contact[:, None], nodal, 0.0)[self.face.nodes]
+
+    def _plane(self, data: FaceData, free: bool) -> Float[np.ndarray, "d p"]:
+        """Displacements along z that the data do not determine: a constant and two tilts."""
+        if not free:
+            return np.zeros((len(data.axes), 0))
+        tilts = data.points_mm / np.abs(self.face.points[:, :2]).max(axis=0)
+        return np.asarray(data.along_z[:, None] * np.column_stack([np.ones(len(tilts)), tilts]))
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
