@@ -39,6 +39,7 @@ _MAX_PIXELS = 100_000_000
 _MAX_FRAME_RATE_HZ = 100_000.0
 _MAX_MISSING_FRAMES = 10_000  # reported at the end of a truncated video
 _MAX_QUEUED_FRAMES = 600  # of a camera; later frames are dropped
+_MAX_QUEUED_BYTES = 400_000_000  # of these frames
 _CAMERA_TIMEOUT_S = 3.0
 _CAMERA_RETRY_S = 0.05
 _QUEUE_POLL_S = 0.2
@@ -155,14 +156,16 @@ def read_reference(source: Source, sensor: SensorDescription, frames: int = 1) -
         raise ConfigError(f"frames={frames} must be at least 1, the number of frames to average.")
     rectify = _rectifier(sensor)
     readable = ((raw.image, raw.name) for raw in open_source(source) if raw.image is not None)
-    images = [rectify(image, name) for image, name in islice(readable, frames)]
+    total, count = np.zeros((*sensor.shape, 3)), 0
+    for image, name in islice(readable, frames):
+        total, count = total + rectify(image, name), count + 1
     origin = f"'{source}'" if isinstance(source, str | int | Path) else "the given images"
-    if len(images) < frames:
+    if count < frames:
         raise FileError(
-            f"reference: {len(images)} of {frames} frames can be read from {origin}; declare images"
+            f"reference: {count} of {frames} frames can be read from {origin}; declare images"
             " of the gel without contact."
         )
-    mean = np.mean(images, axis=0)
+    mean = total / count
     if mean.mean() < _MIN_BRIGHTNESS:
         raise FileError(
             f"reference: the image from {origin} is dark, {mean.mean():.1f} of 255 on average; are"
@@ -420,7 +423,10 @@ def _camera_frames(capture: Any, number: int) -> Iterator[Frame]:
 
 
 def _capture(capture: Any, number: int, queue: Queue[Frame | None], stop: Event) -> None:
-    """Queue frames until `stop` is set or the camera times out, then queue None."""
+    """Queue frames until `stop` is set or the camera times out, then queue None.
+
+    Frames that the queue has no place or memory for are dropped.
+    """
     # The monotonic clock is independent of adjustments of the system time.
     start, start_unix, index, last_image_s = time.monotonic(), time.time(), 0, 0.0
     try:
@@ -438,8 +444,10 @@ def _capture(capture: Any, number: int, queue: Queue[Frame | None], stop: Event)
                 fault = "the camera gave no image"
                 frame = Frame(index, name, None, time_s, fault, usable=False, unix_s=unix_s)
                 time.sleep(_CAMERA_RETRY_S)
-            with suppress(Full):
-                queue.put_nowait(frame)
+            size = 0 if frame.image is None else frame.image.nbytes
+            if size * queue.qsize() <= _MAX_QUEUED_BYTES:
+                with suppress(Full):
+                    queue.put_nowait(frame)
             index += 1
     finally:  # after an error too: the consumer must not wait forever
         while not stop.is_set():
