@@ -18,6 +18,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from jaxtyping import UInt8
 from PIL import Image as PillowImage
 
@@ -232,27 +233,19 @@ def _rectifier(sensor: SensorDescription) -> Callable[[Image, str], Image]:
 
 
 def _rectification_steps(sensor: SensorDescription) -> list[Callable[[Image], Image]]:
-    steps: list[Callable[[Image], Image]] = []
-    if sensor.intrinsics_px is not None:
-        fx, fy, cx, cy = sensor.intrinsics_px
-        matrix = np.array([(fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)])
-        coefficients = np.array(sensor.distortion or (0.0,) * 4)
-        size = sensor.raw_size_px or sensor.image_size_px
-        maps = cv2.initUndistortRectifyMap(
-            matrix, coefficients, np.eye(3), matrix, size, cv2.CV_32FC1
-        )
-        steps.append(lambda image: cv2.remap(image, *maps, cv2.INTER_LINEAR))
-    if sensor.warp_corners_px is not None:
-        width, height = warped_size = sensor.warped_size
-        targets = [(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)]
-        corners = np.array(sensor.warp_corners_px, np.float32)
-        warp = cv2.getPerspectiveTransform(corners, np.array(targets, np.float32))
-        steps.append(lambda image: cv2.warpPerspective(image, warp, warped_size))
+    if sensor.intrinsics_px is not None or sensor.warp_corners_px is not None:
+        from tactorch.sensor.camera.lens import Lens  # imports kornia
+
+        with torch.no_grad():
+            maps = Lens(sensor).maps().numpy()
+        x, y = maps.astype(np.float32).transpose(2, 0, 1)
+        # OpenCV samples single images of 8 bits on the CPU faster than torch.
+        return [lambda image: cv2.remap(image, x, y, cv2.INTER_LINEAR)]
     if sensor.crop_px is not None:
         left, top, width, height = sensor.crop_px
         region = np.s_[top : top + height, left : left + width]
-        steps.append(lambda image: image[region])
-    return steps
+        return [lambda image: image[region]]
+    return []
 
 
 def open_source(source: Source) -> Iterator[Frame]:

@@ -155,11 +155,16 @@ def _write(
 
     write_table(files.folder / _TABLE, _HEADER, (row(m.frame, m.depth_mm) for m in measurements))
     strongest = max(float(np.linalg.norm(row["force_n"])) for row in presses)
-    values = {"frames": len(measurements), "contacts": len(contacts), "presses": presses, "faulty": faults}
+    values = {
+        "frames": len(measurements),
+        "contacts": len(contacts),
+        "presses": presses,
+        "faulty": faults,
+    }
     values |= {"skipped": skipped, "noise_mm": recording.presses[0].noise_mm}
     lines = [
-        f"{len(presses)} presses of {len(contacts)} contacts in {len(measurements)} frames; forces up to"
-        f" {strongest:.3g} N.",
+        f"{len(presses)} presses of {len(contacts)} contacts in {len(measurements)} frames; forces"
+        f" up to {strongest:.3g} N.",
         *(f"  {name}: {fault}" for name, fault in faults.items()),
         *(f"  {name} became no press: {reason}" for name, reason in skipped.items()),
         "",

@@ -50,10 +50,10 @@ def record(
 
     Returns:
         The recording with all presses, the depth of each frame (measurements without images,
-        heights, markers and displacements), and the contacts. The provenance of the recording has "presses", a table of contact
-        (from 1), frame, time_s, depth_mm, force_n (three components in the object frame) and nodes
-        (number of observed nodes); "faulty frames", the faults by name; and "skipped", the reason
-        by name for each frame with contact that became no press.
+        heights, markers and displacements), and the contacts. The provenance of the recording has
+        "presses", a table of contact (from 1), frame, time_s, depth_mm, force_n (three components
+        in the object frame) and nodes (number of observed nodes); "faulty frames", the faults by
+        name; and "skipped", the reason by name for each frame with contact that became no press.
 
     Raises:
         ConfigError: No frame shows contact, a frame has no time or no pose, no contact yields a
