@@ -36,6 +36,7 @@ SENSOR_MAPS = Registry(
         "mlp": "tactorch.sensor.calibration.maps:Mlp",
         "mlp_colour": "tactorch.sensor.calibration.maps:MlpColour",
         "lookup": "tactorch.sensor.calibration.maps:Lookup",
+        "camera": "tactorch.sensor.calibration.camera:CameraLight",
     },
 )
 
@@ -105,9 +106,16 @@ class SlopeMap(Protocol):
 
 @dataclass(frozen=True)
 class SensorMap(Options, ABC):
-    """Settings of a map; `create` returns the map, to be fitted."""
+    """Settings of a map; `create` returns the map, to be fitted.
+
+    Attributes:
+        contacts_by: Name of the map that finds the contacts; None for this map itself.
+        automatic: Whether the map is a candidate of an automatic selection.
+    """
 
     section: ClassVar[str] = "sensor_map"
+    contacts_by: ClassVar[str | None] = None
+    automatic: ClassVar[bool] = True
 
     @property
     def uses_position(self) -> bool:

@@ -67,7 +67,8 @@ class GelCamera(nn.Module):
         colours = self.shading(slopes, image_places(height_mm), lit)
         if markers_px is not None:
             radius_px = self.marker_diameter_mm / 2.0 / self.mm_per_px
-            covered = marker_coverage(markers_px, radius_px, height_mm.shape[-2:])
+            shape = height_mm.shape[1], height_mm.shape[2]
+            covered = marker_coverage(markers_px, radius_px, shape)
             colours = colours * (1.0 - self.marker_darkness * covered)[..., None]
         images = colours.movedim(-1, 1)
         if self.blur_px > 0:

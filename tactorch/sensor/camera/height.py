@@ -173,7 +173,7 @@ class _Problem:
             for axis in range(2):
                 along = torch.zeros_like(at)
                 along[:, axis] = 1.0
-                colours, by_slope = jvp(rendered, (at,), (along,))
+                colours, by_slope = jvp(rendered, (at,), (along,))[:2]
                 derivatives.append(by_slope.numpy() / self.deviation)
         residual = (colours - self.change).numpy() / self.deviation
         return residual, np.stack(derivatives, axis=-1)

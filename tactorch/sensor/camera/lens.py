@@ -37,12 +37,16 @@ class Lens(nn.Module):
             (4, 2), px; None without a warp.
     """
 
+    _ends: Tensor
+    _left_top: Tensor
+
     def __init__(self, sensor: SensorDescription, dtype: torch.dtype = torch.float64) -> None:
         super().__init__()
         self._shape = sensor.shape
         width, height = sensor.raw_size_px or sensor.image_size_px
         self._raw_shape = height, width
-        self.intrinsics = self.corners = None
+        self.intrinsics: nn.Parameter | None = None
+        self.corners: nn.Parameter | None = None
         coefficients = sensor.distortion or (0.0,) * 4
         self.distortion = nn.Parameter(torch.tensor(coefficients, dtype=dtype))
         if sensor.intrinsics_px is not None:

@@ -124,9 +124,9 @@ def _fit(sensor: SensorDescription, grid: Points, seen: Points) -> SensorDescrip
         return (torch.sqrt(1.0 + squares) - 1.0).mean() + _RIDGE * torch.stack(changes).sum()
 
     fitted, _ = minimize(loss, start, scales, _ITERATIONS)
-    corners = [tuple(point) for point in fitted["corners"].tolist()]
+    a, b, c, d = ((x, y) for x, y in fitted["corners"].tolist())
     distortion = tuple(fitted["distortion"].tolist())
-    return replace(sensor, distortion=distortion, warp_corners_px=tuple(corners))
+    return replace(sensor, distortion=distortion, warp_corners_px=(a, b, c, d))
 
 
 class _RawPositions(torch.nn.Module):

@@ -51,8 +51,8 @@ def minimize(
         value = loss(current)
         if float(value) < best[0]:
             best = float(value), {name: t.detach().clone() for name, t in current.items()}
-        value.backward()  # type: ignore[no-untyped-call]
+        value.backward()
         return value
 
-    optimizer.step(closure)  # type: ignore[no-untyped-call]
+    optimizer.step(closure)
     return best[1], best[0]
