@@ -4,7 +4,7 @@
 
 A simulated sensor (150 x 120 px, 35 markers) presses a ball into its gel again and again: 100
 frames each, 80 of them with contact. The frames are a video, which `tactorch sensor record` reads
-in a process of its own; its peak resident memory is read at its end. A contact every 1,000 frames
+in a separate process; its peak resident memory is read at its end. A contact every 1,000 frames
 becomes presses in a box, so that the sessions differ in their length and little in their results:
 the others are of frames that the table of poses leaves far from the box. The last line printed is
 one JSON object.

@@ -11,7 +11,6 @@ that of a map fitted without the held-out presses; the calibration is fitted to 
 """
 
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -115,21 +114,15 @@ def run(cfg: CalibrateSettings) -> Path:
 
 def _fit_light(
     presses: Sequence[BallPress], slope_map: SlopeMap, ball: Ball, options: FitOptions
-) -> LightFit:
-    """Fit the light of the differentiable camera, and compare the size of a pixel."""
-    from tactorch.sensor.calibration.camera import CameraLight, CameraMap, fit_scale
+) -> "LightFit":
+    """Fit the light of the differentiable camera."""
+    from tactorch.sensor.calibration.camera import CameraLight, CameraMap
 
     fitted = fit_to_contacts(CameraLight(), presses, slope_map, ball, options.seed)
     assert isinstance(fitted, CameraMap)
     assert fitted.light is not None
-    scaled = fit_scale(presses, ball, replace(fitted.light, shading=deepcopy(fitted.light.shading)))
-    assert scaled.mm_per_px is not None
-    x, y = np.array(scaled.mm_per_px) / np.array(ball.mm_per_px)
-    log.info(
-        "camera: rendered colours differ by %.1f gray values; pixels of %.3f (x) and %.3f (y) times"
-        " mm_per_px fit the balls best",
-        COLOUR_UNIT * fitted.light.deviation, x, y,
-    )  # fmt: skip
+    difference = COLOUR_UNIT * fitted.light.deviation
+    log.info("camera: rendered colours differ by %.1f gray values from those seen", difference)
     return fitted.light
 
 

@@ -4,7 +4,6 @@ The light is fitted to the contacts that another map has found. The slopes of a 
 squared residuals of its colours plus a prior of zero mean, from the best of a grid of slopes.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,24 +15,21 @@ from torch.func import jvp
 
 from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration.ball import Ball, BallPress
 from tactorch.sensor.calibration.maps import (
     Arrays,
     Features,
     SensorMap,
     SlopeMap,
     Slopes,
-    pixel_features,
 )
-from tactorch.sensor.camera.light_fit import ContactPixels, LightFit, fit_light, refine_contacts
+from tactorch.sensor.camera.light_fit import LightFit, fit_light
 from tactorch.sensor.camera.shading import Shading
 
-_STARTS = (-1.2, -0.6, -0.2, 0.2, 0.6, 1.2)  # slopes along x and y
+_STARTS = (-0.9, -0.4, 0.0, 0.4, 0.9)  # slopes along x and y
 _STEPS, _MAX_STEP = 8, 0.5
 _DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-4, 1e-8, 1e3
 _CHUNK = 100_000  # pixels
 _DEVIATION = "deviation"
-_INSIDE, _PIXELS, _FLAT_PIXELS = 0.85, 1500, 400  # of contacts whose scale is fitted
 
 
 @dataclass(frozen=True)
@@ -147,34 +143,3 @@ def restore_light(arrays: Arrays) -> LightFit:
     parameters = {name: torch.from_numpy(v) for name, v in arrays.items() if name != _DEVIATION}
     shading.load_state_dict(parameters)
     return LightFit(shading, deviation)
-
-
-def fit_scale(presses: Sequence[BallPress], ball: Ball, light: LightFit, seed: int = 0) -> LightFit:
-    """Fit light, centers of contacts and the size of a pixel together, by the rendered colours.
-
-    Args:
-        presses: Presses of the ball, with fitted contacts; those that are outlying are left out.
-        ball: Ball, and the start of the size of a pixel.
-        light: Start of the light; its shading is changed.
-        seed: Seed of the drawn pixels.
-    """
-    rng = np.random.default_rng(seed)
-    contacts = [_contact_pixels(p, ball, rng) for p in presses if not p.outlying]
-    return refine_contacts(light.shading, contacts, ball.radius_mm, ball.mm_per_px)
-
-
-def _contact_pixels(press: BallPress, ball: Ball, rng: np.random.Generator) -> ContactPixels:
-    distance = np.where(press.known, ball.distance(press.shape, press.contact), np.nan).ravel()
-    inside = np.flatnonzero(distance < _INSIDE)
-    flat = np.flatnonzero(distance > 2.5)
-    inside, flat = (
-        rng.choice(pixels, min(count, len(pixels)), replace=False)
-        for pixels, count in ((inside, _PIXELS), (flat, _FLAT_PIXELS))
-    )
-    drawn = np.concatenate([inside, flat])
-    rows, columns = np.unravel_index(drawn, press.shape)
-    features = pixel_features(press.change)[drawn]
-    return ContactPixels(
-        features[:, :3], np.stack([columns, rows], axis=-1).astype(float), features[:, 3:],
-        (np.arange(len(drawn)) < len(inside)).astype(float), press.contact.center_px,
-    )  # fmt: skip

@@ -4,7 +4,7 @@ from tactorch.sensor.camera.gel_camera import GelCamera, face_slopes
 from tactorch.sensor.camera.height import HeightFitOptions, fit_height
 from tactorch.sensor.camera.lens import Lens
 from tactorch.sensor.camera.lens_fit import LensFit, fit_lens
-from tactorch.sensor.camera.light_fit import LightFit, fit_light, refine_contacts
+from tactorch.sensor.camera.light_fit import LightFit, fit_light
 from tactorch.sensor.camera.shading import Shading, normals
 
 __all__ = [
@@ -19,5 +19,4 @@ __all__ = [
     "fit_lens",
     "fit_light",
     "normals",
-    "refine_contacts",
 ]

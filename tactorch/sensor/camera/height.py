@@ -205,4 +205,4 @@ def _differences(n: int) -> sp.csr_matrix:
 def _second_differences(n: int) -> sp.csr_matrix:
     """Second differences with free ends."""
     edges = sp.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n))
-    return -(edges.T @ edges)
+    return (-(edges.T @ edges)).tocsr()

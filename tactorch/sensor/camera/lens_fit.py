@@ -63,7 +63,7 @@ def fit_lens(sensor: SensorDescription, markers_px: Points) -> LensFit:
     """
     if sensor.markers is None:
         raise ConfigError(f"sensor '{sensor.name}' has no markers to fit its lens to.")
-    start = _with_lens(sensor)
+    start, markers_px = _with_lens(sensor), np.ascontiguousarray(markers_px)
     places_px = sensor.to_px(sensor.markers.positions_mm)
     pitch_px = min(np.array(sensor.markers.pitch_mm) / np.array(sensor.mm_per_px))
     fitted, start_px = start, float("nan")
@@ -92,7 +92,10 @@ def _with_lens(sensor: SensorDescription) -> SensorDescription:
 
 
 def _match(
-    sensor: SensorDescription, places_px: Points, markers_px: Points, reach_px: float
+    sensor: SensorDescription,
+    places_px: Float[np.ndarray, "places 2"],
+    markers_px: Float[np.ndarray, "markers 2"],
+    reach_px: float,
 ) -> tuple[Points, Points]:
     """Places in the rectified image and markers in the raw one that belong together."""
     with torch.no_grad():

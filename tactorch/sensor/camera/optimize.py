@@ -49,8 +49,8 @@ def minimize(
         optimizer.zero_grad()
         current = tensors()
         value = loss(current)
-        if float(value) < best[0]:
-            best = float(value), {name: t.detach().clone() for name, t in current.items()}
+        if float(value.detach()) < best[0]:
+            best = float(value.detach()), {name: t.detach().clone() for name, t in current.items()}
         value.backward()
         return value
 

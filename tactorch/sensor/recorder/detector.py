@@ -23,11 +23,12 @@ class ContactInterval:
     """Consecutive frames with contact.
 
     Displacements are stored for `max_candidates` frames at most. In longer contacts these are
-    evenly spaced in depth, and the deepest is always among them.
+    evenly spaced in depth; those up to the deepest frame, which may become presses, and those after
+    it, which may if a deeper one follows, are thinned apart.
 
     Attributes:
         free_s: Time of the last frame without contact before; None if there is none.
-        max_candidates: Largest number of frames with displacements, at least 2.
+        max_candidates: Largest number of frames with displacements, at least 6.
         measurements: Measurement of each frame, without images and height maps; that of a frame
             that is no candidate has no displacement and no markers.
     """
@@ -35,26 +36,37 @@ class ContactInterval:
     free_s: float | None
     max_candidates: int = _MAX_CANDIDATES
     measurements: list[Measurement] = field(default_factory=list)
-    _by_depth: list[tuple[float, int]] = field(default_factory=list)  # candidates, sorted
+    _loading: list[tuple[float, int]] = field(default_factory=list)  # up to the deepest; sorted
+    _later: list[tuple[float, int]] = field(default_factory=list)
 
     def append(self, measurement: Measurement) -> None:
         """Append the measurement of a frame, a candidate for a press."""
-        insort(self._by_depth, (measurement.depth_mm, len(self.measurements)))
+        entry = measurement.depth_mm, len(self.measurements)
         self.measurements.append(measurement)
-        if len(self._by_depth) > self.max_candidates:
-            depths = np.array([depth for depth, _ in self._by_depth])
-            # The removed frame leaves the smallest gap; the two at the ends stay.
-            self._reduce(int(np.argmin(depths[2:] - depths[:-2])) + 1)
+        if not self._loading or entry[0] > self._loading[-1][0]:
+            self._loading = sorted([*self._loading, *self._later, entry])
+            self._later = []
+            self._thin(self._loading)
+        else:
+            insort(self._later, entry)
+            self._thin(self._later)
 
     def keep(self, indices: Iterable[int]) -> None:
         """Remove the displacements of all other frames."""
         kept = set(indices)
-        for k in reversed(range(len(self._by_depth))):
-            if self._by_depth[k][1] not in kept:
-                self._reduce(k)
+        for candidates in (self._loading, self._later):
+            for k in reversed(range(len(candidates))):
+                if candidates[k][1] not in kept:
+                    self._reduce(candidates, k)
 
-    def _reduce(self, candidate: int) -> None:
-        _, index = self._by_depth.pop(candidate)
+    def _thin(self, candidates: list[tuple[float, int]]) -> None:
+        while len(candidates) > self.max_candidates // 2:
+            depths = np.array([depth for depth, _ in candidates])
+            # The removed frame leaves the smallest gap; the two at the ends stay.
+            self._reduce(candidates, int(np.argmin(depths[2:] - depths[:-2])) + 1)
+
+    def _reduce(self, candidates: list[tuple[float, int]], k: int) -> None:
+        _, index = candidates.pop(k)
         self.measurements[index] = reduced(self.measurements[index])
 
     @property
@@ -69,9 +81,8 @@ class ContactInterval:
 
     def select_frames(self, steps: int) -> list[int]:
         """Return up to `steps` candidates before the deepest, evenly spaced in depth."""
-        candidates = np.array(sorted(index for _, index in self._by_depth))
-        depths = self.depths_mm[candidates]
-        loading = depths[: int(np.argmax(depths)) + 1]
+        candidates = np.array(sorted(index for _, index in self._loading))
+        loading = self.depths_mm[candidates]
         targets = loading[-1] * np.arange(1, steps + 1) / steps
         nearest = np.abs(loading[None] - targets[:, None]).argmin(axis=1)
         return sorted({int(candidates[i]) for i in nearest})
