@@ -50,6 +50,7 @@ PAGES = {
             "tactorch.sensor.contact",
             "tactorch.sensor.poses",
             "tactorch.sensor.render",
+            "tactorch.sensor.camera",
         ],
     ),
     "learning": (

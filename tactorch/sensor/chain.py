@@ -1,7 +1,7 @@
 """Contacts from frames: markers and depth, deformation of the gel, forces."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,7 +12,7 @@ from tactorch.errors import ConfigError
 from tactorch.sensor.calibration import Calibration
 from tactorch.sensor.contact import interpolate_displacements
 from tactorch.sensor.contact_edge import common_edge, image_edge
-from tactorch.sensor.depth import MIN_SLOPE, HeightMap, reconstruct_height
+from tactorch.sensor.depth import MIN_SLOPE, HeightMap
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.face_data import FaceData
 from tactorch.sensor.frames import Frame, Image
@@ -39,6 +39,11 @@ class DepthOptions(Options):
     )
     min_slope: float = option(
         MIN_SLOPE, "Slope above which the face is deformed; smaller for wide, flat objects", gt=0
+    )
+    depth: Literal["lookup", "fit"] = option(
+        "lookup",
+        "Height by integrated slopes (lookup), or by fitting rendered colours too (fit), for a"
+        " calibration with camera=true",
     )
 
 
@@ -160,8 +165,13 @@ class SensorChain:
         nothing = np.zeros(len(self.model.points), dtype=bool)
         if frame.image is None:
             return Measurement(frame, markers_px, None, np.nan, np.nan, None, nothing)
-        slopes = self.calibration.slopes(frame.image, self.reference)
-        height = reconstruct_height(slopes, self.sensor.mm_per_px, self.options.min_slope)
+        height = self.calibration.height(
+            frame.image,
+            self.reference,
+            depth=self.options.depth,
+            min_slope=self.options.min_slope,
+            mm_per_px=self.sensor.mm_per_px,
+        )
         size = height.depth_mm, height.max_slope
         if height.depth_mm < self.options.min_depth_mm:
             return Measurement(frame, markers_px, height, *size, None, nothing)

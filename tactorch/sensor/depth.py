@@ -75,9 +75,16 @@ def reconstruct_height(
     if deformed.any():  # with the level of the undeformed face, which the mean is not
         undeformed = _undeformed(_deformed(steep, height, mm_per_px), mm_per_px)
         height = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px, zero=undeformed)
-    lowest = float(height.min())
-    contact = (height < _CONTACT_FRACTION * lowest) & ~undeformed & (lowest < 0)
-    return HeightMap(height, zero_mean, undeformed, np.asarray(contact), float(magnitude.max()))
+    contact = find_contact(height, undeformed)
+    return HeightMap(height, zero_mean, undeformed, contact, float(magnitude.max()))
+
+
+def find_contact(
+    height_mm: Float[np.ndarray, "h w"], undeformed: Bool[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Return pixels that are likely in contact: those of more than a third of the depth."""
+    lowest = float(height_mm.min())
+    return np.asarray((height_mm < _CONTACT_FRACTION * lowest) & ~undeformed & (lowest < 0))
 
 
 def _deformed(

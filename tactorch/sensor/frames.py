@@ -18,6 +18,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from jaxtyping import UInt8
 from PIL import Image as PillowImage
 
@@ -39,6 +40,7 @@ _MAX_PIXELS = 100_000_000
 _MAX_FRAME_RATE_HZ = 100_000.0
 _MAX_MISSING_FRAMES = 10_000  # reported at the end of a truncated video
 _MAX_QUEUED_FRAMES = 600  # of a camera; later frames are dropped
+_MAX_QUEUED_BYTES = 400_000_000  # of these frames
 _CAMERA_TIMEOUT_S = 3.0
 _CAMERA_RETRY_S = 0.05
 _QUEUE_POLL_S = 0.2
@@ -155,14 +157,16 @@ def read_reference(source: Source, sensor: SensorDescription, frames: int = 1) -
         raise ConfigError(f"frames={frames} must be at least 1, the number of frames to average.")
     rectify = _rectifier(sensor)
     readable = ((raw.image, raw.name) for raw in open_source(source) if raw.image is not None)
-    images = [rectify(image, name) for image, name in islice(readable, frames)]
+    total, count = np.zeros((*sensor.shape, 3)), 0
+    for image, name in islice(readable, frames):
+        total, count = total + rectify(image, name), count + 1
     origin = f"'{source}'" if isinstance(source, str | int | Path) else "the given images"
-    if len(images) < frames:
+    if count < frames:
         raise FileError(
-            f"reference: {len(images)} of {frames} frames can be read from {origin}; declare images"
+            f"reference: {count} of {frames} frames can be read from {origin}; declare images"
             " of the gel without contact."
         )
-    mean = np.mean(images, axis=0)
+    mean = total / count
     if mean.mean() < _MIN_BRIGHTNESS:
         raise FileError(
             f"reference: the image from {origin} is dark, {mean.mean():.1f} of 255 on average; are"
@@ -229,27 +233,19 @@ def _rectifier(sensor: SensorDescription) -> Callable[[Image, str], Image]:
 
 
 def _rectification_steps(sensor: SensorDescription) -> list[Callable[[Image], Image]]:
-    steps: list[Callable[[Image], Image]] = []
-    if sensor.intrinsics_px is not None:
-        fx, fy, cx, cy = sensor.intrinsics_px
-        matrix = np.array([(fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)])
-        coefficients = np.array(sensor.distortion or (0.0,) * 4)
-        size = sensor.raw_size_px or sensor.image_size_px
-        maps = cv2.initUndistortRectifyMap(
-            matrix, coefficients, np.eye(3), matrix, size, cv2.CV_32FC1
-        )
-        steps.append(lambda image: cv2.remap(image, *maps, cv2.INTER_LINEAR))
-    if sensor.warp_corners_px is not None:
-        width, height = warped_size = sensor.warped_size
-        targets = [(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)]
-        corners = np.array(sensor.warp_corners_px, np.float32)
-        warp = cv2.getPerspectiveTransform(corners, np.array(targets, np.float32))
-        steps.append(lambda image: cv2.warpPerspective(image, warp, warped_size))
+    if sensor.intrinsics_px is not None or sensor.warp_corners_px is not None:
+        from tactorch.sensor.camera.lens import Lens  # imports kornia
+
+        with torch.no_grad():
+            maps = Lens(sensor).maps().numpy()
+        x, y = maps.astype(np.float32).transpose(2, 0, 1)
+        # OpenCV samples single images of 8 bits on the CPU faster than torch.
+        return [lambda image: cv2.remap(image, x, y, cv2.INTER_LINEAR)]
     if sensor.crop_px is not None:
         left, top, width, height = sensor.crop_px
         region = np.s_[top : top + height, left : left + width]
-        steps.append(lambda image: image[region])
-    return steps
+        return [lambda image: image[region]]
+    return []
 
 
 def open_source(source: Source) -> Iterator[Frame]:
@@ -420,7 +416,10 @@ def _camera_frames(capture: Any, number: int) -> Iterator[Frame]:
 
 
 def _capture(capture: Any, number: int, queue: Queue[Frame | None], stop: Event) -> None:
-    """Queue frames until `stop` is set or the camera times out, then queue None."""
+    """Queue frames until `stop` is set or the camera times out, then queue None.
+
+    Frames that the queue has no place or memory for are dropped.
+    """
     # The monotonic clock is independent of adjustments of the system time.
     start, start_unix, index, last_image_s = time.monotonic(), time.time(), 0, 0.0
     try:
@@ -438,8 +437,10 @@ def _capture(capture: Any, number: int, queue: Queue[Frame | None], stop: Event)
                 fault = "the camera gave no image"
                 frame = Frame(index, name, None, time_s, fault, usable=False, unix_s=unix_s)
                 time.sleep(_CAMERA_RETRY_S)
-            with suppress(Full):
-                queue.put_nowait(frame)
+            size = 0 if frame.image is None else frame.image.nbytes
+            if size * queue.qsize() <= _MAX_QUEUED_BYTES:
+                with suppress(Full):
+                    queue.put_nowait(frame)
             index += 1
     finally:  # after an error too: the consumer must not wait forever
         while not stop.is_set():

@@ -3,7 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-_BANDWIDTH = 0.15  # of the colors, in their unit of 50 gray values
+#: Unit of changes of colors, gray values.
+COLOUR_UNIT = 50.0
+_BANDWIDTH = 0.15  # of the colors, in their unit
 _STRIDE = 3  # of the pixels
 _MAX_ITERATIONS = 50
 _TOLERANCE = 1e-4

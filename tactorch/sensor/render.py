@@ -1,9 +1,13 @@
-"""Rendering of a simulated sensor: images of a deformed gel under colored lamps."""
+"""Rendering of a simulated sensor: images of a deformed gel under colored lamps.
+
+The images are those of the differentiable camera, `tactorch.sensor.camera`, with noise.
+"""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
+import torch
 from jaxtyping import Float
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
@@ -13,9 +17,9 @@ from tactorch.mesh.values import positive
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image
 
-_EDGE_PX = 0.5  # blur of a marker's edge
-_PENUMBRA_MM = 0.05
-_MAX_SHADOW_STEPS = 60
+if TYPE_CHECKING:
+    from tactorch.sensor.camera import GelCamera, Shading
+
 #: Red from the right, green from below left, blue from above left, as seen in the image.
 _COLOURS = ((190.0, 25.0, 20.0), (25.0, 170.0, 30.0), (20.0, 35.0, 185.0))
 _Colour = tuple[float, float, float]
@@ -52,42 +56,29 @@ class Lamps(Options):
         self, height_mm: Float[np.ndarray, "h w"], mm_per_px: tuple[float, float]
     ) -> Float[np.ndarray, "h w 3"]:
         """Return the light from a matt face by its height, z toward the object; gray values."""
+        from tactorch.sensor.camera import GelCamera  # imports kornia
+
         x, y = (positive("mm_per_px", size) for size in mm_per_px)
-        slope_y, slope_x = np.gradient(height_mm, y, x)
-        # The camera is inside the sensor: the visible normal points along -z.
-        normal = np.stack([slope_x, slope_y, -np.ones_like(slope_x)], axis=-1)
-        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        light = np.broadcast_to(self.ambient, (*height_mm.shape, 3)).copy()
-        elevation = np.deg2rad(self.elevation_deg)
-        rows, columns = (np.linspace(-1, 1, n) for n in height_mm.shape)
-        for azimuth, colour in zip(np.deg2rad(self.azimuths_deg), self.colours, strict=True):
-            toward = np.array([np.cos(azimuth), np.sin(azimuth)])
-            direction = np.array([*np.cos(elevation) * toward, -np.sin(elevation)])
-            proximity = columns * toward[0] + rows[:, None] * toward[1]
-            intensity = np.maximum(normal @ direction, 0.0)
-            intensity *= 1.0 - self.falloff * (1.0 - proximity) / 2.0
-            intensity *= 1.0 - self.shadow * _shadow(height_mm, direction, (x, y))
-            light += intensity[..., None] * np.array(colour)
-        return light
+        camera = GelCamera(self.shading(), (x, y), shadow=self.shadow)
+        with torch.no_grad():
+            return _to_numpy(camera(_batch(height_mm)))
+
+    def shading(self) -> "Shading":
+        """Return the light of the lamps for the differentiable camera."""
+        from tactorch.sensor.camera import Shading
+
+        return Shading(
+            self.azimuths_deg, self.elevation_deg, self.colours, self.ambient, self.falloff
+        )
 
 
-def _shadow(height_mm: np.ndarray, direction: np.ndarray, size: tuple[float, float]) -> np.ndarray:
-    """Fraction of each pixel in the shadow of the face between it and the lamp."""
-    relief = -height_mm.astype(np.float32)  # into the sensor
-    in_plane = float(np.hypot(direction[0], direction[1]))
-    rise = -direction[2] / in_plane  # of a ray per mm toward the lamp
-    reach = float(np.ptp(relief)) / rise
-    step = 2.0 * max(size)
-    shadow = np.zeros(relief.shape, np.float32)
-    rows, columns = np.indices(relief.shape, dtype=np.float32)
-    for k in range(1, min(_MAX_SHADOW_STEPS, int(reach / step)) + 1):
-        offset = k * step
-        x = (columns + offset * direction[0] / in_plane / size[0]).astype(np.float32)
-        y = (rows + offset * direction[1] / in_plane / size[1]).astype(np.float32)
-        occluder = cv2.remap(relief, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        excess = occluder - relief - rise * offset
-        shadow = np.maximum(shadow, np.clip(excess / _PENUMBRA_MM, 0.0, 1.0))
-    return shadow.astype(np.float64)
+def _batch(values: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float64))[None]
+
+
+def _to_numpy(images: torch.Tensor) -> np.ndarray:
+    """Return the only image of a batch, rows x columns x colors."""
+    return np.ascontiguousarray(images[0].movedim(0, -1).numpy())
 
 
 @dataclass(frozen=True)
@@ -97,6 +88,18 @@ class RenderOptions(Options):
     lamps: Lamps = option(factory=Lamps, help="Lamps")
     noise: float = option(1.5, "Standard deviation of the camera noise, gray values", ge=0)
     marker_darkness: float = option(0.8, "Fraction of the light absorbed by a marker", ge=0, le=1)
+
+    def camera(self, sensor: SensorDescription) -> "GelCamera":
+        """Return the differentiable camera of a sensor, in float64."""
+        from tactorch.sensor.camera import GelCamera
+
+        return GelCamera(
+            self.lamps.shading(),
+            sensor.mm_per_px,
+            shadow=self.lamps.shadow,
+            marker_diameter_mm=0.0 if sensor.markers is None else sensor.markers.diameter_mm,
+            marker_darkness=self.marker_darkness,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,28 +156,9 @@ def render(
     if not np.isfinite(surface.height_mm).all():
         raise ConfigError("heights are not finite everywhere; give 0 where the face is at rest.")
     rest = sensor.gel.height_mm(_pixel_positions(sensor)).reshape(sensor.shape)
-    light = options.lamps.illuminate(rest + surface.height_mm, sensor.mm_per_px)
-    light *= (1.0 - options.marker_darkness * _coverage(sensor, surface.markers_px))[..., None]
+    markers = None if sensor.markers is None else _batch(surface.markers_px)
+    with torch.no_grad():
+        light = _to_numpy(options.camera(sensor)(_batch(rest + surface.height_mm), markers))
     if seed is not None and options.noise > 0:
         light += np.random.default_rng(seed).normal(0.0, options.noise, light.shape)
     return np.clip(light.round(), 0, 255).astype(np.uint8)
-
-
-def _coverage(sensor: SensorDescription, markers_px: np.ndarray) -> Float[np.ndarray, "h w"]:
-    """Fraction of each pixel covered by a marker, with blurred edges."""
-    coverage = np.zeros(sensor.shape)
-    if sensor.markers is None:
-        return coverage
-    radius = sensor.markers.diameter_mm / 2 / np.array(sensor.mm_per_px)
-    margin = np.ceil(radius + 4 * _EDGE_PX).astype(int)
-    size = np.array(sensor.image_size_px)
-    for center in markers_px:
-        (left, top), (right, bottom) = (
-            np.clip(center.round().astype(int) + s * margin, 0, size) for s in (-1, 1)
-        )
-        y, x = np.mgrid[top : min(bottom + 1, size[1]), left : min(right + 1, size[0])]
-        distance = np.hypot((x - center[0]) / radius[0], (y - center[1]) / radius[1])
-        exponent = np.clip((distance - 1) * radius.mean() / _EDGE_PX * 2, -40, 40)
-        window = coverage[top : bottom + 1, left : right + 1]
-        np.maximum(window, 1.0 / (1.0 + np.exp(exponent)), out=window)
-    return coverage

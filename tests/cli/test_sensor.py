@@ -540,3 +540,36 @@ def test_real_video_of_markers(tactorch: Any, shared_data: Path, tmp_path: Path)
     assert content["seen_in_all_readable_frames"] >= 118
     assert content["backward"]["under_half_px"] > 0.97
     assert video_length(run / "markers.mp4") == 48
+
+
+# ---------------------------------------------------------------- differentiable camera
+
+
+@pytest.mark.slow
+def test_heights_are_fitted_to_the_images(tactorch: Any, files: Path, tmp_path: Path) -> None:
+    run, out = tmp_path / "run", tmp_path / "calib.npz"
+    images = given(files, run, images=files / "presses")
+    done = tactorch(
+        "sensor", "calibrate", *images, *CALIBRATE, "held_out=0", "camera=true", f"out={out}"
+    )
+    assert done.status == 0, done.err
+    assert "camera: rendered colours differ by" in done.out
+    light = load_calibration(out).light
+    assert light is not None
+    assert 50.0 * light.deviation < 10.0  # gray values
+    settings = given(files, tmp_path / "depth", frames=files / "frames", calibration=out)
+    quick = ("pictures=0", "video=false")
+    done = tactorch("sensor", "reconstruct", *settings, *quick, "depth=fit")
+    assert done.status == 0, done.err
+    rows = table(tmp_path / "depth" / "depth.csv")
+    true_mm = -pressed((75.0, 60.0), 13.0).height_mm.min()
+    assert float(rows[3]["depth_mm"]) == pytest.approx(true_mm, rel=0.25)
+
+
+def test_a_calibration_without_light_cannot_fit(
+    tactorch: Any, files: Path, calibration: Path, tmp_path: Path
+) -> None:
+    settings = given(files, tmp_path / "run", frames=files / "frames", calibration=calibration)
+    done = tactorch("sensor", "reconstruct", *settings, "depth=fit", "pictures=0", "video=false")
+    assert done.status != 0
+    assert "calibrate again with camera=true" in done.err

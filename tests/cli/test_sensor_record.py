@@ -1,16 +1,21 @@
 """`tactorch sensor record`, on the drawn session of `test_sensor`."""
 
+import gc
 import json
 import time
+import weakref
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from tactorch.cli.sensor.inputs import FrameSequence
 from tactorch.recording import Recording
 from tactorch.sensor import frames as sources
+from tactorch.sensor.description import load_sensor
 
 from .test_sensor import calibration, files, given, table
 
@@ -237,3 +242,21 @@ def test_wrong_sessions(
     assert len(done.err.splitlines()) == 1, done.err
     assert all(word in done.err for word in words), done.err
     assert not list(run.glob("*.h5"))
+
+
+def test_images_of_a_camera_are_not_stored(
+    files: Path, calibration: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A session of a camera is read once; the images of earlier frames are freed."""
+    drawn = DrawnCamera(files / "frames")
+    monkeypatch.setattr(cv2, "VideoCapture", drawn.VideoCapture)
+    monkeypatch.setattr(sources, "time", drawn)
+    cfg = SimpleNamespace(frames=0, max_frames=4, reference=files / "still.png", reference_frames=1)
+    images: list[weakref.ref[np.ndarray]] = []
+    for frame in FrameSequence(cfg, load_sensor(files / "sensor.yaml"), once=True):
+        if frame.image is not None:
+            images.append(weakref.ref(frame.image))
+    assert len(images) == 4
+    del frame
+    gc.collect()
+    assert not any(image() is not None for image in images[:-1])

@@ -85,3 +85,16 @@ def test_frames_that_nobody_takes_are_dropped(
     time.sleep(7 * _PERIOD_S)
     rest = [next(frames) for _ in range(2)]
     assert [frame.name[-1] for frame in (first, *rest)] == ["0", "1", "2"]
+
+
+def test_frames_that_wait_have_a_limit_of_memory(
+    capture: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sources, "_MAX_QUEUED_BYTES", 2 * 4 * 6 * 3)
+    frames = open_source(0)
+    next(frames)
+    time.sleep(7 * _PERIOD_S)
+    rest = [next(frames) for _ in range(3)]
+    assert [frame.name[-1] for frame in rest] == ["1", "2", "3"]
+    with pytest.raises(FileError, match="gave no image"):
+        assert not [frame for frame in frames if frame.image is not None]

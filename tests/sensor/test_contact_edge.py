@@ -32,7 +32,9 @@ def test_image_edge_follows_the_material_and_the_margin() -> None:
     still = image_edge(SENSOR, disc(3.0), CORNERS, np.zeros((4, 3)))
     distance = image_edge(SENSOR, disc(3.0), CORNERS, moved, margin_mm=0.2)
     points = np.array([(1.0, 0.5), (-3.5, 0.0), (2.5, 1.0)])
-    np.testing.assert_allclose(distance(points), still(points + (0.5, 0.0)) + 0.2, atol=1e-9)
+    np.testing.assert_allclose(
+        distance(points), still(points + np.array([0.5, 0.0])) + 0.2, atol=1e-9
+    )
 
 
 @given(st.floats(-8.0, 8.0), st.floats(-8.0, 8.0))

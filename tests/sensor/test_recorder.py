@@ -4,6 +4,7 @@ The gel's motion is that of one simulation of gel and cube, so its presses are k
 """
 
 import logging
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -22,7 +23,7 @@ from tactorch.sensor.frames import Frame
 from tactorch.sensor.gel import GelContact, GelModel
 from tactorch.sensor.poses import Poses
 from tactorch.sensor.recorder import Fixture, RecordOptions, VirtualCube, record, record_streaming
-from tactorch.sensor.recorder.detector import ContactDetector
+from tactorch.sensor.recorder.detector import ContactDetector, ContactInterval
 from tactorch.sensor.recorder.press_builder import (
     axial_gap,
     first_pose_by_depth,
@@ -359,3 +360,69 @@ def test_the_model_is_that_of_the_pair(pairs: dict[float, Pair]) -> None:
     """Else the exact comparison above would compare something else."""
     assert isinstance(pairs[0.2].model, GelModel)
     assert pairs[0.2].on_cube.sum(axis=0)[2] < -0.2
+
+
+# ---------------------------------------------------------------- memory
+
+
+def measurement(index: int, depth_mm: float, nodes: int = 4) -> Measurement:
+    frame = Frame(index, f"{index}", None, 0.1 * index)
+    moved, touched = np.full((nodes, 3), depth_mm), np.ones(nodes, dtype=bool)
+    return Measurement(frame, np.zeros((2, 2)), None, depth_mm, 0.0, moved, touched)
+
+
+def test_a_long_contact_keeps_frames_evenly_in_depth() -> None:
+    depths = 0.5 + 0.5 * np.sin(np.linspace(-np.pi / 2, np.pi, 3000))
+    contact, all_of_it = ContactInterval(0.0, max_candidates=60), ContactInterval(0.0, 10_000)
+    for index, depth in enumerate(depths):
+        contact.append(measurement(index, float(depth)))
+        all_of_it.append(measurement(index, float(depth)))
+    stored = [m for m in contact.measurements if m.displacement is not None]
+    assert 30 < len(stored) <= 60
+    assert len(contact.measurements) == 3000
+    np.testing.assert_array_equal(contact.depths_mm, depths)
+    chosen, ideal = contact.select_frames(4), all_of_it.select_frames(4)
+    assert chosen[-1] == ideal[-1] == int(np.argmax(depths))
+    np.testing.assert_allclose(depths[chosen], depths[ideal], atol=0.03)
+    assert all(contact.measurements[i].displacement is not None for i in chosen)
+    contact.keep(chosen)
+    kept = [m.frame.index for m in contact.measurements if m.displacement is not None]
+    assert kept == chosen
+    assert contact.select_frames(4) == chosen
+
+
+def peak_bytes(frames_count: int) -> int:
+    """Peak memory of the detection of contacts of 20 of each 25 frames, with 2,000 nodes each."""
+
+    class Pressing(Chain):
+        def __init__(self) -> None:
+            self.tracker = SimpleNamespace(reference_px=np.zeros((2, 2)))
+            self.sensor = SensorDescription("pressing", (8, 8), (1.0, 1.0), GEL)
+
+        def measure_deformation(self, frame: Frame) -> Measurement:
+            phase = frame.index % 25
+            pressed = measurement(frame.index, 0.01 * phase, nodes=2_000)
+            return pressed if phase < 20 else replace(pressed, displacement=None)
+
+    def session() -> Iterator[Frame]:
+        for index in range(frames_count):
+            yield Frame(index, f"{index}", np.zeros((64, 64, 3), np.uint8), 0.1 * index)
+
+    tracemalloc.start()
+    try:
+        reports: list[Measurement] = []
+        contacts = []
+        for contact in ContactDetector(Pressing(), report=reports.append).detect(session()):
+            contact.keep(contact.select_frames(1))
+            contacts.append(contact)
+        assert len(reports) == frames_count
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_memory_does_not_grow_with_the_frames_of_a_session() -> None:
+    """A frame with contact has 50 kB; one that is no press costs less than 4 kB."""
+    short, long = peak_bytes(500), peak_bytes(2_000)
+    presses = (2_000 - 500) / 25
+    assert (long - short - presses * 50_000) / 1_500 < 4_000

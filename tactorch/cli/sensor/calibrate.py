@@ -13,6 +13,7 @@ that of a map fitted without the held-out presses; the calibration is fitted to 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,14 +36,19 @@ from tactorch.sensor.calibration import (
     Calibration,
     FitOptions,
     MapQuality,
+    SlopeMap,
     evaluate_map,
     fit_map,
     save_calibration,
     select_map,
 )
-from tactorch.sensor.calibration.fit import fit_new_contact
+from tactorch.sensor.calibration.fit import fit_new_contact, fit_to_contacts
 from tactorch.sensor.calibration.quality import positions_differ, validation_groups
 from tactorch.sensor.frames import read_reference
+from tactorch.sensor.light import COLOUR_UNIT
+
+if TYPE_CHECKING:
+    from tactorch.sensor.camera import LightFit
 
 AUTO = "auto"
 _HELD_OUT_FRACTION = 4  # one press in four is held out
@@ -85,6 +91,7 @@ def run(cfg: CalibrateSettings) -> Path:
         with progress("fitting to all presses", "rounds") as report:
             slope_map, fitted = fit_map(presses, ball, options, report)
     _report_outlying(fitted)
+    light = _fit_light(fitted, slope_map, ball, options) if cfg.camera else None
     facts = {
         "sensor": sensor.name,
         "ball_radius_mm": ball.radius_mm,
@@ -96,10 +103,27 @@ def run(cfg: CalibrateSettings) -> Path:
         "held_out": [press.name for press in held_out],
         "outlying": [press.name for press in fitted if press.outlying],
     }
-    save_calibration(Calibration(slope_map, reference, ball.mm_per_px, markers, facts), out)
+    if light is not None:
+        facts["camera"] = {"deviation_gray_values": COLOUR_UNIT * light.deviation}
+    calibration = Calibration(slope_map, reference, ball.mm_per_px, markers, facts, light)
+    save_calibration(calibration, out)
     write_report(folder, title, quality, evaluated, images, ball, fitted, facts)
     log.info("calibration: %s", out)
     return out
+
+
+def _fit_light(
+    presses: Sequence[BallPress], slope_map: SlopeMap, ball: Ball, options: FitOptions
+) -> "LightFit":
+    """Fit the light of the differentiable camera."""
+    from tactorch.sensor.calibration.camera import CameraLight, CameraMap
+
+    fitted = fit_to_contacts(CameraLight(), presses, slope_map, ball, options.seed)
+    assert isinstance(fitted, CameraMap)
+    assert fitted.light is not None
+    difference = COLOUR_UNIT * fitted.light.deviation
+    log.info("camera: rendered colours differ by %.1f gray values from those seen", difference)
+    return fitted.light
 
 
 def _report_outlying(presses: Sequence[BallPress]) -> None:

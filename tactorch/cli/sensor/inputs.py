@@ -34,16 +34,22 @@ _T = TypeVar("_T")
 class FrameSequence:
     """Frames of a folder, a video, an image or a camera, and the image without contact.
 
-    Those of a camera are stored; if they are read only `once`, it may run without end.
+    Those of a camera are stored, unless they are read only `once`. A camera that is `endless` needs
+    no number of frames.
     """
 
     def __init__(
-        self, cfg: SequenceSettings, sensor: SensorDescription, *, once: bool = False
+        self,
+        cfg: SequenceSettings,
+        sensor: SensorDescription,
+        *,
+        once: bool = False,
+        endless: bool = False,
     ) -> None:
         self.source, self.max_frames = cfg.frames, cfg.max_frames
         self.reference = read_reference(cfg.reference, sensor, cfg.reference_frames)
         self._sensor, self._once = sensor, once
-        if self.is_camera and self.max_frames is None and not once:
+        if self.is_camera and self.max_frames is None and not endless:
             raise ConfigError(f"frames={self.source} is a camera; give max_frames too.")
         self.zero_unix_s: float | None = None  # time of a camera's first frame since 1970
         self._first = self._read()  # a missing source is an error at once
@@ -136,9 +142,10 @@ def load_calibrated(cfg: CalibratedSettings) -> tuple[SensorDescription, Calibra
 
 
 def build_chain(
-    cfg: ForceSettings | RecordSettings, *, once: bool = False
+    cfg: ForceSettings | RecordSettings, *, once: bool = False, endless: bool = False
 ) -> tuple[FrameSequence, SensorChain]:
-    """Return the frames of the settings and the processing chain for them."""
+    """Return the frames of the settings, see `FrameSequence`, and the processing chain for them."""
     sensor, calibration = load_calibrated(cfg)
-    frames, model = FrameSequence(cfg, sensor, once=once), GelModel(sensor.gel, cfg)
+    frames = FrameSequence(cfg, sensor, once=once, endless=endless)
+    model = GelModel(sensor.gel, cfg)
     return frames, SensorChain(sensor, calibration, frames.reference, model, cfg)

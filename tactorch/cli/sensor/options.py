@@ -76,7 +76,8 @@ class CalibrateSettings(FitOptions, BallSettings, MarkerSettings):
 
     map: str = option(  # type: ignore[assignment]
         "auto",
-        "Map from colour to slope (mlp, mlp_colour, lookup); auto: least error on held-out presses",
+        "Map from colour to slope (mlp, mlp_colour, lookup, camera); auto: least error on held-out"
+        " presses, without camera",
     )
     held_out: int | None = option(
         None,
@@ -90,6 +91,7 @@ class CalibrateSettings(FitOptions, BallSettings, MarkerSettings):
     seed: int = option(
         0, "Seed of the map, of the drawn pixels and of the split of the presses", ge=0
     )
+    camera: bool = option(False, "Fit the light of the differentiable camera too, for depth=fit")
     out: Path | None = option(None, "Calibration to write; null: calib.npz in run_dir")
 
 

@@ -17,7 +17,6 @@ from tactorch.cli.sensor.frames import RunFiles, caption, without_image, write_t
 from tactorch.cli.sensor.inputs import FrameSequence, load_calibrated
 from tactorch.cli.sensor.options import ReconstructSettings
 from tactorch.files import write_arrays
-from tactorch.sensor.depth import reconstruct_height
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Frame
 from tactorch.viz.sensor_frames import DepthView
@@ -37,8 +36,9 @@ def run(cfg: ReconstructSettings) -> Path:
         """Write the height map; return the frame with its depth, mm, and contact area, mm^2."""
         if frame.image is None:
             return without_image(frame), float("nan"), float("nan")
-        slopes = calibration.slopes(frame.image, frames.reference)
-        height = reconstruct_height(slopes, calibration.mm_per_px, cfg.min_slope)
+        height = calibration.height(
+            frame.image, frames.reference, depth=cfg.depth, min_slope=cfg.min_slope
+        )
         contact = height.contact & (height.depth_mm >= cfg.min_depth_mm)
         arrays = {"height_mm": height.height_mm.astype(np.float32), "contact": contact}
         arrays["mm_per_px"] = np.array(calibration.mm_per_px)

@@ -31,6 +31,7 @@ from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.recording import Recording, append_press, compact
 from tactorch.sensor.chain import Measurement
+from tactorch.sensor.frames import Frame
 from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.recorder import ContactInterval, VirtualCube, record, record_streaming
 from tactorch.viz import save_figure
@@ -47,7 +48,7 @@ def run(cfg: RecordSettings) -> Path:
     out = files.folder / _RECORDING if cfg.out is None else cfg.out
     target = cfg.object if isinstance(cfg.object, VirtualCube) else cfg.object.mesh()
     material = material_spec(cfg.material)
-    frames, chain = build_chain(cfg, once=cfg.as_they_end)
+    frames, chain = build_chain(cfg, once=True, endless=cfg.as_they_end)
     facts = {"settings": to_mapping(cfg), "calibration": chain.calibration.facts}
     poses = _pose_reader(cfg, frames)
     if cfg.as_they_end:
@@ -147,17 +148,23 @@ def _write(
         for number, contact in enumerate(contacts, start=1)
         for measurement in contact.measurements
     }
-    rows = []
-    for frame, depth in ((m.frame, m.depth_mm) for m in measurements):
+
+    def row(frame: Frame, depth_mm: float) -> tuple[object, ...]:
         number, fault = numbers.get(frame.index), frame.fault or skipped.get(frame.name, "")
-        rows.append((frame.name, frame.time_s, depth, number, int(frame.name in selected), fault))
-    write_table(files.folder / _TABLE, _HEADER, rows)
+        return frame.name, frame.time_s, depth_mm, number, int(frame.name in selected), fault
+
+    write_table(files.folder / _TABLE, _HEADER, (row(m.frame, m.depth_mm) for m in measurements))
     strongest = max(float(np.linalg.norm(row["force_n"])) for row in presses)
-    values = {"frames": len(rows), "contacts": len(contacts), "presses": presses, "faulty": faults}
+    values = {
+        "frames": len(measurements),
+        "contacts": len(contacts),
+        "presses": presses,
+        "faulty": faults,
+    }
     values |= {"skipped": skipped, "noise_mm": recording.presses[0].noise_mm}
     lines = [
-        f"{len(presses)} presses of {len(contacts)} contacts in {len(rows)} frames; forces up to"
-        f" {strongest:.3g} N.",
+        f"{len(presses)} presses of {len(contacts)} contacts in {len(measurements)} frames; forces"
+        f" up to {strongest:.3g} N.",
         *(f"  {name}: {fault}" for name, fault in faults.items()),
         *(f"  {name} became no press: {reason}" for name, reason in skipped.items()),
         "",

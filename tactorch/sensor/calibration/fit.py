@@ -19,6 +19,7 @@ from tactorch.errors import ConfigError
 from tactorch.sensor.calibration.align import align_contacts
 from tactorch.sensor.calibration.ball import Ball, BallPress, Circle
 from tactorch.sensor.calibration.maps import (
+    SENSOR_MAPS,
     Mlp,
     SensorMap,
     SlopeMap,
@@ -74,21 +75,44 @@ def fit_map(
         raise ConfigError(
             "no press of the ball to calibrate with; give images and where it touches."
         )
+    if options.map.contacts_by is not None:
+        other = replace(options, map=SENSOR_MAPS.build(options.map.contacts_by))
+        found, fitted = fit_map(presses, ball, other, progress)
+        return fit_to_contacts(options.map, fitted, found, ball, options.seed), fitted
     slope_map, fitted = options.map.create(options.seed), list(presses)
     if options.rounds > 0:
         fitted = _initial_contacts(fitted, ball, options.seed)
     for number in range(options.rounds + 1):
         agreeing = [press for press in fitted if not press.outlying]
-        radii = [_TRAINING_RADIUS * press.contact.radius_px for press in agreeing]
-        if number > 0:
-            resolved = [_resolved_radius(press, slope_map, ball) for press in agreeing]
-            radii = np.minimum(radii, resolved).tolist()
+        radii = _training_radii(agreeing, slope_map if number > 0 else None, ball)
         _fit_map_to_contacts(slope_map, agreeing, radii, ball, options.seed + number)
         if number < options.rounds:
             fitted = [fit_contact(press, slope_map, ball) for press in fitted]
             fitted = _mark_outlying(fitted, slope_map, ball)
         progress(number + 1, options.rounds + 1)
     return slope_map, fitted
+
+
+def fit_to_contacts(
+    options: SensorMap, presses: Sequence[BallPress], found_by: SlopeMap, ball: Ball, seed: int = 0
+) -> SlopeMap:
+    """Return a map fitted to contacts that another map has found."""
+    slope_map = options.create(seed)
+    agreeing = [press for press in presses if not press.outlying]
+    radii = _training_radii(agreeing, found_by, ball)
+    _fit_map_to_contacts(slope_map, agreeing, radii, ball, seed)
+    return slope_map
+
+
+def _training_radii(
+    presses: Sequence[BallPress], slope_map: SlopeMap | None, ball: Ball
+) -> list[float]:
+    """Radii of the pixels that a map is fitted to, at most where the present map is right."""
+    radii = [_TRAINING_RADIUS * press.contact.radius_px for press in presses]
+    if slope_map is None:
+        return radii
+    resolved = [_resolved_radius(press, slope_map, ball) for press in presses]
+    return [min(pair) for pair in zip(radii, resolved, strict=True)]
 
 
 def _initial_contacts(presses: list[BallPress], ball: Ball, seed: int) -> list[BallPress]:

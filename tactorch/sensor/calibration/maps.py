@@ -19,13 +19,12 @@ from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 from tactorch.sensor.depth import fill_masked
 from tactorch.sensor.frames import Image
-from tactorch.sensor.light import light_drift
+from tactorch.sensor.light import COLOUR_UNIT, light_drift
 from tactorch.sensor.markers import MarkerAppearance, marker_mask
 
 Arrays = dict[str, np.ndarray]
 Features = Float[np.ndarray, "_ 5"]  # change of the three colors, and position x, y
 Slopes = Float[np.ndarray, "_ 2"]
-_UNIT = 50.0  # gray values
 _BATCH = 2048
 _ACTIVATION_HELP = "Activation; silu extrapolates to steeper slopes, tanh levels off"
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"silu": nn.SiLU, "tanh": nn.Tanh}
@@ -37,6 +36,7 @@ SENSOR_MAPS = Registry(
         "mlp": "tactorch.sensor.calibration.maps:Mlp",
         "mlp_colour": "tactorch.sensor.calibration.maps:MlpColour",
         "lookup": "tactorch.sensor.calibration.maps:Lookup",
+        "camera": "tactorch.sensor.calibration.camera:CameraLight",
     },
 )
 
@@ -70,7 +70,7 @@ def image_change(
             f"the image has shape {image.shape}, the reference {reference.shape}; give rectified"
             " images of one sensor."
         )
-    difference = (image.astype(np.float64) - reference) / _UNIT
+    difference = (image.astype(np.float64) - reference) / COLOUR_UNIT
     difference = fill_masked(difference, ~marker_pixels(image, reference, markers))
     if smooth_px > 0:
         difference = np.asarray(cv2.GaussianBlur(difference, (0, 0), smooth_px))
@@ -106,9 +106,16 @@ class SlopeMap(Protocol):
 
 @dataclass(frozen=True)
 class SensorMap(Options, ABC):
-    """Settings of a map; `create` returns the map, to be fitted."""
+    """Settings of a map; `create` returns the map, to be fitted.
+
+    Attributes:
+        contacts_by: Name of the map that finds the contacts; None for this map itself.
+        automatic: Whether the map is a candidate of an automatic selection.
+    """
 
     section: ClassVar[str] = "sensor_map"
+    contacts_by: ClassVar[str | None] = None
+    automatic: ClassVar[bool] = True
 
     @property
     def uses_position(self) -> bool:

@@ -135,6 +135,7 @@ def select_map(
     """
     options, quality, scores = options or FitOptions(), dict[str, MapQuality](), dict[str, float]()
     candidates = {name: SENSOR_MAPS.build(name) for name in SENSOR_MAPS.names()}
+    candidates = {name: each for name, each in candidates.items() if each.automatic}
     if not positions_differ(presses):
         candidates = {k: each for k, each in candidates.items() if not each.uses_position}
     for number, (name, candidate) in enumerate(candidates.items()):

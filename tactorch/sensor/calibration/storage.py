@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -12,13 +12,19 @@ from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import read_arrays, write_arrays
 from tactorch.sensor.calibration.maps import SENSOR_MAPS, SlopeMap, image_change, map_slopes
+from tactorch.sensor.depth import MIN_SLOPE, HeightMap, reconstruct_height
 from tactorch.sensor.description import check_pixel_size
 from tactorch.sensor.frames import Image
 from tactorch.sensor.markers import MarkerAppearance
 from tactorch.versions import versions
 
+if TYPE_CHECKING:
+    from tactorch.sensor.camera.light_fit import LightFit
+
+#: Way from an image to a height.
+DepthMethod = Literal["lookup", "fit"]
 FORMAT, VERSION = "tactorch-calibration", 1
-_PREFIX = "map/"
+_PREFIX, _CAMERA = "map/", "camera/"
 _MAX_BYTES = 500_000_000  # of the unpacked arrays
 _REMEDY = "it is damaged or another file. Calibrate again."
 _FORMER_NAMES = {"smallest": "min_area", "largest": "max_area"}
@@ -34,6 +40,8 @@ class Calibration:
         mm_per_px: Size of a pixel along x and y, mm.
         markers: Appearance of markers; None without markers.
         facts: Origin and accuracy, as plain values.
+        light: Light and colour response of the differentiable camera, for heights by fitting;
+            None without.
     """
 
     map: SlopeMap
@@ -41,6 +49,7 @@ class Calibration:
     mm_per_px: tuple[float, float]
     markers: MarkerAppearance | None = None
     facts: dict[str, Any] = field(default_factory=dict)
+    light: "LightFit | None" = None
 
     @property
     def map_name(self) -> str:
@@ -58,8 +67,49 @@ class Calibration:
                 f" {self.reference.shape}; give rectified images of that sensor, or calibrate"
                 " again."
             )
+        return map_slopes(self.map, self._change(image, reference))
+
+    def height(
+        self,
+        image: Image,
+        reference: Image | None = None,
+        *,
+        depth: DepthMethod = "lookup",
+        min_slope: float = MIN_SLOPE,
+        mm_per_px: tuple[float, float] | None = None,
+    ) -> HeightMap:
+        """Return the height of the gel's face in a rectified image.
+
+        Args:
+            image: Rectified image.
+            reference: Image of the gel without contact on that day; None for the calibration's.
+            depth: `lookup` integrates the slopes of the map; `fit` then fits the rendered colours,
+                see `fit_height`.
+            min_slope: Slope above which the face is deformed.
+            mm_per_px: Size of a pixel along x and y, mm; None for that of the calibration.
+
+        Raises:
+            ConfigError: The image has another size, or the calibration has no light for `fit`.
+            ConvergenceError: The linear solver does not converge.
+        """
+        size = mm_per_px or self.mm_per_px
+        slopes = self.slopes(image, reference)
+        height = reconstruct_height(slopes, size, min_slope)
+        if depth == "lookup":
+            return height
+        if self.light is None:
+            raise ConfigError(
+                "depth=fit takes a calibration with the light of the sensor; calibrate again with"
+                " camera=true, or use depth=lookup."
+            )
+        from tactorch.sensor.camera.height import fit_height  # imports kornia
+
+        change, light = self._change(image, reference), self.light
+        return fit_height(change, light.shading, light.deviation, slopes, height, size)
+
+    def _change(self, image: Image, reference: Image | None) -> Float[np.ndarray, "h w 3"]:
         unloaded = self.reference if reference is None else reference
-        return map_slopes(self.map, image_change(image, unloaded, self.markers))
+        return image_change(image, unloaded, self.markers)
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
@@ -75,6 +125,11 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         "versions": versions(),
     }
     arrays = {_PREFIX + name: values for name, values in calibration.map.arrays().items()}
+    if calibration.light is not None:
+        from tactorch.sensor.calibration.camera import light_arrays
+
+        light = light_arrays(calibration.light)
+        arrays |= {_CAMERA + name: values for name, values in light.items()}
     about = np.array(json.dumps(text))
     write_arrays(
         path, {"about": about, "reference": calibration.reference, **arrays}, compressed=True
@@ -114,10 +169,20 @@ def _parse(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> Calibration:
     if str(settings.get("name", "")).startswith("mlp"):
         settings.setdefault("activation", "tanh")  # of files without this setting
     slope_map = SENSOR_MAPS.build(settings).create(0)
-    slope_map.restore({k[len(_PREFIX) :]: v for k, v in arrays.items() if k != "reference"})
+    slope_map.restore(_named(arrays, _PREFIX))
+    light = None
+    if stored := _named(arrays, _CAMERA):
+        from tactorch.sensor.calibration.camera import restore_light
+
+        light = restore_light(stored)
     x, y = map(float, about["mm_per_px"])
     check_pixel_size((x, y))
     markers = about["look"]
     if markers is not None:
         markers = MarkerAppearance(**{_FORMER_NAMES.get(k, k): v for k, v in markers.items()})
-    return Calibration(slope_map, reference, (x, y), markers, about["facts"])
+    return Calibration(slope_map, reference, (x, y), markers, about["facts"], light)
+
+
+def _named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the arrays of a prefix, by the rest of their names."""
+    return {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}

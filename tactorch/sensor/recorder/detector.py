@@ -1,5 +1,9 @@
-"""Detection of contacts in a sequence of frames, while it goes on."""
+"""Detection of contacts in a sequence of frames, while it goes on.
 
+Memory is bounded: of frames that cannot become presses only the time, the depth and the fault stay.
+"""
+
+from bisect import insort
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -11,18 +15,59 @@ from tactorch.sensor.chain import Measurement, SensorChain
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.markers import marker_displacements
 
+_MAX_CANDIDATES = 256  # frames of a contact that are stored with displacements
+
 
 @dataclass(eq=False)
 class ContactInterval:
     """Consecutive frames with contact.
 
+    Displacements are stored for `max_candidates` frames at most. In longer contacts these are
+    evenly spaced in depth; those up to the deepest frame, which may become presses, and those after
+    it, which may if a deeper one follows, are thinned apart.
+
     Attributes:
         free_s: Time of the last frame without contact before; None if there is none.
-        measurements: Measurement of each frame, without images and height maps.
+        max_candidates: Largest number of frames with displacements, at least 6.
+        measurements: Measurement of each frame, without images and height maps; that of a frame
+            that is no candidate has no displacement and no markers.
     """
 
     free_s: float | None
+    max_candidates: int = _MAX_CANDIDATES
     measurements: list[Measurement] = field(default_factory=list)
+    _loading: list[tuple[float, int]] = field(default_factory=list)  # up to the deepest; sorted
+    _later: list[tuple[float, int]] = field(default_factory=list)
+
+    def append(self, measurement: Measurement) -> None:
+        """Append the measurement of a frame, a candidate for a press."""
+        entry = measurement.depth_mm, len(self.measurements)
+        self.measurements.append(measurement)
+        if not self._loading or entry[0] > self._loading[-1][0]:
+            self._loading = sorted([*self._loading, *self._later, entry])
+            self._later = []
+            self._thin(self._loading)
+        else:
+            insort(self._later, entry)
+            self._thin(self._later)
+
+    def keep(self, indices: Iterable[int]) -> None:
+        """Remove the displacements of all other frames."""
+        kept = set(indices)
+        for candidates in (self._loading, self._later):
+            for k in reversed(range(len(candidates))):
+                if candidates[k][1] not in kept:
+                    self._reduce(candidates, k)
+
+    def _thin(self, candidates: list[tuple[float, int]]) -> None:
+        while len(candidates) > self.max_candidates // 2:
+            depths = np.array([depth for depth, _ in candidates])
+            # The removed frame leaves the smallest gap; the two at the ends stay.
+            self._reduce(candidates, int(np.argmin(depths[2:] - depths[:-2])) + 1)
+
+    def _reduce(self, candidates: list[tuple[float, int]], k: int) -> None:
+        _, index = candidates.pop(k)
+        self.measurements[index] = reduced(self.measurements[index])
 
     @property
     def times_s(self) -> Float[np.ndarray, " f"]:
@@ -35,18 +80,27 @@ class ContactInterval:
         return np.array([measurement.depth_mm for measurement in self.measurements])
 
     def select_frames(self, steps: int) -> list[int]:
-        """Return up to `steps` frames before the deepest, evenly spaced in depth."""
-        loading = self.depths_mm[: int(np.argmax(self.depths_mm)) + 1]
+        """Return up to `steps` candidates before the deepest, evenly spaced in depth."""
+        candidates = np.array(sorted(index for _, index in self._loading))
+        loading = self.depths_mm[candidates]
         targets = loading[-1] * np.arange(1, steps + 1) / steps
         nearest = np.abs(loading[None] - targets[:, None]).argmin(axis=1)
-        return sorted({int(i) for i in nearest})
+        return sorted({int(candidates[i]) for i in nearest})
+
+
+def reduced(measurement: Measurement) -> Measurement:
+    """Return a measurement with its frame, depth and slope only."""
+    no_markers, no_nodes = np.zeros((0, 2)), np.zeros(0, dtype=bool)
+    return replace(
+        measurement, height=None, displacement=None, markers_px=no_markers, in_contact=no_nodes
+    )
 
 
 class ContactDetector:
     """Detector of contacts of at least `min_frames`; `report` receives each frame's measurement.
 
-    Frames that are not usable neither end a contact nor belong to one. Measurements are reported
-    and stored without images and height maps, which would fill the memory.
+    Frames that are not usable neither end a contact nor belong to one. Reported measurements have
+    no images, heights, markers and displacements, which would fill the memory.
     """
 
     def __init__(
@@ -71,9 +125,9 @@ class ContactDetector:
                 )
             measurement = self.chain.measure_deformation(frame if usable else stored)
             measurement = replace(measurement, frame=stored, height=None)
-            self.report(measurement)
+            self.report(reduced(measurement))
             if measurement.displacement is not None:
-                contact.measurements.append(measurement)
+                contact.append(measurement)
             elif usable:
                 self._add_noise(measurement)
                 if len(contact.measurements) >= self.min_frames:

@@ -49,11 +49,11 @@ def record(
             (None if unknown).
 
     Returns:
-        The recording with all presses, the measurement of each frame without images and height
-        maps, and the contacts. The provenance of the recording has "presses", a table of contact
-        (from 1), frame, time_s, depth_mm, force_n (three components in the object frame) and nodes
-        (number of observed nodes); "faulty frames", the faults by name; and "skipped", the reason
-        by name for each frame with contact that became no press.
+        The recording with all presses, the depth of each frame (measurements without images,
+        heights, markers and displacements), and the contacts. The provenance of the recording has
+        "presses", a table of contact (from 1), frame, time_s, depth_mm, force_n (three components
+        in the object frame) and nodes (number of observed nodes); "faulty frames", the faults by
+        name; and "skipped", the reason by name for each frame with contact that became no press.
 
     Raises:
         ConfigError: No frame shows contact, a frame has no time or no pose, no contact yields a
@@ -68,7 +68,10 @@ def record(
         progress("frames", len(measurements), None)
 
     detector = ContactDetector(chain, options.min_frames, report)
-    contacts = list(detector.detect(frames))
+    contacts = list[ContactInterval]()
+    for contact in detector.detect(frames):
+        contact.keep(contact.select_frames(options.steps))
+        contacts.append(contact)
     faults = {m.frame.name: m.frame.fault for m in measurements if m.frame.fault}
     if not contacts:
         raise ConfigError(_no_contact(measurements, len(faults), chain))
