@@ -64,7 +64,8 @@ def test_a_session_becomes_a_recording(
     # The sensor went 0.3 mm in from where it met the box; under the ball the gel gave some of it.
     assert -0.3 < hard.displacement[seen, 2].min() < 0.1
     rows = table(run / "session.csv")
-    assert [row["frame"] for row in rows] == [f"{k}.png" for k in range(5)]
+    assert [row["image"] for row in rows] == [f"{k}.png" for k in range(5)]
+    assert [row["frame"] for row in rows] == [str(k) for k in range(5)]
     assert [row["selected"] for row in rows] == ["0", "0", "1", "1", "0"]
     assert [row["contact"] for row in rows] == ["", "1", "1", "1", ""]
     assert "cannot be read" in rows[4]["fault"]

@@ -141,4 +141,7 @@ def build_chain(
     """Return the frames of the settings and the processing chain for them."""
     sensor, calibration = load_calibrated(cfg)
     frames, model = FrameSequence(cfg, sensor, once=once), GelModel(sensor.gel, cfg)
-    return frames, SensorChain(sensor, calibration, frames.reference, model, cfg)
+    chain = SensorChain(sensor, calibration, frames.reference, model, cfg)
+    with progress("preparing the gel (once for a mesh)", "nodes") as report:
+        chain.forces.prepare(report)
+    return frames, chain

@@ -37,7 +37,11 @@ from tactorch.viz import save_figure
 from tactorch.viz.session import presses_figure, session_figure
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
-_HEADER = ("frame", "time_s", "depth_mm", "contact", "selected", "fault")
+_HEADER = ("frame", "image", "time_s", "depth_mm", "contact", "selected", "fault")
+_WITHOUT_MARKERS = (
+    "The sensor has no markers: forces and displacements across its axis are unknown; the forces are"
+    " those of a contact without friction."
+)
 _LABELS = {"frames": "following the gel", "presses": "finding forces"}
 
 
@@ -150,14 +154,17 @@ def _write(
     rows = []
     for frame, depth in ((m.frame, m.depth_mm) for m in measurements):
         number, fault = numbers.get(frame.index), frame.fault or skipped.get(frame.name, "")
-        rows.append((frame.name, frame.time_s, depth, number, int(frame.name in selected), fault))
+        row = (frame.index, frame.name, frame.time_s, depth, number)
+        rows.append((*row, int(frame.name in selected), fault))
     write_table(files.folder / _TABLE, _HEADER, rows)
     strongest = max(float(np.linalg.norm(row["force_n"])) for row in presses)
     values = {"frames": len(rows), "contacts": len(contacts), "presses": presses, "faulty": faults}
+    values["tangential_known"] = facts["tangential_known"]
     values |= {"skipped": skipped, "noise_mm": recording.presses[0].noise_mm}
     lines = [
         f"{len(presses)} presses of {len(contacts)} contacts in {len(rows)} frames; forces up to"
         f" {strongest:.3g} N.",
+        *([] if facts["tangential_known"] else [_WITHOUT_MARKERS]),
         *(f"  {name}: {fault}" for name, fault in faults.items()),
         *(f"  {name} became no press: {reason}" for name, reason in skipped.items()),
         "",

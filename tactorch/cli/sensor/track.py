@@ -26,7 +26,9 @@ from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, marker_disp
 from tactorch.viz.sensor_frames import MarkerView, colour_limit
 
 _TABLE, _ARRAYS = "tracks.csv", "tracks.npz"
-_HEADER = ("frame", "time_s", "marker", "x_px", "y_px", "dx_mm", "dy_mm", "valid", "fault")
+_HEADER = (
+    "frame", "image", "time_s", "marker", "x_px", "y_px", "dx_mm", "dy_mm", "valid", "fault",
+)  # fmt: skip
 _MIN_LIMIT_MM = 0.05  # of the color scale, for frames without motion
 _MATCH_PX = 2.0  # between a tracked marker and the marker detected in the last frame
 
@@ -96,7 +98,7 @@ def _write(
 ) -> None:
     numbers = np.concatenate([positions, displacements], axis=2).tolist()
     rows = (
-        (frame.index, frame.time_s, marker, *numbers[k][marker], int(is_valid), frame.fault)
+        (frame.index, frame.name, frame.time_s, marker, *numbers[k][marker], int(is_valid), frame.fault)
         for k, frame in enumerate(frames)
         for marker, is_valid in enumerate(valid[k])
     )
