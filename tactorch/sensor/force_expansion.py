@@ -13,6 +13,7 @@ from tactorch.sensor.force_fit import ForceFit, Nodes, Vectors
 
 _ORDERS = 3
 _DIFFERENCE = 0.05  # of the factor, for derivatives of the internal forces
+_MAX_DEPTH = 0.6  # of the thickness
 _MAX_LAST = 0.15  # of the total force in the last order, above which the series is not summed
 
 
@@ -29,6 +30,12 @@ def expand_forces(fit: ForceFit, linear: Vectors) -> tuple[Vectors, Vectors]:
     Raises:
         ConvergenceError: The deformation is too large for the expansion.
     """
+    depth_mm, thickness_mm = -float(fit.face_displacement(linear)[:, 2].min()), fit.thickness_mm
+    if depth_mm > _MAX_DEPTH * thickness_mm:
+        raise ConvergenceError(
+            f"the gel is deformed too much for its model: it would be pressed in by {depth_mm:.3g}"
+            f" mm of its {thickness_mm:g} mm. Is the depth of this frame right?"
+        )
     forces, moved = [linear], [fit.respond(linear)]
     face = fit.model.gel_mesh.face
     for order in range(2, _ORDERS + 1):

@@ -67,6 +67,11 @@ class ForceFit:
         self.loaded, self._compliance = loaded, self._columns(loaded)
         self._fit = SmoothFit(self._compliance[self.known.ravel()], self._plane, basis)
 
+    @property
+    def thickness_mm(self) -> float:
+        """Thickness of the gel."""
+        return float(self.model.gel.thickness_mm)
+
     def face_displacement(self, forces: Vectors) -> Vectors:
         """Return the displacements of the face by forces at rest, mm."""
         return (self._compliance @ forces[self.loaded].ravel()).reshape(-1, 3)

@@ -53,12 +53,12 @@ def face_compliance(
         selected[begin:end] = True
         compliance[:, 3 * begin : 3 * end] = model.rest_compliance(selected)
         report(end, count)
-    compliance = 0.5 * (compliance + compliance.T)
+    unit = 0.5 * youngs_mpa * (compliance + compliance.T)
     try:
-        write_arrays(path, {"compliance": compliance * youngs_mpa})
+        write_arrays(path, {"compliance": unit})
     except FileError as error:
         _log.warning("The compliance could not be stored: %s", error)
-    return compliance
+    return unit / youngs_mpa
 
 
 def _key(model: "GelModel") -> str:

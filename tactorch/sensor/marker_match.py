@@ -109,7 +109,7 @@ def match_markers(grid: Grid, spots: Points, guesses: Iterable[Points] = ()) -> 
             candidates.append(_grow(grid, spots, seed))
     if not candidates:
         nothing = np.full(grid.points.shape, np.nan)
-        return Match(nothing, np.zeros(len(nothing), dtype=bool), np.inf)
+        return Match(nothing, np.full(len(nothing), len(spots) > 0), np.inf)
     costs = np.array([grid.cost(candidate, spots) for candidate in candidates])
     best = candidates[int(np.argmin(costs))]
     # Where most markers have no place that fits, those that do fit by chance.
