@@ -65,7 +65,7 @@ class Grid:
         known = np.isfinite(positions[:, 0])
         if known.sum() < 4:
             return np.inf
-        predicted, count = self.predict(positions)
+        predicted, _ = self.predict(positions)
         deviation = np.linalg.norm(positions - predicted, axis=1) / (_STRAIN * self.spacing_px)
         rough = np.minimum(deviation[known] ** 2, LOST_COST).sum()
         lost = (~known & self.inside(predicted)).sum()

@@ -81,7 +81,7 @@ class SmoothFit:
         return np.asarray(forces)
 
     def _covariance(self, weight: float) -> Float[np.ndarray, "3 3"]:
-        """Covariance of the sum of the forces at unit variance, by elimination of the free modes."""
+        """Covariance of the sum of the forces at unit variance; free modes are eliminated."""
         uniform, rough = (
             part.reshape(len(part) // 3, 3, part.shape[1]).sum(axis=0) for part in self.basis
         )

@@ -1,4 +1,4 @@
-"""Forces of frames: those of the iterated equilibrium, in a fixed time, and only as contact pushes."""
+"""Forces of frames: those of the iterated equilibrium, in a fixed time, as contact pushes."""
 
 from pathlib import Path
 
@@ -112,8 +112,8 @@ def test_depth_alone_gives_the_normal_force_of_a_contact_without_friction(model:
 
 def test_contact_does_not_pull(model: GelModel) -> None:
     """A face that rises is refused, and nodes about a contact that would pull are released."""
-    forces, moved, touched = pushed(model, 0.01)
-    with pytest.raises(ConvergenceError, match="a pull of .* N on the gel, which contact"):
+    _, moved, touched = pushed(model, 0.01)
+    with pytest.raises(ConvergenceError, match=r"a pull of .* N on the gel, which contact"):
         solver(model).solve(-moved, 1e-4, touched)
     wide = np.linalg.norm(model.points[:, :2], axis=1) < 4.0
     raised = moved.copy()

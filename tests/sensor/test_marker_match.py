@@ -44,7 +44,7 @@ def test_a_grid_without_borders_in_view_is_ambiguous_after_half_a_pitch() -> Non
     places = jumps.lattice(0.0, 0, 15, 19)
     inside = ((places > 5) & (places < np.array(jumps.SHAPE[::-1]) - 5)).all(axis=1)
     grid = grid_of(places[inside])
-    shifted = places + (0.5 * jumps.PITCH, 0.0)
+    shifted = places + np.array([0.5 * jumps.PITCH, 0.0])
     inside = ((shifted > 5) & (shifted < np.array(jumps.SHAPE[::-1]) - 5)).all(axis=1)
     assert match_markers(grid, shifted[inside]).ambiguous.mean() > 0.9
 

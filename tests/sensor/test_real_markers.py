@@ -88,7 +88,7 @@ def test_neighbours_move_alike_all_along(tracked: np.ndarray) -> None:
 def test_stills_of_the_press_keep_their_identity(
     tracked: np.ndarray, images: list[np.ndarray], reference: np.ndarray, step: int
 ) -> None:
-    """One image in so many: steps of up to 47 px of the 66 px pitch, as the whole video has them."""
+    """One image in so many: steps of up to 47 px, and the places that the whole video has."""
     seen, wrong, count = 0, 0, 0
     for first in range(0, step, 3):
         tracker = MarkerTracker(reference, LOOK)

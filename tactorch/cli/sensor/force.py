@@ -25,13 +25,14 @@ from tactorch.viz.sensor_frames import ForceView, colour_limit
 
 _TABLE, _ARRAYS = "forces.csv", "forces.npz"
 _HEADER = (
-    "frame", "image", "time_s", "force_x_n", "force_y_n", "force_z_n", "contact_mm2", "depth_mm", "fault",
+    "frame", "image", "time_s", "force_x_n", "force_y_n", "force_z_n", "contact_mm2", "depth_mm",
+    "fault",
 )  # fmt: skip
 _MIN_LIMIT_MPA = 1e-4  # of the color scale, for frames without contact
 
 _WITHOUT_MARKERS = (
-    "The sensor has no markers: forces along x and y are unknown, and those along z are of a contact"
-    " without friction."
+    "The sensor has no markers: forces along x and y are unknown, and those along z are of a"
+    " contact without friction."
 )
 
 Vectors = Float[np.ndarray, "k 3"]

@@ -39,8 +39,8 @@ from tactorch.viz.session import presses_figure, session_figure
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
 _HEADER = ("frame", "image", "time_s", "depth_mm", "contact", "selected", "fault")
 _WITHOUT_MARKERS = (
-    "The sensor has no markers: forces and displacements across its axis are unknown; the forces are"
-    " those of a contact without friction."
+    "The sensor has no markers: forces and displacements across its axis are unknown; the forces"
+    " are those of a contact without friction."
 )
 _LABELS = {"frames": "following the gel", "presses": "finding forces"}
 

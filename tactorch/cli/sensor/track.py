@@ -107,7 +107,15 @@ def _write(
 ) -> None:
     numbers = np.concatenate([positions, displacements], axis=2).tolist()
     rows = (
-        (frame.index, frame.name, frame.time_s, marker, *numbers[k][marker], int(is_valid), frame.fault)
+        (
+            frame.index,
+            frame.name,
+            frame.time_s,
+            marker,
+            *numbers[k][marker],
+            int(is_valid),
+            frame.fault,
+        )
         for k, frame in enumerate(frames)
         for marker, is_valid in enumerate(valid[k])
     )

@@ -53,8 +53,9 @@ def record(
         maps, and the contacts. The provenance of the recording has "presses", a table of contact
         (from 1), frame, time_s, depth_mm, force_n (three components in the object frame) and nodes
         (number of observed nodes); "tangential_known", whether forces and displacements across the
-        sensor's axis were measured (by markers), and are not taken as zero; "faulty frames", the faults by name; and "skipped", the reason
-        by name for each frame with contact that became no press.
+        sensor's axis were measured (by markers), and are not taken as zero; "faulty frames", the
+        faults by name; and "skipped", the reason by name for each frame with contact that became
+        no press.
 
     Raises:
         ConfigError: No frame shows contact, a frame has no time or no pose, no contact yields a
