@@ -46,7 +46,8 @@ def expand_forces(fit: ForceFit, linear: Vectors) -> tuple[Vectors, Vectors]:
     on_face = [part[face] for part in moved]
     on_face.append(fit.face_displacement(forces[-1]) - relaxed[face])
     totals = [part.sum(axis=0) for part in forces]
-    last = float(np.linalg.norm(totals[-1]) / max(np.linalg.norm(np.sum(totals, axis=0)), 1e-300))
+    whole = float(np.linalg.norm(np.sum(totals, axis=0)))
+    last = float(np.linalg.norm(totals[-1])) / max(whole, 1e-300)
     if last > _MAX_LAST:
         raise ConvergenceError(
             f"the gel is deformed too much for its model: the last correction for finite strains is"
@@ -62,7 +63,7 @@ def _nonlinear_forces(fit: ForceFit, moved: list[Nodes], linear: Vectors, order:
     those of lower orders are in balance with the loads.
     """
     above, below = (
-        fit.internal_forces(sum(factor ** (n + 1) * u for n, u in enumerate(moved)))
+        fit.internal_forces(np.sum([factor ** (n + 1) * u for n, u in enumerate(moved)], axis=0))
         for factor in (_DIFFERENCE, -_DIFFERENCE)
     )
     if order == 2:

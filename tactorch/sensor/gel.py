@@ -47,7 +47,7 @@ class GelOptions(Options):
     edge_mm: float = option(1.0, "Edge length of the gel's cells on its face", unit="mm", gt=0)
     layers: int = option(4, "Number of cells through the gel", ge=1)
     element: Literal["tet10", "tet4"] = option(
-        "tet10", "Element; tet10: no locking, seconds per frame; tet4: fast, but locks (too stiff)"
+        "tet10", "Element; tet10: free of locking; tet4: faster to prepare, but locks (too stiff)"
     )
 
 

@@ -118,15 +118,18 @@ def _write(
     pressed = int(in_contact.any(axis=1).sum())
     sizes = np.where(known, np.linalg.norm(np.nan_to_num(totals), axis=1), -1.0)
     largest = int(np.argmax(sizes))
-    values = {"in_contact": pressed, "tangential_known": chain.tracker is not None}
     found = {"frame": largest, "image": frames[largest].name}
+    values = {
+        "in_contact": pressed,
+        "tangential_known": chain.tracker is not None,
+        "largest": {**found, "force_on_gel_n": totals[largest].tolist()},
+    }
     lines = [
         f"{pressed} of {len(frames)} frames are in contact. The largest force on the gel is in"
         f" frame {largest} ({frames[largest].name}): {_in_words(totals[largest], 3)} N.",
     ]
     if chain.tracker is None:
         lines.append(_WITHOUT_MARKERS)
-    values["largest"] = found | {"force_on_gel_n": totals[largest].tolist()}
     files.write_frame_summary(frames, values, *lines)
 
 
