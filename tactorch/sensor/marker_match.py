@@ -24,7 +24,7 @@ _STRAIN = 0.1  # typical deviation from the neighbors' affine motion, in spacing
 LOST_COST = 6.0  # cost of a marker without spot, and of a spot without marker
 _MOTION = 0.02  # cost of a displacement by a spacing: of equal assignments, the least motion
 _BORDER = 0.4  # of a spacing, from the image's edge, where markers come and go
-_POOR = 0.4  # of the cost without any spot, above which no assignment is believed
+_POOR = 0.4  # of the cost without any spot, above which no assignment is accepted
 SIMILAR_COST = 12.0  # difference of costs below which assignments are of similar quality
 
 Points = Float[np.ndarray, "_ 2"]

@@ -219,7 +219,7 @@ class MarkerTracker:
         size_px = self.reference.shape[1], self.reference.shape[0]
         gate = self.options.gate
         self._grid = Grid(self.reference_px, self.neighbors, self.spacing_px, size_px, gate)
-        self._settled = 0.0  # cost of the last assignment that was confirmed
+        self._confirmed_cost = 0.0  # cost of the last assignment that was confirmed
         self.ambiguous = np.zeros(len(self.reference_px), dtype=bool)
         self.reassigned = False
         self._previous_px = self.reference_px.copy()  # measured, or predicted for lost markers
@@ -263,17 +263,17 @@ class MarkerTracker:
         jumped = not np.isfinite(steps).any() or float(np.nanmax(steps)) > _JUMP
         cost = self._grid.cost(positions, spots)
         allowed = _DOUBT * LOST_COST * len(positions)
-        if not jumped and cost <= max(allowed, self._settled + allowed):
+        if not jumped and cost <= max(allowed, self._confirmed_cost + allowed):
             return positions
         match = match_markers(self._grid, spots, [positions])
         # Of assignments that are as good, the motion since the last frame decides, if it is small.
         if not jumped and cost <= match.cost + SIMILAR_COST:
-            self._settled = cost
+            self._confirmed_cost = cost
             return positions
         apart = np.linalg.norm(match.positions - positions, axis=1)
         self.reassigned = bool(np.nan_to_num(apart).max() > 0.3 * self.spacing_px)
         self.ambiguous = match.ambiguous
-        self._settled = 0.0 if self.ambiguous.all() else match.cost
+        self._confirmed_cost = 0.0 if self.ambiguous.all() else match.cost
         return np.where(self.ambiguous[:, None], np.nan, match.positions)
 
     def _flow(self, image: Image) -> _Points:

@@ -53,7 +53,7 @@ def run(cfg: TrackSettings) -> Path:
         _, displacement = marker_displacements(sensor, tracker.reference_px, positions_px)
         reassigned.append(frame.image is not None and tracker.reassigned)
         unsure = int(tracker.ambiguous.sum()) if frame.image is not None else 0
-        fault = f"{unsure} of {len(positions_px)} markers cannot be told apart" if unsure else ""
+        fault = f"{unsure} of {len(positions_px)} markers cannot be distinguished" if unsure else ""
         return without_image(frame, fault), positions_px, displacement[:, :2]
 
     results = frames.process("following markers", track)
