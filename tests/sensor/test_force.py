@@ -39,17 +39,19 @@ def solver(model: GelModel, deformation: str = "auto") -> ForceSolver:
     return ForceSolver(model, ForceOptions(deformation))
 
 
-@pytest.mark.parametrize(("pressure", "rtol"), [(0.002, 2e-3), (0.02, 5e-3), (0.06, 1e-2)])
+@pytest.mark.parametrize(
+    ("pressure", "rtol"), [(0.002, 2e-3), (0.02, 2e-4), (0.06, 2e-3), (0.12, 1e-2)]
+)
 def test_large_deformations_have_the_forces_that_acted(
     model: GelModel, pressure: float, rtol: float
 ) -> None:
-    """Up to a fifth of the thickness."""
+    """Up to a quarter of the thickness; two orders alone are off by four times as much."""
     forces, moved, touched = pushed(model, pressure)
     size = float(np.abs(moved).max())
     found = solver(model, "large").solve(moved, 1e-5 * size, touched)
     total = forces.sum(axis=0)
     np.testing.assert_allclose(found.total, total, atol=rtol * abs(total[2]))
-    np.testing.assert_allclose(found.displacement, moved, atol=10 * rtol * size)
+    np.testing.assert_allclose(found.displacement, moved, atol=max(10 * rtol, 1e-3) * size)
 
 
 def test_forces_of_noisy_frames_are_those_of_the_iteration(
