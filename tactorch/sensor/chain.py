@@ -1,4 +1,8 @@
-"""Contacts from frames: markers and depth, deformation of the gel, forces."""
+"""Contacts from frames: markers and depth, deformation of the gel, forces.
+
+A sensor without markers measures depth only. Contact then is taken as frictionless: forces are
+along z, and tangential components are unknown (NaN).
+"""
 
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -15,6 +19,7 @@ from tactorch.sensor.contact_edge import common_edge, image_edge
 from tactorch.sensor.depth import MIN_SLOPE, HeightMap
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.face_data import FaceData
+from tactorch.sensor.force import ForceOptions, ForceSolver
 from tactorch.sensor.frames import Frame, Image
 from tactorch.sensor.gel import GelContact, GelModel
 from tactorch.sensor.gel_face import EdgeDistance
@@ -48,7 +53,7 @@ class DepthOptions(Options):
 
 
 @dataclass(frozen=True)
-class ChainOptions(DepthOptions):
+class ChainOptions(ForceOptions, DepthOptions):
     """Processing of frames to contacts."""
 
     noise_mm: float = option(
@@ -89,12 +94,13 @@ class Measurement:
 
     Attributes:
         frame: Frame.
-        markers_px: Markers in the reference's order (column, row); NaN for markers not seen.
+        markers_px: Markers in the reference's order (column, row); NaN for markers not seen, none
+            for a sensor without markers.
         height: Height map of the face; None without an image.
         depth_mm: Depth of the face; NaN without an image.
         max_slope: Largest slope of the face; NaN without an image.
-        displacement: Displacements of the nodes of the gel's face, NaN where unknown, mm; None
-            without contact.
+        displacement: Displacements of the nodes of the gel's face, mm, NaN where unknown: along
+            x and y everywhere for a sensor without markers; None without contact.
         in_contact: Nodes of the gel's face in contact.
         contact: Forces and displacements of the gel's face; None without contact, or before
             `SensorChain.solve_contact`.
@@ -123,9 +129,13 @@ class SensorChain:
         model: Model of the gel; None for one with cells of 1 mm.
         options: Processing options.
 
+    Attributes:
+        tracker: Tracker of the markers; None for a sensor without markers.
+        forces: Solver for the forces.
+
     Raises:
-        ConfigError: The sensor has no markers, the reference shows too few, or the image size or
-            scale differs between sensor, calibration and reference.
+        ConfigError: The reference shows too few markers, or the image size or scale differs between
+            sensor, calibration and reference.
     """
 
     def __init__(
@@ -136,32 +146,31 @@ class SensorChain:
         model: GelModel | None = None,
         options: ChainOptions | None = None,
     ) -> None:
-        if sensor.markers is None:
-            raise ConfigError(
-                f"sensor '{sensor.name}' has no markers, from which shear is measured; give markers"
-                " in its description."
-            )
         _check_consistency(sensor, calibration, reference)
         self.sensor, self.calibration, self.reference = sensor, calibration, reference
         self.model = model or GelModel(sensor.gel)
         self.options = options or ChainOptions()
-        diameter_px = sensor.markers.diameter_mm / float(np.sqrt(np.prod(sensor.mm_per_px)))
-        appearance = calibration.markers or MarkerAppearance(diameter_px)
-        self.tracker = MarkerTracker(reference, appearance, self.options.track)
+        self.forces = ForceSolver(self.model, self.options)
+        self.tracker: MarkerTracker | None = None
+        if sensor.markers is not None:
+            diameter_px = sensor.markers.diameter_mm / float(np.sqrt(np.prod(sensor.mm_per_px)))
+            appearance = calibration.markers or MarkerAppearance(diameter_px)
+            self.tracker = MarkerTracker(reference, appearance, self.options.track)
 
     def measure(self, frame: Frame) -> Measurement:
         """Return the measurement of the next frame, including forces; no contact without an image.
 
         Raises:
             ConfigError: The frame has another size than the reference.
-            ConvergenceError: The gel model does not converge.
+            ConvergenceError: No contact has these deformations; see `ForceSolver.solve`.
         """
         measurement = self.measure_deformation(frame)
         return replace(measurement, contact=self.solve_contact(measurement))
 
     def measure_deformation(self, frame: Frame) -> Measurement:
         """Track the markers into the next frame and measure the deformation, without forces."""
-        markers_px = self.tracker.track(frame.image)
+        no_markers = np.zeros((0, 2))
+        markers_px = no_markers if self.tracker is None else self.tracker.track(frame.image)
         nothing = np.zeros(len(self.model.points), dtype=bool)
         if frame.image is None:
             return Measurement(frame, markers_px, None, np.nan, np.nan, None, nothing)
@@ -180,7 +189,7 @@ class SensorChain:
         if not in_contact.any():
             return Measurement(frame, markers_px, height, *size, None, in_contact)
         view = None
-        if self.options.contact_edge_mm is not None:
+        if self.options.contact_edge_mm is not None and self.tracker is not None:
             at, moved = marker_displacements(
                 self.sensor, self.tracker.reference_px, markers_px, height.height_mm
             )
@@ -203,7 +212,7 @@ class SensorChain:
             return self._solve_refined(measurement, measurement.view, outline)
         known, in_contact = measurement.displacement, measurement.in_contact
         # Slopes determine depth up to a constant, and the gel also moves outside the contact.
-        return self.model.smooth_forces(known, self.options.noise_mm, in_contact, free_plane=True)
+        return self.forces.solve(known, self.options.noise_mm, in_contact, free_plane=True)
 
     def _solve_refined(
         self, measurement: Measurement, view: ContactView, outline: EdgeDistance | None
@@ -222,10 +231,13 @@ class SensorChain:
 
     def _face_displacement(self, markers_px: np.ndarray, height: HeightMap) -> np.ndarray:
         """Displacements of the gel's nodes: in the plane from markers, along z from depth."""
+        nodes = self.model.points
+        if self.tracker is None:
+            rise = self._sample(height.zero_mean_mm, nodes[:, :2])
+            return np.column_stack([np.full((len(nodes), 2), np.nan), rise])
         points, in_plane = marker_displacements(
             self.sensor, self.tracker.reference_px, markers_px, height.height_mm
         )
-        nodes = self.model.points
         displacement = interpolate_displacements(points, in_plane, nodes, _AXIS)
         current = nodes[:, :2] + np.nan_to_num(displacement[:, :2])
         rise = self._sample(height.zero_mean_mm, current)

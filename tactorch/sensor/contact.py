@@ -3,6 +3,9 @@
 Without slip, a point of the gel stays with the point of the object that it touched first. Points
 are paired in the pose of first contact; afterwards the object's point moves with the gel's.
 Transferred forces keep their sum and their moment on any pair of meshes.
+
+Where the gel's contact is known along z only (depth alone), the press has forces along the sensor's
+axis and displacements along it, as readings of the surface: no component across it is observed.
 """
 
 from dataclasses import dataclass
@@ -16,7 +19,7 @@ from scipy.spatial import Delaunay
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.recording import Press
+from tactorch.recording import Press, SurfaceReading
 from tactorch.sensor.gel import GelContact
 from tactorch.sensor.poses import Pose, check_pose, rotate_vectors, transform_points
 
@@ -71,10 +74,13 @@ def build_press(
             `noise_mm`, `step`, `name`.
 
     Raises:
-        ConfigError: A pose is not valid, or the gel does not touch the object.
+        ConfigError: A pose is not valid, the gel does not touch the object, or `noise_mm` is not
+            given for a contact that is known along z only.
         RecordingError: A field of the press is not valid.
     """
-    options = options or ContactOptions()
+    options, normal_only = options or ContactOptions(), contact.normal_only
+    if normal_only:
+        contact = contact.with_zeros()
     check_pose(pose, "pose")
     check_pose(first_pose, "first pose")
     if not in_contact.any():
@@ -102,7 +108,23 @@ def build_press(
         raise ConfigError(
             "no node of the object is in contact with the gel; give a finer mesh of the object."
         )
-    return Press(transferred, observed, displacement, direction=pose[:3, 2].copy(), **fields)
+    axis = pose[:3, 2].copy()
+    if normal_only:
+        rows = np.flatnonzero(observed[:, 0])
+        along = displacement[rows] @ axis
+        fields["surface"] = _along_axis(mesh.points[rows], axis, along, fields.get("noise_mm"))
+        observed = np.zeros_like(observed)
+    return Press(transferred, observed, displacement, direction=axis, **fields)
+
+
+def _along_axis(
+    points: Points, axis: Vector, along_mm: Float[np.ndarray, " k"], noise_mm: float | None
+) -> SurfaceReading:
+    """Readings of displacements along an axis at points."""
+    if not noise_mm:
+        raise ConfigError("noise_mm is needed for a contact that is known along z only; give it.")
+    directions = np.tile(axis / np.linalg.norm(axis), (len(points), 1))
+    return SurfaceReading(points, directions, along_mm, np.full(len(points), float(noise_mm)))
 
 
 def facing_triangles(

@@ -20,7 +20,7 @@ _MARGIN_MM = 0.4  # least distance of undeformed pixels from deformed ones
 _MIN_STEEP_MM2, _MIN_STEEP_PX = 0.02, 9.0  # smallest area of steep pixels that is not noise
 _DEEP_FRACTION = 0.4  # of the depth of steep pixels, below which level ones are deformed
 _CONTACT_FRACTION = 0.35  # of the largest depth, above which contact is likely
-_RTOL = 1e-6
+_RTOL, _LEVEL_RTOL = 1e-6, 1e-3
 _MAX_ITERATIONS = 500
 
 
@@ -71,7 +71,9 @@ def reconstruct_height(
     zero_mean = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px)
     deformed = _deformed(steep, zero_mean, mm_per_px)
     undeformed = _undeformed(deformed, mm_per_px)
-    height = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px, zero=undeformed)
+    # Where the face is deformed, the first height is only compared with a level.
+    rtol = _LEVEL_RTOL if deformed.any() else _RTOL
+    height = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px, zero=undeformed, rtol=rtol)
     if deformed.any():  # with the level of the undeformed face, which the mean is not
         undeformed = _undeformed(_deformed(steep, height, mm_per_px), mm_per_px)
         height = integrate_slopes(slopes[..., 0], slopes[..., 1], mm_per_px, zero=undeformed)
@@ -138,6 +140,7 @@ def integrate_slopes(
     zero: Bool[np.ndarray, "h w"] | None = None,
     zero_deviation_mm: float = 0.01,
     slope_deviation: float = 0.05,
+    rtol: float = _RTOL,
 ) -> Float[np.ndarray, "h w"]:
     """Return the heights whose slopes fit the given ones in the least-squares sense, mm.
 
@@ -152,6 +155,7 @@ def integrate_slopes(
         zero: Pixels whose height is about zero, outside contact; None makes the mean height zero.
         zero_deviation_mm: Standard deviation of the height at these pixels, mm.
         slope_deviation: Standard deviation of the slopes.
+        rtol: Relative residual of the solution with known heights.
 
     Raises:
         ConvergenceError: The linear solver does not converge.
@@ -178,7 +182,7 @@ def integrate_slopes(
         return _solve_shifted(z.reshape(shape), eigenvalues, weight * float(zero.mean())).ravel()
 
     result = conjugate_gradients(
-        apply, precondition, rhs.ravel(), rtol=_RTOL, max_iterations=_MAX_ITERATIONS
+        apply, precondition, rhs.ravel(), rtol=rtol, max_iterations=_MAX_ITERATIONS
     )
     if not result.converged:
         raise ConvergenceError(

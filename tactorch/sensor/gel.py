@@ -14,9 +14,11 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
 from tactorch.config import Options, option
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.equilibrium import SolvedCase
+from tactorch.fem.linearization import Linearization
+from tactorch.fem.newton import EquilibriumResult
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.description import GelLayer
@@ -45,7 +47,7 @@ class GelOptions(Options):
     edge_mm: float = option(1.0, "Edge length of the gel's cells on its face", unit="mm", gt=0)
     layers: int = option(4, "Number of cells through the gel", ge=1)
     element: Literal["tet10", "tet4"] = option(
-        "tet10", "Element; tet10: no locking, seconds per frame; tet4: fast, but locks (too stiff)"
+        "tet10", "Element; tet10: free of locking; tet4: faster to prepare, but locks (too stiff)"
     )
 
 
@@ -106,8 +108,10 @@ class GelContact:
 
     Attributes:
         points: Rest positions of the nodes of the face, (k, 3), mm.
-        displacement: Displacements of the nodes, (k, 3), mm; smoothed if noise was given.
+        displacement: Displacements of the nodes, (k, 3), mm; smoothed if noise was given. NaN along
+            x and y where only depth was measured.
         forces: Forces on the gel at each node, (k, 3), N; the object experiences the opposite.
+            NaN along x and y in a contact of which only depth was measured.
         covariance: Covariance of the total force due to the noise of the displacements, (3, 3),
             N^2; None if no noise was given.
         in_contact: Nodes in contact, (k,); None for those that the force was computed with.
@@ -118,6 +122,16 @@ class GelContact:
     forces: Float[np.ndarray, "k 3"]
     covariance: Float[np.ndarray, "3 3"] | None = None
     in_contact: Bool[np.ndarray, " k"] | None = None
+
+    @property
+    def normal_only(self) -> bool:
+        """Whether only displacements along z are known, so that tangential components are NaN."""
+        return not bool(np.isfinite(self.displacement[:, :2]).any())
+
+    def with_zeros(self) -> "GelContact":
+        """Return the contact with zeros in place of unknown components."""
+        moved, forces = np.nan_to_num(self.displacement), np.nan_to_num(self.forces)
+        return GelContact(self.points, moved, forces, self.covariance)
 
     @property
     def total(self) -> Float[np.ndarray, "3"]:
@@ -279,6 +293,40 @@ class GelModel:
             columns = np.split(self._compliance(self._rest, selected), len(missing), axis=1)
             self._rest_columns.update(zip(missing, columns, strict=True))
         return np.hstack([self._rest_columns[i] for i in nodes])
+
+    def rest_compliance(self, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
+        """Return the displacements of the face at rest by unit forces on some nodes, mm/N."""
+        return self._rest_compliance(loaded)
+
+    def linearize(self, displacement: NodeVectors | None = None) -> Linearization:
+        """Return the tangent at displacements (mm) of all element nodes; at rest by default.
+
+        Raises:
+            ConvergenceError: An element is inverted.
+        """
+        if displacement is None:
+            return self._rest.linearization
+        response = self.body.assembly.respond(displacement)
+        if response is None:
+            raise ConvergenceError("The displacements invert an element of the gel.")
+        prescribed = np.zeros(self.gel_mesh.mesh.points.shape)
+        fixed = np.zeros(prescribed.shape, dtype=bool)
+        fixed[self.gel_mesh.window] = True
+        newton = self.body.search(self.youngs, prescribed, Supports(fixed=fixed))
+        state = EquilibriumResult(displacement, True, "linearized", response=response)
+        return newton.linearize(state)
+
+    def element_loads(self, forces: FaceVectors) -> NodeVectors:
+        """Return forces on all element nodes from those on the nodes of the face, N."""
+        return np.asarray(self._load_matrix @ forces)
+
+    def plane_modes(self) -> Float[np.ndarray, "k3 3"]:
+        """Return displacements of the face along z: a constant and two tilts."""
+        return self._plane_modes()
+
+    def known(self, displacement: FaceVectors) -> Bool[np.ndarray, "k 3"]:
+        """Return which components are known; ConfigError for another shape, or if none is."""
+        return self._known(displacement)
 
     def _compliance(self, state: SolvedCase, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Displacement of the face under unit forces on the loaded nodes."""

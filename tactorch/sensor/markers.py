@@ -10,16 +10,25 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import center_of_mass, map_coordinates
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image
+from tactorch.sensor.marker_match import (
+    LOST_COST,
+    SIMILAR_COST,
+    Grid,
+    assign_spots,
+    match_markers,
+    smooth_motion,
+)
 
 _MIN_BACKGROUND = 10.0  # gray values; below, contrast is not defined
 _FLOW_LEVELS = 3
+_JUMP = 0.25  # of a spacing between frames, above which identities are checked
+_DOUBT = 0.04  # of the markers lost or spots left over, above which identities are checked
 _TOTAL_DEVIATION = 2.5  # limit for the total displacement, over that for the step between frames
 
 _Points = Float[np.ndarray, "_ 2"]
@@ -170,6 +179,10 @@ class MarkerTracker:
     displacement agrees with a robust affine fit to the displacements of the neighbors. A lost
     marker may be found again in a later frame.
 
+    After a jump, or where markers or spots are left over, the markers are assigned again from the
+    reference alone (`tactorch.sensor.marker_match`), and the better assignment is used. Markers
+    whose assignment is ambiguous then are not seen.
+
     Args:
         reference: Image of the gel without contact.
         appearance: Appearance of the markers.
@@ -179,6 +192,9 @@ class MarkerTracker:
         reference_px: Markers in the reference (column, row).
         spacing_px: Median distance of neighboring markers.
         neighbors: Indices of each marker's neighbors.
+        ambiguous: Markers of the last frame that were not seen because other assignments of spots
+            are as good.
+        reassigned: Whether the markers of the last frame were assigned from the reference.
 
     Raises:
         ConfigError: The reference shows too few markers.
@@ -200,6 +216,12 @@ class MarkerTracker:
         distance, nearest = cKDTree(self.reference_px).query(self.reference_px, k=required)
         self.spacing_px = float(np.median(distance[:, 1]))
         self.neighbors = nearest[:, 1:]
+        size_px = self.reference.shape[1], self.reference.shape[0]
+        gate = self.options.gate
+        self._grid = Grid(self.reference_px, self.neighbors, self.spacing_px, size_px, gate)
+        self._confirmed_cost = 0.0  # cost of the last assignment that was confirmed
+        self.ambiguous = np.zeros(len(self.reference_px), dtype=bool)
+        self.reassigned = False
         self._previous_px = self.reference_px.copy()  # measured, or predicted for lost markers
         self._previous_image = self.reference
 
@@ -219,18 +241,40 @@ class MarkerTracker:
         spots = _locate_markers(darkness, self.appearance)
         gate = self.options.gate * self.spacing_px
         predicted = self._previous_px + self._flow(image)
-        positions = self._reject_outliers(_assign_spots(predicted, spots, gate))
+        positions = self._reject_outliers(assign_spots(predicted, spots, gate))
         # A lost marker may be a remaining spot where its neighbors' total displacement puts it.
         lost = np.isnan(positions)
         if lost.any():
             predicted = np.where(lost, self._by_neighbors(positions, self.reference_px), positions)
-            candidates = _assign_spots(predicted, spots, gate)
+            candidates = assign_spots(predicted, spots, gate)
             positions = self._reject_outliers(np.where(lost, candidates, positions))
-        fallback = self._by_neighbors(positions, self._previous_px)
+        positions = self._check_identities(positions, spots)
+        origin = self.reference_px if self.reassigned else self._previous_px
+        fallback = self._by_neighbors(positions, origin)
         positions = self._refine(positions, darkness)
         self._previous_px = np.where(np.isnan(positions), fallback, positions)
         self._previous_image = image
         return positions
+
+    def _check_identities(self, positions: _Points, spots: _Points) -> _Points:
+        """Assign the markers from the reference if the tracked assignment is in doubt."""
+        self.reassigned, self.ambiguous = False, np.zeros(len(positions), dtype=bool)
+        steps = np.linalg.norm(positions - self._previous_px, axis=1) / self.spacing_px
+        jumped = not np.isfinite(steps).any() or float(np.nanmax(steps)) > _JUMP
+        cost = self._grid.cost(positions, spots)
+        allowed = _DOUBT * LOST_COST * len(positions)
+        if not jumped and cost <= max(allowed, self._confirmed_cost + allowed):
+            return positions
+        match = match_markers(self._grid, spots, [positions])
+        # Of assignments that are as good, the motion since the last frame decides, if it is small.
+        if not jumped and cost <= match.cost + SIMILAR_COST:
+            self._confirmed_cost = cost
+            return positions
+        apart = np.linalg.norm(match.positions - positions, axis=1)
+        self.reassigned = bool(np.nan_to_num(apart).max() > 0.3 * self.spacing_px)
+        self.ambiguous = match.ambiguous
+        self._confirmed_cost = 0.0 if self.ambiguous.all() else match.cost
+        return np.where(self.ambiguous[:, None], np.nan, match.positions)
 
     def _flow(self, image: Image) -> _Points:
         """Pyramidal Lucas-Kanade flow (Bouguet, 2001), smoothed over the neighbors."""
@@ -243,7 +287,7 @@ class MarkerTracker:
         closed = np.linalg.norm(backward - start, axis=2) <= self.options.max_round_trip_px
         reliable = (found == 1) & (returned == 1) & closed
         step = np.where(reliable, forward[:, 0].astype(np.float64) - self._previous_px, np.nan)
-        return _smooth_motion(self._previous_px, step, self.neighbors)
+        return smooth_motion(self._previous_px, step, self.neighbors)
 
     def _reject_outliers(self, positions: _Points) -> _Points:
         """Drop positions that deviate from the motion of the neighbors, the largest first.
@@ -267,7 +311,7 @@ class MarkerTracker:
 
     def _by_neighbors(self, positions: _Points, origin: _Points) -> _Points:
         """Positions by the neighbors' motion since the last frame or since the reference."""
-        return origin + _smooth_motion(self.reference_px, positions - origin, self.neighbors)
+        return origin + smooth_motion(self.reference_px, positions - origin, self.neighbors)
 
     def _refine(self, positions: _Points, darkness: _Darkness) -> _Points:
         """Register the patch around each marker to that in the reference.
@@ -323,47 +367,3 @@ def marker_displacements(
     displacements = np.column_stack([current - rest, rise])
     displacements[~np.isfinite(displacements).all(axis=1)] = np.nan
     return np.column_stack([rest, rest_height]), displacements
-
-
-def _assign_spots(predicted: _Points, spots: _Points, gate: float) -> _Points:
-    """Assign each marker at most one spot within the gate, minimizing squared distances."""
-    positions = np.full(predicted.shape, np.nan)
-    distance = np.linalg.norm(predicted[:, None] - spots[None], axis=2)
-    # A constant cost beyond the gate: a marker without a spot does not displace another's match.
-    rows, columns = linear_sum_assignment(np.minimum(distance, gate) ** 2)
-    accepted = distance[rows, columns] < gate
-    positions[rows[accepted]] = spots[columns[accepted]]
-    return positions
-
-
-def _smooth_motion(positions: _Points, motion: _Points, neighbors: np.ndarray) -> _Points:
-    """Motion of each marker predicted by a robust affine fit to its neighbors' motion."""
-    known = ~np.isnan(motion[:, 0])
-    if not known.any():
-        return np.zeros_like(motion)
-    smooth = np.tile(np.median(motion[known], axis=0), (len(motion), 1))
-    count = known[neighbors].sum(axis=1)
-    few, many = (count > 0) & (count < 4), count >= 4
-    smooth[few] = np.nanmedian(motion[neighbors[few]], axis=1)
-    offsets = positions[neighbors[many]] - positions[many][:, None]
-    smooth[many] = _affine_fits(offsets, motion[neighbors[many]])
-    return smooth
-
-
-def _affine_fits(
-    offsets: Float[np.ndarray, "n k 2"], motion: Float[np.ndarray, "n k 2"]
-) -> Float[np.ndarray, "n 2"]:
-    """Values at offset 0 of affine displacements, fitted by reweighted least squares."""
-    known = ~np.isnan(motion[..., :1])
-    offsets, motion = np.where(known, offsets, 0.0), np.where(known, motion, 0.0)
-    scale = np.abs(offsets).max(axis=(1, 2), keepdims=True)
-    design = np.concatenate([known, offsets / scale], axis=2)
-    ridge = np.diag([0.0, 0.05, 0.05])  # neighbors on a line determine one slope only
-    weight = np.ones(known.shape)
-    for _ in range(4):
-        transposed = (weight * design).swapaxes(1, 2)
-        fit = np.linalg.solve(transposed @ design + ridge, transposed @ motion)
-        residual = np.linalg.norm(motion - design @ fit, axis=2, keepdims=True)
-        spread = np.nanmedian(np.where(known, residual, np.nan), axis=1, keepdims=True)
-        weight = 1.0 / (1.0 + (residual / (2.0 * np.maximum(spread, 0.1))) ** 2)
-    return fit[:, 0]

@@ -5,6 +5,8 @@ restricted likelihood of the displacements (REML; Patterson and Thompson, 1971).
 is not penalized, so that the prior does not bias the total force.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import minimize_scalar
@@ -16,19 +18,76 @@ _LOG10_WEIGHTS = np.arange(-14.0, 4.0, 0.5)  # relative to the largest eigenvalu
 
 
 def traction_basis(
-    edges: Int[np.ndarray, "e 2"], areas: Float[np.ndarray, " n"]
+    edges: Int[np.ndarray, "e 2"], areas: Float[np.ndarray, " n"], axes: Sequence[int] = (0, 1, 2)
 ) -> tuple[Float[np.ndarray, "f u"], Float[np.ndarray, "f r"]]:
     """Return nodal forces of uniform tractions, and of rough tractions of unit prior variance.
 
     Each part of the contact and axis has a uniform traction. Roughness is the sum of squared
-    differences of the traction along edges; `areas` of the nodes are in mm^2.
+    differences of the traction along edges; `areas` of the nodes are in mm^2. Only components along
+    `axes` act.
     """
     adjacency = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(areas), len(areas)))
     values, vectors = np.linalg.eigh(laplacian(adjacency + adjacency.T).toarray())
     uniform = values <= _NULL_EIGENVALUE * max(values.max(), 1.0)
     vectors = vectors * areas[:, None]
     rough = vectors[:, ~uniform] / np.sqrt(values[~uniform])
-    return np.kron(vectors[:, uniform], np.eye(3)), np.kron(rough, np.eye(3))
+    components = np.eye(3)[:, list(axes)]
+    return np.kron(vectors[:, uniform], components), np.kron(rough, components)
+
+
+class SmoothFit:
+    """Fit of smooth forces to displacements, prepared for several displacements of one contact.
+
+    Args:
+        compliance: Displacements by unit nodal forces, (d, f), mm/N.
+        plane: Displacements that the data do not determine, such as a constant and tilts, (d, p).
+        basis: Result of `traction_basis`, (f, u) and (f, r).
+    """
+
+    def __init__(
+        self,
+        compliance: Float[np.ndarray, "d f"],
+        plane: Float[np.ndarray, "d p"],
+        basis: tuple[Float[np.ndarray, "f u"], Float[np.ndarray, "f r"]],
+    ) -> None:
+        self.basis, self._n_plane = basis, plane.shape[1]
+        self._free = np.hstack([compliance @ basis[0], plane])
+        self._rough = compliance @ basis[1]
+        self._axes, triangle = np.linalg.qr(self._free)
+        self._inverse = np.linalg.pinv(triangle)  # of the free modes, after the rotation to axes
+        self._projected = self._rough - self._axes @ (self._axes.T @ self._rough)
+        values, self._vectors = np.linalg.eigh(self._projected.T @ self._projected)
+        self._values, self._weight = np.maximum(values, 0.0), 0.0
+
+    def fit(
+        self, target: Float[np.ndarray, " d"], noise_mm: float
+    ) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, "3 3"], float]:
+        """Return the forces for displacements; see `fit_smooth_forces`."""
+        residual = target - self._axes @ (self._axes.T @ target)
+        modes = self._vectors.T @ (self._projected.T @ residual)
+        count, square = len(target) - self._free.shape[1], float(residual @ residual)
+        weight, variance = _estimate_weight(self._values, modes, square, count, noise_mm)
+        self._weight = weight
+        return self.refit(target), variance * self._covariance(weight), float(np.sqrt(variance))
+
+    def refit(self, target: Float[np.ndarray, " d"]) -> Float[np.ndarray, " f"]:
+        """Return the forces for displacements with the weight of the last `fit`: a linear map."""
+        residual = target - self._axes @ (self._axes.T @ target)
+        modes = self._vectors.T @ (self._projected.T @ residual)
+        amplitudes = self._vectors @ (modes / (self._values + self._weight))
+        left = target - self._rough @ amplitudes
+        uniform = self._inverse @ (self._axes.T @ left)
+        forces = self.basis[1] @ amplitudes + self.basis[0] @ uniform[: self.basis[0].shape[1]]
+        return np.asarray(forces)
+
+    def _covariance(self, weight: float) -> Float[np.ndarray, "3 3"]:
+        """Covariance of the sum of the forces at unit variance; free modes are eliminated."""
+        uniform, rough = (
+            part.reshape(len(part) // 3, 3, part.shape[1]).sum(axis=0) for part in self.basis
+        )
+        free = np.hstack([uniform, np.zeros((3, self._n_plane))]) @ self._inverse
+        along = (rough - free @ (self._axes.T @ self._rough)) @ self._vectors
+        return free @ free.T + (along / (self._values + weight)) @ along.T
 
 
 def fit_smooth_forces(
@@ -44,26 +103,7 @@ def fit_smooth_forces(
         Nodal forces, N; covariance of their sum, N^2; estimated standard deviation of the
         displacements, at least `noise_mm`.
     """
-    free = np.hstack([compliance @ basis[0], plane])
-    rough = compliance @ basis[1]
-    axes, _ = np.linalg.qr(free)
-    projected = rough - axes @ (axes.T @ rough)
-    residual = target - axes @ (axes.T @ target)
-    values, vectors = np.linalg.eigh(projected.T @ projected)
-    values = np.maximum(values, 0.0)
-    modes = vectors.T @ (projected.T @ residual)
-    count = len(target) - free.shape[1]
-    weight, variance = _estimate_weight(values, modes, float(residual @ residual), count, noise_mm)
-    amplitudes = vectors @ (modes / (values + weight))
-    uniform = np.linalg.lstsq(free, target - rough @ amplitudes, rcond=None)[0]
-    forces = basis[1] @ amplitudes + basis[0] @ uniform[: basis[0].shape[1]]
-    design = np.hstack([rough, free])
-    precision = design.T @ design
-    precision[np.diag_indices(len(amplitudes))] += weight
-    sums = np.tile(np.eye(3), len(forces) // 3)
-    total = np.hstack([sums @ basis[1], sums @ basis[0], np.zeros((3, plane.shape[1]))])
-    covariance = np.linalg.lstsq(precision, total.T, rcond=None)[0]
-    return forces, variance * total @ covariance, float(np.sqrt(variance))
+    return SmoothFit(compliance, plane, basis).fit(target, noise_mm)
 
 
 def _estimate_weight(

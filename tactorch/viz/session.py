@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
 
 from tactorch.errors import ConfigError
 from tactorch.recording import Press, Recording
@@ -105,10 +106,11 @@ def presses_figure(recording: Recording, max_presses: int = _MAX_PRESSES) -> Fig
         raise ConfigError(f"max_presses={max_presses} must be at least 1.")
     presses = _select(recording, max_presses)
     figure, grid = new_grid(_WIDTH * len(presses) + 0.8, _HEIGHT, 2, len(presses))
-    displacements = [np.where(p.observed, p.displacement, np.nan) for p in presses]
+    displacements = [_displacement(press, recording.mesh.points) for press in presses]
+    observed = [np.isfinite(displacement) for displacement in displacements]
     forces = [p.forces for p in presses]
     rows = (
-        (displacements, [p.observed for p in presses], "displacement along the press, mm", "mm"),
+        (displacements, observed, "displacement along the press, mm", "mm"),
         (forces, forces, "force along the press, N", "N"),
     )
     for axes_row, (values, masks, label, unit) in zip(grid, rows, strict=True):
@@ -132,6 +134,16 @@ def presses_figure(recording: Recording, max_presses: int = _MAX_PRESSES) -> Fig
     for number, (axes, press) in enumerate(zip(grid[0], presses, strict=True), start=1):
         axes.set_title(one_line(press.name, _MAX_NAME) or f"press {number}", fontsize=9)
     return figure
+
+
+def _displacement(press: Press, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Measured displacement of each node, NaN where unknown; along an axis at the nodes nearest."""
+    displacement = np.where(press.observed, press.displacement, np.nan)
+    if press.surface is not None and not press.observed.any():
+        _, nearest = cKDTree(points).query(press.surface.points_mm)
+        along = press.surface.displacement_mm[:, None]
+        displacement[nearest] = along * press.surface.directions
+    return displacement
 
 
 def _draw_arrows(

@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from tactorch.cli.sensor.inputs import FrameSequence
 from tactorch.recording import Recording
@@ -72,7 +73,8 @@ def test_a_session_becomes_a_recording(
     # The sensor went 0.3 mm in from where it met the box; under the ball the gel gave some of it.
     assert -0.3 < hard.displacement[seen, 2].min() < 0.1
     rows = table(run / "session.csv")
-    assert [row["frame"] for row in rows] == [f"{k}.png" for k in range(5)]
+    assert [row["image"] for row in rows] == [f"{k}.png" for k in range(5)]
+    assert [row["frame"] for row in rows] == [str(k) for k in range(5)]
     assert [row["selected"] for row in rows] == ["0", "0", "1", "1", "0"]
     assert [row["contact"] for row in rows] == ["", "1", "1", "1", ""]
     assert "cannot be read" in rows[4]["fault"]
@@ -260,3 +262,52 @@ def test_images_of_a_camera_are_not_stored(
     del frame
     gc.collect()
     assert not any(image() is not None for image in images[:-1])
+
+
+@pytest.fixture
+def unmarked(files: Path, tmp_path: Path) -> Path:
+    """The sensor, as if its gel had no markers; those in the images are masked as dirt is."""
+    content = yaml.safe_load((files / "sensor.yaml").read_text()) | {"markers": None}
+    path = tmp_path / "unmarked.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_depth_alone_is_recorded_and_told_as_such(
+    tactorch: Any, files: Path, calibration: Path, unmarked: Path, tmp_path: Path
+) -> None:
+    run, out = tmp_path / "run", tmp_path / "session.h5"
+    poses(Path("poses.csv"))
+    own = settings(files, calibration, run, "held_side=z-", f"out={out}", f"sensor={unmarked}")
+    done = tactorch(*own)
+    assert done.status == 0, done.err
+    recording = Recording.load(out)
+    for press in recording.presses:
+        assert not press.observed.any()
+        assert press.surface is not None
+        assert press.total_force[2] < 0.0
+        np.testing.assert_allclose(press.total_force[:2], 0.0, atol=1e-9)
+    assert recording.provenance["tangential_known"] is False
+    assert "across its axis are unknown" in (run / "summary.txt").read_text()
+    assert (run / "presses.png").is_file()
+
+
+def test_unknown_forces_are_empty_in_tables(
+    tactorch: Any, files: Path, calibration: Path, unmarked: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    own = given(files, run, frames=files / "frames", calibration=calibration, pictures=1)
+    done = tactorch("sensor", "force", *own, f"sensor={unmarked}", "edge_mm=1.2", "layers=2",
+                    "video=false")  # fmt: skip
+    assert done.status == 0, done.err
+    rows = table(run / "forces.csv")
+    assert [row["image"] for row in rows] == [f"{k}.png" for k in range(5)]
+    assert all(row["force_x_n"] == row["force_y_n"] == "" for row in rows[1:])
+    assert float(rows[3]["force_z_n"]) < float(rows[1]["force_z_n"]) < 0.0
+    text = (run / "summary.txt").read_text()
+    assert "x unknown, y unknown, z -" in text
+    assert "no markers" in text
+    content = json.loads((run / "summary.json").read_text())
+    assert content["tangential_known"] is False
+    assert content["largest"]["image"] == "3.png"
+    assert content["largest"]["force_on_gel_n"][:2] == [None, None]

@@ -344,8 +344,6 @@ REFUSED = [
     Bad("displacement of the gel all NaN", "GelModel.forces",
         lambda d: GelModel(GEL, GelOptions(2.0, 2, "tet4")).forces(np.full((99, 3), np.nan)),
         ("no displacement of the gel is known",)),
-    Bad("sensor without markers", "SensorChain", lambda d: chain(SENSOR, IMAGE),
-        ("'small' has no markers", "give markers in its description")),
     Bad("calibration of another sensor", "SensorChain", lambda d: chain(MARKED, IMAGE, 60),
         ("the calibration is of images of 64 x 60 px", "64 x 48", "of this sensor")),
     Bad("calibration at another scale", "SensorChain",

@@ -93,3 +93,26 @@ def test_what_cannot_be_a_press(pair: Pair, contact: GelContact) -> None:
         ContactOptions(untouched="gone")
     with pytest.raises(ConfigError, match="reach_mm=0"):
         ContactOptions(reach_mm=0.0)
+
+
+def test_depth_alone_is_a_press_whose_other_components_are_unknown(
+    pair: Pair, contact: GelContact
+) -> None:
+    """Normal forces, and displacements along the sensor's axis as readings of the surface."""
+    forces, moved = contact.forces.copy(), contact.displacement.copy()
+    forces[:, :2] = moved[:, :2] = np.nan
+    alone = GelContact(contact.points, moved, forces)
+    with pytest.raises(ConfigError, match="noise_mm is needed"):
+        build_press(alone, NOW, FIRST, pair.cube, everywhere(contact), fixed=pair.bottom)
+    press = build_press(
+        alone, NOW, FIRST, pair.cube, everywhere(contact), fixed=pair.bottom, noise_mm=0.01
+    )
+    assert not press.observed.any()
+    assert not press.forces[:, :2].any()
+    np.testing.assert_allclose(press.total_force[2], pair.on_cube[:, 2].sum(), atol=1e-6)
+    assert press.surface is not None
+    np.testing.assert_allclose(press.surface.directions, np.tile((0, 0, -1), (121, 1)), atol=1e-12)
+    nodes = np.array([np.flatnonzero((pair.cube.points == p).all(axis=1))[0]
+                      for p in press.surface.points_mm])  # fmt: skip
+    np.testing.assert_allclose(press.surface.displacement_mm, -pair.u_cube[nodes, 2], atol=1e-6)
+    assert (press.surface.deviations_mm == 0.01).all()

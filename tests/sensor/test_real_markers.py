@@ -81,3 +81,22 @@ def test_neighbours_move_alike_all_along(tracked: np.ndarray) -> None:
         off = np.linalg.norm(moved - np.nanmedian(moved[near[:, 1:]], axis=1), axis=1)
         assert np.nanmax(off) < 20.0
     assert np.nanmax(np.linalg.norm(tracked - begin, axis=2)) > 40.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [8, 12])
+def test_stills_of_the_press_keep_their_identity(
+    tracked: np.ndarray, images: list[np.ndarray], reference: np.ndarray, step: int
+) -> None:
+    """One image in so many: steps of up to 47 px, and the places that the whole video has."""
+    seen, wrong, count = 0, 0, 0
+    for first in range(0, step, 3):
+        tracker = MarkerTracker(reference, LOOK)
+        for number in range(first, len(images), step):
+            found = tracker.track(images[number])
+            off = np.linalg.norm(found - tracked[number], axis=1)
+            seen += int(np.isfinite(found[:, 0]).sum())
+            wrong += int((off > 0.4 * tracker.spacing_px).sum())
+            count += len(found)
+    assert wrong == 0
+    assert seen > 0.97 * count

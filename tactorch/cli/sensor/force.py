@@ -2,7 +2,7 @@ r"""`tactorch sensor force`: force on the gel in each frame: resultant and distr
 
     tactorch sensor force sensor=gelsight_markers calibration=calib.npz frames=press.avi \
       reference=still.png
-    tactorch sensor force ... element=tet4                          fast: forces too high
+    tactorch sensor force ... deformation=small                     fast: linear gel
 
 The run folder gets forces.csv (of each frame, N, on the gel: z is out of the sensor, so a
 press is negative) and .npz (of each node), summary.json and .txt, over_time.png,
@@ -25,9 +25,15 @@ from tactorch.viz.sensor_frames import ForceView, colour_limit
 
 _TABLE, _ARRAYS = "forces.csv", "forces.npz"
 _HEADER = (
-    "frame", "time_s", "force_x_n", "force_y_n", "force_z_n", "contact_mm2", "depth_mm", "fault",
+    "frame", "image", "time_s", "force_x_n", "force_y_n", "force_z_n", "contact_mm2", "depth_mm",
+    "fault",
 )  # fmt: skip
 _MIN_LIMIT_MPA = 1e-4  # of the color scale, for frames without contact
+
+_WITHOUT_MARKERS = (
+    "The sensor has no markers: forces along x and y are unknown, and those along z are of a"
+    " contact without friction."
+)
 
 Vectors = Float[np.ndarray, "k 3"]
 
@@ -42,15 +48,15 @@ def run(cfg: ForceSettings) -> Path:
     _write(files, chain, measured, forces, displacement, in_contact, depths)
     points, triangles = chain.model.points, chain.model.gel_mesh.face_triangles
     traction = forces / chain.model.gel_mesh.face_areas[:, None]
+    traction = np.nan_to_num(traction)
     components = (-traction[..., 2], np.linalg.norm(traction[..., :2], axis=-1))
     pressure, shear = (colour_limit(component, _MIN_LIMIT_MPA) for component in components)
     view = ForceView(chain.sensor, points, triangles, (pressure, shear))
     totals = forces.sum(axis=1)
 
     def show(frame: Frame) -> None:
-        x, y, z = totals[frame.index]
-        is_known = np.isfinite(z)
-        text = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} N" if is_known else "not known"
+        is_known = bool(np.isfinite(totals[frame.index, 2]))
+        text = f"{_in_words(totals[frame.index], 2)} N" if is_known else "not known"
         text = caption(measured[frame.index], len(measured), text)
         view.show(frame.image, forces[frame.index] if is_known else None, text)
 
@@ -65,7 +71,7 @@ def _frame_forces(
 ) -> tuple[Frame, Vectors, Vectors, Bool[np.ndarray, " k"], float]:
     """Frame, forces and displacements of the nodes (NaN if unknown), nodes in contact, and depth.
 
-    A gel model that does not converge is a fault of the frame.
+    A frame whose forces cannot be those of a contact is faulty.
     """
     shape, stored, nan = chain.model.points.shape, without_image(frame), float("nan")
     none = np.zeros(shape[0], dtype=bool)
@@ -92,10 +98,13 @@ def _write(
 ) -> None:
     points, triangles = chain.model.points, chain.model.gel_mesh.face_triangles
     totals = forces.sum(axis=1)
-    known = np.isfinite(totals).all(axis=1)
+    known = np.isfinite(totals[:, 2])
     areas = np.where(known, in_contact @ chain.model.gel_mesh.face_areas, np.nan)
     columns = zip(frames, totals.tolist(), areas.tolist(), depths, strict=True)
-    rows = [(f.index, f.time_s, *total, area, depth, f.fault) for f, total, area, depth in columns]
+    rows = [
+        (f.index, f.name, f.time_s, *total, area, depth, f.fault)
+        for f, total, area, depth in columns
+    ]
     write_table(files.folder / _TABLE, _HEADER, rows)
     files.write_frame_arrays(
         _ARRAYS,
@@ -107,11 +116,27 @@ def _write(
         touched=in_contact,
     )
     pressed = int(in_contact.any(axis=1).sum())
-    largest = int(np.nanargmax(np.linalg.norm(totals, axis=1))) if known.any() else 0
-    x, y, z = totals[largest].tolist()
-    files.write_frame_summary(
-        frames,
-        {"in_contact": pressed, "largest": {"frame": largest, "force_on_gel_n": [x, y, z]}},
+    sizes = np.where(known, np.linalg.norm(np.nan_to_num(totals), axis=1), -1.0)
+    largest = int(np.argmax(sizes))
+    found = {"frame": largest, "image": frames[largest].name}
+    values = {
+        "in_contact": pressed,
+        "tangential_known": chain.tracker is not None,
+        "largest": {**found, "force_on_gel_n": totals[largest].tolist()},
+    }
+    lines = [
         f"{pressed} of {len(frames)} frames are in contact. The largest force on the gel is in"
-        f" frame {largest}: x {x:+.3f}, y {y:+.3f}, z {z:+.3f} N.",
+        f" frame {largest} ({frames[largest].name}): {_in_words(totals[largest], 3)} N.",
+    ]
+    if chain.tracker is None:
+        lines.append(_WITHOUT_MARKERS)
+    files.write_frame_summary(frames, values, *lines)
+
+
+def _in_words(force: Float[np.ndarray, "3"], digits: int) -> str:
+    """Components of a force, N; those that are not known are said to be unknown."""
+    parts = zip("xyz", force.tolist(), strict=True)
+    return ", ".join(
+        f"{axis} {value:+.{digits}f}" if np.isfinite(value) else f"{axis} unknown"
+        for axis, value in parts
     )

@@ -148,4 +148,8 @@ def build_chain(
     sensor, calibration = load_calibrated(cfg)
     frames = FrameSequence(cfg, sensor, once=once, endless=endless)
     model = GelModel(sensor.gel, cfg)
-    return frames, SensorChain(sensor, calibration, frames.reference, model, cfg)
+    chain = SensorChain(sensor, calibration, frames.reference, model, cfg)
+    if cfg.contact_edge_mm is None or sensor.markers is None:
+        with progress("preparing the gel (once for a mesh)", "nodes") as report:
+            chain.forces.prepare(report)
+    return frames, chain

@@ -22,7 +22,7 @@ from tactorch.sensor.frames import Frame
 from tactorch.viz.sensor_frames import DepthView
 
 _TABLE, _MAPS = "depth.csv", "heights"
-_HEADER = ("frame", "time_s", "depth_mm", "contact_mm2", "fault")
+_HEADER = ("frame", "image", "time_s", "depth_mm", "contact_mm2", "fault")
 _MIN_LIMIT_MM = 0.02  # of the color scale, for frames without contact
 
 
@@ -49,7 +49,7 @@ def run(cfg: ReconstructSettings) -> Path:
 
     results = frames.process("reconstructing depth", reconstruct)
     measured = [frame for frame, *_ in results]
-    rows = [(f.index, f.time_s, depth, area, f.fault) for f, depth, area in results]
+    rows = [(f.index, f.name, f.time_s, depth, area, f.fault) for f, depth, area in results]
     write_table(files.folder / _TABLE, _HEADER, rows)
     depths = [depth for _, depth, area in results if area > 0]
     deepest = max(depths, default=0.0)

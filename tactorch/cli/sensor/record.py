@@ -38,7 +38,11 @@ from tactorch.viz import save_figure
 from tactorch.viz.session import presses_figure, session_figure
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
-_HEADER = ("frame", "time_s", "depth_mm", "contact", "selected", "fault")
+_HEADER = ("frame", "image", "time_s", "depth_mm", "contact", "selected", "fault")
+_WITHOUT_MARKERS = (
+    "The sensor has no markers: forces and displacements across its axis are unknown; the forces"
+    " are those of a contact without friction."
+)
 _LABELS = {"frames": "following the gel", "presses": "finding forces"}
 
 
@@ -151,7 +155,8 @@ def _write(
 
     def row(frame: Frame, depth_mm: float) -> tuple[object, ...]:
         number, fault = numbers.get(frame.index), frame.fault or skipped.get(frame.name, "")
-        return frame.name, frame.time_s, depth_mm, number, int(frame.name in selected), fault
+        own = (frame.index, frame.name, frame.time_s, depth_mm, number)
+        return (*own, int(frame.name in selected), fault)
 
     write_table(files.folder / _TABLE, _HEADER, (row(m.frame, m.depth_mm) for m in measurements))
     strongest = max(float(np.linalg.norm(row["force_n"])) for row in presses)
@@ -160,11 +165,13 @@ def _write(
         "contacts": len(contacts),
         "presses": presses,
         "faulty": faults,
+        "tangential_known": facts["tangential_known"],
     }
     values |= {"skipped": skipped, "noise_mm": recording.presses[0].noise_mm}
     lines = [
         f"{len(presses)} presses of {len(contacts)} contacts in {len(measurements)} frames; forces"
         f" up to {strongest:.3g} N.",
+        *([] if facts["tangential_known"] else [_WITHOUT_MARKERS]),
         *(f"  {name}: {fault}" for name, fault in faults.items()),
         *(f"  {name} became no press: {reason}" for name, reason in skipped.items()),
         "",

@@ -26,7 +26,9 @@ from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, marker_disp
 from tactorch.viz.sensor_frames import MarkerView, colour_limit
 
 _TABLE, _ARRAYS = "tracks.csv", "tracks.npz"
-_HEADER = ("frame", "time_s", "marker", "x_px", "y_px", "dx_mm", "dy_mm", "valid", "fault")
+_HEADER = (
+    "frame", "image", "time_s", "marker", "x_px", "y_px", "dx_mm", "dy_mm", "valid", "fault",
+)  # fmt: skip
 _MIN_LIMIT_MM = 0.05  # of the color scale, for frames without motion
 _MATCH_PX = 2.0  # between a tracked marker and the marker detected in the last frame
 
@@ -44,12 +46,15 @@ def run(cfg: TrackSettings) -> Path:
             " marker_diameter_px."
         )
     frames = FrameSequence(cfg, sensor)
-    tracker = MarkerTracker(frames.reference, appearance)
+    tracker, reassigned = MarkerTracker(frames.reference, appearance), list[bool]()
 
     def track(frame: Frame) -> tuple[Frame, np.ndarray, np.ndarray]:
         positions_px = tracker.track(frame.image)
         _, displacement = marker_displacements(sensor, tracker.reference_px, positions_px)
-        return without_image(frame), positions_px, displacement[:, :2]
+        reassigned.append(frame.image is not None and tracker.reassigned)
+        unsure = int(tracker.ambiguous.sum()) if frame.image is not None else 0
+        fault = f"{unsure} of {len(positions_px)} markers cannot be distinguished" if unsure else ""
+        return without_image(frame, fault), positions_px, displacement[:, :2]
 
     results = frames.process("following markers", track)
     measured, *arrays = map(list, zip(*results, strict=True))
@@ -58,6 +63,12 @@ def run(cfg: TrackSettings) -> Path:
     _write(files, tracker.reference_px, measured, positions, displacements, valid)
     size = np.where(valid, np.linalg.norm(displacements, axis=2), np.nan)
     values, *lines = _summarize(size, valid)
+    values["reassigned_frames"] = np.flatnonzero(reassigned).tolist()
+    if any(reassigned):
+        lines.append(
+            f"After jumps, the markers of {sum(reassigned)} frames were assigned from the reference"
+            " alone."
+        )
     if cfg.backward:
         values["backward"], line = _track_back(frames, positions, appearance)
         lines.append(line)
@@ -96,7 +107,15 @@ def _write(
 ) -> None:
     numbers = np.concatenate([positions, displacements], axis=2).tolist()
     rows = (
-        (frame.index, frame.time_s, marker, *numbers[k][marker], int(is_valid), frame.fault)
+        (
+            frame.index,
+            frame.name,
+            frame.time_s,
+            marker,
+            *numbers[k][marker],
+            int(is_valid),
+            frame.fault,
+        )
         for k, frame in enumerate(frames)
         for marker, is_valid in enumerate(valid[k])
     )

@@ -142,6 +142,8 @@ class ContactDetector:
         return float(np.sqrt(self._squared_sum / self._count)) if self._count else None
 
     def _add_noise(self, measurement: Measurement) -> None:
+        if self.chain.tracker is None:
+            return
         sensor, reference_px = self.chain.sensor, self.chain.tracker.reference_px
         _, displacement = marker_displacements(sensor, reference_px, measurement.markers_px)
         squares = displacement[:, :2] ** 2

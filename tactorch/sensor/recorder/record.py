@@ -52,8 +52,10 @@ def record(
         The recording with all presses, the depth of each frame (measurements without images,
         heights, markers and displacements), and the contacts. The provenance of the recording has
         "presses", a table of contact (from 1), frame, time_s, depth_mm, force_n (three components
-        in the object frame) and nodes (number of observed nodes); "faulty frames", the faults by
-        name; and "skipped", the reason by name for each frame with contact that became no press.
+        in the object frame) and nodes (number of observed nodes); "tangential_known", whether
+        forces and displacements across the sensor's axis were measured (by markers), and are not
+        taken as zero; "faulty frames", the faults by name; and "skipped", the reason by name for
+        each frame with contact that became no press.
 
     Raises:
         ConfigError: No frame shows contact, a frame has no time or no pose, no contact yields a
@@ -87,7 +89,7 @@ def record(
                 presses.append(result)
                 row = {"contact": number, "frame": name, "time_s": measurement.frame.time_s}
                 row |= {"depth_mm": measurement.depth_mm, "force_n": result.total_force.tolist()}
-                rows.append(row | {"nodes": int(result.observed.any(axis=1).sum())})
+                rows.append(row | {"nodes": _observed_nodes(result)})
             else:
                 skipped[name] = str(result)
             progress("presses", len(presses) + len(skipped), total)
@@ -95,6 +97,7 @@ def record(
         name, reason = next(iter(skipped.items()))
         raise ConfigError(f"no frame with contact became a press; '{name}': {reason}")
     facts = {"sensor": chain.sensor.name, "frames": len(measurements), "presses": rows}
+    facts["tangential_known"] = chain.tracker is not None
     facts |= {"faulty frames": faults, "skipped": skipped, "versions": versions()}
     assert builder.mesh is not None
     facts |= provenance or {}
@@ -127,7 +130,8 @@ def record_streaming(
     options = options or RecordOptions()
     detector = ContactDetector(chain, options.min_frames, _log_fault)
     builder = PressBuilder(chain, target, options)
-    facts = {"sensor": chain.sensor.name, "versions": versions(), **(provenance or {})}
+    facts = {"sensor": chain.sensor.name, "tangential_known": chain.tracker is not None}
+    facts |= {"versions": versions(), **(provenance or {})}
     for number, contact in enumerate(detector.detect(frames), start=1):
         try:
             poses = _wait_for_poses(contact, read_poses, poses_timeout_s)
@@ -139,6 +143,12 @@ def record_streaming(
         if presses:
             assert builder.mesh is not None
             yield Recording(builder.mesh, presses, material, provenance=facts, check_units=False)
+
+
+def _observed_nodes(press: Press) -> int:
+    """Number of nodes whose displacement was measured, in all components or along an axis."""
+    along_axis = 0 if press.surface is None else len(press.surface.points_mm)
+    return int(press.observed.any(axis=1).sum()) + along_axis
 
 
 def _log_fault(measurement: Measurement) -> None:
