@@ -16,8 +16,14 @@ from tactorch.errors import PoseRefusedError
 from tactorch.mesh import box_mesh
 from tactorch.phantoms.cubes import CubeSphere
 from tactorch.robot import (
-    PressCommand, PressReport, RobotPresser, RobotSession, SimulatedRobot, StopRule,
-    press_until_known, pressable_patches,
+    PressCommand,
+    PressReport,
+    RobotPresser,
+    RobotSession,
+    SimulatedRobot,
+    StopRule,
+    press_until_known,
+    pressable_patches,
 )  # fmt: skip
 from tactorch.sampling import LoopOptions, candidate_patches
 

@@ -16,6 +16,7 @@ from tactorch.phantoms import Phantom
 from tactorch.robot import RobotPresser, RobotSession, SimulatedRobot, StopRule, pressable_patches
 from tactorch.robot.custom import CustomRobot
 from tactorch.sampling import Observer, Patch, candidate_patches
+from tactorch.sampling.candidates import MIN_FACING
 
 _MANY = 100_000  # candidates before those are left out that cannot be pressed
 _EDGE_PER_RADIUS = 0.7
@@ -87,7 +88,7 @@ def _candidates(mesh: TetMesh, held: np.ndarray, options: RobotOptions) -> list[
     length = float(np.linalg.norm(approach))
     if not length > 0:
         raise ConfigError("robot.approach=[0, 0, 0]: give a direction.")
-    patches = candidate_patches(mesh, held, options.radius_mm, _MANY)
+    patches = candidate_patches(mesh, held, options.radius_mm, _MANY, min_facing=MIN_FACING)
     least = np.cos(np.deg2rad(options.max_tilt_deg)) * length
     reached = [patch for patch in patches if float(patch.inward @ approach) >= least]
     return pressable_patches(reached, mesh, options.candidates, margin_mm=options.margin_mm)

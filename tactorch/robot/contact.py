@@ -18,9 +18,7 @@ def axis_distances(patch: Patch, points: Float[np.ndarray, "n 3"]) -> Float[np.n
     return np.asarray(np.linalg.norm(offsets - along[:, None] * patch.inward, axis=1))
 
 
-def loads(
-    patch: Patch, mesh: TetMesh, force_n: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "n 3"]:
+def loads(patch: Patch, mesh: TetMesh, force_n: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 3"]:
     """Return nodal forces of a uniform traction on the patch with this resultant, N."""
     shares = patch.forces(mesh) @ patch.inward
     return (shares / shares.sum())[:, None] * force_n

@@ -28,7 +28,9 @@ class CustomRobot(Options):
         """
         module, colon, name = self.path.partition(":")
         if not (module and colon and name):
-            raise ConfigError(f"presser.path={self.path}: give MODULE:CLASS, as mylab.robot:MyRobot.")
+            raise ConfigError(
+                f"presser.path={self.path}: give MODULE:CLASS, as mylab.robot:MyRobot."
+            )
         if os.getcwd() not in sys.path:
             sys.path.append(os.getcwd())
         try:
@@ -39,5 +41,7 @@ class CustomRobot(Options):
                 "import path and presser.settings."
             ) from error
         if not isinstance(robot, Robot):
-            raise ConfigError(f"presser={self.path} has no method press(command); see the documentation.")
+            raise ConfigError(
+                f"presser={self.path} has no method press(command); see the documentation."
+            )
         return robot

@@ -73,8 +73,8 @@ class PressReport:
         if not push > 0:
             raise RobotError(
                 f"force_n={np.asarray(self.force_n).tolist()} N of the report does not push along "
-                f"inward ({push:.3g} N): report the force of the sensor on the object, in the frame "
-                "of the mesh."
+                f"inward ({push:.3g} N): report the force of the sensor on the object, in the "
+                "frame of the mesh."
             )
         if not (np.isfinite(self.noise_mm) and self.noise_mm > 0):
             raise RobotError(f"noise_mm={self.noise_mm} of the report: give a number above 0.")

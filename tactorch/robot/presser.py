@@ -83,7 +83,7 @@ class RobotPresser:
         report.check()
         return self._as_press(report, patch.radius_mm)
 
-    def _call(self, command: PressCommand) -> PressReport:
+    def _call(self, command: PressCommand) -> Any:
         """Call the driver in a thread of its own, so that one that hangs can be left."""
         if self._calls and not self._calls[-1].done():
             self._wait(self._calls[-1], "the press before it")
@@ -109,7 +109,9 @@ class RobotPresser:
             raise RobotError(f"the robot failed: {type(error).__name__}: {error}") from error
 
     def _as_press(self, report: PressReport, radius_mm: float) -> Press:
-        patch = Patch(np.asarray(report.center_mm, float), np.asarray(report.inward, float), radius_mm)
+        patch = Patch(
+            np.asarray(report.center_mm, float), np.asarray(report.inward, float), radius_mm
+        )
         displacement, observed, noise = _at_nodes(report, patch, self.mesh)
         if observed.sum() < _MIN_NODES:
             raise RobotError(
@@ -210,7 +212,9 @@ def _at_nodes(report: PressReport, patch: Patch, mesh: TetMesh) -> NodalValues:
     if rows:
         displacement[loaded[inside]] = np.array(rows) @ np.asarray(report.displacements_mm)
     observed[loaded[inside]] = True
-    return NodalValues(displacement, observed, float(np.sqrt(np.sum(np.square(rows)) / len(rows))) if rows else 1.0)
+    return NodalValues(
+        displacement, observed, float(np.sqrt(np.sum(np.square(rows)) / len(rows))) if rows else 1.0
+    )
 
 
 def _smoothing(

@@ -1,4 +1,4 @@
-"""A simulated robot: presses on a body of its own mesh, with delays, wrong poses and a force limit."""
+"""A simulated robot with delays, wrong poses and a force limit, on a mesh of its own."""
 
 import time
 from collections.abc import Callable

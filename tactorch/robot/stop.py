@@ -53,7 +53,9 @@ class StopRule(Options):
             )
         if not widths and count >= self.empty_presses:
             told = "nothing was found" if not finding["reasons"] else "the presses cannot tell"
-            return f"no lump has a probability of {self.probability:.0%} after {count} presses: {told}"
+            return (
+                f"no lump has a probability of {self.probability:.0%} after {count} presses: {told}"
+            )
         return ""
 
 

@@ -6,8 +6,8 @@
   (`RecordingSource`).
 - `candidate_patches`: patches of the surface that a sensor can press.
 - `Rule`: criterion for the next press. `LargestUncertainty` is the paper's; `ExpectedError`,
-  `ExpectedShapeError`, `LumpPosition`, `ExpectedInformation`, `UniformGrid` and `Random` are alternatives. The
-  registry `RULES` lists them by name.
+  `ExpectedShapeError`, `LumpPosition`, `ExpectedInformation`, `UniformGrid` and `Random` are
+  alternatives. The registry `RULES` lists them by name.
 """
 
 from tactorch.sampling.candidates import Patch, candidate_patches

@@ -88,8 +88,8 @@ class DraftShapes:
 
     Args:
         settings: Noise, solver and bounds are used.
-        fine_prediction: Predictions of a finer mesh, for the error of the discretisation; by default
-            it is not corrected.
+        fine_prediction: Predictions of a finer mesh, for the error of the discretisation, which is
+            not corrected by default.
         options: Errors of the data.
     """
 
@@ -256,12 +256,10 @@ class _Search:
         any_odds = fit.log_evidence(inflation) - uniform.fit.log_evidence(inflation)
         posterior = make_posterior(model, self._sites)
         covariance = posterior.covariance.copy()
+        added = (pose_mm / self.prior.ball()[1][:3]) ** 2  # centres come first
         for part in posterior.field.parts:
-            deviations = self.prior.ball()[1][:3]
-            for axis in range(3):
-                covariance[part.start + axis, part.start + axis] += (
-                    pose_mm / deviations[axis]
-                ) ** 2
+            center = np.arange(part.start, part.start + 3)
+            covariance[center, center] += added
         return ShapeReconstruction(
             fit.field, fit.z, replace(posterior, covariance=covariance), fit.chi2,
             tuple(odds), min(any_odds, MAX_LOG_ODDS) if count else 0.0,
