@@ -27,7 +27,7 @@ from tactorch.robot import (
 )  # fmt: skip
 from tactorch.sampling import LoopOptions, candidate_patches
 
-BALL = CubeSphere(depth=0.35, radius=0.2)
+BALL = CubeSphere(depth=0.35, radius=0.25)
 LOWEST_MM = 5.0  # the arm collides with the table below
 
 
@@ -37,7 +37,7 @@ class MyRobot:
     def __init__(self) -> None:
         """Connect."""
         self.controller = SimulatedRobot(  # yours
-            phantom=BALL, edge_mm=1.8, conforming=False, noise_mm=0.002
+            phantom=BALL, edge_mm=2.5, conforming=False, noise_mm=0.002
         )
 
     def press(self, command: PressCommand) -> PressReport:
@@ -54,8 +54,8 @@ class MyRobot:
 
 
 def main(folder: Path | None = None, max_presses: int = 10) -> dict[str, float]:
-    """Press until the position of the lump is known to 1 mm."""
-    mesh = box_mesh(10.0, 6, tets_per_cell=5)  # mm
+    """Press until the position of the lump is known to 1.5 mm."""
+    mesh = box_mesh(10.0, 5, tets_per_cell=5)  # mm
     held = mesh.points[:, 2] < 1e-6
     presser = RobotPresser(
         MyRobot(), mesh, held, MaterialSpec("neo_hookean", 0.45), pressure_mpa=0.015, noise_mm=0.002
@@ -63,13 +63,13 @@ def main(folder: Path | None = None, max_presses: int = 10) -> dict[str, float]:
     places = [p for p in candidate_patches(mesh, held, 2.0, 1000) if p.inward[2] < -0.9]
     places = pressable_patches(places, mesh, 16, margin_mm=0.3)
     session = RobotSession(
-        presser, places, folder or Path(tempfile.mkdtemp()), StopRule(width_mm=1.0)
+        presser, places, folder or Path(tempfile.mkdtemp()), StopRule(width_mm=1.5)
     )
     ended = press_until_known(session, options=LoopOptions(max_presses=max_presses))
-    print(f"The robot pressed {len(session.pressed)} times: {ended.reason}.")
-    print(ended.update.finding.text())
     lumps = ended.update.finding.lumps
+    print(f"The robot pressed {len(session.pressed)} times, and {ended.reason}.")
     off = float(np.linalg.norm(lumps[0].inclusion.center_mm - [5.0, 5.0, 6.5])) if lumps else np.inf
+    print(f"The lump is {off:.1f} mm from the ball's middle.")
     return {"presses": len(session.pressed), "failed": len(session.failed), "off_mm": off}
 
 
