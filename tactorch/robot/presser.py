@@ -84,7 +84,7 @@ class RobotPresser:
         return self._as_press(report, patch.radius_mm)
 
     def _call(self, command: PressCommand) -> Any:
-        """Call the driver in a thread of its own, so that one that hangs can be left."""
+        """Call the driver in a separate thread, so that one that hangs can be left."""
         if self._calls and not self._calls[-1].done():
             self._wait(self._calls[-1], "the press before it")
         executor = ThreadPoolExecutor(1, thread_name_prefix="robot")

@@ -40,7 +40,8 @@ class RobotSession(Observer):
     """Presses where the loop suggests, whenever it waits for a press.
 
     Each press is appended to the recording in the run folder. Candidates at which the robot failed
-    are kept in a file beside it, and are not tried again.
+    are kept in a file beside it, and are not tried again, unless the run ended by failures one
+    after the other and is continued.
 
     Attributes:
         presser: The robot.
@@ -79,6 +80,9 @@ class RobotSession(Observer):
         known = self._recorded()
         self._places = {k: int(v) for k, v in plain["pressed"].items() if k in known}
         self._failed = {int(k): str(v) for k, v in plain["failed"].items()}
+        if (streak := int(plain.get("failures_in_row", 0))) >= self.max_failures:
+            # The robot was out of order, and the candidates are not to blame.
+            self._failed = dict(list(self._failed.items())[:-streak])
         self.presser.restore({k: v for k, v in plain["poses"].items() if k in known})
 
     @property
@@ -110,6 +114,9 @@ class RobotSession(Observer):
 
     def end(self) -> str:
         """Return the reason to end now; empty to go on."""
+        if self._in_row >= self.max_failures:
+            last = list(self._failed.values())[-1]
+            return f"the robot failed {self._in_row} times one after the other ({last})"
         entry = self._entry
         if entry is not None and int(entry["press"]) >= len(self._places):
             if reason := self.stop.decide(entry):
@@ -118,9 +125,6 @@ class RobotSession(Observer):
                 return "all candidates were pressed, or failed"
         if not self._remaining and not self._places:
             return "the robot failed at all candidates"
-        if self._in_row >= self.max_failures:
-            last = list(self._failed.values())[-1]
-            return f"the robot failed {self._in_row} times one after the other ({last})"
         return ""
 
     def resumed(self, history: Sequence[Mapping[str, Any]]) -> None:
@@ -193,6 +197,7 @@ class RobotSession(Observer):
             "candidates": self._plain_candidates(),
             "pressed": self._places,
             "failed": {str(place): reason for place, reason in self._failed.items()},
+            "failures_in_row": self._in_row,
             "poses": self.presser.plain(),
         }
         write_json(self.folder / STATE, plain)

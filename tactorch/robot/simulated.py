@@ -1,4 +1,4 @@
-"""A simulated robot with delays, wrong poses and a force limit, on a mesh of its own."""
+"""A simulated robot with delays, wrong poses and a force limit, on a separate mesh."""
 
 import time
 from collections.abc import Callable

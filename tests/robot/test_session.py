@@ -66,10 +66,12 @@ def test_failures_one_after_the_other_end_the_run(make_session: Make) -> None:
     session.waiting(0, 0.0)
     session.waiting(0, 0.0)
     assert session.end() == "the robot failed 2 times one after the other (stopped)"
-    # A run that is continued tries again.
+    # The robot was out of order: a run that is continued tries the candidates again.
     again = make_session(FakeRobot(), max_failures=2)
-    assert again.failed == session.failed
+    assert again.failed == {}
     assert again.end() == ""
+    again.waiting(0, 0.0)
+    assert again.pressed == (0,)
 
 
 def test_a_press_between_resets_the_count(make_session: Make) -> None:
