@@ -53,6 +53,7 @@ _STARTS = 2  # fits of a further ball
 _TOLERANCE, _MAX_ITERATIONS = 0.2, 8  # of fits, see `fit_shapes`
 _SCALE_DEVIATION = 0.01  # of the displacements of a press: errors of force and material
 _RIGID_DEVIATION = 0.005
+_MODEL_DEVIATION = 0.01
 _REMAINING = 0.2  # part of the discretisation's error that remains after its correction
 
 
@@ -66,6 +67,8 @@ class DraftOptions:
         rigid_deviation: Standard deviation of rigid motions at a contact, over its displacements.
         scale_deviation: Relative standard deviation of the displacements of a press as a whole.
         remaining: Part of the discretisation's error that remains after its correction.
+        model_deviation: Least noise of the displacements, over their root mean square: what the
+            finer mesh and the interpolation to the nodes leave. On a uniform cube it is 1 %.
         max_shapes: Largest number of balls.
     """
 
@@ -73,6 +76,7 @@ class DraftOptions:
     rigid_deviation: float = _RIGID_DEVIATION
     scale_deviation: float = _SCALE_DEVIATION
     remaining: float = _REMAINING
+    model_deviation: float = _MODEL_DEVIATION
     max_shapes: int = 2
 
 
@@ -171,9 +175,10 @@ class DraftShapes:
         return _Search(problem, self._prior, matched, moved, keys, stop)
 
     def _problem(self, recording: Recording, element: str) -> InverseProblem:
-        settings = self._settings
+        settings, least = self._settings, self._options.model_deviation
+        noise = replace(settings.noise, relative=max(settings.noise.relative, least))
         problem = InverseProblem(
-            recording, element=element, solver=settings.solver, noise=settings.noise,
+            recording, element=element, solver=settings.solver, noise=noise,
             newton=NewtonOptions(rtol=_RTOL), body=self._bodies.get(element),
             derivative_rtol=_DERIVATIVE_RTOL if element == "tet10" else 0.0,
         )  # fmt: skip
