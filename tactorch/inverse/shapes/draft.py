@@ -52,7 +52,7 @@ _RTOL, _DERIVATIVE_RTOL = 1e-5, 5e-3
 _STARTS = 2  # fits of a further ball
 _TOLERANCE, _MAX_ITERATIONS = 0.2, 8  # of fits, see `fit_shapes`
 _SCALE_DEVIATION = 0.01  # of the displacements of a press: errors of force and material
-_RIGID_DEVIATION = 0.005
+_RIGID_DEVIATION = 0.02  # lateral errors of the pose near edges of the object have this size
 _MODEL_DEVIATION = 0.01
 _REMAINING = 0.2  # part of the discretisation's error that remains after its correction
 
