@@ -41,3 +41,19 @@ class CancelledError(TactorchError):
     def __init__(self, *args: object, reached: Any = None) -> None:
         super().__init__(*args)
         self.reached = reached
+
+
+class RobotError(TactorchError):
+    """A robot did not carry out a press. Drivers may raise it, or a more specific one."""
+
+
+class PoseRefusedError(RobotError):
+    """A robot cannot reach a pose, or its controller refuses it."""
+
+
+class ForceLimitError(RobotError):
+    """A press would exceed the largest allowed force, and was not carried out."""
+
+
+class RobotTimeoutError(RobotError):
+    """A robot did not end a press in the given time."""

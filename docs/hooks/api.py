@@ -29,6 +29,7 @@ PAGES = {
         "Uncertainty and active sampling",
         ["tactorch.uncertainty", "tactorch.sampling"],
     ),
+    "robot": ("Robots", ["tactorch.robot"]),
     "fem": (
         "Mechanics",
         ["tactorch.fem", "tactorch.fem.contact", "tactorch.fem.materials", "tactorch.linalg"],

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from tactorch.cli import console
 from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
-from tactorch.cli.overrides import check_overrides, check_required, key_of, named
+from tactorch.cli.overrides import check_overrides, check_required, expanded, key_of, named
 from tactorch.cli.resume import has_state, with_resume
 from tactorch.cli.schema import command_module, load_schema
 from tactorch.errors import ConfigError, FileError, TactorchError
@@ -34,7 +34,7 @@ class App:
 
     def __init__(self, command: str, words: Sequence[str]) -> None:
         self.command = command
-        flags, settings = _read_flags(command, named(command, words))
+        flags, settings = _read_flags(command, expanded(command, named(command, words)))
         self._schema = load_schema(command)
         hydra_flags = {name: f for name, f in vars(flags).items() if name not in _OWN_FLAGS}
         if flags.config_dir and flags.trust_config_dir:  # Hydra composes it, whatever it holds

@@ -4,36 +4,45 @@
     tactorch live recording=FOLDER idle_seconds=60
     tactorch live recording=session.h5 run_dir=runs/session     again, to continue it
     tactorch live replay=FILE.h5                                no robot: replays a recording
+    tactorch live presser=simulated stop.width_mm=1             a simulated robot presses by itself
+    tactorch live presser=mylab.robot:MyRobot robot.mesh=body.vtu      your robot
 
 Append presses with tactorch.recording.append_press. Open live.html in the run folder: it updates
 itself. While no press waits, inclusions with sharp boundaries are fitted to all presses. The folder
-also gets live.png, reconstruction.h5, shapes.json and history.jsonl.
+also gets live.png, reconstruction.h5, shapes.json and history.jsonl. With a robot the loop is
+closed: it presses where the position of the lump becomes most certain, until that is known as well
+as stop.width_mm states, or nothing was found.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from threading import Event, Thread
-from typing import Literal
+from typing import Any, Literal
 
 from tactorch.cli.console import log, log_text
 from tactorch.cli.live_view import PAGE, Screen, finding_text
 from tactorch.cli.outputs import score_table
+from tactorch.cli.robot import RobotOptions, make_session
 from tactorch.cli.settings import CommandOptions, UnitCheck, run_folder, select
 from tactorch.config import option
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Settings, Start, homogeneous
 from tactorch.inverse.starts import START_MPA, Uniform
 from tactorch.recording import Recording
+from tactorch.robot import PRESSERS, StopRule, press_until_known  # noqa: F401
+from tactorch.robot.simulated import NoRobot
 from tactorch.sampling import (
     LoopOptions,
     LoopResult,
+    LumpPosition,
     RecordingSource,
     SamplingLoop,
     Suggester,
     SuggestOptions,
 )
+from tactorch.sampling.rules import Automatic
 from tactorch.sampling.sources import replay
 
 
@@ -52,6 +61,11 @@ class LiveOptions(LoopOptions, Settings, UnitCheck, CommandOptions):
         None, "Whole recording to replay into `recording` press by press, to try without a robot"
     )
     pause_seconds: float = option(4.0, "Pause between replayed presses", unit="s", ge=0)
+    presser: Any = option(
+        factory=NoRobot, help="Robot that presses by itself, in a closed loop", section="presser"
+    )
+    robot: RobotOptions = option(factory=RobotOptions, help="Object and presses of the robot")
+    stop: StopRule = option(factory=StopRule, help="When a robot has pressed enough")
     # The setting of initialization=uniform.
     start_mpa: float | Literal["homogeneous"] = field(
         default=START_MPA, metadata=fields(Uniform)[0].metadata
@@ -61,6 +75,8 @@ class LiveOptions(LoopOptions, Settings, UnitCheck, CommandOptions):
 
 def run(options: LiveOptions) -> LoopResult:
     """Follow a recording; Ctrl-C ends the run and keeps its results."""
+    if not isinstance(options.presser, NoRobot):
+        return _report(_run_robot(options))
     out, settings = run_folder(), select(options, Settings)
     replayed = None if options.replay is None else Recording.load(options.replay)
     path = options.recording or out / "recording.h5"
@@ -85,13 +101,39 @@ def run(options: LiveOptions) -> LoopResult:
             source, settings, out, screen, options=loop, suggester=suggester, start_mpa=start
         ).run()
         screen.ended(result)
+    return _report(result)
+
+
+def _run_robot(options: LiveOptions) -> LoopResult:
+    """Press with a robot until the stop rule is met."""
+    if options.recording is not None or options.replay is not None:
+        raise ConfigError(
+            "presser= makes its own recording in the run folder; leave out recording= and replay=, "
+            "and give run_dir= to continue a run."
+        )
+    out, settings = run_folder(), select(options, Settings)
+    suggest, path = options.suggest, out / "recording.h5"
+    if isinstance(suggest.rule, Automatic):
+        suggest = replace(suggest, rule=LumpPosition())
+    with Screen(out, path, plots=options.plots) as screen:
+        session, draft = make_session(options.presser, options.robot, options.stop, out, screen)
+        loop = replace(select(options, LoopOptions), shapes=True)
+        result = press_until_known(session, settings, options=loop, suggest=suggest, draft=draft)
+        screen.ended(result)
+    for place, reason in session.failed.items():
+        log.info("failed: candidate %d (%s)", place, reason)
+    return result
+
+
+def _report(result: LoopResult) -> LoopResult:
+    """Log the end, the finding and the scores."""
     log.info("The run ended: %s.", result.reason)
     update = result.update
     if update is not None:
         log.info("%s", finding_text(update))
         if update.recording.truth is not None:
             log_text(score_table(update.recording, {"live": update.youngs})[1])
-    log.info("results: %s", out / PAGE)
+    log.info("results: %s", run_folder() / PAGE)
     return result
 
 

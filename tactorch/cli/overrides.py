@@ -43,6 +43,20 @@ def named(command: str, words: Sequence[str]) -> list[str]:
     return [*settings, *words[count:]]
 
 
+def expanded(command: str, words: Sequence[str]) -> list[str]:
+    """Return settings in which presser=MODULE:CLASS is written as the choice of a driver."""
+    if command != "live":
+        return list(words)
+    found: list[str] = []
+    for word in words:
+        key, _, value = word.partition("=")
+        if key == "presser" and ":" in value:
+            found += ["presser=driver", f"presser.path='{value}'"]
+        else:
+            found.append(word)
+    return found
+
+
 def check_overrides(
     schema: Schema, words: Sequence[str], *, multirun: bool = False, trusted: bool = True
 ) -> list[str]:

@@ -6,8 +6,8 @@
   (`RecordingSource`).
 - `candidate_patches`: patches of the surface that a sensor can press.
 - `Rule`: criterion for the next press. `LargestUncertainty` is the paper's; `ExpectedError`,
-  `ExpectedShapeError`, `ExpectedInformation`, `UniformGrid` and `Random` are alternatives. The
-  registry `RULES` lists them by name.
+  `ExpectedShapeError`, `LumpPosition`, `ExpectedInformation`, `UniformGrid` and `Random` are
+  alternatives. The registry `RULES` lists them by name.
 """
 
 from tactorch.sampling.candidates import Patch, candidate_patches
@@ -23,7 +23,7 @@ from tactorch.sampling.rules import (
     UniformGrid,
 )
 from tactorch.sampling.sample import Presser, SimulatedPresser, Step, sample
-from tactorch.sampling.shape_design import ExpectedShapeError, ShapeDesign
+from tactorch.sampling.shape_design import ExpectedShapeError, LumpPosition, ShapeDesign
 from tactorch.sampling.sources import RecordingSource
 from tactorch.sampling.suggest import Suggester, Suggestion, SuggestOptions
 
@@ -35,6 +35,7 @@ __all__ = [
     "LargestUncertainty",
     "LoopOptions",
     "LoopResult",
+    "LumpPosition",
     "Observer",
     "Patch",
     "Presser",

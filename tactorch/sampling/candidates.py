@@ -15,7 +15,7 @@ from tactorch.mesh.values import Real, positive
 from tactorch.recording import Press, Recording
 
 NodeMask = Bool[np.ndarray, " n"]
-_MIN_FACING = 0.85  # mean cosine between surface and sensor; an edge of a cube has 0.71
+MIN_FACING = 0.85  # mean cosine between surface and sensor; an edge of a cube has 0.71
 _MAX_RADIUS_SHARE = 0.25  # inferred radius of the sensor over the object's smallest extent
 # Centroids of 64 equal parts of a triangle: each is counted in or out of a patch.
 _WEIGHTS = np.concatenate([lattice(8, 1 / 3, corners=3), lattice(7, 2 / 3, corners=3)])
@@ -155,7 +155,7 @@ class InferredCandidates:
         held = np.any([press.held.any(axis=1) for press in presses], axis=0)
         key = held.tobytes(), radius
         if key not in self._patches:
-            patches = candidate_patches(mesh, held, radius, self._count, min_facing=_MIN_FACING)
+            patches = candidate_patches(mesh, held, radius, self._count, min_facing=MIN_FACING)
             self._patches = {key: patches}
         patches = self._patches[key]
         pressed = _pressed(recording, patches, radius)

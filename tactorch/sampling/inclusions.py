@@ -1,13 +1,15 @@
 """The finding of a growing recording: shapes that are fitted to its presses, else its map's."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
-from tactorch.errors import CancelledError, FileError
+from tactorch.errors import CancelledError, ConvergenceError, FileError
 from tactorch.files import read_json, write_json
 from tactorch.findings import SHAPES, Finding, build_shape_finding, find
 from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction
 from tactorch.inverse.shapes import KeptRims, ShapeState
+from tactorch.inverse.shapes.draft import DraftShapes
 from tactorch.recording import Recording
 
 _COUNT = "presses"  # in the file of the shapes: the number of presses that they are fitted to
@@ -53,11 +55,7 @@ class InclusionSearch:
             CancelledError: `stop` returned True. The next search starts from what this one reached.
         """
         try:
-            finding = find(
-                recording, reconstruction, self._settings,
-                uncertainty=False, start=self._reached or self.shapes, stop=stop,
-                kept=self._kept,
-            )  # fmt: skip
+            finding = self._find(recording, reconstruction, stop)
         except CancelledError as error:
             self._reached = error.reached or self._reached
             raise
@@ -67,6 +65,14 @@ class InclusionSearch:
             if self._path is not None:
                 write_json(self._path, {**finding.shapes.plain(), _COUNT: self._last[1]})
         return finding
+
+    def _find(
+        self, recording: Recording, reconstruction: Reconstruction, stop: Callable[[], bool]
+    ) -> Finding:
+        return find(
+            recording, reconstruction, self._settings,
+            uncertainty=False, start=self._reached or self.shapes, stop=stop, kept=self._kept,
+        )  # fmt: skip
 
     def restore(self, recording: Recording) -> None:
         """Read the shapes of a run that is continued; those that cannot be read are ignored.
@@ -94,3 +100,28 @@ class InclusionSearch:
     def shapes(self) -> ShapeReconstruction | None:
         """Shapes that were fitted last; None if there are none."""
         return None if self._last is None else self._last[0].shapes
+
+
+class DraftInclusionSearch(InclusionSearch):
+    """The same by the fast search for balls, `tactorch.inverse.shapes.draft`.
+
+    Args:
+        settings: Settings of the inversions.
+        folder: Folder of the run; None keeps no file.
+        draft: The search.
+    """
+
+    def __init__(self, settings: Settings, folder: str | Path | None, draft: DraftShapes) -> None:
+        super().__init__(settings, folder)
+        self._draft = draft
+
+    def _find(
+        self, recording: Recording, reconstruction: Reconstruction, stop: Callable[[], bool]
+    ) -> Finding:
+        try:
+            shapes = self._draft.fit(recording, self.shapes, stop)
+        except ConvergenceError as error:
+            finding = find(recording, reconstruction, shapes=False, uncertainty=False)
+            note = f"The finding is that of the map: no balls can be fitted ({error})."
+            return replace(finding, notes=(note, *finding.notes))
+        return build_shape_finding(recording, shapes)

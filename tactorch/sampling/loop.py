@@ -215,6 +215,9 @@ class SamplingLoop:
         restart: See `IncrementalInversion`; for presses on request. A press that cannot be inverted
             then raises, and is otherwise reported and skipped. No shapes are fitted.
         target_deviation: Root mean square deviation of the parameters at which the loop ends.
+        inclusions: Search for shapes; `find_shapes` by default.
+        end: Called before each press, in a closed loop, whose presses follow the suggestions: the
+            reason to end, or an empty text. Rules that use shapes then suggest after the search.
     """
 
     def __init__(
@@ -228,6 +231,8 @@ class SamplingLoop:
         start_mpa: Start = START_MPA,
         restart: bool = False,
         target_deviation: float = 0.0,
+        inclusions: InclusionSearch | None = None,
+        end: Callable[[], str] | None = None,
     ) -> None:
         self._source, self._settings, self._start = source, settings, start_mpa
         self._observers, self._options = observers, options or LoopOptions()
@@ -236,7 +241,8 @@ class SamplingLoop:
         self._max_presses = self._options.max_presses or sys.maxsize
         digest = _digest(to_mapping(replace(settings, max_seconds=None)))
         self._store = None if folder is None else Store(folder, digest)
-        self._inclusions = InclusionSearch(settings, folder)
+        self._inclusions = inclusions or InclusionSearch(settings, folder)
+        self._closed_end = end
         self._fits_shapes = self._options.shapes and not restart
         self._waiting: list[Arrival] = []
         self._done: list[Arrival] = []
@@ -282,6 +288,8 @@ class SamplingLoop:
         """Reason to end now; empty if there is none."""
         if len(self._done) >= self._max_presses:
             return f"{self._max_presses} presses (max_presses) were made"
+        if self._closed_end is not None and (reason := self._closed_end()):
+            return reason
         update = self._update
         if update is None:
             return ""
@@ -339,7 +347,10 @@ class SamplingLoop:
         """Refine the map and suggest a press, unless a press waits."""
         if not self._press_waits():
             self._refine()
-        if self._update is not None and self._update.suggestion is None:
+        waits_for_shapes = (
+            self._closed_end is not None and self._suggester.uses_shapes and self._fits_shapes
+        )
+        if self._update is not None and self._update.suggestion is None and not waits_for_shapes:
             self._suggest()
 
     def _suggest(self) -> None:
@@ -370,7 +381,8 @@ class SamplingLoop:
         self._save()
         for observer in self._observers:
             observer.found(self._update)
-        if self._suggester.uses_shapes and finding.shapes and finding.shapes.inclusions:
+        has_shapes = finding.shapes is not None and bool(finding.shapes.inclusions)
+        if self._suggester.uses_shapes and (has_shapes or self._closed_end is not None):
             self._suggest()
 
     def _lacks_shapes(self) -> bool:

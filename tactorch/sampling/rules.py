@@ -28,6 +28,7 @@ RULES = Registry(
         "auto": f"{_HERE}:Automatic",
         "expected_error": f"{_HERE}:ExpectedError",
         "shape_error": "tactorch.sampling.shape_design:ExpectedShapeError",
+        "lump_position": "tactorch.sampling.shape_design:LumpPosition",
         "expected_information": f"{_HERE}:ExpectedInformation",
         "largest_uncertainty": f"{_HERE}:LargestUncertainty",
         "uniform_grid": f"{_HERE}:UniformGrid",

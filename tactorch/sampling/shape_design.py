@@ -65,6 +65,42 @@ class ShapeDesign:
             ]
         )  # fmt: skip
 
+    def expected_center_deviations(
+        self, candidates: Sequence[Float[np.ndarray, "_ m"] | None]
+    ) -> Float[np.ndarray, " candidates"]:
+        """Return the deviation of the first inclusion's centre that is expected after each press.
+
+        It is that along the axis where it is largest, mm.
+
+        Args:
+            candidates: See `expected_errors`.
+        """
+        now, part = self._gram(self.before).shapes, self._field.parts[self.shapes.order[0]]
+        sizes = self._field.prior.ball()[1][:3]
+        found = np.full(len(candidates), np.inf)
+        for k, jacobian in enumerate(candidates):
+            if jacobian is not None:
+                precision = now + self._gram(jacobian).shapes + np.eye(self._field.size)
+                variances = np.linalg.inv(precision).diagonal()[part.start : part.start + 3]
+                found[k] = float((sizes * np.sqrt(variances)).max())
+        return found
+
+    def expected_missed_errors(
+        self, candidates: Sequence[Float[np.ndarray, "_ m"] | None]
+    ) -> Float[np.ndarray, " candidates"]:
+        """Return the expected error by lumps that no press has shown, after each press.
+
+        Args:
+            candidates: See `expected_errors`.
+        """
+        now, unit = self._gram(self.before), np.eye(self._field.size)
+        found = np.full(len(candidates), np.inf)
+        for k, jacobian in enumerate(candidates):
+            if jacobian is not None:
+                gram = now + self._gram(jacobian)
+                found[k] = self._missed_error(gram, gram.shapes + unit)
+        return found
+
     def _gram(self, jacobian: Jacobian) -> "_Gram":
         """Return the products for data whose noise is as large as the residuals of the shapes."""
         return _Gram.of(jacobian / np.sqrt(max(1.0, self.shapes.chi2)), self._columns)
@@ -175,12 +211,41 @@ class ExpectedShapeError(Rule):
         Raises:
             ConfigError: no shapes were fitted to the presses.
         """
-        shapes, known, per_log = state.shapes, state.known, state.per_log
-        if shapes is None or known is None or per_log is None:
-            raise ConfigError(
-                "suggest.rule=shape_error needs shapes that are fitted to the presses, and there "
-                "are none yet; wait for them (live.shapes=true), or choose suggest.rule=auto."
-            )
-        design, remaining = ShapeDesign(shapes, state.mesh, known * per_log), state.remaining
-        predicted = [None if j is None else j * per_log for j in state.jacobians(remaining)]
+        design, remaining, predicted = _design(state)
         return remaining[int(np.argmin(design.expected_errors(predicted)))]
+
+
+@dataclass(frozen=True)
+class LumpPosition(Rule):
+    """Most certain position of the lump; before one is found, least chance of missing one.
+
+    The position is that of the most probable inclusion, along the axis where it is least certain.
+    """
+
+    uses_shapes = True
+
+    def choose(self, state: SamplingState) -> int:
+        """See `Rule.choose`.
+
+        Raises:
+            ConfigError: no shapes were fitted to the presses.
+        """
+        design, remaining, predicted = _design(state)
+        if design.shapes.inclusions:
+            expected = design.expected_center_deviations(predicted)
+        else:
+            expected = design.expected_missed_errors(predicted)
+        return remaining[int(np.argmin(expected))]
+
+
+def _design(state: SamplingState) -> tuple[ShapeDesign, list[int], list[Jacobian | None]]:
+    """Return the design, the candidates that remain, and their derivatives by log-moduli."""
+    shapes, known, per_log = state.shapes, state.known, state.per_log
+    if shapes is None or known is None or per_log is None:
+        raise ConfigError(
+            "this rule needs shapes that are fitted to the presses, and there are none yet; wait "
+            "for them (live.shapes=true), or choose suggest.rule=auto."
+        )
+    remaining = state.remaining
+    predicted = [None if j is None else j * per_log for j in state.jacobians(remaining)]
+    return ShapeDesign(shapes, state.mesh, known * per_log), remaining, predicted

@@ -17,7 +17,7 @@ NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 TESTED = {
     "press": "test_press", "gradient": "test_gradient", "find_ball": "test_find_ball",
     "own_material": "test_own_material", "own_prior": "test_own_prior",
-    "next_press": "test_next_press", "image_to_force": "test_image_to_force",
+    "next_press": "test_next_press", "robot": "test_robot", "image_to_force": "test_image_to_force",
 }  # fmt: skip
 
 
@@ -121,6 +121,14 @@ def test_next_press(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_robot() -> None:
+    """The run ends by its stop rule, near the ball, although the driver refuses low poses."""
+    found = module("robot").main()
+    assert 3 <= found["presses"] < 10
+    assert found["off_mm"] < 0.6
+
+
 def test_image_to_force(capsys: pytest.CaptureFixture[str]) -> None:
     """From a finer gel's press: within a fifth along z, and sheared the right way."""
     found = run("image_to_force", capsys)

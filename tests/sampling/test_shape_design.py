@@ -16,7 +16,7 @@ from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.sampling import Patch
 from tactorch.sampling.rules import SamplingState
-from tactorch.sampling.shape_design import ExpectedShapeError, ShapeDesign
+from tactorch.sampling.shape_design import ExpectedShapeError, LumpPosition, ShapeDesign
 from tactorch.simulation import PressPlan, simulate
 
 MESH = box_mesh(10.0, 5, tets_per_cell=5)
@@ -117,3 +117,25 @@ def test_the_rule_takes_the_press_of_the_smallest_error(ball: Any, blocks: Any) 
     assert ExpectedShapeError().choose(state_of([middle, away, over], ball)) == 2
     with pytest.raises(ConfigError, match="needs shapes"):
         ExpectedShapeError().choose(state_of(blocks, None))
+
+
+def test_the_position_is_best_known_after_a_press_over_the_ball(ball: Any, blocks: Any) -> None:
+    middle, over, away = blocks
+    design = ShapeDesign(ball, MESH, middle)
+    deviations = design.expected_center_deviations([over, away, np.zeros_like(over), None])
+    assert deviations[0] < 0.8 * deviations[1]
+    assert deviations[1] < deviations[2] < deviations[3] == np.inf
+    # With all information, the centre is known.
+    (known,) = design.expected_center_deviations([1e5 * np.eye(MESH.n_tets)])
+    assert known < 0.01
+    assert LumpPosition().choose(state_of([middle, away, over], ball)) == 2
+
+
+def test_before_a_lump_is_found_the_place_that_shows_most_lumps_is_pressed(blocks: Any) -> None:
+    middle, over, _ = blocks
+    design, nothing = ShapeDesign(shapes_of(), MESH, middle), np.zeros_like(over)
+    some, same, none = design.expected_missed_errors([over, nothing, None])
+    assert some < same < none == np.inf
+    assert LumpPosition().choose(state_of([middle, nothing, over], shapes_of())) == 2
+    with pytest.raises(ConfigError, match="needs shapes"):
+        LumpPosition().choose(state_of(blocks, None))
