@@ -92,7 +92,12 @@ def reduced(measurement: Measurement) -> Measurement:
     """Return a measurement with its frame, depth and slope only."""
     no_markers, no_nodes = np.zeros((0, 2)), np.zeros(0, dtype=bool)
     return replace(
-        measurement, height=None, displacement=None, markers_px=no_markers, in_contact=no_nodes
+        measurement,
+        height=None,
+        displacement=None,
+        markers_px=no_markers,
+        in_contact=no_nodes,
+        view=None,
     )
 
 
