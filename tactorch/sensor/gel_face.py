@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg import eigh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
 
 from tactorch.mesh import TetMesh, refine
 from tactorch.mesh.geometry import signed_volumes
@@ -16,6 +17,7 @@ from tactorch.sensor.gel import GelMesh
 
 _GROWTH = 0.7  # of the edge length with the distance from the edge of the contact
 _SNAP, _ON_EDGE = 0.3, 0.05  # distances from the edge, over the edge length of elements there
+_LENGTH = 0.5  # of the covariance of the displacement, over the size of the contact
 _MIN_VOLUME = 0.2  # of an element after its nodes are moved, over that before
 
 #: Distance of points of the face at rest (n, 2) from the edge of the contact, mm; positive inside.
@@ -86,29 +88,46 @@ class GelFace:
         return self.nodes[self.touching]
 
     def smooth_modes(self, count: int) -> tuple[Float[np.ndarray, "c u"], Float[np.ndarray, "c r"]]:
-        """Return linear functions over the contact, and smooth ones of unit roughness.
+        """Return linear functions over the contact, and smooth ones of unit prior deviation.
 
-        Each part of the contact has linear functions of its own. The others are the eigenfunctions
-        of the Laplacian, over their eigenvalues squared.
+        Each part of the contact has linear functions of its own. The others are the principal
+        functions of a Gaussian process with a Matern covariance of smoothness 3/2 (Rasmussen and
+        Williams, Gaussian Processes for Machine Learning, 2006, sec. 4.2), whose length is half
+        that of a square of the area of the contact.
 
         Args:
-            count: Number of eigenfunctions.
+            count: Number of principal functions.
         """
         flat = self.points[self.touching, :2]
-        stiffness, areas = _surface_laplacian(flat, self._contact_triangles)
-        n, pairs = len(flat), self._contact_triangles[:, [0, 1, 2, 1, 2, 0]].reshape(-1, 2, 3)
-        rows, columns = pairs[:, 0].ravel(), pairs[:, 1].ravel()
-        graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
-        n_parts, part = connected_components(graph, directed=False)
+        areas, part = self._contact_areas(flat), self._parts()
         linear = []
-        for k in range(n_parts):
+        for k in range(int(part.max()) + 1):
             own = (part == k).astype(float)
             offset = (flat - flat[part == k].mean(axis=0)) * own[:, None]
             linear += [own, *(offset / max(float(np.abs(offset).max()), 1e-9)).T]
-        last = min(count + n_parts, n) - 1
-        values, vectors = eigh(stiffness, np.diag(areas), subset_by_index=[0, last])
-        rough = vectors[:, n_parts:] / values[n_parts:] ** 2
-        return np.column_stack(linear), rough
+        apart = np.sqrt(3.0) * cdist(flat, flat) / (_LENGTH * np.sqrt(areas.sum()))
+        covariance, roots = (1.0 + apart) * np.exp(-apart), np.sqrt(areas)
+        n, last = len(flat), min(count, len(flat))
+        values, vectors = eigh(
+            covariance * roots[:, None] * roots, subset_by_index=[n - last, n - 1]
+        )
+        return np.column_stack(linear), vectors / roots[:, None] * np.sqrt(np.maximum(values, 0.0))
+
+    def _contact_areas(self, flat: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " c"]:
+        """Areas of the nodes in contact, mm^2."""
+        first, second, third = (flat[corner] for corner in self._contact_triangles.T)
+        (x, y), (u, v) = (second - first).T, (third - first).T
+        thirds = np.abs(x * v - y * u) / 6.0
+        return np.bincount(self._contact_triangles.ravel(), np.repeat(thirds, 3), len(flat))
+
+    def _parts(self) -> Int[np.ndarray, " c"]:
+        """Part of the contact of each of its nodes."""
+        first = self._contact_triangles.ravel()
+        second = np.roll(self._contact_triangles, -1, axis=1).ravel()
+        n = int(self.touching.sum())
+        graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(n, n))
+        _, part = connected_components(graph, directed=False)
+        return part
 
 
 def edge_sizing(distance: EdgeDistance, edge_mm: float, gel: GelLayer) -> Sizing:
@@ -150,17 +169,3 @@ def _without_flat_elements(
         nodes = np.unique(tets[flat])
         moved[nodes] = before[nodes]
     return moved
-
-
-def _surface_laplacian(
-    points: Float[np.ndarray, "k d"], triangles: Int[np.ndarray, "t 3"]
-) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
-    """Stiffness of linear triangles (cotangent weights), and areas of the nodes, mm^2."""
-    corners = points[triangles]
-    opposite = np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1)  # of each corner
-    products = np.einsum("tid,tjd->tij", opposite, opposite)
-    areas = 0.5 * np.sqrt(products[:, 0, 0] * products[:, 1, 1] - products[:, 0, 1] ** 2)
-    stiffness = np.zeros((len(points), len(points)))
-    blocks = products / (4.0 * areas[:, None, None])
-    np.add.at(stiffness, (triangles[:, :, None], triangles[:, None, :]), blocks)
-    return stiffness, np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), len(points))

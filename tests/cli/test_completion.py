@@ -58,7 +58,7 @@ def test_every_setting_can_be_reached(verb: str) -> None:
 
 def test_tables_are_listed_in_the_order_of_the_settings() -> None:
     tables = [key for key in offered("live ") if key.endswith(".")]
-    assert tables[:4] == ["suggest.", "bounds.", "noise.", "newton."]
+    assert tables[:6] == ["suggest.", "robot.", "stop.", "bounds.", "noise.", "newton."]
 
 
 def test_settings_of_the_chosen_option_and_not_twice() -> None:
