@@ -62,7 +62,8 @@ BALLS = {
     "deep": (Sphere((3.8, 5.6, 6.6), 1.5), 1.0),
     "empty": None,
 }
-SENSOR_MM, PRESSURE_MPA, NOISE_MM, REPORT_MM = 2.0, 0.015, 0.002, 0.05
+SENSOR_MM, PRESSURE_MPA, NOISE_MM = 2.0, 0.015, 0.002
+REPORT_MM, FORCE = 0.05, 0.005  # deviations of what the robot reports, which its user knows
 PLACES_MM = (2.4, 3.7, 5.0, 6.3, 7.6)  # along x and y
 GRID = 16
 RULES = {"lump_position": LumpPosition(), "grid": UniformGrid(GRID)}
@@ -101,7 +102,8 @@ def run(name: str, rule: str, max_presses: int, seed: int, cells: int = CELLS) -
     cube = Box((SIDE_MM / 2,) * 3, (SIDE_MM,) * 3)
     robot = SimulatedRobot(
         phantom=Phantom(cube, balls, BACKGROUND_MPA), edge_mm=EDGE_MM, noise_mm=NOISE_MM,
-        report_deviation_mm=REPORT_MM, move_seconds=3.0, press_seconds=2.0, seed=seed,
+        report_deviation_mm=REPORT_MM, force_deviation=FORCE, move_seconds=3.0,
+        press_seconds=2.0, seed=seed,
     )  # fmt: skip
     mesh = box_mesh(SIDE_MM, cells, tets_per_cell=5)
     presser = RobotPresser(robot, mesh, mesh.points[:, 2] < 1e-6, MATERIAL, PRESSURE_MPA, NOISE_MM)
@@ -112,7 +114,7 @@ def run(name: str, rule: str, max_presses: int, seed: int, cells: int = CELLS) -
             Settings(),
             options=LoopOptions(poll_seconds=0.01, max_presses=max_presses),
             suggest=SuggestOptions(rule=RULES[rule]),
-            draft=DraftOptions(pose_deviation_mm=REPORT_MM),
+            draft=DraftOptions(pose_deviation_mm=REPORT_MM, scale_deviation=FORCE),
         )
     steps = [step(entry, name) for entry in ended.history if entry.get("searched")]
     by_press = {one["presses"]: one for one in steps}
