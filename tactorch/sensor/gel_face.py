@@ -88,7 +88,7 @@ class GelFace:
     def smooth_modes(self, count: int) -> tuple[Float[np.ndarray, "c u"], Float[np.ndarray, "c r"]]:
         """Return linear functions over the contact, and smooth ones of unit roughness.
 
-        Each part of the contact has linear functions of its own. The others are the eigenfunctions
+        Each part of the contact has separate linear functions. The others are the eigenfunctions
         of the Laplacian, over their eigenvalues squared.
 
         Args:
