@@ -1,7 +1,7 @@
 """A robot in a closed loop against a uniform grid, without inverse crime.
 
     python benchmarks/closed_loop.py [--objects shallow deep empty] [--rules lump_position grid]
-        [--max-presses N] [--seed K] [--out FOLDER]
+        [--max-presses N] [--seed K] [--out FOLDER] [--merge FILE ...]
 
 Three cubes of 10 mm, 0.2 MPa, held at the bottom: with a ball of 1.2 mm radius and 0.8 MPa, with a
 deeper one of 1.5 mm radius and 1 MPa, and with nothing inside. A simulated robot presses the top
@@ -18,7 +18,7 @@ rule for its end. Both press the middle first. No rule and no fit uses the truth
 The table has the number of presses, that after which the interval of the most probable lump alone
 was narrow enough, the width of the interval, the distance of the found centre
 from the true one, and the processor time of the whole run (simulation of the presses included). The
-last line printed is one JSON object.
+last line printed is one JSON object. --merge makes one table of the JSON files of earlier runs.
 """
 
 import argparse
@@ -26,6 +26,7 @@ import json
 import tempfile
 import time
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,8 @@ BALLS = {
     "deep": (Sphere((3.8, 5.6, 6.6), 1.5), 1.0),
     "empty": None,
 }
-SENSOR_MM, PRESSURE_MPA, NOISE_MM, REPORT_MM = 2.0, 0.015, 0.002, 0.05
+SENSOR_MM, PRESSURE_MPA, NOISE_MM = 2.0, 0.015, 0.002
+REPORT_MM, FORCE = 0.05, 0.005  # deviations of what the robot reports, which its user knows
 PLACES_MM = (2.4, 3.7, 5.0, 6.3, 7.6)  # along x and y
 GRID = 16
 RULES = {"lump_position": LumpPosition(), "grid": UniformGrid(GRID)}
@@ -79,19 +81,39 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cells", type=int, default=CELLS, help="of the inversion's mesh, a side")
     parser.add_argument("--out", type=Path, help="folder for closed_loop.json and .md")
+    parser.add_argument("--merge", type=Path, nargs="+", help="results of runs, made before")
     options = parser.parse_args(arguments)
-    runs = [
-        run(name, rule, options.max_presses, options.seed, options.cells)
-        for name in options.objects
-        for rule in options.rules
-        if name != "empty" or rule != "grid"  # both end after the same number of presses
-    ]
+    runs = (
+        merged(options.merge, options.seed)
+        if options.merge
+        else [
+            run(name, rule, options.max_presses, options.seed, options.cells)
+            for name in options.objects
+            for rule in options.rules
+            if name != "empty" or rule != "grid"  # both end after the same number of presses
+        ]
+    )
     report = {"seed": options.seed, "stop": StopRule().width_mm, "runs": runs}
     lines = table(runs)
     print("\n".join(lines))
     if options.out is not None:
         write_results(options.out, "closed_loop", lines, report, PACKAGES)
     print(json.dumps(report))
+
+
+def merged(paths: Sequence[Path], seed: int) -> list[dict[str, Any]]:
+    """Return the runs of files in the order of the table; each object and rule once."""
+    runs: dict[tuple[str, str], dict[str, Any]] = {}
+    for path in paths:
+        report = json.loads(path.read_text())
+        if (report["seed"], report["stop"]) != (seed, StopRule().width_mm):
+            raise SystemExit(f"{path} is of another seed or stop rule.")
+        for one in report["runs"]:
+            key = (one["object"], one["rule"])
+            if key in runs:
+                raise SystemExit(f"{path} has {' by '.join(key)}, as a file before.")
+            runs[key] = one
+    return [runs[key] for key in product(BALLS, RULES) if key in runs]
 
 
 def run(name: str, rule: str, max_presses: int, seed: int, cells: int = CELLS) -> dict[str, Any]:
@@ -101,7 +123,8 @@ def run(name: str, rule: str, max_presses: int, seed: int, cells: int = CELLS) -
     cube = Box((SIDE_MM / 2,) * 3, (SIDE_MM,) * 3)
     robot = SimulatedRobot(
         phantom=Phantom(cube, balls, BACKGROUND_MPA), edge_mm=EDGE_MM, noise_mm=NOISE_MM,
-        report_deviation_mm=REPORT_MM, move_seconds=3.0, press_seconds=2.0, seed=seed,
+        report_deviation_mm=REPORT_MM, force_deviation=FORCE, move_seconds=3.0,
+        press_seconds=2.0, seed=seed,
     )  # fmt: skip
     mesh = box_mesh(SIDE_MM, cells, tets_per_cell=5)
     presser = RobotPresser(robot, mesh, mesh.points[:, 2] < 1e-6, MATERIAL, PRESSURE_MPA, NOISE_MM)
@@ -112,7 +135,7 @@ def run(name: str, rule: str, max_presses: int, seed: int, cells: int = CELLS) -
             Settings(),
             options=LoopOptions(poll_seconds=0.01, max_presses=max_presses),
             suggest=SuggestOptions(rule=RULES[rule]),
-            draft=DraftOptions(pose_deviation_mm=REPORT_MM),
+            draft=DraftOptions(pose_deviation_mm=REPORT_MM, scale_deviation=FORCE),
         )
     steps = [step(entry, name) for entry in ended.history if entry.get("searched")]
     by_press = {one["presses"]: one for one in steps}

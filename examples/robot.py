@@ -54,7 +54,7 @@ class MyRobot:
 
 
 def main(folder: Path | None = None, max_presses: int = 10) -> dict[str, float]:
-    """Press until the position of the lump is known to 1.5 mm."""
+    """Press until the position of the lump is known to 1.8 mm."""
     mesh = box_mesh(10.0, 5, tets_per_cell=5)  # mm
     held = mesh.points[:, 2] < 1e-6
     presser = RobotPresser(
@@ -63,13 +63,13 @@ def main(folder: Path | None = None, max_presses: int = 10) -> dict[str, float]:
     places = [p for p in candidate_patches(mesh, held, 2.0, 1000) if p.inward[2] < -0.9]
     places = pressable_patches(places, mesh, 16, margin_mm=0.3)
     session = RobotSession(
-        presser, places, folder or Path(tempfile.mkdtemp()), StopRule(width_mm=1.5)
+        presser, places, folder or Path(tempfile.mkdtemp()), StopRule(width_mm=1.8)
     )
     ended = press_until_known(session, options=LoopOptions(max_presses=max_presses))
     lumps = ended.update.finding.lumps
     print(f"The robot pressed {len(session.pressed)} times, and {ended.reason}.")
     off = float(np.linalg.norm(lumps[0].inclusion.center_mm - [5.0, 5.0, 6.5])) if lumps else np.inf
-    print(f"The lump is {off:.1f} mm from the ball's middle.")
+    print(f"The lump is {off:.2f} mm from the ball's middle.")
     return {"presses": len(session.pressed), "failed": len(session.failed), "off_mm": off}
 
 

@@ -5,23 +5,25 @@ from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.spatial import Delaunay, QhullError
+from jaxtyping import Bool
 
 from tactorch.errors import RobotError, RobotTimeoutError
 from tactorch.fem import SoftBody, Supports, make_material
+from tactorch.fem.transfer import Transfer
+from tactorch.inverse.shapes.draft import Prediction
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press
 from tactorch.robot.contact import axis_distances, held_on, loads, refined_at_rim
 from tactorch.robot.driver import PressCommand, PressReport, Robot
+from tactorch.robot.smoothing import Seen, across
 from tactorch.sampling import Patch
 from tactorch.sampling.candidates import all_directions
 
 _MIN_NODES = 3  # observed, of a press that is used
-_NEAR, _POINTS = 0.5, 12  # distance of points of a fit, over the radius, and least number of them
+_STEP = 0.1  # of the position in derivatives, over the radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class RobotPresser:
         pressure_mpa: Mean pressure that is commanded, MPa.
         noise_mm: Standard deviation of the displacements that is expected of a press, mm.
         timeout_seconds: Time after which a press is given up, s.
-        patches: Reported pose of each press, by its name.
+        seen: Reported pose and measured points of each press, by its name.
     """
 
     robot: Robot
@@ -49,7 +51,7 @@ class RobotPresser:
     pressure_mpa: float
     noise_mm: float
     timeout_seconds: float = 120.0
-    patches: dict[str, Patch] = field(default_factory=dict)
+    seen: dict[str, Seen] = field(default_factory=dict)
     _calls: list[Any] = field(default_factory=list)
 
     def plan(self, patch: Patch) -> Press:
@@ -112,46 +114,69 @@ class RobotPresser:
         patch = Patch(
             np.asarray(report.center_mm, float), np.asarray(report.inward, float), radius_mm
         )
-        displacement, observed, noise = _at_nodes(report, patch, self.mesh)
-        if observed.sum() < _MIN_NODES:
+        seen = Seen.of(patch, np.asarray(report.points_mm, float), self.mesh)
+        smoothing = seen.smoothing
+        if len(smoothing.nodes) < _MIN_NODES:
             raise RobotError(
-                f"only {int(observed.sum())} nodes of the mesh are within the "
+                f"only {len(smoothing.nodes)} nodes of the mesh are within the "
                 f"{len(report.points_mm)} measured points; use a finer mesh, or report points over "
                 "the whole contact area."
             )
         name = _press_name(report)
-        self.patches[name] = patch
+        self.seen[name] = seen
+        observed = np.zeros(self.mesh.n_points, dtype=bool)
+        observed[smoothing.nodes] = True
+        noise = smoothing.noise
+        weights = np.ones((self.mesh.n_points, 3))
+        mean = float(np.sqrt(np.mean(noise**2)))
+        weights[smoothing.nodes] = (mean / noise)[:, None]
         return Press(
             forces=loads(patch, self.mesh, np.asarray(report.force_n, float)),
             observed=all_directions(observed),
-            displacement=displacement,
+            displacement=smoothing(np.asarray(report.displacements_mm)),
             fixed=all_directions(self.held),
-            noise_mm=noise * float(report.noise_mm),
+            noise_mm=mean * float(report.noise_mm),
+            weights=weights,
             direction=patch.inward,
             name=name,
         )
 
-    def fine_prediction(
-        self, press: Press, youngs_mpa: float
-    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]] | None:
+    def fine_prediction(self, press: Press, youngs_mpa: float) -> Prediction | None:
         """Return predictions of a mesh that is fine at the rim of the contact, and of the mesh.
 
-        See `tactorch.inverse.shapes.draft.FinePrediction`.
+        See `tactorch.inverse.shapes.draft.FinePrediction`. Displacements of the finer mesh are
+        taken at the measured points and smoothed as the measured ones are. The reported position
+        may be wrong across the push.
         """
-        patch = self.patches.get(press.name)
-        if patch is None:
+        seen = self.seen.get(press.name)
+        if seen is None:
             return None
-        mesh = refined_at_rim(self.mesh, patch).mesh
-        # New nodes of a held face are held as well.
-        held = held_on(mesh, self.mesh, self.held)
-        predicted = []
-        for on, fixed in ((mesh, held), (self.mesh, self.held)):
-            body = SoftBody(on, self._law, element="tet10")
-            forces = loads(patch, on, press.total_force)
-            supports = Supports(fixed=all_directions(fixed))
-            result = body.equilibrate(np.full(on.n_tets, youngs_mpa), forces, supports).require()
-            predicted.append(result.displacement[: self.mesh.n_points])
-        return predicted[0], predicted[1]
+        force = press.total_force
+        better = self._fine(seen, force, youngs_mpa)
+        per_mm = []
+        middle = self.mesh.points.mean(axis=0) - seen.patch.center
+        for axis in across(seen.patch.inward):
+            step = _STEP * seen.patch.radius_mm * (axis if axis @ middle > 0 else -axis)
+            moved = self._fine(seen.moved(step, self.mesh), force, youngs_mpa)
+            per_mm.append((moved - better) / float(np.linalg.norm(step)))
+        forces = loads(seen.patch, self.mesh, force)
+        _, present = self._solve(self.mesh, self.held, forces, youngs_mpa)
+        return Prediction(better, present[: self.mesh.n_points], np.array(per_mm))
+
+    def _fine(self, seen: Seen, force_n: np.ndarray, youngs_mpa: float) -> np.ndarray:
+        """Return what would be seen at the nodes of a uniform body, by a finer mesh, mm."""
+        fine = refined_at_rim(self.mesh, seen.patch).mesh
+        held = held_on(fine, self.mesh, self.held)  # new nodes of a held face are held as well
+        body, moved = self._solve(fine, held, loads(seen.patch, fine, force_n), youngs_mpa)
+        return seen.smoothing(Transfer.between(body.discretisation, seen.points_mm)(moved))
+
+    def _solve(
+        self, mesh: TetMesh, held: np.ndarray, forces: np.ndarray, youngs_mpa: float
+    ) -> tuple[SoftBody, np.ndarray]:
+        body = SoftBody(mesh, self._law, element="tet10")
+        supports = Supports(fixed=all_directions(held))
+        youngs = np.full(mesh.n_tets, youngs_mpa)
+        return body, body.equilibrate(youngs, forces, supports).require().displacement
 
     @cached_property
     def _law(self) -> Any:
@@ -160,73 +185,16 @@ class RobotPresser:
         )
 
     def plain(self) -> dict[str, Any]:
-        """Return the poses as plain values, from which `restore` continues."""
-        return {
-            name: [patch.center.tolist(), patch.inward.tolist(), patch.radius_mm]
-            for name, patch in self.patches.items()
-        }
+        """Return poses and points as plain values, from which `restore` continues."""
+        return {name: seen.plain() for name, seen in self.seen.items()}
 
     def restore(self, plain: Mapping[str, Any]) -> None:
-        """Take over the poses of presses of a continued run."""
-        for name, (center, inward, radius) in plain.items():
-            self.patches[name] = Patch(np.array(center), np.array(inward), float(radius))
+        """Take over the poses and points of presses of a continued run."""
+        for name, values in plain.items():
+            self.seen[name] = Seen.restored(values, self.mesh)
 
 
 def _press_name(report: PressReport) -> str:
     center = ", ".join(f"{x:.4f}" for x in np.asarray(report.center_mm))
     stopped = f", stopped: {report.stopped}" if report.stopped else ""
     return f"robot at ({center}) mm{stopped}"
-
-
-class NodalValues(NamedTuple):
-    """Displacements of nodes by measured points.
-
-    Attributes:
-        displacement: Displacements, zero where they are not observed, (n, 3), mm.
-        observed: Nodes within the measured points, (n,).
-        noise: Standard deviation at a node over that at a point, root mean square.
-    """
-
-    displacement: Float[np.ndarray, "n 3"]
-    observed: Bool[np.ndarray, " n"]
-    noise: float
-
-
-def _at_nodes(report: PressReport, patch: Patch, mesh: TetMesh) -> NodalValues:
-    """Return displacements at the loaded nodes within the measured points.
-
-    A quadratic polynomial is fitted to the points around each node, by weights that fall to zero at
-    a distance of half the radius (moving least squares). It averages the noise of many points.
-    """
-    loaded = np.flatnonzero(patch.forces(mesh).any(axis=1))
-    plane = np.linalg.svd(patch.inward[None])[2][1:]  # two axes across the push
-    points, nodes = (
-        (p - patch.center) @ plane.T for p in (np.asarray(report.points_mm), mesh.points[loaded])
-    )
-    displacement, observed = np.zeros((mesh.n_points, 3)), np.zeros(mesh.n_points, dtype=bool)
-    try:
-        inside = Delaunay(points).find_simplex(nodes) >= 0
-    except (QhullError, ValueError):  # fewer than three points, or all on a line
-        return NodalValues(displacement, observed, 1.0)
-    rows = [_smoothing(points, node, _NEAR * patch.radius_mm) for node in nodes[inside]]
-    if rows:
-        displacement[loaded[inside]] = np.array(rows) @ np.asarray(report.displacements_mm)
-    observed[loaded[inside]] = True
-    return NodalValues(
-        displacement, observed, float(np.sqrt(np.sum(np.square(rows)) / len(rows))) if rows else 1.0
-    )
-
-
-def _smoothing(
-    points: Float[np.ndarray, "k 2"], node: Float[np.ndarray, "2"], reach_mm: float
-) -> Float[np.ndarray, " k"]:
-    """Return the weights of measured points in the value at a node."""
-    offsets = points - node
-    distances = np.linalg.norm(offsets, axis=1)
-    reach = max(reach_mm, 1.01 * float(np.sort(distances)[min(_POINTS, len(points)) - 1]))
-    weights = np.maximum(1.0 - (distances / reach) ** 2, 0.0)
-    x, y = (offsets / reach).T
-    terms = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
-    # The value of the polynomial at the node is its first coefficient.
-    root = np.sqrt(weights)
-    return np.linalg.pinv(terms * root[:, None], rcond=1e-6)[0] * root

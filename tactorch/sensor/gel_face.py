@@ -90,7 +90,7 @@ class GelFace:
     def smooth_modes(self, count: int) -> tuple[Float[np.ndarray, "c u"], Float[np.ndarray, "c r"]]:
         """Return linear functions over the contact, and smooth ones of unit prior deviation.
 
-        Each part of the contact has linear functions of its own. The others are the principal
+        Each part of the contact has separate linear functions. The others are the principal
         functions of a Gaussian process with a Matern covariance of smoothness 3/2 (Rasmussen and
         Williams, Gaussian Processes for Machine Learning, 2006, sec. 4.2), whose length is half
         that of a square of the area of the contact.

@@ -1,5 +1,7 @@
 """The table of closed loops, from runs whose numbers are given."""
 
+import json
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -49,3 +51,14 @@ def test_the_step_measures_the_distance_from_the_true_ball(benchmark: ModuleType
     assert found["width_mm"] == pytest.approx(0.658, rel=1e-3)
     empty = benchmark.step({"press": 4, "finding": {"lumps": []}}, "deep")
     assert empty["error_mm"] is None
+
+
+def test_runs_of_several_files_are_one_table(benchmark: ModuleType, tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("a.json", "b.json")]
+    for file, runs in zip(files, [[made("grid", 0.5)], [made("lump_position", 0.9)]], strict=True):
+        file.write_text(json.dumps({"seed": 0, "stop": 1.0, "runs": runs}))
+    assert [one["rule"] for one in benchmark.merged(files, 0)] == ["lump_position", "grid"]
+    with pytest.raises(SystemExit, match="as a file before"):
+        benchmark.merged([files[0], files[0]], 0)
+    with pytest.raises(SystemExit, match="another seed"):
+        benchmark.merged(files, 1)

@@ -26,7 +26,7 @@ def test_an_import_path_is_the_choice_of_a_driver() -> None:
         (["presser=robot_fakes:FakeRobot"], "'robot.mesh' is missing"),
         (["presser=simulated", "recording=a.h5"], "leave out recording="),
         (["presser=simulated", "stop.width_mm=0"], "stop.width_mm=0: give a number above 0"),
-        (["presser=simulated", "robot.radius_mm=4.9"], "use a smaller"),
+        (["presser=simulated", "robot.radius_mm=6"], "use a smaller"),
         (["presser=simulated", "robot.approach=[0,0,0]"], "give a direction"),
         (["presser=unknown"], "presser=unknown is unknown"),
     ],

@@ -15,7 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from tactorch.cli import COMMANDS, VERBS
 from tactorch.cli.compose import compose_options
-from tactorch.cli.overrides import named
+from tactorch.cli.overrides import expanded, named
 
 from .blocks import DOCS, LANGUAGES, README, ROOT, Block, blocks, commands, pages
 
@@ -136,7 +136,7 @@ def check_tactorch(words: list[str]) -> None:
     assert verb in (*COMMANDS, *VERBS), f"tactorch {verb}"
     if verb not in COMMANDS:
         return
-    typed = named(verb, words[len(verb.split()) :])
+    typed = expanded(verb, named(verb, words[len(verb.split()) :]))
     given = [word for word in typed if word not in ("-m", "--help")]
     for settings in zip(*combinations(given), strict=True):
         resumed = any(word.startswith("resume=") for word in settings) and verb == "invert"

@@ -11,6 +11,7 @@ from robot_fakes import FakeRobot, quadratic
 
 from tactorch.errors import ForceLimitError, PoseRefusedError, RobotError, RobotTimeoutError
 from tactorch.robot import RobotPresser
+from tactorch.robot.smoothing import across
 from tactorch.sampling import Patch, Presser
 
 Make = Callable[..., RobotPresser]
@@ -53,7 +54,7 @@ def test_forces_are_those_measured_at_the_reported_pose(
     np.testing.assert_allclose(press.total_force, force)
     moved = replace(patches[0], center=patches[0].center + shift).forces(presser.mesh)
     np.testing.assert_array_equal(press.forces.any(axis=1), moved.any(axis=1))
-    assert presser.patches[press.name].center == pytest.approx(patches[0].center + shift)
+    assert presser.seen[press.name].patch.center == pytest.approx(patches[0].center + shift)
 
 
 @pytest.mark.parametrize(
@@ -120,8 +121,8 @@ def test_poses_survive_as_plain_values(make_presser: Make, patches: list[Patch])
     name = presser.press(patches[1]).name
     again = make_presser(FakeRobot())
     again.restore(presser.plain())
-    np.testing.assert_array_equal(again.patches[name].center, patches[1].center)
-    assert again.patches[name].radius_mm == 2.5
+    np.testing.assert_array_equal(again.seen[name].patch.center, patches[1].center)
+    assert again.seen[name].patch.radius_mm == 2.5
 
 
 def test_the_finer_mesh_agrees_far_from_the_rim(make_presser: Make, patches: list[Patch]) -> None:
@@ -129,10 +130,43 @@ def test_the_finer_mesh_agrees_far_from_the_rim(make_presser: Make, patches: lis
     press = presser.press(patches[0])
     predicted = presser.fine_prediction(press, 0.2)
     assert predicted is not None
-    better, present = predicted
+    better, present, per_mm = predicted
+    assert per_mm.shape == (2, *better.shape)
     held = presser.held
     assert not better[held].any()
     loaded = press.observed.any(axis=1)
     error = np.linalg.norm((better - present)[loaded]) / np.linalg.norm(better[loaded])
     assert 1e-3 < error < 0.3
     assert presser.fine_prediction(replace(press, name="another"), 0.2) is None
+
+
+def test_nodes_at_the_edge_of_the_points_have_more_noise(
+    make_presser: Make, patches: list[Patch]
+) -> None:
+    presser = make_presser(FakeRobot())
+    press = presser.press(patches[2])
+    assert press.weights is not None
+    assert press.noise_mm is not None
+    seen = np.flatnonzero(press.observed.all(axis=1))
+    deviations = press.noise_mm / press.weights[seen, 0]
+    # By the weights of the points, whose noise is independent.
+    rows = presser.seen[press.name].smoothing.rows
+    np.testing.assert_allclose(deviations, 0.002 * np.linalg.norm(rows, axis=1))
+    radii = np.linalg.norm(presser.mesh.points[seen] - patches[2].center, axis=1)
+    assert deviations[radii.argmax()] > 1.05 * deviations[radii.argmin()]
+
+
+def test_a_wrong_position_changes_the_displacements_as_predicted(
+    make_presser: Make, patches: list[Patch]
+) -> None:
+    """A press at another place with its points, whose position is reported as before."""
+    presser = make_presser(FakeRobot())
+    press = presser.press(patches[1])
+    predicted = presser.fine_prediction(press, 0.2)
+    assert predicted is not None
+    seen = presser.seen[press.name]
+    step = 0.1 * across(seen.patch.inward)[0]
+    there = presser._fine(seen.moved(step, presser.mesh), press.total_force, 0.2)
+    change, told = there - predicted.better, 0.1 * predicted.per_mm[0]
+    assert np.linalg.norm(change) > 0.005 * np.linalg.norm(predicted.better)
+    assert np.linalg.norm(change - told) < 0.3 * np.linalg.norm(change)
