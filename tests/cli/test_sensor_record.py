@@ -5,7 +5,6 @@ import json
 import time
 import weakref
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -14,6 +13,7 @@ import pytest
 import yaml
 
 from tactorch.cli.sensor.inputs import FrameSequence
+from tactorch.cli.sensor.options import SequenceSettings
 from tactorch.recording import Recording
 from tactorch.sensor import frames as sources
 from tactorch.sensor.description import load_sensor
@@ -253,7 +253,9 @@ def test_images_of_a_camera_are_not_stored(
     drawn = DrawnCamera(files / "frames")
     monkeypatch.setattr(cv2, "VideoCapture", drawn.VideoCapture)
     monkeypatch.setattr(sources, "time", drawn)
-    cfg = SimpleNamespace(frames=0, max_frames=4, reference=files / "still.png", reference_frames=1)
+    cfg = SequenceSettings(
+        sensor=files / "sensor.yaml", frames=0, max_frames=4, reference=files / "still.png"
+    )
     images: list[weakref.ref[np.ndarray]] = []
     for frame in FrameSequence(cfg, load_sensor(files / "sensor.yaml"), once=True):
         if frame.image is not None:
