@@ -21,6 +21,7 @@ from tactorch.sensor.depth import HeightMap
 from tactorch.sensor.description import GelLayer, SensorDescription
 from tactorch.sensor.frames import Frame
 from tactorch.sensor.gel import GelContact, GelModel
+from tactorch.sensor.gel_face import EdgeDistance
 from tactorch.sensor.poses import Poses
 from tactorch.sensor.recorder import Fixture, RecordOptions, VirtualCube, record, record_streaming
 from tactorch.sensor.recorder.detector import ContactDetector, ContactInterval
@@ -65,7 +66,9 @@ class Chain(SensorChain):
             return Measurement(frame, here, height, depth, 0.0, None, none)
         return Measurement(frame, here, height, depth, 0.0, self.pairs[depth].u_gel, ~none)
 
-    def solve_contact(self, measurement: Measurement) -> GelContact | None:
+    def solve_contact(
+        self, measurement: Measurement, outline: EdgeDistance | None = None
+    ) -> GelContact | None:
         if measurement.displacement is None:
             return None
         return _forces(self.model, measurement.displacement.tobytes())
