@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
+from tactorch.mesh.closest import closest_points
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +95,6 @@ def _locate(
     points: Float[np.ndarray, "d 2"],
 ) -> tuple[Int[np.ndarray, " d"], Float[np.ndarray, "d 3"]]:
     """Return the triangle of each point with barycentric coordinates; the nearest if outside."""
-    from tactorch.mesh.closest import closest_points
-
     flat = np.column_stack([nodes, np.zeros(len(nodes))])
     queries = np.column_stack([points, np.zeros(len(points))])
     closest = closest_points(flat, triangles, queries)

@@ -5,7 +5,7 @@ This amplifies noise of the displacements. `GelModel.smooth_forces` therefore fi
 forces that explain the displacements, see `tactorch.sensor.tractions`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -131,7 +131,7 @@ class GelContact:
     def with_zeros(self) -> "GelContact":
         """Return the contact with zeros in place of unknown components."""
         moved, forces = np.nan_to_num(self.displacement), np.nan_to_num(self.forces)
-        return GelContact(self.points, moved, forces, self.covariance)
+        return replace(self, displacement=moved, forces=forces)
 
     @property
     def total(self) -> Float[np.ndarray, "3"]:
@@ -173,7 +173,7 @@ class GelModel:
         Raises:
             ConvergenceError: Newton's method does not converge.
         """
-        known = self._known(displacement)
+        known = self.known(displacement)
         state = self._equilibrium(np.zeros(displacement.shape), displacement)
         response = state.result.response
         assert response is not None
@@ -207,15 +207,15 @@ class GelModel:
         Raises:
             ConvergenceError: Newton's method does not converge.
         """
-        known, face = self._known(displacement), self.gel_mesh.face
+        known, face = self.known(displacement), self.gel_mesh.face
         loaded = np.ones(len(self.points), dtype=bool) if contact is None else contact
         if not loaded.any():
             raise ConfigError("contact is false at every node; without contact there is no force.")
         basis = traction_basis(self.gel_mesh.edges(loaded), self.gel_mesh.face_areas[loaded])
         rows = known.ravel()
-        plane = self._plane_modes()[rows] if free_plane else np.zeros((int(known.sum()), 0))
+        plane = self.plane_modes()[rows] if free_plane else np.zeros((int(known.sum()), 0))
         forces, state = np.zeros((len(self.points), 3)), self._rest
-        linearized, compliance, last_error = state, self._rest_compliance(loaded), np.inf
+        linearized, compliance, last_error = state, self.rest_compliance(loaded), np.inf
         for _ in range(_MAX_LINEARIZATIONS):
             residual = (np.nan_to_num(displacement) - state.result.displacement[face])[known]
             target = residual + compliance[rows] @ forces[loaded].ravel()
@@ -283,7 +283,7 @@ class GelModel:
         newton = self.body.search(self.youngs, load, supports, after=after)
         return SolvedCase(newton, newton.run(start).require())
 
-    def _rest_compliance(self, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
+    def rest_compliance(self, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Compliance at rest; columns are cached, since presses load similar nodes."""
         nodes = np.flatnonzero(loaded).tolist()
         missing = [i for i in nodes if i not in self._rest_columns]
@@ -293,10 +293,6 @@ class GelModel:
             columns = np.split(self._compliance(self._rest, selected), len(missing), axis=1)
             self._rest_columns.update(zip(missing, columns, strict=True))
         return np.hstack([self._rest_columns[i] for i in nodes])
-
-    def rest_compliance(self, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
-        """Return the displacements of the face at rest by unit forces on some nodes, mm/N."""
-        return self._rest_compliance(loaded)
 
     def linearize(self, displacement: NodeVectors | None = None) -> Linearization:
         """Return the tangent at displacements (mm) of all element nodes; at rest by default.
@@ -319,14 +315,6 @@ class GelModel:
     def element_loads(self, forces: FaceVectors) -> NodeVectors:
         """Return forces on all element nodes from those on the nodes of the face, N."""
         return np.asarray(self._load_matrix @ forces)
-
-    def plane_modes(self) -> Float[np.ndarray, "k3 3"]:
-        """Return displacements of the face along z: a constant and two tilts."""
-        return self._plane_modes()
-
-    def known(self, displacement: FaceVectors) -> Bool[np.ndarray, "k 3"]:
-        """Return which components are known; ConfigError for another shape, or if none is."""
-        return self._known(displacement)
 
     def _compliance(self, state: SolvedCase, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Displacement of the face under unit forces on the loaded nodes."""
@@ -353,14 +341,15 @@ class GelModel:
             rows.append(self._gather(reaction)[known])
         return np.stack(rows)
 
-    def _plane_modes(self) -> Float[np.ndarray, "k3 3"]:
+    def plane_modes(self) -> Float[np.ndarray, "k3 3"]:
         """Displacements of the face along z: a constant and two tilts."""
         modes = np.zeros((len(self.points), 3, 3))
         modes[:, 2, 0] = 1.0
         modes[:, 2, 1:] = self.points[:, :2] / np.abs(self.points[:, :2]).max(axis=0)
         return modes.reshape(-1, 3)
 
-    def _known(self, displacement: FaceVectors) -> Bool[np.ndarray, "k 3"]:
+    def known(self, displacement: FaceVectors) -> Bool[np.ndarray, "k 3"]:
+        """Return which components are known; ConfigError for another shape, or if none is."""
         if displacement.shape != self.points.shape:
             raise ConfigError(
                 f"displacement has shape {displacement.shape}; expected {self.points.shape}, one"

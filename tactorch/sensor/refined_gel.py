@@ -19,6 +19,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.equilibrium import SolvedCase
 from tactorch.sensor.face_data import FaceData
+from tactorch.sensor.force_fit import require_push
 from tactorch.sensor.gel import GelContact, GelModel
 from tactorch.sensor.gel_face import EdgeDistance, GelFace
 from tactorch.sensor.tractions import fit_smooth_forces
@@ -70,7 +71,7 @@ class RefinedGel:
             free_plane: Whether displacements along z are known up to a constant and a tilt.
 
         Raises:
-            ConvergenceError: Newton's method does not converge.
+            ConvergenceError: Newton's method does not converge, or the gel would be pulled.
         """
         rows = sp.diags(1.0 / data.deviations_mm) @ data.rows(self.face.points, self.face.triangles)
         plane = self._plane(data, free_plane) / data.deviations_mm[:, None]
@@ -93,9 +94,9 @@ class RefinedGel:
                 break
             if iteration < _MAX_LINEARIZATIONS - 1:
                 fields = self._fields(state, modes)
-        return GelContact(
-            self.face.points, self._moved(state), self._forces(state), None, self.face.touching
-        )
+        forces = self._forces(state)
+        require_push(forces)
+        return GelContact(self.face.points, self._moved(state), forces, None, self.face.touching)
 
     @cached_property
     def _modes(self) -> tuple[Float[np.ndarray, "c u"], Float[np.ndarray, "c r"]]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.face_data import FaceData
 from tactorch.sensor.gel import GelModel, GelOptions
@@ -143,3 +143,12 @@ def test_data_that_are_unknown_are_left_out() -> None:
 def test_a_contact_without_a_triangle_is_refused(model: GelModel) -> None:
     with pytest.raises(ConfigError, match="contact_edge_mm"):
         RefinedGel(model, lambda p: 0.01 - np.linalg.norm(p - 0.37, axis=1), 0.9)
+
+
+def test_a_face_that_is_pulled_out_is_refused(model: GelModel) -> None:
+    at = model.points[np.abs(model.points[:, :2]).max(axis=1) < HALF]
+    data = FaceData.of(
+        at[:, :2], np.zeros((len(at), 2)), 0.01, at[:, :2], np.full(len(at), 0.1), 0.01
+    )
+    with pytest.raises(ConvergenceError, match="pull"):
+        RefinedGel(model, square, 1.5).solve(data)

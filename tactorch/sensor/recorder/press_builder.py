@@ -125,12 +125,12 @@ class PressBuilder:
         noise_mm = self.options.press_noise_mm
         if noise_mm is None:
             noise_mm = max(self.chain.options.noise_mm, measured_noise_mm or 0.0)
-        step = 0
+        step, outline = 0, self._outline(first_pose)
         for index in contact.select_frames(self.options.steps):
             measurement, pose = contact.measurements[index], poses.at([times_s[index]])[0]
             name = measurement.frame.name
             try:
-                forces = self.chain.solve_contact(measurement, self._outline(first_pose))
+                forces = self.chain.solve_contact(measurement, outline)
                 assert forces is not None
                 in_contact = measurement.in_contact
                 if forces.in_contact is not None:
@@ -149,8 +149,8 @@ class PressBuilder:
                 yield measurement, press
 
     def _outline(self, first_pose: Pose) -> EdgeDistance | None:
-        """Distance from the outline of the object under the gel; None for an unknown shape."""
-        if not isinstance(self.target, TetMesh):
+        """Distance from the outline of the object under the gel; None if unknown or not needed."""
+        if not isinstance(self.target, TetMesh) or self.chain.options.contact_edge_mm is None:
             return None
         surface = self.target.surface
         points = transform_points(np.linalg.inv(first_pose), self.target.points)
