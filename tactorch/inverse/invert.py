@@ -21,6 +21,7 @@ from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.palpation import PALPATION_ELEMENT, PalpationProblem, is_palpation
+from tactorch.inverse.press_errors import error_patterns, has_errors
 from tactorch.inverse.problem import InverseProblem, make_body
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings
@@ -147,6 +148,12 @@ class ObjectiveBuilder:
         settings, mesh = self.settings, problem.recording.mesh
         if errors:
             problem = problem.with_data(problem.data.corrected(errors, mesh.points))
+        if has_errors(problem.recording):
+            fit = uniform_fit(problem, settings.bounds, settings.nuisance)
+            uniform = np.full(problem.n_elements, fit.youngs_mpa)
+            evaluation = problem.evaluate(uniform, nuisance=fit.nuisance, chained=True)
+            patterns = error_patterns(evaluation, problem.recording)
+            problem = problem.with_data(problem.data.with_errors(patterns))
         objective = Objective(
             problem,
             ElementField(

@@ -281,16 +281,25 @@ class Evaluation:
                 count = int(np.linalg.norm(measured) > smallest)
                 return measured[:, None][:, :count]
             shapes = [*_gradients(points, forces), *np.eye(len(points))[nodes]]
-            fields = [forces * shape[:, None] for shape in shapes]
-            changes = np.array(self._loads(self._presses[i], fields))
-            moved = cases[i].linearization.force_response(changes)
-            columns = np.column_stack([cases[i].observe(u) * data[i].scale for u in moved])
+            columns = self.load_response(i, [forces * shape[:, None] for shape in shapes])
             basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
             kept = sizes > smallest
             return basis[:, kept] * sizes[kept]
 
         blocks = map_cases(work, len(cases))
         return sp.block_diag(blocks).toarray()
+
+    def load_response(
+        self, number: int, changes: Sequence[Float[np.ndarray, "n 3"]]
+    ) -> Float[np.ndarray, "data k"]:
+        """Return the changes of the data of a press by changes of its nodal forces, N.
+
+        The unit is that of the standard deviations.
+        """
+        case, scale = self.sensitivities[number], self.data.observations[number].scale
+        loads = np.array(self._loads(self._presses[number], changes))
+        moved = case.linearization.force_response(loads)
+        return np.column_stack([case.observe(u) * scale for u in moved])
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, "m *q"]:
         """Return the transpose of d residuals / d youngs times `weights`."""

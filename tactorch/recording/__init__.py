@@ -1,6 +1,7 @@
 """Recordings: presses on a soft object, what was measured, and the file that holds them."""
 
 from tactorch.recording.append import append_press, compact, read_presses
+from tactorch.recording.errors import PressErrors
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
 from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
@@ -11,6 +12,7 @@ __all__ = [
     "ForceReading",
     "MaterialSpec",
     "Press",
+    "PressErrors",
     "ProbePose",
     "Recording",
     "SurfaceReading",

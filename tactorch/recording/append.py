@@ -21,7 +21,12 @@ from tactorch.files import write_file
 from tactorch.hdf5 import hdf5_image, write_attributes
 from tactorch.recording.press import Press
 from tactorch.recording.recording import Recording
-from tactorch.recording.schema import PRESS_ARRAYS, PRESS_OPTIONAL, written_version
+from tactorch.recording.schema import (
+    ERRORS_VERSION,
+    PRESS_ARRAYS,
+    PRESS_OPTIONAL,
+    written_version,
+)
 from tactorch.recording.storage import RecordingReader, open_recording, write_press
 from tactorch.recording.tail import tail_record
 
@@ -62,8 +67,11 @@ def append_press(path: str | Path, press: Press) -> int:
         press.validate(reader.mesh().n_points)
         Recording(**reader.fields(presses=(press,)), check_units=False)
         record = tail_record(count, hdf5_image(lambda file: write_press(file, press)))
-        if tail is None or tail.end - tail.begin + len(record) > max(
-            tail.begin, _MAX_SMALL_TAIL_BYTES
+        is_newer = press.errors is not None and reader.version < ERRORS_VERSION
+        if (
+            tail is None
+            or is_newer
+            or tail.end - tail.begin + len(record) > max(tail.begin, _MAX_SMALL_TAIL_BYTES)
         ):
             image = _whole_image(reader, press, growing=True)
             write_file(path, image)
@@ -145,8 +153,13 @@ def _whole_image(
     images = [tail.image(index) for index in range(len(tail))] if tail else []
     count = reader.count() - len(images)
     # Without checksums in the file's structure its end is not known, and there is no tail.
+    has_errors = reader.version >= ERRORS_VERSION or (
+        press is not None and press.errors is not None
+    )
     version = written_version(
-        regions=reader.has("mesh/regions"), growing=growing and stored[8] in (2, 3)
+        regions=reader.has("mesh/regions"),
+        errors=has_errors,
+        growing=growing and stored[8] in (2, 3),
     )
 
     def change(file: "h5py.File") -> None:

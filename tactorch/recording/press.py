@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import RecordingError
 from tactorch.recording.arrays import make_array, require_finite
+from tactorch.recording.errors import PressErrors
 from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
 
 # Default of arrays whose size is the number of nodes; replaced by zeros on construction, so that
@@ -42,6 +43,7 @@ class Press:
         probe: Rigid probe at a prescribed pose, or None.
         force: Measured force on the probe or on the support that is moved, or None.
         surface: Measured displacements along directions at points of the surface, or None.
+        errors: Correlated errors of `forces` and `displacement`, besides the noise, or None.
 
     Raises:
         RecordingError: A field is inconsistent with the others; the message names press and field.
@@ -61,6 +63,7 @@ class Press:
     probe: ProbePose | None = None
     force: ForceReading | None = None
     surface: SurfaceReading | None = None
+    errors: PressErrors | None = None
 
     def __post_init__(self) -> None:
         self._convert("forces", (None, 3))
@@ -141,7 +144,7 @@ class Press:
         """Return bytes that distinguish probes and readings; none without."""
         return self.geometry_bytes() + b"".join(
             array.tobytes()
-            for reading in (self.force, self.surface)
+            for reading in (self.force, self.surface, self.errors)
             if reading is not None
             for array in vars(reading).values()
         )
@@ -190,6 +193,11 @@ class Press:
             raise self._error(
                 f"forces is over {len(self.forces)} nodes but the mesh has {n_points}; use the mesh"
                 " that the press was made with"
+            )
+        if self.errors is not None and self.errors.nodes.max(initial=-1) >= n_points:
+            raise self._error(
+                f"errors: nodes has {self.errors.nodes.max()} but the mesh has {n_points} nodes;"
+                " use the mesh that the press was made with"
             )
 
     def _set(self, field: str, value: object) -> None:

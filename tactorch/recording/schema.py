@@ -1,12 +1,12 @@
 """Layout of the file of a recording: HDF5.
 
-Versions 2 to 9 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
+Versions 2 to 11 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
 fixed length; the structure is that of HDF5 1.10, with checksums):
 
 | path | type | unit |
 |---|---|---|
 | / `format` | attribute, "tactorch-recording" | |
-| / `version` | attribute, 6 (7 while presses are appended); with regions 8 (9) | |
+| / `version` | attribute, 6 (7 while presses are appended), see below | |
 | / `units` | attribute, "mm, N, MPa, tonne/mm^3" | |
 | / `density` | attribute, float64; absent where weight is not modelled | tonne/mm^3 |
 | /mesh/points | float64 (n, 3) | mm |
@@ -38,28 +38,33 @@ fixed length; the structure is that of HDF5 1.10, with checksums):
 | /presses/0000/force/about_mm | float64 (3,) | mm |
 | /presses/0000/surface/points_mm, directions | float64 (k, 3), may be absent | mm |
 | /presses/0000/surface/displacement_mm, deviations_mm | float64 (k,) | mm |
+| /presses/0000/errors/nodes | int64 (l,), may be absent | |
+| /presses/0000/errors/forces | float64 (q, l, 3) | N |
+| /presses/0000/errors/displacement | float64 (q, l, 3) | mm |
 
 With a probe, nodal fields that are zero, or NaN, throughout are absent.
 
 Links, external storage and virtual datasets are refused: they lead to other files.
 
-In versions 7 and 9 presses follow the end of the HDF5 part, as its superblock states it. HDF5
+In versions 7, 9 and 11 presses follow the end of the HDF5 part, as its superblock states it. HDF5
 ignores them, and drops them when it opens the file for writing. Each is a record of 60 bytes (the
 text `TACPRESS`; number of the press, uint64; length of the image, uint64; SHA-256 of the image;
 CRC-32 of the 56 bytes before; little-endian) and an image: an HDF5 file whose root is a group as
-/presses/0000. An incomplete last record is ignored. `tactorch.recording.compact` makes version 6 or
-8 of such a file.
+/presses/0000. An incomplete last record is ignored. `tactorch.recording.compact` makes version 6, 8
+or 10 of such a file.
 
 A reader refuses a version above its own. A change of the layout raises `VERSION`;
 `tactorch.recording.storage` reads all versions. Version 1 had no `unloaded`; versions 2 and 3 were
 4 and 5 without `probe`, `force` and `surface`; in versions 4 and 5 all nodal fields were stored,
 and probes had no `deviation_mm`; versions 6 and 7 have no `regions`, and are written for meshes
-without regions, so that tactorch before version 8 reads them.
+without regions, so that tactorch before version 8 reads them; versions 8 and 9 have no `errors`,
+and are written where no press has them.
 """
 
 FORMAT = "tactorch-recording"
-VERSION = 9
-GROWING_VERSIONS = (3, 5, 7, 9)
+VERSION = 11
+GROWING_VERSIONS = (3, 5, 7, 9, 11)
+ERRORS_VERSION = 10  # the first with `errors`
 UNITS = "mm, N, MPa, tonne/mm^3"
 #: Nodal fields with the value they have throughout where a press by a probe does not store them.
 PRESS_ARRAYS: dict[str, float | bool] = {
@@ -83,6 +88,6 @@ PRESS_READINGS = {
 }
 
 
-def written_version(*, regions: bool, growing: bool = False) -> int:
+def written_version(*, regions: bool, errors: bool = False, growing: bool = False) -> int:
     """Return the version of a file: the lowest one whose readers know its content."""
-    return 6 + 2 * regions + growing
+    return (ERRORS_VERSION if errors else 6 + 2 * regions) + growing

@@ -14,6 +14,7 @@ from tactorch.errors import ConfigError, MeshError, RecordingError
 from tactorch.hdf5 import Hdf5Reader, open_hdf5, write_array, write_attributes, write_json
 from tactorch.mesh import TetMesh
 from tactorch.recording import schema
+from tactorch.recording.errors import PressErrors
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
 from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
@@ -37,7 +38,8 @@ class RecordingReader(Hdf5Reader):
         super().__init__(root, source, "recording", _LAYOUT, RecordingError)
         self._mesh = mesh
         self._shared: dict[str, np.ndarray] = {}
-        growing = self._check_format() in schema.GROWING_VERSIONS
+        self.version = self._check_format()
+        growing = self.version in schema.GROWING_VERSIONS
         self.tail = PressTail(root.file, source, self._count_stored()) if growing else None
 
     def fields(self, presses: Sequence[Press] | None = None) -> dict[str, Any]:
@@ -172,6 +174,12 @@ def _read_readings(reader: Hdf5Reader, path: str) -> dict[str, Any]:
             shapes = schema.PRESS_READINGS[name].items()
             arrays = {k: reader.array(f"{path}/{name}/{k}", "f", shape) for k, shape in shapes}
             fields[name] = kind(**arrays)
+    group = f"{path}/errors"
+    if reader.has(group):
+        nodes = reader.array(f"{group}/nodes", "i", (None,))
+        shape = (None, len(nodes), 3)
+        patterns = (reader.array(f"{group}/{k}", "f", shape) for k in ("forces", "displacement"))
+        fields["errors"] = PressErrors(nodes, *patterns)
     group = f"{path}/probe"
     if reader.has(group):
         name, text = (reader.attribute(group, key, str) for key in ("name", "sizes"))
@@ -206,7 +214,9 @@ def open_recording(path: str | Path) -> Iterator[RecordingReader]:
 
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:
     """Write the fields of a `Recording` into a file or group."""
-    version = schema.written_version(regions=fields["mesh"].regions is not None)
+    errors = any(press.errors is not None for press in fields["presses"])
+    regions = fields["mesh"].regions is not None
+    version = schema.written_version(regions=regions, errors=errors)
     write_attributes(group, format=schema.FORMAT, version=version, units=schema.UNITS)
     if fields["density"] is not None:
         write_attributes(group, density=fields["density"])
@@ -246,6 +256,10 @@ def write_press(group: "h5py.Group", press: Press) -> None:
         if (reading := getattr(press, name)) is not None:
             for field in schema.PRESS_READINGS[name]:
                 write_array(group, f"{name}/{field}", getattr(reading, field))
+    if press.errors is not None:
+        write_array(group, "errors/nodes", press.errors.nodes.astype("<i8"))
+        write_array(group, "errors/forces", press.errors.forces)
+        write_array(group, "errors/displacement", press.errors.displacement)
     if press.probe is not None:
         _write_probe(group.create_group("probe"), press.probe)
 

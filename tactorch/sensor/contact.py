@@ -19,14 +19,16 @@ from scipy.spatial import Delaunay
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.recording import Press, SurfaceReading
+from tactorch.mesh.sharp_edges import distance_from_sharp_edges
+from tactorch.recording import Press, PressErrors, SurfaceReading
 from tactorch.sensor.gel import GelContact
 from tactorch.sensor.poses import Pose, check_pose, rotate_vectors, transform_points
+from tactorch.sensor.transfer import transfer_forces
 
 __all__ = ["ContactOptions", "build_press"]
 #: Smallest cosine between the sensor axis and the inward normal of a face that may be in contact.
 MIN_FACING = 0.5
-_MIN_INERTIA = 1e-9  # relative to the largest, of an axis about which nodes can carry a couple
+_AT_EDGE_MM = 1e-6  # distance of nodes from an edge that they are on
 _CONTACT_LEVEL = 0.5  # of the interpolated contact indicator
 
 Points = Float[np.ndarray, "k 3"]
@@ -91,7 +93,7 @@ def build_press(
     paired = transform_points(first_pose, contact.points)  # the object's points at first contact
     motion = transform_points(pose, contact.points + contact.displacement) - paired
     forces = -rotate_vectors(pose, np.where(in_contact[:, None], contact.forces, 0.0))
-    transferred = transfer_forces(paired, forces, mesh.points, triangles)
+    transferred = transfer_forces(paired, forces, mesh.points, triangles, contact.triangles)
     normal = first_pose[:3, 2]
     interpolated = interpolate_displacements(paired, motion, points, normal, options.smoothing)
     inside = np.isfinite(interpolated).all(axis=1)
@@ -99,7 +101,11 @@ def build_press(
     indicator = LinearNDInterpolator(contact.points[:, :2], in_contact.astype(float), 0.0)
     touched = np.asarray(indicator(at_rest[:, :2]) >= _CONTACT_LEVEL)
     displacement = np.full(mesh.points.shape, np.nan)
-    displacement[nodes[inside & touched]] = interpolated[inside & touched]
+    seen = inside & touched
+    if contact.errors is not None:
+        # The traction is singular at sharp edges, where the mesh of the object cannot follow it.
+        seen &= distance_from_sharp_edges(mesh)(points) > _AT_EDGE_MM
+    displacement[nodes[seen]] = interpolated[seen]
     if options.untouched == "sensor":
         free = inside & ~touched
         displacement[nodes[free]] = transform_points(pose, at_rest[free]) - points[free]
@@ -114,6 +120,12 @@ def build_press(
         along = displacement[rows] @ axis
         fields["surface"] = _along_axis(mesh.points[rows], axis, along, fields.get("noise_mm"))
         observed = np.zeros_like(observed)
+    elif contact.errors is not None:
+        loads = np.where(in_contact[:, None], contact.errors.forces, 0.0)
+        errors = -rotate_vectors(pose, loads), rotate_vectors(pose, contact.errors.displacement)
+        nodal = transfer_forces(paired, errors[0], mesh.points, triangles, contact.triangles)
+        moved = _interpolate_each(paired, errors[1], points, normal)
+        fields["errors"] = PressErrors(nodes, nodal[:, nodes], moved)
     return Press(transferred, observed, displacement, direction=axis, **fields)
 
 
@@ -152,73 +164,22 @@ def facing_triangles(
     return surface.triangles[facing & under & close]
 
 
-def transfer_forces(points: Points, forces: Points, nodes: Nodes, triangles: Triangles) -> Nodes:
-    """Return forces on the nodes of a surface with the same sum and moment.
-
-    Each force is distributed to the corners of the nearest triangle by barycentric coordinates. The
-    moment lost where its point is off the surface is restored by a couple over the loaded nodes.
-    """
-    if not len(triangles):
-        raise ConfigError("the object has no surface in contact; give triangles.")
-    corners, shares = _nearest_triangles(points, nodes, triangles)
-    nodal = np.zeros(nodes.shape)
-    np.add.at(nodal, corners, shares[..., None] * forces[:, None])
-    moment = np.cross(points, forces).sum(axis=0) - np.cross(nodes, nodal).sum(axis=0)
-    loaded = np.unique(corners[np.linalg.norm(forces, axis=1) > 0])
-    if len(loaded):
-        nodal[loaded] += _couple(nodes[loaded], moment)
-    return nodal
-
-
-def _nearest_triangles(
-    points: Points, nodes: Nodes, triangles: Triangles
-) -> tuple[Int[np.ndarray, "k 3"], Points]:
-    """Corners of the triangle nearest to each point, and barycentric coordinates."""
-    nearest = np.zeros((len(points), 3), dtype=np.int64)
-    coordinates = np.zeros((len(points), 3))
-    corners = nodes[triangles]
-    for i, point in enumerate(points):
-        shares = _projections(corners, point)
-        closest = np.einsum("ptc,tcd->ptd", shares, corners)
-        distance = ((closest - point) ** 2).sum(axis=2)
-        distance[(shares < 0).any(axis=2)] = np.inf
-        projection, best = np.unravel_index(int(distance.argmin()), distance.shape)
-        nearest[i], coordinates[i] = triangles[best], shares[projection, best]
-    return nearest, coordinates
-
-
-def _projections(corners: Float[np.ndarray, "t 3 3"], point: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates of a point's projections on the plane and edges of triangles."""
-    shares = np.zeros((4, len(corners), 3))
-    a = corners[:, 0]
-    ab, ac, ap = corners[:, 1] - a, corners[:, 2] - a, point - a
-    d11, d12, d22 = ((u * v).sum(axis=1) for u, v in ((ab, ab), (ab, ac), (ac, ac)))
-    p1, p2 = (ab * ap).sum(axis=1), (ac * ap).sum(axis=1)
-    determinant = np.maximum(d11 * d22 - d12**2, 1e-300)
-    shares[0, :, 1] = (d22 * p1 - d12 * p2) / determinant
-    shares[0, :, 2] = (d11 * p2 - d12 * p1) / determinant
-    shares[0, :, 0] = 1.0 - shares[0, :, 1] - shares[0, :, 2]
-    for k, (start, end) in enumerate(((0, 1), (1, 2), (2, 0)), start=1):
-        origin, edge = corners[:, start], corners[:, end] - corners[:, start]
-        t = ((point - origin) * edge).sum(axis=1) / np.maximum((edge**2).sum(axis=1), 1e-300)
-        shares[k, :, end] = np.clip(t, 0.0, 1.0)
-        shares[k, :, start] = 1.0 - shares[k, :, end]
-    return shares
-
-
-def _couple(nodes: Nodes, moment: Vector) -> np.ndarray:
-    """Smallest self-balanced forces with a given moment, about axes that the nodes can carry."""
-    arms = nodes - nodes.mean(axis=0)
-    inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
-    values, axes = np.linalg.eigh(inertia)
-    valid = values > _MIN_INERTIA * max(values[-1], 1e-300)
-    rotation = axes[:, valid] @ ((axes[:, valid].T @ moment) / values[valid])
-    return np.cross(rotation, arms)
+def _interpolate_each(
+    points: Points, fields: Float[np.ndarray, "q k 3"], nodes: Nodes, normal: Vector
+) -> Float[np.ndarray, "q n 3"]:
+    """Interpolate several fields of displacements; they are zero outside the convex hull."""
+    columns = fields.transpose(1, 0, 2).reshape(len(points), -1)
+    found = np.nan_to_num(interpolate_displacements(points, columns, nodes, normal))
+    return found.reshape(len(nodes), len(fields), 3).transpose(1, 0, 2)
 
 
 def interpolate_displacements(
-    points: Points, displacements: Points, nodes: Nodes, normal: Vector, smoothing: float = 0.0
-) -> Nodes:
+    points: Points,
+    displacements: Float[np.ndarray, "k c"],
+    nodes: Nodes,
+    normal: Vector,
+    smoothing: float = 0.0,
+) -> Float[np.ndarray, "n c"]:
     """Interpolate displacements by a thin-plate spline in the plane across a normal.
 
     They are NaN at nodes outside the convex hull of the points.
@@ -231,7 +192,7 @@ def interpolate_displacements(
     if np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-9) < 2:
         raise ConfigError("the points of known displacements are on a line; give a wider contact.")
     inside = np.asarray(Delaunay(flat).find_simplex(targets) >= 0)
-    result = np.full(nodes.shape, np.nan)
+    result = np.full((len(nodes), displacements.shape[1]), np.nan)
     if inside.any():
         spline = RBFInterpolator(
             flat, displacements[known], neighbors=min(40, int(known.sum())),

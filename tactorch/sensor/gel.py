@@ -103,6 +103,34 @@ def _square_to_disc(square: Float[np.ndarray, "n 2"]) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
+class GelErrors:
+    """Errors that forces and displacements of a gel's face have in common.
+
+    They are independent patterns of unit standard deviation, in the sensor frame.
+
+    Attributes:
+        forces: Errors of the forces on the gel at each node, (q, k, 3), N.
+        displacement: Errors of the displacements of the nodes, (q, k, 3), mm.
+    """
+
+    forces: Float[np.ndarray, "q k 3"]
+    displacement: Float[np.ndarray, "q k 3"]
+
+    def joined(self, others: "GelErrors") -> "GelErrors":
+        """Return these errors and independent other ones."""
+        return GelErrors(
+            np.concatenate([self.forces, others.forces]),
+            np.concatenate([self.displacement, others.displacement]),
+        )
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "3 3"]:
+        """Covariance of the total force, N^2."""
+        totals = self.forces.sum(axis=1)
+        return totals.T @ totals
+
+
+@dataclass(frozen=True, eq=False)
 class GelContact:
     """Forces on the outer face of a gel, in the sensor frame.
 
@@ -115,6 +143,9 @@ class GelContact:
         covariance: Covariance of the total force due to the noise of the displacements, (3, 3),
             N^2; None if no noise was given.
         in_contact: Nodes in contact, (k,); None for those that the force was computed with.
+        errors: Errors of `forces` and `displacement`; None where they are not determined.
+        triangles: Triangles of the face, (t, 3), where the forces stand for a traction that is
+            linear on those in contact; None for forces that act at the nodes.
     """
 
     points: Float[np.ndarray, "k 3"]
@@ -122,6 +153,8 @@ class GelContact:
     forces: Float[np.ndarray, "k 3"]
     covariance: Float[np.ndarray, "3 3"] | None = None
     in_contact: Bool[np.ndarray, " k"] | None = None
+    errors: GelErrors | None = None
+    triangles: Int[np.ndarray, "t 3"] | None = None
 
     @property
     def normal_only(self) -> bool:
@@ -254,14 +287,7 @@ class GelModel:
 
     def _gather(self, forces: NodeVectors) -> FaceVectors:
         """Forces on the face from those on all element nodes; midside nodes go to both ends."""
-        n = self.gel_mesh.mesh.n_points
-        gathered = forces[:n].copy()
-        if len(forces) > n:
-            edges = self.body.discretisation.edges
-            on_face = self.gel_mesh.on_face[edges].all(axis=1)
-            for end in (0, 1):
-                np.add.at(gathered, edges[on_face, end], 0.5 * forces[n:][on_face])
-        return gathered[self.gel_mesh.face]
+        return at_vertices(self.body, forces, self.gel_mesh.on_face)[self.gel_mesh.face]
 
     def _equilibrium(
         self,
@@ -359,6 +385,22 @@ class GelModel:
         if not known.any():
             raise ConfigError("no displacement of the gel is known; give the shape of its face.")
         return known
+
+
+def at_vertices(
+    body: SoftBody, forces: NodeVectors, selected: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return forces on the vertices of a mesh from those on all element nodes.
+
+    Forces on midside nodes are divided between both ends, where both are selected.
+    """
+    n, edges = body.mesh.n_points, body.discretisation.edges
+    gathered = forces[:n].copy()
+    if len(forces) > n:
+        within = selected[edges].all(axis=1)
+        for end in (0, 1):
+            np.add.at(gathered, edges[within, end], 0.5 * forces[n:][within])
+    return gathered
 
 
 def _rms(values: FaceVectors) -> float:

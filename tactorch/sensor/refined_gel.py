@@ -12,7 +12,6 @@ determines the normal force as well.
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
@@ -20,14 +19,16 @@ from tactorch.fem import NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.equilibrium import SolvedCase
 from tactorch.sensor.face_data import FaceData
 from tactorch.sensor.force_fit import require_push
-from tactorch.sensor.gel import GelContact, GelModel
+from tactorch.sensor.gel import GelContact, GelErrors, GelModel, at_vertices
 from tactorch.sensor.gel_face import EdgeDistance, GelFace
-from tactorch.sensor.tractions import fit_smooth_forces
+from tactorch.sensor.tractions import SmoothFit
 
 _MODES = 60  # smooth modes of the displacement of the contact along each axis
 _NEWTON_RTOL = 1e-8
 _MAX_ITERATIONS, _MAX_LINEARIZATIONS = 8, 3
 _RTOL = 2e-3  # change of the displacements at convergence
+# Error of the forces near the edge, which elements of this size leave, over the forces.
+_EDGE_ERROR = 0.1
 _NOISE_FRACTION = 0.1  # acceptable linearization error, relative to the deviations of the data
 
 
@@ -59,12 +60,16 @@ class RefinedGel:
         newton = NewtonOptions(rtol=_NEWTON_RTOL)
         self.body = SoftBody(self.face.mesh, law, element=element, newton=newton)
         self.youngs = np.full(self.face.mesh.n_tets, model.gel.youngs_mpa)
+        self._near = distance(self.face.points[:, :2]) < edge_mm
 
     def solve(self, data: FaceData, *, free_plane: bool = False) -> GelContact:
-        """Return the most likely contact for displacements of the face.
+        """Return the most likely contact for displacements of the face, with its errors.
 
-        The deviations of the data are increased by a common factor where no smooth displacement of
-        the contact explains the data within them.
+        The errors are those of the posterior of the displacement of the contact, which forces and
+        displacements have in common, since the forces follow from the displacements, and those of
+        the forces near the edge, where the mesh does not follow the singular traction. Deviations
+        of the data are increased by a common factor where no smooth displacement of the contact
+        explains the data within them.
 
         Args:
             data: Measured displacements.
@@ -73,9 +78,9 @@ class RefinedGel:
         Raises:
             ConvergenceError: Newton's method does not converge, or the gel would be pulled.
         """
-        rows = sp.diags(1.0 / data.deviations_mm) @ data.rows(self.face.points, self.face.triangles)
-        plane = self._plane(data, free_plane) / data.deviations_mm[:, None]
-        target, modes = data.displacement_mm / data.deviations_mm, np.hstack(self._modes)
+        rows = data.whiten(data.rows(self.face.points, self.face.triangles).toarray())
+        plane = data.whiten(self._plane(data, free_plane))
+        target, modes = data.whiten(data.displacement_mm), np.hstack(self._modes)
         n_linear, unit = 3 * self._modes[0].shape[1], np.eye(3 * modes.shape[1])
         basis = unit[:, :n_linear], unit[:, n_linear:]
         amplitudes, state = np.zeros(len(unit)), self._rest
@@ -84,7 +89,8 @@ class RefinedGel:
             on_face, before = self._on_face(fields), self._moved(state)
             compliance = rows @ on_face
             residual = target - rows @ before.ravel() + compliance @ amplitudes
-            fitted, _, noise = fit_smooth_forces(compliance, plane, residual, basis, 1.0)
+            fit = SmoothFit(compliance, plane, basis)
+            fitted, _, noise = fit.fit(residual, 1.0)
             change, amplitudes = fitted - amplitudes, fitted
             predicted = before + (on_face @ change).reshape(-1, 3)
             state = self._equilibrium(modes @ amplitudes.reshape(-1, 3), state)
@@ -96,7 +102,11 @@ class RefinedGel:
                 fields = self._fields(state, modes)
         forces = self._forces(state)
         require_push(forces)
-        return GelContact(self.face.points, self._moved(state), forces, None, self.face.touching)
+        errors = self._errors(state, modes, fit.errors()).joined(self._edge_errors(forces))
+        return GelContact(
+            self.face.points, self._moved(state), forces, errors.covariance, self.face.touching,
+            errors, self.face.triangles,
+        )  # fmt: skip
 
     @cached_property
     def _modes(self) -> tuple[Float[np.ndarray, "c u"], Float[np.ndarray, "c r"]]:
@@ -147,17 +157,34 @@ class RefinedGel:
         """Reactions at the nodes of the contact, N; those of midside nodes go to both ends."""
         response = state.result.response
         assert response is not None
-        forces = self.body.assembly.internal_force(response, self.youngs)
-        n = self.face.mesh.n_points
-        nodal = forces[:n].copy()
-        in_contact = np.zeros(n, dtype=bool)
+        return self._gather(self.body.assembly.internal_force(response, self.youngs))
+
+    def _gather(self, forces: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "k 3"]:
+        in_contact = np.zeros(self.face.mesh.n_points, dtype=bool)
         in_contact[self.face.contact] = True
-        if len(forces) > n:
-            edges = self.body.discretisation.edges
-            within = in_contact[edges].all(axis=1)
-            for end in (0, 1):
-                np.add.at(nodal, edges[within, end], 0.5 * forces[n:][within])
+        nodal = at_vertices(self.body, forces, in_contact)
         return np.where(in_contact[:, None], nodal, 0.0)[self.face.nodes]
+
+    def _errors(
+        self,
+        state: SolvedCase,
+        modes: Float[np.ndarray, "c m"],
+        amplitudes: Float[np.ndarray, "m3 q"],
+    ) -> GelErrors:
+        """Errors of forces and displacements by errors of the amplitudes of the modes."""
+        fields = self._fields(state, modes) @ amplitudes
+        values = self.body.assembly.tangent(state.linearization.response, self.youngs)
+        product = self.body.discretisation.pattern.product
+        forces = [self._gather(product(values, field).reshape(-1, 3)) for field in fields.T.copy()]
+        moved = self._on_face(fields).T.reshape(len(forces), -1, 3)
+        return GelErrors(np.stack(forces), moved)
+
+    def _edge_errors(self, forces: Float[np.ndarray, "k 3"]) -> GelErrors:
+        """Errors of the forces near the edge, smooth along it."""
+        along = np.zeros((self._modes[1].shape[1], len(forces)))
+        along[:, self.face.touching] = self._modes[1].T
+        changes = _EDGE_ERROR * (along * self._near)[:, :, None] * forces
+        return GelErrors(changes, np.zeros_like(changes))
 
     def _plane(self, data: FaceData, free: bool) -> Float[np.ndarray, "d p"]:
         """Displacements along z that the data do not determine: a constant and two tilts."""

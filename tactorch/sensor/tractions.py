@@ -58,6 +58,7 @@ class SmoothFit:
         self._projected = self._rough - self._axes @ (self._axes.T @ self._rough)
         values, self._vectors = np.linalg.eigh(self._projected.T @ self._projected)
         self._values, self._weight = np.maximum(values, 0.0), 0.0
+        self._variance = 1.0
 
     def fit(
         self, target: Float[np.ndarray, " d"], noise_mm: float
@@ -67,7 +68,7 @@ class SmoothFit:
         modes = self._vectors.T @ (self._projected.T @ residual)
         count, square = len(target) - self._free.shape[1], float(residual @ residual)
         weight, variance = _estimate_weight(self._values, modes, square, count, noise_mm)
-        self._weight = weight
+        self._weight, self._variance = weight, variance
         return self.refit(target), variance * self._covariance(weight), float(np.sqrt(variance))
 
     def refit(self, target: Float[np.ndarray, " d"]) -> Float[np.ndarray, " f"]:
@@ -79,6 +80,18 @@ class SmoothFit:
         uniform = self._inverse @ (self._axes.T @ left)
         forces = self.basis[1] @ amplitudes + self.basis[0] @ uniform[: self.basis[0].shape[1]]
         return np.asarray(forces)
+
+    def errors(self) -> Float[np.ndarray, "f m"]:
+        """Return independent errors of unit deviation of the forces of the last `fit`."""
+        modes = np.hstack([self._free, self._rough])
+        precision = modes.T @ modes
+        n_free, n_uniform = self._free.shape[1], self.basis[0].shape[1]
+        rough = np.arange(n_free, len(precision))
+        precision[rough, rough] += self._weight
+        values, vectors = np.linalg.eigh(precision)
+        known = values > _NULL_EIGENVALUE * values[-1]
+        root = vectors[:, known] * np.sqrt(self._variance / values[known])
+        return self.basis[0] @ root[:n_uniform] + self.basis[1] @ root[n_free:]
 
     def _covariance(self, weight: float) -> Float[np.ndarray, "3 3"]:
         """Covariance of the sum of the forces at unit variance; free modes are eliminated."""

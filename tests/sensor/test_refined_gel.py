@@ -8,7 +8,7 @@ import pytest
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.face_data import FaceData
-from tactorch.sensor.gel import GelModel, GelOptions
+from tactorch.sensor.gel import GelContact, GelModel, GelOptions
 from tactorch.sensor.gel_face import GelFace
 from tactorch.sensor.refined_gel import RefinedGel
 
@@ -55,11 +55,19 @@ def measured(truth: tuple[np.ndarray, ...], rng: np.random.Generator) -> FaceDat
     )  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def gel(model: GelModel) -> RefinedGel:
+    return RefinedGel(model, square, 0.9)
+
+
+@pytest.fixture(scope="module")
+def found(gel: RefinedGel, truth: tuple[np.ndarray, ...]) -> GelContact:
+    return gel.solve(measured(truth, np.random.default_rng(0)), free_plane=True)
+
+
 def test_force_of_a_contact_with_a_sharp_edge(
-    model: GelModel, truth: tuple[np.ndarray, ...]
+    found: GelContact, truth: tuple[np.ndarray, ...]
 ) -> None:
-    data = measured(truth, np.random.default_rng(0))
-    found = RefinedGel(model, square, 0.9).solve(data, free_plane=True)
     _, _, force = truth
     np.testing.assert_allclose(found.total, force, rtol=0.03, atol=0.01 * abs(force[2]))
     assert found.in_contact is not None
@@ -68,6 +76,44 @@ def test_force_of_a_contact_with_a_sharp_edge(
     assert np.abs(wrong[:, :2]).max() < 0.01
     assert wrong[:, 2].std() < 0.015  # its mean and tilt are not measured
     assert np.abs(found.forces[~inside]).max() == 0.0
+
+
+def test_errors_of_forces_follow_from_those_of_displacements(
+    gel: RefinedGel, found: GelContact, truth: tuple[np.ndarray, ...]
+) -> None:
+    errors, touching = found.errors, gel.face.touching
+    assert errors is not None
+    assert found.covariance is not None
+    np.testing.assert_allclose(found.covariance, errors.covariance)
+    deviation = np.sqrt(np.diag(found.covariance))
+    assert (np.abs(found.total - truth[2]) < 3.0 * deviation).all()
+    assert deviation[2] < 0.1 * abs(truth[2][2])
+    assert not errors.forces[:, ~touching].any()
+    largest = int(np.abs(errors.displacement).sum(axis=(1, 2)).argmax())
+    step, change = 0.1, errors.displacement[largest]
+    ends = [
+        gel._equilibrium(found.displacement[touching] + sign * step * change[touching], gel._rest)
+        for sign in (1.0, -1.0)
+    ]
+    moved, forces = (
+        (part(ends[0]) - part(ends[1])) / (2.0 * step) for part in (gel._moved, gel._forces)
+    )
+    np.testing.assert_allclose(change, moved, atol=1e-3 * np.abs(moved).max())
+    wanted = errors.forces[largest]
+    np.testing.assert_allclose(forces, wanted, atol=1e-3 * np.abs(wanted).max())
+
+
+def test_forces_near_the_edge_have_further_errors(found: GelContact) -> None:
+    assert found.errors is not None
+    only = ~found.errors.displacement.any(axis=(1, 2))
+    near = square(found.points[:, :2]) < 0.9
+    assert only.any()
+    forces = found.errors.forces[only]
+    assert not forces[:, ~near].any()
+    size = np.linalg.norm(found.forces[near & (found.forces != 0.0).any(axis=1)], axis=1)
+    deviation = np.sqrt((forces**2).sum(axis=(0, 2)))
+    ratio = deviation[near & (found.forces != 0.0).any(axis=1)] / size
+    np.testing.assert_allclose(ratio, 0.1, rtol=0.1)
 
 
 def test_more_force_from_a_mesh_that_does_not_resolve_the_edge(
@@ -138,6 +184,37 @@ def test_data_that_are_unknown_are_left_out() -> None:
         replace(data, deviations_mm=np.zeros(6))
     with pytest.raises(ConfigError, match="not finite"):
         replace(data, displacement_mm=np.full(6, np.nan))
+
+
+def test_errors_of_integrated_slopes() -> None:
+    axis = np.linspace(-4.0, 4.0, 17)
+    at = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    depth = np.where(square(at) >= 0.0, -0.3, 0.0)
+    data = FaceData.of(at, np.zeros(at.shape), 0.002, at, depth, 0.01)
+    wide = data.with_depth_errors(square, 0.9)
+    near, along_z = np.abs(square(data.points_mm)) < 0.99, data.axes == 2
+    np.testing.assert_allclose(wide.deviations_mm[~along_z & ~near], 0.002)
+    np.testing.assert_allclose(wide.deviations_mm[~along_z & near], 0.01)
+    np.testing.assert_allclose(wide.deviations_mm[along_z & near], 0.02)
+    assert wide.patterns_mm is not None
+    covariance = wide.patterns_mm @ wide.patterns_mm.T
+    assert not covariance[~along_z].any()
+    inside = square(at) >= 0.0
+    depths = covariance[np.ix_(along_z, along_z)]
+    np.testing.assert_allclose(np.diag(depths)[~inside], 0.005**2, rtol=0.02)
+    np.testing.assert_allclose(np.diag(depths)[inside], 0.005**2 + 0.03**2, rtol=0.02)
+    far = np.linalg.norm(at[:, None] - at, axis=2) > 4.0
+    np.testing.assert_allclose(depths[far & inside[:, None] & inside], 0.03**2, rtol=0.02)
+    assert np.abs(depths[far & ~(inside[:, None] & inside)]).max() < 0.2 * 0.005**2
+    # Whitened errors are independent.
+    draws = np.random.default_rng(0).normal(size=(wide.patterns_mm.shape[1], 4000))
+    rough = np.random.default_rng(1).normal(size=(len(data.axes), 4000))
+    drawn = wide.patterns_mm @ draws + wide.deviations_mm[:, None] * rough
+    whitened = wide.whiten(drawn)
+    np.testing.assert_allclose(np.mean(whitened**2), 1.0, rtol=0.01)
+    assert np.abs(np.corrcoef(whitened[::29])[0, 1:]).max() < 0.1
+    single = wide.whiten(drawn[:, 0])
+    np.testing.assert_allclose(single, whitened[:, 0], rtol=1e-9, atol=1e-9)
 
 
 def test_a_contact_without_a_triangle_is_refused(model: GelModel) -> None:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import DataModel, Observation, group_by_contact, rigid_patterns
+from tactorch.inverse.press_errors import error_patterns, has_errors
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.correction import Correction
@@ -111,6 +112,7 @@ class ShapeProblem:
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._force_patterns: np.ndarray | None = None
         self._rim_patterns: np.ndarray | None = None
+        self._press_patterns: np.ndarray | None = None
         self._noisy: dict[Errors, DataModel] = {}
         self._last: tuple[ShapeFit, Evaluation] | None = None
         self._floored = noise.floored(recording)
@@ -141,14 +143,27 @@ class ShapeProblem:
             probes = probe_patterns(self.quadratic.recording, coarse)
             self._pose_patterns = np.hstack([self._rigid_patterns, probes])
         displacements = [extend(u) for u in coarse.displacements]
-        if self._correction is None or not self._correction.has_contacts:
+        has_contacts = self._correction is not None and self._correction.has_contacts
+        if not has_contacts and not has_errors(self.quadratic.recording):
             return self.fit(start, displacements)
         youngs = ShapesOnSites(field, self.sites).at(start.z).youngs
         evaluation = self.quadratic.evaluate(youngs, starts=displacements)
+        self._linearise_errors(evaluation)
+        if self._correction is None or not has_contacts:
+            return self.fit(start, evaluation.displacements)
         smallest = _MIN_FORCE_ERROR / RIM_DEVIATIONS[-1]
         recording, contacts = self.quadratic.recording, self._correction.contacts
         self._rim_patterns = rim_patterns(recording, evaluation, contacts, smallest, self._kept)
         return self.corrected(self.fit(start, evaluation.displacements))
+
+    def _linearise_errors(self, evaluation: Evaluation) -> None:
+        """Compute the patterns of the correlated errors of the presses about an evaluation."""
+        recording = self.quadratic.recording
+        if has_errors(recording):
+            self._press_patterns = error_patterns(
+                evaluation.with_data(self.quadratic.data), recording
+            )
+            self._noisy.clear()
 
     def continued(self, result: ShapeReconstruction | ShapeState) -> Start:
         """Return the model of a search on other presses of the same object."""
@@ -251,6 +266,7 @@ class ShapeProblem:
         before = self.quadratic, self._correction_mm
         try:
             offsets = self._correction.offsets(model.fit, model.evaluation, self._check)
+            self._linearise_errors(model.evaluation)
             pairs = zip(self._correction_mm, offsets, strict=True)
             data = self.quadratic.data.shifted([old - new for old, new in pairs])
             self.quadratic, self._correction_mm = self.quadratic.with_data(data), offsets
@@ -363,6 +379,8 @@ class ShapeProblem:
         data = self.quadratic.data
         if self._correction is not None:
             data = data.with_errors(_CORRECTION_DEVIATION * self._correction_patterns())
+        if self._press_patterns is not None:
+            data = data.with_errors(self._press_patterns)
         if errors.pose:
             data = data.with_errors(errors.pose * self._pose_patterns)
         if errors.forces:

@@ -20,6 +20,7 @@ from tactorch.sensor.chain import Measurement, SensorChain
 from tactorch.sensor.contact import MIN_FACING, ContactOptions, build_press
 from tactorch.sensor.contact_edge import surface_edge
 from tactorch.sensor.description import GelLayer
+from tactorch.sensor.gel import GelContact
 from tactorch.sensor.gel_face import EdgeDistance
 from tactorch.sensor.poses import Pose, Poses, transform_points
 from tactorch.sensor.recorder.detector import ContactInterval
@@ -122,9 +123,6 @@ class PressBuilder:
             center_mm = self.chain.model.points[deepest.in_contact, :2].mean(axis=0)
             self.mesh = self.target.mesh_under(first_pose, center_mm)
         assert self.mesh is not None
-        noise_mm = self.options.press_noise_mm
-        if noise_mm is None:
-            noise_mm = max(self.chain.options.noise_mm, measured_noise_mm or 0.0)
         step, outline = 0, self._outline(first_pose)
         for index in contact.select_frames(self.options.steps):
             measurement, pose = contact.measurements[index], poses.at([times_s[index]])[0]
@@ -137,7 +135,8 @@ class PressBuilder:
                     in_contact = forces.in_contact
                 press = build_press(
                     forces, pose, first_pose, self.mesh, in_contact,
-                    options=self.options, noise_mm=noise_mm, step=step,
+                    options=self.options, step=step,
+                    noise_mm=self._noise_mm(forces, measured_noise_mm),
                     name=f"contact {number}, {name}",
                     **self.options.supports(self.mesh, pose[:3, 2]),
                 )  # fmt: skip
@@ -147,6 +146,14 @@ class PressBuilder:
             else:
                 step += 1
                 yield measurement, press
+
+    def _noise_mm(self, forces: GelContact, measured_mm: float | None) -> float:
+        """Standard deviation of the displacements of a press, besides errors that are given."""
+        if self.options.press_noise_mm is not None:
+            return self.options.press_noise_mm
+        if forces.errors is not None:
+            return self.chain.options.marker_noise_mm
+        return max(self.chain.options.noise_mm, measured_mm or 0.0)
 
     def _outline(self, first_pose: Pose) -> EdgeDistance | None:
         """Distance from the outline of the object under the gel; None if unknown or not needed."""

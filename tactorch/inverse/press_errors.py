@@ -1,0 +1,62 @@
+"""Correlated errors of the forces and displacements of presses, as errors of the residuals.
+
+An error df of the forces changes the predicted data by S df, where S is the response of the object,
+and an error du of the displacements changes the data. Where both have the pattern of an error in
+common, so has the residual: du - S df. For forces that follow from displacements by the stiffness
+of a gel, the covariance of the residuals is then that of the coupled problem of gel and object,
+linearised in the displacements.
+"""
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from tactorch.inverse.problem import Evaluation
+from tactorch.linalg import map_cases
+from tactorch.recording import Press, Recording
+
+_SMALLEST = 0.1  # norm of a pattern that is left out, in standard deviations of the white noise
+
+
+def has_errors(recording: Recording) -> bool:
+    """Return whether forces and displacements of a press have errors in common."""
+    return any(press.errors is not None for press in recording.presses)
+
+
+def error_patterns(
+    evaluation: Evaluation, recording: Recording, smallest: float = _SMALLEST
+) -> Float[np.ndarray, "data k"]:
+    """Return patterns of the residuals by the correlated errors of each press.
+
+    They are orthogonal for each press, and the products with their transpose are those of its
+    errors. The unit is the standard deviation of the white noise.
+
+    Args:
+        evaluation: Predictions of the presses, about which the object is linearised.
+        recording: The presses.
+        smallest: Norm of patterns that are left out.
+    """
+
+    def work(i: int) -> np.ndarray:
+        columns = _residuals(evaluation, recording.presses[i], i)
+        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        kept = sizes > smallest
+        return basis[:, kept] * sizes[kept]
+
+    return sp.block_diag(map_cases(work, len(recording.presses))).toarray()
+
+
+def _residuals(evaluation: Evaluation, press: Press, number: int) -> Float[np.ndarray, "data q"]:
+    """Errors of the residuals of a press by each of its patterns."""
+    observation = evaluation.data.observations[number]
+    if press.errors is None:
+        return np.zeros((len(observation.values), 0))
+    forces = np.zeros((len(press.errors.forces), *press.forces.shape))
+    forces[:, press.errors.nodes] = press.errors.forces
+    moved = np.zeros_like(forces)
+    moved[:, press.errors.nodes] = press.errors.displacement
+    evaluation.sensitivities[number].linearization.factor()  # there are many patterns
+    columns = -evaluation.load_response(number, list(forces))
+    nodal = moved.reshape(len(moved), -1)[:, observation.index].T
+    columns[observation.nodal] += nodal * observation.scale[observation.nodal, None]
+    return columns

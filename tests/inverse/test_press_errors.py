@@ -1,0 +1,107 @@
+"""Correlated errors of forces and displacements in an inversion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactorch.inverse import InverseProblem, Settings
+from tactorch.inverse.invert import make_objective
+from tactorch.inverse.press_errors import error_patterns, has_errors
+from tactorch.inverse.shapes import find_shapes
+from tactorch.mesh import box_mesh
+from tactorch.phantoms import make_phantom
+from tactorch.recording import Press, PressErrors, Recording
+from tactorch.simulation import PressPlan, simulate
+
+STIFFNESS = 0.6  # of a gel, N/mm for each node
+
+
+def gel_errors(press: Press, count: int, seed: int, size_mm: float = 0.004) -> PressErrors:
+    """Smooth errors of displacements, with forces that a soft gel has with them."""
+    nodes = np.flatnonzero(press.forces.any(axis=1))
+    rng = np.random.default_rng(seed)
+    moved = size_mm * rng.normal(size=(count, len(nodes), 3))
+    return PressErrors(nodes, -STIFFNESS * moved, moved)
+
+
+def disturbed(press: Press, errors: PressErrors, numbers: np.ndarray) -> Press:
+    """The press as recorded with a sum of the errors."""
+    forces, displacement = press.forces.copy(), press.displacement.copy()
+    forces[errors.nodes] += np.einsum("q,qla->la", numbers, errors.forces)
+    displacement[errors.nodes] += np.einsum("q,qla->la", numbers, errors.displacement)
+    return replace(press, forces=forces, displacement=displacement, errors=errors)
+
+
+def with_errors(recording: Recording, numbers: np.ndarray | None, **more: float) -> Recording:
+    """A recording with errors of ten patterns in each press."""
+    presses = []
+    for i, press in enumerate(recording.presses):
+        errors = gel_errors(press, 10, i, **more)
+        drawn = np.random.default_rng(100 + i).normal(size=10) if numbers is None else numbers
+        presses.append(disturbed(press, errors, drawn))
+    return replace(recording, presses=tuple(presses))
+
+
+@pytest.mark.parametrize("element", ["tet4", "tet10"])
+def test_patterns_are_changes_of_the_residuals(
+    recording: Recording, moduli: np.ndarray, element: str
+) -> None:
+    given = with_errors(recording, np.zeros(10))
+    problem = InverseProblem(given, element=element)
+    found = error_patterns(problem.evaluate(moduli), given, smallest=0.0)
+
+    def residuals(numbers: np.ndarray) -> np.ndarray:
+        other = InverseProblem(with_errors(recording, numbers), element=element)
+        # The residual is the prediction less the data.
+        change = problem.data.scale * np.concatenate(
+            [o.values - x for o, x in zip(
+                other.data.observations, other.evaluate(moduli).predicted, strict=True
+            )]
+        )  # fmt: skip
+        return change
+
+    step = 1e-3 * np.eye(10)
+    wanted = np.column_stack([(residuals(n) - residuals(-n)) / 2e-3 for n in step])
+    ends = np.cumsum(problem.data.counts)
+    for begin, end in zip([0, *ends[:-1]], ends, strict=True):
+        own = wanted[begin:end] @ wanted[begin:end].T
+        np.testing.assert_allclose(
+            (found @ found.T)[begin:end, begin:end], own, atol=1e-4 * np.abs(own).max()
+        )
+    assert not (found @ found.T)[: ends[0], ends[0] :].any()
+
+
+def test_residuals_are_as_large_as_the_errors_allow(recording: Recording) -> None:
+    truth = np.asarray(recording.truth)
+    given = with_errors(recording, None, size_mm=0.0005)
+    noisy = replace(given, presses=tuple(replace(p, noise_mm=1e-4) for p in given.presses))
+    problem = InverseProblem(noisy)
+    evaluation = problem.evaluate(truth)
+    data = problem.data.with_errors(error_patterns(evaluation, noisy))
+    squares = [float(np.sum(d.whiten(evaluation.residuals) ** 2)) for d in (problem.data, data)]
+    assert squares[1] < 40.0  # twenty numbers of unit deviation
+    assert squares[0] > 100.0
+
+
+def test_a_map_counts_them(recording: Recording) -> None:
+    assert not has_errors(recording)
+    assert has_errors(with_errors(recording, None))
+    problems = [
+        make_objective(r, Settings()).problem for r in (recording, with_errors(recording, None))
+    ]
+    correlated = [problem.data.correlated for problem in problems]
+    assert correlated[0] is None
+    assert correlated[1] is not None
+    assert correlated[1].patterns.shape == (len(problems[1].data.scale), 20)
+
+
+def test_no_inclusion_is_found_in_their_place() -> None:
+    mesh = box_mesh(10.0, 4, tets_per_cell=5)
+    plan = PressPlan(("z+", "x+"), (0.01,))
+    body = simulate(make_phantom("uniform_cube"), plan, mesh=mesh, element="tet10", snr_db=40.0)
+    given = with_errors(body, None, size_mm=0.01)
+    unknown = replace(given, presses=tuple(replace(p, errors=None) for p in given.presses))
+    assert not find_shapes(given).inclusions
+    result = find_shapes(unknown)
+    assert result.inclusions or result.chi2 > 3.0 or result.force_deviation > 0.0
