@@ -22,7 +22,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -39,7 +39,6 @@ from tactorch.inverse.shapes import ShapeInclusion
 from tactorch.recording import Press, Recording
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import ChainOptions, SensorChain
-from tactorch.sensor.contact_edge import surface_edge
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
 from tactorch.sensor.frames import Image, read_frames
 from tactorch.sensor.gel import GelModel
@@ -50,7 +49,6 @@ PACKAGES = ("tactorch", "torch", "numpy", "scipy", "opencv-python-headless", "py
 SIDE, POISSON = 10.0, 0.45
 # A wide, flat contact has small slopes; without contact they are below a third of this.
 MIN_SLOPE = 0.03
-CONTACT_EDGE = 0.9  # mm, the default of `sensor record`
 APART = 0.4  # mm, of gel and cube before and after
 NOISE = 1.5  # of the camera, gray values
 GEL = GelLayer(4.0, 0.12, POISSON, size_mm=(16.0, 16.0))
@@ -287,7 +285,7 @@ class Stages:
         reference = self.calibration.reference
         self.chain = SensorChain(
             SENSOR, self.calibration, reference, self.model,
-            ChainOptions(min_slope=MIN_SLOPE, contact_edge_mm=CONTACT_EDGE),
+            ChainOptions(min_slope=MIN_SLOPE),
         )  # fmt: skip
         kinds = [depth for _ in SIDES for depth in (None, None, *session.depths_mm, None)]
         frames = list(read_frames(place / "frames", SENSOR, reference))
@@ -297,35 +295,21 @@ class Stages:
         """Take the next press and compare it with its simulation."""
         frame = self._left.pop(0)
         found = self.chain.measure_deformation(frame)
-        outline = surface_edge(*_top(session))
-        found = replace(found, contact=self.chain.solve_contact(found, outline))
         assert frame.image is not None
-        assert found.contact is not None
         assert found.height is not None
         points, moved = gel_face(contact, session, depth)
         face = build_surface(SENSOR, points, moved)
         at = self.chain.tracker.reference_px
         _, told_mm = marker_displacements(SENSOR, at, found.markers_px)
         true_mm = _between(points, moved, SENSOR.to_mm(at))
-        gel_true = _between(points, moved, found.contact.points[:, :2])
         slope_true = np.stack(np.gradient(face.height_mm, 0.05)[::-1], axis=-1)
         free = found.height.zero_mean_mm - face.height_mm
         return {
             "slope_rms": _rms(self.calibration.slopes(frame.image) - slope_true),
             "depth_rms_mm": _rms(free - free.mean()),
             "marker_rms_mm": _rms((told_mm - true_mm)[:, :2]),
-            "gel_rms_mm": _rms(found.contact.displacement - gel_true),
-            "gel_size_mm": _rms(gel_true),
-            "force_n": float(found.contact.total[2]),
-            "true_force_n": float((-contact.force @ DOWN)[2]),
+            "true_force_n": float((contact.force @ DOWN)[2]),
         }
-
-
-def _top(session: Session) -> tuple[np.ndarray, np.ndarray]:
-    """Pressed side of the cube in the frame of the sensor."""
-    corners = np.array([(0.0, 0.0), (SIDE, 0.0), (SIDE, SIDE), (0.0, SIDE)])
-    points = np.column_stack([corners, np.full(4, SIDE)])
-    return (points - looking_down(session, SIDE)[:3, 3]) @ DOWN, np.array([(0, 1, 2), (0, 2, 3)])
 
 
 def on_object(press: Press, contact: Contact, turn: np.ndarray) -> dict[str, float]:
@@ -334,8 +318,11 @@ def on_object(press: Press, contact: Contact, turn: np.ndarray) -> dict[str, flo
     upright = (inversion_nodes()[on] - MIDDLE) @ turn.T + MIDDLE
     top = contact.nodes[:, 2] > SIDE - 1e-6
     truth = _between(contact.nodes[top], contact.displacement[top], upright[:, :2]) @ turn
+    assert press.errors is not None
+    covariance = press.errors.total_force_covariance
     return {
-        "press_force_n": float(press.total_force @ press.direction),
+        "force_n": float(press.total_force @ press.direction),
+        "force_deviation_n": float(np.sqrt(press.direction @ covariance @ press.direction)),
         "object_rms_mm": _rms(press.displacement[on] - truth),
         "object_size_mm": _rms(truth),
         "observed_nodes": int(on.sum()),
@@ -388,8 +375,8 @@ def _off(found: ShapeInclusion, ball: Ball) -> float:
 def format_tables(results: dict[str, Any]) -> list[str]:
     """Return the tables as Markdown."""
     lines = [
-        "| session | side | pressed by | slopes, rms | depth | markers | gel | force | object |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| session | side | pressed by | slopes, rms | depth | markers | force | object |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for name, result in results.items():
         for one in result["presses"]:
@@ -397,8 +384,8 @@ def format_tables(results: dict[str, Any]) -> list[str]:
             lines.append(
                 f"| {name} | {one['side']} | {one['depth_mm']:g} mm | {one['slope_rms']:.4f} |"
                 f" {one['depth_rms_mm']:.4f} mm | {one['marker_rms_mm']:.4f} mm |"
-                f" {one['gel_rms_mm']:.4f} of {one['gel_size_mm']:.3f} mm |"
-                f" {one['force_n']:.3f} of {one['true_force_n']:.3f} N ({ratio:+.1%}) |"
+                f" {one['force_n']:.3f} +- {one['force_deviation_n']:.3f} of"
+                f" {one['true_force_n']:.3f} N ({ratio:+.1%}) |"
                 f" {one['object_rms_mm']:.4f} of {one['object_size_mm']:.3f} mm |"
             )
     lines += [

@@ -116,8 +116,13 @@ class TorchCGSolver(IterativeSolver):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         device = self.options.device or ("cuda" if torch.cuda.is_available() else "cpu")
-        if device.startswith("cuda") and not torch.cuda.is_available():
-            raise ConfigError(f"solver.device={device}: there is no CUDA device; give cpu or null.")
+        if device.startswith("cuda"):
+            count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+            if (torch.device(device).index or 0) >= count:
+                raise ConfigError(
+                    f"solver.device={device}: there are {count} CUDA devices; give one of these,"
+                    " cpu or null."
+                )
         self._device = torch.device(device)
 
     def _factor(self, values: np.ndarray) -> bool:

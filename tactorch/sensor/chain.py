@@ -226,8 +226,9 @@ class SensorChain:
         data = FaceData.of(
             view.markers_mm, view.in_plane_mm, options.marker_noise_mm,
             points[:, :2], known[:, 2], options.noise_mm,
-        ).with_depth_errors(edge, options.contact_edge_mm)  # fmt: skip
-        return RefinedGel(self.model, edge, options.contact_edge_mm).solve(data, free_plane=True)
+        )  # fmt: skip
+        gel = RefinedGel(self.model, edge, options.contact_edge_mm)
+        return gel.solve(data.with_depth_errors(edge, gel.edge_mm), free_plane=True)
 
     def _face_displacement(self, markers_px: np.ndarray, height: HeightMap) -> np.ndarray:
         """Displacements of the gel's nodes: in the plane from markers, along z from depth."""

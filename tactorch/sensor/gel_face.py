@@ -16,7 +16,8 @@ from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import GelMesh
 
 _GROWTH = 0.7  # of the edge length with the distance from the edge of the contact
-_SNAP, _ON_EDGE = 0.3, 0.05  # distances from the edge, over the edge length of elements there
+_STEP, _ON_EDGE = 0.03, 0.05  # distances from the edge, over the edge length of elements there
+_EDGE_LAYER, _LAYER = 1.0, 0.05  # deviation of a layer at the edge, and its width
 _LENGTH = 0.5  # of the covariance of the displacement, over the size of the contact
 _MIN_VOLUME = 0.2  # of an element after its nodes are moved, over that before
 
@@ -34,6 +35,8 @@ class GelFace:
         points: Rest positions of the nodes of the face, (k, 3), mm.
         triangles: Triangles of the face, as indices among its nodes, (t, 3).
         touching: Nodes of the face in contact, (k,).
+        inside_mm: Distance of the nodes of the face from the edge of the contact, (k,), mm; negative
+            outside.
     """
 
     def __init__(
@@ -42,10 +45,12 @@ class GelFace:
         on_face: Bool[np.ndarray, " n"],
         on_window: Bool[np.ndarray, " n"],
         touching: Bool[np.ndarray, " n"],
+        distance: EdgeDistance,
     ) -> None:
         self.mesh = mesh
         self.nodes, self.window = np.flatnonzero(on_face), np.flatnonzero(on_window)
         self.points = mesh.points[self.nodes]
+        self.inside_mm = distance(self.points[:, :2])
         outer = on_face[mesh.surface.triangles].all(axis=1)
         self.triangles = (np.cumsum(on_face) - 1)[mesh.surface.triangles[outer]]
         inside = touching[self.nodes][self.triangles].all(axis=1)
@@ -74,13 +79,16 @@ class GelFace:
         )
         points, tets = refinement.mesh.points.copy(), refinement.mesh.tets
         flat = points[on_face, :2]
-        moved = _onto_edge(flat, distance, _SNAP * edge_mm, np.array(gel.half_size_mm))
+        outer = refinement.mesh.surface.triangles
+        outer = (np.cumsum(on_face) - 1)[outer[on_face[outer].all(axis=1)]]
+        half = np.array(gel.half_size_mm)
+        moved = _onto_edge(flat, outer, distance, _STEP * edge_mm, half)
         target = points.copy()
         target[on_face] = np.column_stack([moved, gel.height_mm(moved)])
         points = _without_flat_elements(points, target, tets)
         touching = np.zeros(len(points), dtype=bool)
         touching[on_face] = distance(points[on_face, :2]) >= -_ON_EDGE * edge_mm
-        return GelFace(TetMesh.create(points, tets), on_face, on_window, touching)
+        return GelFace(TetMesh.create(points, tets), on_face, on_window, touching, distance)
 
     @property
     def contact(self) -> Int[np.ndarray, " c"]:
@@ -93,7 +101,9 @@ class GelFace:
         Each part of the contact has separate linear functions. The others are the principal
         functions of a Gaussian process with a Matern covariance of smoothness 3/2 (Rasmussen and
         Williams, Gaussian Processes for Machine Learning, 2006, sec. 4.2), whose length is half
-        that of a square of the area of the contact.
+        that of a square of the area of the contact. At the edge of a soft object, where the
+        traction is singular, the displacement changes within a short distance: its variance
+        increases toward the edge, to twice that inside.
 
         Args:
             count: Number of principal functions.
@@ -107,6 +117,9 @@ class GelFace:
             linear += [own, *(offset / max(float(np.abs(offset).max()), 1e-9)).T]
         apart = np.sqrt(3.0) * cdist(flat, flat) / (_LENGTH * np.sqrt(areas.sum()))
         covariance, roots = (1.0 + apart) * np.exp(-apart), np.sqrt(areas)
+        inside = np.maximum(self.inside_mm[self.touching], 0.0)
+        layer = _EDGE_LAYER * np.exp(-inside / (_LAYER * np.sqrt(areas.sum())))
+        covariance *= 1.0 + layer[:, None] * layer
         n, last = len(flat), min(count, len(flat))
         values, vectors = eigh(
             covariance * roots[:, None] * roots, subset_by_index=[n - last, n - 1]
@@ -142,22 +155,59 @@ def edge_sizing(distance: EdgeDistance, edge_mm: float, gel: GelLayer) -> Sizing
 
 def _onto_edge(
     points: Float[np.ndarray, "k 2"],
+    triangles: Int[np.ndarray, "t 3"],
     distance: EdgeDistance,
-    reach_mm: float,
+    step_mm: float,
     half_size_mm: Float[np.ndarray, "2"],
 ) -> Float[np.ndarray, "k 2"]:
-    """Move points near the edge of the contact onto it, except those on the border of the face."""
-    away, step = distance(points), 0.1 * reach_mm
+    """Move points onto the edge of the contact so that it crosses no edge of the mesh.
+
+    Points on the border of the face remain. An edge of the contact that cuts through elements would
+    change the force by some per cent.
+    """
+    away = distance(points)
     slopes = [
-        (distance(points + e) - distance(points - e)) / (2.0 * step) for e in step * np.eye(2)
+        (distance(points + e) - distance(points - e)) / (2.0 * step_mm) for e in step_mm * np.eye(2)
     ]
     gradient = np.stack(slopes, axis=1)
     square = (gradient**2).sum(axis=1)
     inner = (np.abs(points) < half_size_mm * (1.0 - 1e-6)).all(axis=1)
-    near = inner & (np.abs(away) < reach_mm) & (square > 0.25)
+    chosen = _closest_to_edge(np.where(inner & (square > 0.25), away, np.inf), away, triangles)
     moved = points.copy()
-    moved[near] -= (away / np.maximum(square, 0.25))[near, None] * gradient[near]
+    moved[chosen] -= (away / np.maximum(square, 0.25))[chosen, None] * gradient[chosen]
     return moved
+
+
+def _closest_to_edge(
+    movable: Float[np.ndarray, " k"],
+    away: Float[np.ndarray, " k"],
+    triangles: Int[np.ndarray, "t 3"],
+) -> Bool[np.ndarray, " k"]:
+    """Return the points to be moved onto the edge of the contact: the closest ones, one by one.
+
+    Of the three points of a triangle, which would become flat, one remains.
+
+    Args:
+        movable: Distances of points that may move; infinite for others.
+        away: Distances of all points; of opposite signs at the ends of an edge that is crossed.
+        triangles: Triangles of the face.
+    """
+    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
+    crossed = edges[away[edges[:, 0]] * away[edges[:, 1]] < 0.0]
+    neighbors: dict[int, list[int]] = {}
+    for first, second in crossed.tolist():
+        neighbors.setdefault(first, []).append(second)
+        neighbors.setdefault(second, []).append(first)
+    others: dict[int, list[list[int]]] = {point: [] for point in neighbors}
+    for corners in triangles.tolist():
+        for point in others.keys() & set(corners):
+            others[point].append([corner for corner in corners if corner != point])
+    chosen = np.zeros(len(away), dtype=bool)
+    for point in sorted(neighbors, key=lambda k: abs(float(movable[k]))):
+        if np.isinf(movable[point]) or chosen[neighbors[point]].all():
+            continue
+        chosen[point] = not any(chosen[pair].all() for pair in others[point])
+    return chosen
 
 
 def _without_flat_elements(
