@@ -35,8 +35,8 @@ class GelFace:
         points: Rest positions of the nodes of the face, (k, 3), mm.
         triangles: Triangles of the face, as indices among its nodes, (t, 3).
         touching: Nodes of the face in contact, (k,).
-        inside_mm: Distance of the nodes of the face from the edge of the contact, (k,), mm; negative
-            outside.
+        inside_mm: Distance of the nodes of the face from the edge of the contact, (k,), mm;
+            negative outside.
     """
 
     def __init__(

@@ -1,16 +1,18 @@
 """Forces on a gel that is refined at the edge of the contact."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.sensor import refined_gel
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.face_data import FaceData
 from tactorch.sensor.gel import GelContact, GelModel, GelOptions
 from tactorch.sensor.gel_face import GelFace
-from tactorch.sensor.refined_gel import RefinedGel
+from tactorch.sensor.refined_gel import RefinedGel, _edge_length
 
 GEL = GelLayer(2.0, 0.12, 0.45, size_mm=(8.0, 8.0))
 HALF = 2.3  # of the contact, mm; no line of the meshes
@@ -26,6 +28,15 @@ def pressed(points: np.ndarray) -> np.ndarray:
     """Smooth displacement of a contact without slip, mm."""
     x, y = points[:, 0], points[:, 1]
     return np.column_stack([0.03 * x + 0.02, 0.03 * y, -0.2 - 0.01 * (x**2 + y**2) - 0.01 * x])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarser() -> Iterator[None]:
+    """Elements as long as stated, although the contact is small, and few modes: fast tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refined_gel, "_EDGE_LENGTH", 1.0)
+        patch.setattr(refined_gel, "_MODES", 30)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +68,7 @@ def measured(truth: tuple[np.ndarray, ...], rng: np.random.Generator) -> FaceDat
 
 @pytest.fixture(scope="module")
 def gel(model: GelModel) -> RefinedGel:
-    return RefinedGel(model, square, 0.9)
+    return RefinedGel(model, square, 0.7)
 
 
 @pytest.fixture(scope="module")
@@ -106,14 +117,15 @@ def test_errors_of_forces_follow_from_those_of_displacements(
 def test_forces_near_the_edge_have_further_errors(found: GelContact) -> None:
     assert found.errors is not None
     only = ~found.errors.displacement.any(axis=(1, 2))
-    near = square(found.points[:, :2]) < 0.9
+    near = square(found.points[:, :2]) < 0.7
     assert only.any()
     forces = found.errors.forces[only]
     assert not forces[:, ~near].any()
     size = np.linalg.norm(found.forces[near & (found.forces != 0.0).any(axis=1)], axis=1)
     deviation = np.sqrt((forces**2).sum(axis=(0, 2)))
     ratio = deviation[near & (found.forces != 0.0).any(axis=1)] / size
-    np.testing.assert_allclose(ratio, 0.1, rtol=0.1)
+    assert ratio.min() > 0.05
+    assert ratio.max() < 0.15
 
 
 def test_more_force_from_a_mesh_that_does_not_resolve_the_edge(
@@ -136,6 +148,26 @@ def test_elements_are_small_at_the_edge_and_nodes_lie_on_it(model: GelModel) -> 
     assert face.touching[away > 0.2].all()
     assert not face.touching[away < -0.05].any()
     np.testing.assert_allclose(face.points[:, 2], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("base_mm", "edge_mm"), [(0.8, 0.9), (1.0, 0.5), (1.6, 0.7)])
+def test_no_element_is_cut_by_the_edge(base_mm: float, edge_mm: float) -> None:
+    coarse = GelModel(GEL, GelOptions(edge_mm=base_mm, layers=2)).gel_mesh
+    for half, shift in ((2.3, 0.0), (1.9, 0.27), (2.6, -0.41)):
+
+        def moved(points: np.ndarray, half: float = half, shift: float = shift) -> np.ndarray:
+            return square((points - shift) * HALF / half) * half / HALF
+
+        face = GelFace.refined(coarse, GEL, moved, edge_mm)
+        area = face._contact_areas(face.points[face.touching, :2]).sum()
+        # The corners of the square need not be nodes: cut ones miss up to half of edge_mm^2 each.
+        assert (2 * half) ** 2 - 2 * edge_mm**2 <= area <= (2 * half) ** 2 + 1e-9
+
+
+def test_elements_of_small_contacts_are_smaller() -> None:
+    assert _edge_length(square, GEL) == pytest.approx(2 * HALF, rel=0.05)
+    assert _edge_length(lambda p: square(100.0 * p), GEL) == 0.15
+    assert _edge_length(lambda p: np.full(len(p), -1.0), GEL) == 0.0
 
 
 def test_nodes_of_a_curved_face_stay_on_it() -> None:
