@@ -65,5 +65,4 @@ def test_a_ball_is_found_from_images_alone(
     assert found["map"]["inclusions"] == 1
     assert found["map"]["off_mm"] < 0.7
     assert np.hypot(*found["map"]["off_axes_mm"][:2]) < 0.5
-    if not found["map"]["within"]:
-        pytest.xfail("the interval of the modulus is wrong: see the limits in the documentation")
+    assert found["map"]["within"]
