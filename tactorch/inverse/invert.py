@@ -143,17 +143,21 @@ class ObjectiveBuilder:
         remaining = settings.residual_model_error_fraction
         return discretisation_error(problem, fit.youngs_mpa, fit.nuisance, remaining, self._finer)
 
+    def _with_press_errors(self, problem: InverseProblem) -> InverseProblem:
+        """Count the correlated errors of presses, linearised at the best uniform map."""
+        fit = uniform_fit(problem, self.settings.bounds, self.settings.nuisance)
+        uniform = np.full(problem.n_elements, fit.youngs_mpa)
+        evaluation = problem.evaluate(uniform, nuisance=fit.nuisance, chained=True)
+        patterns = error_patterns(evaluation, problem.recording)
+        return problem.with_data(problem.data.with_errors(patterns))
+
     def objective(self, problem: InverseProblem, errors: Sequence[ModelError]) -> Objective:
         """Combine data, corrected for the model's error, with parameterisation and prior."""
         settings, mesh = self.settings, problem.recording.mesh
         if errors:
             problem = problem.with_data(problem.data.corrected(errors, mesh.points))
         if has_errors(problem.recording):
-            fit = uniform_fit(problem, settings.bounds, settings.nuisance)
-            uniform = np.full(problem.n_elements, fit.youngs_mpa)
-            evaluation = problem.evaluate(uniform, nuisance=fit.nuisance, chained=True)
-            patterns = error_patterns(evaluation, problem.recording)
-            problem = problem.with_data(problem.data.with_errors(patterns))
+            problem = self._with_press_errors(problem)
         objective = Objective(
             problem,
             ElementField(

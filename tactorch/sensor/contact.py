@@ -93,7 +93,11 @@ def build_press(
     paired = transform_points(first_pose, contact.points)  # the object's points at first contact
     motion = transform_points(pose, contact.points + contact.displacement) - paired
     forces = -rotate_vectors(pose, np.where(in_contact[:, None], contact.forces, 0.0))
-    transferred = transfer_forces(paired, forces, mesh.points, triangles, contact.triangles)
+    sets = forces[None]  # the forces, then their errors
+    if contact.errors is not None:
+        errors = -rotate_vectors(pose, np.where(in_contact[:, None], contact.errors.forces, 0.0))
+        sets = np.concatenate([sets, errors])
+    transferred = transfer_forces(paired, sets, mesh.points, triangles, contact.triangles)
     normal = first_pose[:3, 2]
     interpolated = interpolate_displacements(paired, motion, points, normal, options.smoothing)
     inside = np.isfinite(interpolated).all(axis=1)
@@ -121,12 +125,10 @@ def build_press(
         fields["surface"] = _along_axis(mesh.points[rows], axis, along, fields.get("noise_mm"))
         observed = np.zeros_like(observed)
     elif contact.errors is not None:
-        loads = np.where(in_contact[:, None], contact.errors.forces, 0.0)
-        errors = -rotate_vectors(pose, loads), rotate_vectors(pose, contact.errors.displacement)
-        nodal = transfer_forces(paired, errors[0], mesh.points, triangles, contact.triangles)
-        moved = _interpolate_each(paired, errors[1], points, normal)
-        fields["errors"] = PressErrors(nodes, nodal[:, nodes], moved)
-    return Press(transferred, observed, displacement, direction=axis, **fields)
+        errors = rotate_vectors(pose, contact.errors.displacement)
+        moved = _interpolate_each(paired, errors, points, normal)
+        fields["errors"] = PressErrors(nodes, transferred[1:, nodes], moved)
+    return Press(transferred[0], observed, displacement, direction=axis, **fields)
 
 
 def _along_axis(

@@ -16,7 +16,8 @@ from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import GelMesh
 
 _GROWTH = 0.7  # of the edge length with the distance from the edge of the contact
-_STEP, _ON_EDGE = 0.03, 0.05  # distances from the edge, over the edge length of elements there
+# Step of differences of the distance, and distance of points on the edge, over the edge length.
+_STEP, _ON_EDGE = 0.03, 0.05
 _EDGE_LAYER, _LAYER = 1.0, 0.05  # deviation of a layer at the edge, and its width
 _LENGTH = 0.5  # of the covariance of the displacement, over the size of the contact
 _MIN_VOLUME = 0.2  # of an element after its nodes are moved, over that before
@@ -51,8 +52,7 @@ class GelFace:
         self.nodes, self.window = np.flatnonzero(on_face), np.flatnonzero(on_window)
         self.points = mesh.points[self.nodes]
         self.inside_mm = distance(self.points[:, :2])
-        outer = on_face[mesh.surface.triangles].all(axis=1)
-        self.triangles = (np.cumsum(on_face) - 1)[mesh.surface.triangles[outer]]
+        self.triangles = _face_triangles(mesh, on_face)
         inside = touching[self.nodes][self.triangles].all(axis=1)
         self.touching = np.zeros(len(self.nodes), dtype=bool)
         self.touching[self.triangles[inside]] = True
@@ -79,10 +79,8 @@ class GelFace:
         )
         points, tets = refinement.mesh.points.copy(), refinement.mesh.tets
         flat = points[on_face, :2]
-        outer = refinement.mesh.surface.triangles
-        outer = (np.cumsum(on_face) - 1)[outer[on_face[outer].all(axis=1)]]
-        half = np.array(gel.half_size_mm)
-        moved = _onto_edge(flat, outer, distance, _STEP * edge_mm, half)
+        triangles, half = _face_triangles(refinement.mesh, on_face), np.array(gel.half_size_mm)
+        moved = _onto_edge(flat, triangles, distance, _STEP * edge_mm, half)
         target = points.copy()
         target[on_face] = np.column_stack([moved, gel.height_mm(moved)])
         points = _without_flat_elements(points, target, tets)
@@ -141,6 +139,12 @@ class GelFace:
         graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(n, n))
         _, part = connected_components(graph, directed=False)
         return part
+
+
+def _face_triangles(mesh: TetMesh, on_face: Bool[np.ndarray, " n"]) -> Int[np.ndarray, "t 3"]:
+    """Triangles of the outer face, as indices among its nodes."""
+    outer = on_face[mesh.surface.triangles].all(axis=1)
+    return (np.cumsum(on_face) - 1)[mesh.surface.triangles[outer]]
 
 
 def edge_sizing(distance: EdgeDistance, edge_mm: float, gel: GelLayer) -> Sizing:

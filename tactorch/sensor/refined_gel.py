@@ -56,19 +56,18 @@ class RefinedGel:
 
     def __init__(self, model: GelModel, distance: EdgeDistance, edge_mm: float) -> None:
         self.edge_mm = min(edge_mm, _edge_length(distance, model.gel) or edge_mm)
-        edge_mm = self.edge_mm
-        self.face = GelFace.refined(model.gel_mesh, model.gel, distance, edge_mm)
+        self.face = GelFace.refined(model.gel_mesh, model.gel, distance, self.edge_mm)
         if not self.face.touching.any():
             raise ConfigError(
-                f"the contact is smaller than the elements of the gel; give less than {edge_mm:g}"
-                " mm for contact_edge_mm."
+                "the contact is smaller than the elements of the gel; give less than"
+                f" {self.edge_mm:g} mm for contact_edge_mm."
             )
         law = make_material(model.gel.material, model.gel.poisson)
         element = "tet10" if model.body.discretisation.element.quadratic else "tet4"
         newton = NewtonOptions(rtol=_NEWTON_RTOL)
         self.body = SoftBody(self.face.mesh, law, element=element, newton=newton)
         self.youngs = np.full(self.face.mesh.n_tets, model.gel.youngs_mpa)
-        self._near = distance(self.face.points[:, :2]) < edge_mm
+        self._near = self.face.inside_mm < self.edge_mm
 
     def solve(self, data: FaceData, *, free_plane: bool = False) -> GelContact:
         """Return the most likely contact for displacements of the face, with its errors.

@@ -263,7 +263,7 @@ class ShapeProblem:
         """
         self._check()
         assert self._correction is not None
-        before = self.quadratic, self._correction_mm
+        before = self.quadratic, self._correction_mm, self._press_patterns
         try:
             offsets = self._correction.offsets(model.fit, model.evaluation, self._check)
             self._linearise_errors(model.evaluation)
@@ -276,7 +276,7 @@ class ShapeProblem:
             self._corrected_at = model.fit
             return corrected
         except (ConfigError, ConvergenceError) as error:
-            self.quadratic, self._correction_mm = before
+            self.quadratic, self._correction_mm, self._press_patterns = before
             self._noisy.clear()
             _log.warning("The error of the discretisation is not corrected: %s", error)
             return model
