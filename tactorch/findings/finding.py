@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.special import ndtr, ndtri
 
 from tactorch.errors import ConfigError
+from tactorch.findings.elongation import Elongation
 from tactorch.findings.lumps import Mask, adjacent_elements, find_lumps
 from tactorch.inverse import ShapeReconstruction
 from tactorch.mesh import TetMesh
@@ -113,12 +114,15 @@ class Lump:
         size_mm: Size along x, y and z, (3,), mm.
         depth: Depth below the presses; None if no press pushes.
         confidence: Confidence by the posterior; None without a posterior.
+        elongation: Length, width and direction of a long lump; None for others and for regions of
+            a map.
     """
 
     inclusion: Inclusion
     size_mm: Float[np.ndarray, "3"]
     depth: Depth | None
     confidence: Confidence | None
+    elongation: Elongation | None = None
 
     def plain(self) -> dict[str, Any]:
         """Return plain values: mm, MPa, mm^3."""
@@ -133,6 +137,8 @@ class Lump:
             }
         if (depths := self.depth_90_mm) is not None:
             values["depth_90_mm"] = list(depths)
+        if self.elongation is not None:
+            values |= self.elongation.plain()
         if confidence is not None:
             values |= {
                 "probability": confidence.probability,
@@ -161,9 +167,12 @@ class Lump:
         ratio = inclusion.contrast if side == "stiff" else 1.0 / inclusion.contrast
         point = ", ".join(f"{x:.2f}" for x in inclusion.center_mm)
         below = "" if depth is None else f", {depth.center_mm:.2f} mm below {depth.surface}"
+        size, kind = f"{' x '.join(f'{x:.2g}' for x in self.size_mm)} mm", f"A {side} lump"
+        if self.elongation is not None:
+            size, kind = self.elongation.text(), f"A long {side} lump"
         text = (
-            f"A {side} lump at ({point}) mm{below}, {' x '.join(f'{x:.2g}' for x in self.size_mm)} "
-            f"mm (the volume of a ball of radius {inclusion.equivalent_radius_mm:.2g} mm), "
+            f"{kind} at ({point}) mm{below}, {size} "
+            f"(the volume of a ball of radius {inclusion.equivalent_radius_mm:.2g} mm), "
             f"{ratio:.2g} times as {side} as its surroundings ({inclusion.mean_mpa:.3g} in "
             f"{inclusion.background_mpa:.3g} MPa)."
         )

@@ -3,7 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.findings.elongation import Elongation
 from tactorch.findings.finding import Confidence, Finding, Lump, measure_depth
+from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.shapes import Ellipsoid, ShapeInclusion, ShapeReconstruction
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
@@ -25,7 +27,7 @@ def build_shape_finding(recording: Recording, result: ShapeReconstruction) -> Fi
         result: Result of `find_shapes` for this recording.
     """
     background, probability = result.background_mpa, result.probability
-    notes = _notes(result)
+    notes = _notes(recording, result)
     if result.unexplained > MAX_UNEXPLAINED:
         reason = (
             f"the best model leaves {result.unexplained:.0%} of the displacements unexplained. "
@@ -40,10 +42,16 @@ def build_shape_finding(recording: Recording, result: ShapeReconstruction) -> Fi
     return Finding(lumps, background, (), probability, notes, result)
 
 
-def _notes(result: ShapeReconstruction) -> tuple[str, ...]:
+def _notes(recording: Recording, result: ShapeReconstruction) -> tuple[str, ...]:
     """Return errors of forces and poses that the data show."""
     notes = []
-    if result.force_deviation:
+    if result.force_deviation and is_palpation(recording):
+        notes.append(
+            f"The forces differ from the model by about {result.force_deviation:.0%}, smoothly "
+            "over the surface; the intervals of the lumps account for it. Check the depth of the "
+            "object and its base."
+        )
+    elif result.force_deviation:
         notes.append(
             f"The forces of the presses are wrong by about {result.force_deviation:.0%}; the "
             "intervals of the lumps account for it. Check the calibration of the force sensor."
@@ -80,7 +88,7 @@ def _lump(recording: Recording, found: ShapeInclusion) -> Lump:
         found.youngs_90_mpa,
     )
     depth = measure_depth(mesh, recording.presses, center, inside)
-    return Lump(inclusion, _extent(shape), depth, confidence)
+    return Lump(inclusion, _extent(shape), depth, confidence, Elongation.of(shape))
 
 
 def _extent(shape: Ellipsoid) -> Float[np.ndarray, "3"]:

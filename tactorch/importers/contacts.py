@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from tactorch.errors import FileError
 from tactorch.fem.contact.pressures import ball_force
@@ -23,6 +24,7 @@ _COMMON = 0.3  # deviation of the depth of the first sample among probes, over t
 _CONTACT_NOISE, _THRESHOLD = 5.0, 0.05
 _OUTLIER = 12.0  # distance of a sample from the others of its probe, over theirs
 _MAX_OUTLIERS = 2  # of a probe
+_NEIGHBOURS = 16  # contacts, with their own, that tell whether the surface is flat
 
 
 class Contacts(NamedTuple):
@@ -67,6 +69,24 @@ def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple
     samples, depths = _rising(samples, _first_depths(samples, noise), noise, source)
     contacts = samples.origins_mm - (samples.radius_mm - depths)[:, None] * samples.normals
     return samples, Contacts(contacts, depths, noise, tare, clear)
+
+
+def unevenness(points: Float[np.ndarray, "probes 3"]) -> Float[np.ndarray, " probes"]:
+    """Return deviations of contacts from a smooth surface through those nearby, mm.
+
+    At a step, a groove or the foot of a slope a ball touches elsewhere than in the model, which has
+    a smooth surface. The value of a contact is the root mean square distance of the nearest ones
+    from a paraboloid through them; zero for a few contacts only.
+    """
+    if len(points) <= _NEIGHBOURS:
+        return np.zeros(len(points))
+    near = points[cKDTree(points).query(points, _NEIGHBOURS)[1]]
+    apart = near - near.mean(axis=1, keepdims=True)
+    x, y, z = np.moveaxis(apart @ np.linalg.svd(apart, full_matrices=False)[2].swapaxes(1, 2), 2, 0)
+    basis, _ = np.linalg.qr(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2))
+    left = z - np.einsum("pnk,pmk,pm->pn", basis, basis, z)
+    deviations: np.ndarray = np.sqrt((left * left).sum(axis=1) / (_NEIGHBOURS - basis.shape[2]))
+    return deviations
 
 
 def _offset(samples: Samples, noise: float) -> tuple[float, int]:

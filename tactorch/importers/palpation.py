@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.config import Options, option
 from tactorch.fem.contact import Ball
-from tactorch.importers.contacts import Contacts, find_contacts
+from tactorch.importers.contacts import Contacts, find_contacts, unevenness
 from tactorch.importers.samples import Samples, read_samples
 from tactorch.mesh import TetMesh, read_mesh
 from tactorch.mesh.block import HeightField, block_below
@@ -61,7 +61,11 @@ class PalpationSettings(Options):
         None, "Noise of a force; null: estimated from the samples", unit="N", gt=0
     )
     contact_mm: float = option(
-        0.1, "Standard deviation of the depth of a probe, common to its presses", unit="mm", ge=0
+        0.1,
+        "Standard deviation of the depth of a probe, common to its presses; more where the surface "
+        "is not flat",
+        unit="mm",
+        ge=0,
     )
     check_units: bool = option(True, "Refuse magnitudes that suggest a wrong unit")
 
@@ -140,13 +144,14 @@ def _record(
     fixed.setflags(write=False)
     ball, presses, steps = Ball(samples.radius_mm), [], np.zeros(len(samples.numbers), dtype=int)
     rotations = [_rotation(normal) for normal in samples.normals]
+    deviations = np.hypot(options.contact_mm, unevenness(contacts.points_mm))
     for i in np.lexsort((samples.advance_mm, samples.probe)):
         k = int(samples.probe[i])
         normal = samples.normals[k]
         # On the axis: motion across it is that of the robot's compliance.
         depth = samples.advance_mm[i] + contacts.depth_mm[k]
         centre = contacts.points_mm[k] + (samples.radius_mm - depth + above_mm[k]) * normal
-        pose = ProbePose(ball, centre, rotations[k], deviation_mm=options.contact_mm)
+        pose = ProbePose(ball, centre, rotations[k], deviation_mm=float(deviations[k]))
         deviation = contacts.noise_n / np.sqrt(samples.count[i])
         force = ForceReading.along(normal, float(samples.force_n[i]), float(deviation))
         presses.append(

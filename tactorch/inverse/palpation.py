@@ -226,8 +226,10 @@ class PalpationProblem(InverseProblem):
         directions: Component of the normal in each datum.
     """
 
-    def __init__(self, recording: Recording, **options: Any) -> None:
-        options = {**options, "element": PALPATION_ELEMENT}
+    def __init__(
+        self, recording: Recording, *, element: str = PALPATION_ELEMENT, **options: Any
+    ) -> None:
+        options = {**options, "element": element}
         super().__init__(recording, **options)
         if self.nuisance.size:
             raise ConfigError(

@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tactorch.fem.contact import Ball
 from tactorch.findings import Status, build_finding, build_shape_finding
 from tactorch.inverse.shapes import ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.posterior import ShapePosterior
-from tactorch.mesh import box_mesh
+from tactorch.mesh import box_mesh, face_nodes
 from tactorch.phantoms import make_phantom
+from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
 from tactorch.simulation import PressPlan, simulate
 
 MESH = box_mesh(10.0, 6, tets_per_cell=5)
@@ -52,6 +55,38 @@ def test_a_shape_becomes_a_lump_with_intervals(recording, shapes):
     assert "A stiff lump at (5.00, 5.00, 6.00) mm, 4.00 mm below the pressed side z+" in text
     assert f"{low:.2g} to {high:.2g} MPa" in text
     assert "more than 99.9 %" in text
+
+
+def test_a_long_shape_is_named_with_length_width_and_direction(recording):
+    axis = np.array([0.6, 0.8, 0.0])
+    stretch = np.log(1.0) * np.eye(3) + np.log(4.0) * np.outer(axis, axis)
+    _, log_radius, distortions = Geometry.of(np.array([5.0, 5.0, 6.0]), stretch)
+    long = reconstruct([*VALUES[:4], log_radius, np.log(4.0), *distortions])
+    (lump,) = build_shape_finding(recording, long).lumps
+    assert lump.elongation is not None
+    assert lump.elongation.length_mm == pytest.approx(8.0)
+    assert lump.elongation.width_mm == pytest.approx(2.0)
+    assert lump.elongation.direction == pytest.approx(axis)
+    assert lump.plain()["direction"] == pytest.approx(axis.tolist())
+    assert "A long stiff lump at (5.00, 5.00, 6.00) mm" in lump.text()
+    assert "8 mm long along (0.60, 0.80, 0.00) and 2 mm wide" in lump.text()
+    short = build_shape_finding(recording, reconstruct(VALUES)).lumps[0]
+    assert short.elongation is None
+    assert "length_mm" not in short.plain()
+
+
+def test_smooth_errors_of_a_palpation_are_noted(recording, shapes):
+    wrong = replace(shapes, force_deviation=0.15)
+    fixed = np.zeros((MESH.n_points, 3), dtype=bool)
+    fixed[face_nodes(MESH, "z-")] = True
+    pose = ProbePose(Ball(2.0), np.array([5.0, 5.0, 11.0]))
+    press = Press.by_probe(
+        pose, MESH.n_points, force=ForceReading.along((0.0, 0.0, 1.0), 0.1, 0.01), fixed=fixed
+    )
+    palpation = Recording(MESH, (press,), MaterialSpec("linear", 0.45))
+    text = build_shape_finding(palpation, wrong).text()
+    assert "The forces differ from the model by about 15%, smoothly over the surface" in text
+    assert "smoothly" not in build_shape_finding(recording, wrong).text()
 
 
 def test_soft_shapes_are_soft(recording):

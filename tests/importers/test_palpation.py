@@ -9,6 +9,7 @@ import pytest
 from tactorch.errors import FileError, TactorchError
 from tactorch.fem.contact.pressures import ball_force
 from tactorch.importers import import_palpation
+from tactorch.importers.contacts import unevenness
 from tactorch.recording import Recording
 
 RADIUS, MODULUS, NOISE = 3.0, 0.05, 0.01
@@ -61,6 +62,18 @@ def test_contacts_are_found_by_the_forces(tmp_path: Path) -> None:
     assert recording.provenance["noise_n"] == pytest.approx(NOISE, rel=0.4)
 
 
+def test_depths_are_less_certain_at_a_step_of_the_surface() -> None:
+    axis = np.arange(0.0, 41.0, 2.0)
+    x, y = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2).T
+    smooth = 0.3 * x - 0.01 * y**2
+    assert unevenness(np.column_stack([x, y, smooth])).max() < 0.01
+    step = np.column_stack([x, y, smooth + 1.0 * (x > 20.0)])
+    deviations = unevenness(step)
+    assert deviations[np.abs(x - 21.0) < 2.0].min() > 0.15
+    assert deviations[np.abs(x - 21.0) > 10.0].max() < 0.01
+    assert not unevenness(step[:10]).any()
+
+
 def test_the_surface_and_the_block_are_where_the_contacts_are(tmp_path: Path) -> None:
     path = write(tmp_path / "p.csv", *table())
     recording = import_palpation(path, radius_mm=RADIUS, depth_mm=10.0, margin_mm=5.0)
@@ -108,7 +121,7 @@ def test_all_samples_are_kept_on_demand_and_a_file_round_trips(tmp_path: Path) -
     loaded = Recording.load(tmp_path / "p.h5")
     last, same = recording.presses[-1], loaded.presses[-1]
     assert same.probe.position_mm == pytest.approx(last.probe.position_mm)
-    assert same.probe.deviation_mm == 0.1
+    assert 0.1 < same.probe.deviation_mm < 0.15  # more where contacts are not on a smooth surface
     assert same.fixed is loaded.presses[0].fixed
     assert np.isnan(same.displacement).all()
     assert not same.forces.any()

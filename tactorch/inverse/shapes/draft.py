@@ -127,9 +127,8 @@ class DraftShapes:
         problem = quadratic.with_data(with_errors(quadratic, errors, self._options))
         rest = np.zeros((quadratic.body.n_nodes, 3))
         moved = [self._moved.get(key, rest) for key in keys]
-        matched = MatchedFilter(
-            self._balls.centers, self._balls.radii, np.vstack([one.responses for one in known])
-        )
+        balls, stacked = self._balls, np.vstack([one.responses for one in known])
+        matched = MatchedFilter(balls.centers, balls.radii, balls.halves, stacked)
         return DraftSearch(problem, self._prior, matched, moved, keys, stop)
 
     def _errors(self, problem: InverseProblem, k: int, youngs: float) -> PressErrors:

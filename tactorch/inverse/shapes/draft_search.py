@@ -68,8 +68,9 @@ class DraftSearch:
 
     def further(self, model: Model) -> list[Model]:
         """Return fits of the model with a further ball where the residuals show one."""
-        fit, data, models = model.fit, self.problem.data, []
-        for candidate in self.matched.best(fit.residuals, fit.jacobian, data, _STARTS):
+        fit, models = model.fit, []
+        matched = self.matched.whitened(self.problem.data)
+        for candidate in matched.best(fit.residuals, fit.jacobian, _STARTS):
             if candidate.gain < MIN_CANDIDATE_GAIN:
                 break
             _, field, z = with_ball(fit, candidate)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.polynomial.legendre import legvander
+from scipy.linalg import expm
 
 from tactorch.errors import ConfigError
 from tactorch.fem.assembly import Assembly
@@ -399,6 +400,15 @@ def _geometry(inclusion: Float[np.ndarray, " parameters"]) -> Geometry:
 
 def _near(inclusion: Geometry, sites: Sites) -> np.ndarray:
     """Indices of the volumes that may touch an inclusion."""
-    reach = np.exp(np.linalg.eigvalsh(inclusion.log_stretch)[-1]) + 4.0 * sites.width
-    distance = np.linalg.norm(sites.points - inclusion.center, axis=2).min(axis=1)
-    return np.flatnonzero(distance < reach)
+    stretch = inclusion.log_stretch
+    shortest, longest = np.exp(np.linalg.eigvalsh(stretch)[[0, -1]])
+    margin = 4.0 * sites.width
+    apart = sites.points - inclusion.center
+    distance = np.sqrt((apart * apart).sum(axis=2).min(axis=1))
+    near = np.flatnonzero(distance < longest + margin)
+    if longest > shortest:
+        # The distance to an ellipsoid is at least that in the unit ball times the shortest axis.
+        unit = apart[near] @ expm(-stretch)
+        level = np.sqrt((unit * unit).sum(axis=2).min(axis=1))
+        near = near[(level - 1.0) * shortest < margin[near]]
+    return near

@@ -11,6 +11,7 @@ from tactorch.inverse.data import DataModel
 from tactorch.inverse.problem import Evaluation
 from tactorch.inverse.shapes.field import ShapeField, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
+from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.matched import Candidate
 from tactorch.inverse.shapes.posterior import ShapePosterior
 
@@ -142,13 +143,22 @@ def make_posterior(model: Model, sites: Sites) -> ShapePosterior:
 def with_ball(
     fit: ShapeFit, candidate: Candidate
 ) -> tuple[str, ShapeField, Float[np.ndarray, " size"]]:
-    """Return the description, field and parameters of a model with a further ball."""
-    field = replace(fit.field, distorted=(*fit.field.distorted, False))
+    """Return the description, field and parameters of a model with a further ball or rod."""
+    half = float(np.linalg.norm(candidate.half_mm))
+    field = replace(fit.field, distorted=(*fit.field.distorted, half > 0.0))
     size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
     contrast = np.copysign(size, candidate.log_contrast)
-    ball = [*candidate.center_mm, np.log(candidate.radius_mm), contrast]
-    z = field.standard(np.concatenate([fit.field.physical(fit.z), ball]))
-    return f"ball at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
+    radius, distortions = np.log(candidate.radius_mm), np.zeros(0)
+    if half:
+        along = candidate.half_mm / half
+        stretch = radius * np.eye(3) + np.log(1.0 + half / candidate.radius_mm) * np.outer(
+            along, along
+        )
+        _, radius, distortions = Geometry.of(candidate.center_mm, stretch)
+    inclusion = [*candidate.center_mm, radius, contrast, *distortions]
+    z = field.standard(np.concatenate([fit.field.physical(fit.z), inclusion]))
+    kind = "rod" if half else "ball"
+    return f"{kind} at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
 
 
 def varied(

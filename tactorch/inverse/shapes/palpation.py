@@ -1,29 +1,35 @@
 """The search for inclusions under the presses of a palpation.
 
-A round adds the ball that the matched filter sees in the residuals, lets the background vary, or
-makes a ball an ellipsoid. The models that promise most evidence by linearised predictions are
-fitted, and the first whose evidence is larger is kept. The body is linear, so that predictions need
-no correction at the contacts (see `tactorch.fem.indentation`).
+A round adds a ball or a rod that the matched filter sees in the residuals, lets the background
+vary, makes a ball an ellipsoid, or changes the size of smooth errors of the forces. The models that
+promise most evidence by linearised predictions are fitted, and the first whose evidence is larger
+is kept. Smooth errors are tried together with each of the others, so that they do not replace an
+inclusion that explains as much. The body is linear, so that predictions need no correction at the
+contacts (see `tactorch.fem.indentation`).
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from tactorch.errors import CancelledError
-from tactorch.inverse.palpation import PalpationProblem
+from tactorch.inverse.data import DataModel
+from tactorch.inverse.palpation import PALPATION_ELEMENT
 from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
-from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.matched import MatchedFilter
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
+from tactorch.inverse.shapes.matched import Candidate, MatchedFilter
 from tactorch.inverse.shapes.model import (
     DEGREES,
     MAX_LOG_ODDS,
     MIN_CANDIDATE_GAIN,
     Errors,
     Model,
+    Start,
     as_ellipsoid,
     falls_short,
     gain,
@@ -34,27 +40,27 @@ from tactorch.inverse.shapes.model import (
     with_ball,
     without,
 )
+from tactorch.inverse.shapes.palpation_presses import PalpationPresses
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
-_STARTS = 2  # balls that are tried in a round
+_STARTS = 3  # balls and rods that are tried in a round
+_SEARCHED = "tet4"  # elements of the search; the result is fitted with better ones
 _ROUGH, _FINE = 0.5, 0.05  # tolerances of fits
-_MAX_STEPS = 12  # of a fit
+_MAX_STEPS, _FEW_STEPS = 12, 4  # of a fit, and of one by which models are compared
 _OPTIMISM = 3.0  # falls of the objective over those of its quadratic model, at best
-_MAX_FITS = 3  # of a round
+_MAX_FITS = 5  # of a round
 # Of the log-evidence, for a model that is accepted: errors of real presses are not independent.
-_MIN_GAIN = 10.0
+_MIN_GAIN = 20.0
 _CERTAIN = 20.0  # log-odds beyond which they need not be known
-_NO_ERRORS = Errors(0.0, 0.0)
+_LEVELS = (0.0, 0.05, 0.15)  # relative deviations of the smooth errors of the forces
 
 
 class _Proposal(NamedTuple):
     """A model to be fitted, and the gain of log-evidence that is expected."""
 
-    what: str
-    field: ShapeField
-    z: np.ndarray
+    start: Start
     promise: float
 
 
@@ -62,23 +68,25 @@ class _Search:
     """The presses, and the present model."""
 
     def __init__(self, recording: Recording, settings: Settings, stop: Callable[[], bool]) -> None:
-        self.problem = PalpationProblem(
-            recording, solver=settings.solver, noise=settings.noise, newton=settings.newton
-        )
-        self._stop = stop
-        self.sites = Sites.of(self.problem.body.assembly)
-        youngs = self.problem.contact_mpa
-        field = ShapeField(ShapePrior.of(recording.mesh, youngs))
-        self.matched = MatchedFilter.of(self.problem, youngs)
+        self._recording, self._settings, self._stop = recording, settings, stop
+        self.presses = PalpationPresses(recording, settings, _SEARCHED)
+        problem = self.presses.problem
+        youngs = self._linear_mpa = problem.contact_mpa
+        white = problem.with_data(self.presses.white)
+        matched = MatchedFilter.of(white, youngs, rods=True)
+        self.matched = matched.only(self.presses.are_resolved(matched.centers))
+        self._filters: dict[float, MatchedFilter] = {}
         self.history: list[dict[str, Any]] = []
-        self._accept("uniform", self._fit(field, np.zeros(field.size)))
+        field = ShapeField(ShapePrior.of(recording.mesh, youngs))
+        start = Start("uniform", field, np.zeros(field.size), Errors(0.0, 0.0))
+        self._accept("uniform", self._fit(start))
 
     def _fit(
         self,
-        field: ShapeField,
-        z: np.ndarray,
+        start: Start,
         tolerance: float = _ROUGH,
         *,
+        max_steps: int = _MAX_STEPS,
         rival: ShapeFit | None = None,
         margin: float = 0.0,
     ) -> Model:
@@ -88,18 +96,16 @@ class _Search:
             self._check(fit)
             return rival is not None and falls_short(fit, _OPTIMISM * fall, rival, margin)
 
-        fitted = fit_shapes(
-            self.problem, field, z, sites=self.sites, tolerance=tolerance,
-            max_iterations=_MAX_STEPS, give_up=give_up,
-        )  # fmt: skip
-        return Model(*fitted, _NO_ERRORS)
+        return self.presses.fit(start, tolerance, max_steps, give_up)
 
     def _check(self, first: ShapeFit) -> None:
         """Raise `CancelledError` where the search is stopped, with the model that it reached."""
         if self._stop():
-            fit = self.model.fit if self.history else first
+            fit, errors = first, Errors(0.0, 0.0)
+            if self.history:
+                fit, errors = self.model.fit, self.model.errors
             error = CancelledError("the search for inclusions was stopped.")
-            error.reached = ShapeState(fit.field, fit.z, *_NO_ERRORS)
+            error.reached = ShapeState(fit.field, fit.z, *errors)
             raise error
 
     def _accept(self, what: str, model: Model) -> None:
@@ -109,64 +115,169 @@ class _Search:
 
     def improve(self, max_shapes: int) -> bool:
         """Accept a model of more evidence; return whether there was one."""
-        fit = self.model.fit
-        for proposal in self._proposals(max_shapes)[:_MAX_FITS]:
-            trial = self._fit(proposal.field, proposal.z, rival=fit)
-            change = gain(trial.fit, fit)
-            _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
-            if change > _MIN_GAIN:
-                self._accept(proposal.what, trial)
+        others = list(self._with_levels(self._present))
+        of_errors = max(others, key=lambda proposal: proposal.promise)
+        trials = [(of_errors.start, 0.0)]
+        if (best := self._best(self._proposals(others, max_shapes))) is not None:
+            # Larger errors alone may explain most of what an inclusion beside them does.
+            trials.insert(0, (best, max(of_errors.promise, 0.0)))
+        for start, least in trials:
+            trial = self._fit(start)
+            change = self._gain(trial.fit, self.model.fit)
+            _log.info(
+                "%s: chi2 %.4g, log-evidence %+.4g, by errors %.4g",
+                start.what, trial.fit.chi2, change, least,
+            )  # fmt: skip
+            if change > least + _MIN_GAIN:
+                self._accept(start.what, trial)
                 return True
         return False
 
-    def _proposals(self, max_shapes: int) -> list[_Proposal]:
-        """Return models that may have more evidence, those that seem to have most first."""
-        fit, inflation = self.model.fit, max(1.0, self.model.fit.chi2)
-        field, z = fit.field, fit.z
-        starts = [
-            (f"inclusion {k} as an ellipsoid", *as_ellipsoid(field, z, k))
-            for k, distorted in enumerate(field.distorted)
-            if not distorted
-        ]
-        degree = next((degree for degree in DEGREES if degree > field.degree), None)
-        if degree is not None:
-            starts.append((f"background of degree {degree}", *varied(field, z, degree=degree)))
-        found = [_Proposal(*start, self._promise(*start[1:])) for start in starts]
-        if len(field.distorted) < max_shapes:
-            data = self.problem.data
-            found += [
-                _Proposal(*with_ball(fit, ball), ball.gain / inflation - MIN_CANDIDATE_GAIN)
-                for ball in self.matched.best(fit.residuals, fit.jacobian, data, _STARTS)
-            ]
+    def _best(self, proposals: Sequence[_Proposal]) -> Start | None:
+        """Return the proposal that is best after a few steps of a fit, with its parameters."""
+        fit, best, most = self.model.fit, None, 0.0
+        for start, promise in proposals[:_MAX_FITS]:
+            trial = self._fit(start, max_steps=_FEW_STEPS, rival=fit)
+            change = gain(trial.fit, fit)
+            _log.debug("proposal: %s, log-evidence %+.4g of %+.4g", start.what, change, promise)
+            if change > most:
+                best, most = replace(start, z=trial.fit.z), change
+        return best
+
+    def _weights(self, *residuals: Float[np.ndarray, " data"]) -> Float[np.ndarray, " data"]:
+        """Return one over the chi2 of each place, where even the best explanation exceeds one."""
+        place_of = self.presses.place_of
+        counts = np.bincount(place_of)
+        chi2 = np.min([np.bincount(place_of, r**2) / counts for r in residuals], axis=0)
+        return (1.0 / np.maximum(chi2, 1.0))[place_of]
+
+    def _gain(self, fit: ShapeFit, rival: ShapeFit) -> float:
+        """Return the log-evidence of a fit over that of another one.
+
+        Places that neither explains count less, by their chi2: there the contact is not modelled.
+        """
+        weights = self._weights(fit.residuals, rival.residuals)
+        misfit = 0.5 * float(weights @ (rival.residuals**2 - fit.residuals**2))
+        penalty = 0.5 * float(rival.z @ rival.z - fit.z @ fit.z)
+        return misfit + penalty + rival.log_determinant - fit.log_determinant
+
+    def _proposals(self, others: list[_Proposal], max_shapes: int) -> list[_Proposal]:
+        """Return models that may have more evidence, those that seem to have most first.
+
+        Args:
+            others: The present model with each size of the smooth errors.
+            max_shapes: Largest number of inclusions.
+        """
+        found = list(others)
+        for start in self._starts():
+            found.append(max(self._with_levels(start), key=lambda proposal: proposal.promise))
+        if len(self.model.fit.field.distorted) < max_shapes:
+            found += self._further(others)
         found = [proposal for proposal in found if proposal.promise > 0.0]
         return sorted(found, key=lambda proposal: -proposal.promise)
 
-    def _promise(self, field: ShapeField, z: np.ndarray) -> float:
+    @property
+    def _present(self) -> Start:
+        return Start("", self.model.fit.field, self.model.fit.z, self.model.errors)
+
+    def _with_levels(self, start: Start) -> Iterator[_Proposal]:
+        """Yield a model with each size of the smooth errors."""
+        raw, values = self._response(start)
+        for level in _LEVELS:
+            what, errors = start.what, start.errors._replace(forces=level)
+            if level != start.errors.forces:
+                what = f"{what}{', ' * bool(what)}forces wrong by {level:.0%}"
+            promise = self._promise(raw, values, start.z, self.presses.data(level))
+            yield _Proposal(replace(start, what=what, errors=errors), promise)
+
+    def _starts(self) -> Iterator[Start]:
+        field, z, errors = self.model.fit.field, self.model.fit.z, self.model.errors
+        for k, distorted in enumerate(field.distorted):
+            if not distorted:
+                yield Start(f"inclusion {k} as an ellipsoid", *as_ellipsoid(field, z, k), errors)
+        degree = next((degree for degree in DEGREES if degree > field.degree), None)
+        if degree is not None:
+            what = f"background of degree {degree}"
+            yield Start(what, *varied(field, z, degree=degree), errors)
+
+    def _further(self, others: Sequence[_Proposal]) -> Iterator[_Proposal]:
+        """Yield the model with a further ball or rod, with each size of the smooth errors."""
+        raw, values = self._response(self._present)
+        best: dict[str, _Proposal] = {}
+        for start, promise in others:
+            data = self.presses.data(start.errors.forces)
+            residuals, explained = data.whiten(values), data.whiten(raw)
+            for ball in self._candidates(residuals, explained, start.errors.forces):
+                expected = promise + ball.gain - MIN_CANDIDATE_GAIN
+                what, field, z = with_ball(self.model.fit, ball)
+                errors = start.errors
+                named = f"{what}{', ' * bool(start.what)}{start.what}"
+                proposal = _Proposal(Start(named, field, z, errors), expected)
+                if what not in best or best[what].promise < expected:
+                    best[what] = proposal
+        return iter(best.values())
+
+    def _candidates(
+        self,
+        residuals: Float[np.ndarray, " data"],
+        explained: Float[np.ndarray, "data size"],
+        level: float,
+    ) -> Iterator[Candidate]:
+        """Yield balls and rods that would reduce the misfit most.
+
+        Where the misfit is large at some places, it hides others: all places are seen alike at
+        first, and then each by its weight.
+        """
+        if level not in self._filters:
+            self._filters[level] = self.matched.whitened(self.presses.data(level))
+        matched, inflation = self._filters[level], max(1.0, float(np.mean(residuals**2)))
+        for candidate in matched.best(residuals, explained, _STARTS):
+            yield candidate._replace(gain=candidate.gain / inflation)
+        weights = np.sqrt(self._weights(residuals))
+        yield from matched.best(residuals, explained, _STARTS, weights)
+
+    def _response(self, start: Start) -> tuple[np.ndarray, Float[np.ndarray, " data"]]:
+        """Return derivatives of the data by the parameters, and residuals, before whitening."""
+        raw = self.model.evaluation.with_data(self.presses.white)
+        self._check(self.model.fit)
+        point = ShapesOnSites(start.field, self.presses.sites).at(start.z)
+        return point.jacobian(raw), raw.residuals
+
+    def _promise(
+        self,
+        raw: Float[np.ndarray, "data size"],
+        values: Float[np.ndarray, " data"],
+        z: Float[np.ndarray, " size"],
+        data: DataModel,
+    ) -> float:
         """Return the gain of log-evidence by a linearised fit."""
-        fit, inflation = self.model.fit, max(1.0, self.model.fit.chi2)
-        self._check(fit)
-        jacobian = ShapesOnSites(field, self.sites).at(z).jacobian(self.model.evaluation)
+        fit = self.model.fit
+        jacobian, residuals = data.whiten(raw), data.whiten(values)
         squares, unit = jacobian.T @ jacobian, np.eye(len(z))
-        step = -np.linalg.solve(
-            squares / inflation + unit, jacobian.T @ fit.residuals / inflation + z
-        )
-        left = fit.residuals + jacobian @ step
-        misfit = 0.5 * float(left @ left) / inflation + 0.5 * float((z + step) @ (z + step))
-        determinant = float(np.linalg.slogdet(squares + unit)[1])
-        determinant += self.problem.data.log_determinant
-        return -misfit - 0.5 * determinant - fit.log_evidence(inflation)
+        step = -np.linalg.solve(squares + unit, jacobian.T @ residuals + z)
+        left = residuals + jacobian @ step
+        weights = self._weights(left, fit.residuals)
+        misfit = 0.5 * float(weights @ (fit.residuals**2 - left**2))
+        penalty = 0.5 * float(fit.z @ fit.z - (z + step) @ (z + step))
+        determinant = float(np.linalg.slogdet(squares + unit)[1]) + data.log_determinant
+        return misfit + penalty + fit.log_determinant - 0.5 * determinant
 
     def result(self) -> ShapeReconstruction:
-        """Fit the model closely, and return it with its posterior."""
+        """Fit the model closely with better elements, and return it with its posterior."""
+        self.presses = PalpationPresses(self._recording, self._settings, PALPATION_ELEMENT)
         fit = self.model.fit
-        self._accept("final fit", self._fit(fit.field, fit.z, _FINE))
+        field, z = fit.field, fit.z.copy()
+        # Linear elements are too stiff under the balls.
+        z[0] += np.log(self.presses.problem.contact_mpa / self._linear_mpa) / field.deviation[0]
+        self._accept("final fit", self._fit(Start("", field, z, self.model.errors), _FINE))
         fit = self.model.fit
         count = len(fit.field.parts)
         each = tuple(self._log_odds([k]) for k in range(count))
         whole = each[0] if count == 1 else self._log_odds(range(count)) if count else 0.0
         return ShapeReconstruction(
-            fit.field, fit.z, make_posterior(self.model, self.sites), fit.chi2, each, whole,
-            unexplained=unexplained(fit, self.problem.data), history=tuple(self.history),
+            fit.field, fit.z, make_posterior(self.model, self.presses.sites), fit.chi2, each, whole,
+            force_deviation=self.model.errors.forces,
+            unexplained=unexplained(fit, self.presses.problem.data), history=tuple(self.history),
         )  # fmt: skip
 
     def _log_odds(self, removed: Sequence[int]) -> float:
@@ -176,7 +287,8 @@ class _Search:
         """
         fit = self.model.fit
         field, z = without(fit.field, fit.z, removed)
-        trial = self._fit(field, z, rival=fit, margin=_CERTAIN).fit
+        start = Start("without", field, z, self.model.errors)
+        trial = self._fit(start, rival=fit, margin=_CERTAIN).fit
         inflation = max(1.0, fit.chi2)
         return min(fit.log_evidence(inflation) - trial.log_evidence(inflation), MAX_LOG_ODDS)
 

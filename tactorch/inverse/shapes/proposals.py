@@ -102,7 +102,7 @@ def _layers(problem: ShapeProblem, model: Model) -> Iterator[Start]:
 def _further(problem: ShapeProblem, model: Model) -> Iterator[Start]:
     """Yield the model with a further ball, at the places where it would explain most."""
     fit, data = model.fit, problem.data(model.errors)
-    for candidate in problem.matched.best(fit.residuals, fit.jacobian, data, _STARTS):
+    for candidate in problem.matched.whitened(data).best(fit.residuals, fit.jacobian, _STARTS):
         if candidate.gain < MIN_CANDIDATE_GAIN:
             return
         yield Start(*with_ball(fit, candidate), model.errors)

@@ -1,0 +1,92 @@
+"""Smooth relative errors of the forces of a palpation over the surface.
+
+The base under an object, its sides, and the normals of a curved surface are known roughly only, and
+so is the contact. The forces that a model predicts are then wrong by a factor that varies smoothly
+over the surface, with the depth, and close to the border of the palpated area, where the object
+ends or changes. Taken for structure, such errors would be explained by wide inclusions and by ones
+at the border. The factor is a Gaussian process over the places (Rasmussen and Williams, Gaussian
+Processes for Machine Learning, 2006), independently for its mean over the depths, its slope, and
+what falls with the distance from the border.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+_LENGTH = 0.25  # of the correlation, over the square root of the palpated area
+_SMALLEST = 1e-3  # variance of a mode of the process that is left out, over the largest
+_NARROW = 0.1  # width of the palpated area over its length, at least
+_NEIGHBOURS = 12  # nearest places, among which those at the border have a gap
+_GAP = 2.0 * np.pi / 3.0  # between the directions to neighbours
+
+
+def smooth_error_patterns(
+    contacts_mm: Float[np.ndarray, "places 3"],
+    place_of: Int[np.ndarray, " data"],
+    depths_mm: Float[np.ndarray, " data"],
+    forces: Float[np.ndarray, " data"],
+    border_mm: float,
+) -> Float[np.ndarray, "data k"]:
+    """Return patterns of errors of relative standard deviation one.
+
+    Args:
+        contacts_mm: Contact point of each place.
+        place_of: Place of each datum.
+        depths_mm: Depth of the ball of each datum.
+        forces: Predicted force of each datum, in standard deviations of the white noise.
+        border_mm: Distance from the border of the palpated area within which errors are larger.
+    """
+    modes = _modes(contacts_mm)
+    near = np.exp(-0.5 * (border_distances(contacts_mm) / border_mm) ** 2)
+    slope = (depths_mm / depths_mm.mean() - 1.0)[:, None] * modes[place_of]
+    return forces[:, None] * np.hstack([
+        modes[place_of], slope, (near[:, None] * modes)[place_of]
+    ])  # fmt: skip
+
+
+def _modes(points: Float[np.ndarray, "places 3"]) -> Float[np.ndarray, "places k"]:
+    """Return modes of a Gaussian process over the places, of unit variance and zero mean.
+
+    The mean over the places is the modulus of the background.
+    """
+    length = correlation_length(points)
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    variances, vectors = np.linalg.eigh(np.exp(-0.5 * (apart / length) ** 2))
+    kept = variances > _SMALLEST * variances[-1]
+    modes = vectors[:, kept] * np.sqrt(variances[kept])
+    centred: np.ndarray = modes - modes.mean(axis=0)
+    return centred
+
+
+def correlation_length(points: Float[np.ndarray, "places 3"]) -> float:
+    """Return the correlation length for places that fill an area (mm).
+
+    The area is that of the rectangle with the second moments of the places.
+    """
+    sides = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    sides = sides * np.sqrt(12.0 / len(points))
+    area = sides[0] * max(sides[1] if len(sides) > 1 else 0.0, _NARROW * sides[0])
+    return _LENGTH * float(np.sqrt(area)) or 1.0
+
+
+def border_distances(points: Float[np.ndarray, "places 3"]) -> Float[np.ndarray, " places"]:
+    """Return the distance of each place to the nearest one at the border of the area, mm."""
+    if len(points) <= _NEIGHBOURS:
+        return np.zeros(len(points))
+    at_border = _is_at_border(points)
+    if not at_border.any():
+        return np.full(len(points), np.inf)
+    distances: np.ndarray = cKDTree(points[at_border]).query(points)[0]
+    return distances
+
+
+def _is_at_border(points: Float[np.ndarray, "places 3"]) -> Bool[np.ndarray, " places"]:
+    """Whether the neighbours of each place leave a wide gap of directions in the surface."""
+    centred = points - points.mean(axis=0)
+    flat = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
+    _, neighbours = cKDTree(flat).query(flat, _NEIGHBOURS + 1)
+    apart = flat[neighbours[:, 1:]] - flat[:, None]
+    angles = np.sort(np.arctan2(apart[..., 1], apart[..., 0]), axis=1)
+    around = np.concatenate([angles, angles[:, :1] + 2.0 * np.pi], axis=1)
+    is_gap: np.ndarray = np.diff(around, axis=1).max(axis=1) > _GAP
+    return is_gap
