@@ -51,8 +51,9 @@ _ROUGH, _FINE = 0.5, 0.05  # tolerances of fits
 _MAX_STEPS, _FEW_STEPS = 12, 4  # of a fit, and of one by which models are compared
 _OPTIMISM = 3.0  # falls of the objective over those of its quadratic model, at best
 _MAX_FITS = 5  # of a round
-# Of the log-evidence, for a model that is accepted: errors of real presses are not independent.
-_MIN_GAIN = 20.0
+# Of the log-evidence, over the presses of a place, for a model that is accepted: the errors of
+# these presses are not independent.
+_MIN_GAIN = 10.0
 _CERTAIN = 20.0  # log-odds beyond which they need not be known
 _LEVELS = (0.0, 0.05, 0.15)  # relative deviations of the smooth errors of the forces
 
@@ -128,10 +129,16 @@ class _Search:
                 "%s: chi2 %.4g, log-evidence %+.4g, by errors %.4g",
                 start.what, trial.fit.chi2, change, least,
             )  # fmt: skip
-            if change > least + _MIN_GAIN:
+            if change > least + self._least_gain:
                 self._accept(start.what, trial)
                 return True
         return False
+
+    @property
+    def _least_gain(self) -> float:
+        """Smallest gain of log-evidence for a model that is accepted."""
+        problem = self.presses.problem
+        return _MIN_GAIN * len(problem.recording.presses) / len(problem.indentation.places)
 
     def _best(self, proposals: Sequence[_Proposal]) -> Start | None:
         """Return the proposal that is best after a few steps of a fit, with its parameters."""
