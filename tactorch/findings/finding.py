@@ -114,7 +114,7 @@ class Lump:
         size_mm: Size along x, y and z, (3,), mm.
         depth: Depth below the presses; None if no press pushes.
         confidence: Confidence by the posterior; None without a posterior.
-        elongation: Length, width and direction of a long lump; None for others and for regions of
+        elongation: Length, widths and direction of a long lump; None for others and for regions of
             a map.
     """
 

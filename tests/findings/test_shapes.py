@@ -57,7 +57,7 @@ def test_a_shape_becomes_a_lump_with_intervals(recording, shapes):
     assert "more than 99.9 %" in text
 
 
-def test_a_long_shape_is_named_with_length_width_and_direction(recording):
+def test_a_long_shape_is_named_with_length_widths_and_direction(recording):
     axis = np.array([0.6, 0.8, 0.0])
     stretch = np.log(1.0) * np.eye(3) + np.log(4.0) * np.outer(axis, axis)
     _, log_radius, distortions = Geometry.of(np.array([5.0, 5.0, 6.0]), stretch)
@@ -65,11 +65,11 @@ def test_a_long_shape_is_named_with_length_width_and_direction(recording):
     (lump,) = build_shape_finding(recording, long).lumps
     assert lump.elongation is not None
     assert lump.elongation.length_mm == pytest.approx(8.0)
-    assert lump.elongation.width_mm == pytest.approx(2.0)
+    assert lump.elongation.widths_mm == pytest.approx((2.0, 2.0))
     assert lump.elongation.direction == pytest.approx(axis)
     assert lump.plain()["direction"] == pytest.approx(axis.tolist())
     assert "A long stiff lump at (5.00, 5.00, 6.00) mm" in lump.text()
-    assert "8 mm long along (0.60, 0.80, 0.00) and 2 mm wide" in lump.text()
+    assert "8 mm long along (0.60, 0.80, 0.00) and 2 x 2 mm across" in lump.text()
     short = build_shape_finding(recording, reconstruct(VALUES)).lumps[0]
     assert short.elongation is None
     assert "length_mm" not in short.plain()
