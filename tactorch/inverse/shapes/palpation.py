@@ -65,6 +65,13 @@ class _Proposal(NamedTuple):
     promise: float
 
 
+class _Response(NamedTuple):
+    """Derivatives of the residuals by the parameters, and residuals, before whitening."""
+
+    jacobian: Float[np.ndarray, "data size"]
+    residuals: Float[np.ndarray, " data"]
+
+
 class _Search:
     """The presses, and the present model."""
 
@@ -116,10 +123,11 @@ class _Search:
 
     def improve(self, max_shapes: int) -> bool:
         """Accept a model of more evidence; return whether there was one."""
-        others = list(self._with_levels(self._present))
+        response = self._response(self._present)
+        others = list(self._with_levels(self._present, response))
         of_errors = max(others, key=lambda proposal: proposal.promise)
         trials = [(of_errors.start, 0.0)]
-        if (best := self._best(self._proposals(others, max_shapes))) is not None:
+        if (best := self._best(self._proposals(others, response, max_shapes))) is not None:
             # Larger errors alone may explain most of what an inclusion beside them does.
             trials.insert(0, (best, max(of_errors.promise, 0.0)))
         for start, least in trials:
@@ -168,18 +176,22 @@ class _Search:
         penalty = 0.5 * float(rival.z @ rival.z - fit.z @ fit.z)
         return misfit + penalty + rival.log_determinant - fit.log_determinant
 
-    def _proposals(self, others: list[_Proposal], max_shapes: int) -> list[_Proposal]:
+    def _proposals(
+        self, others: list[_Proposal], response: _Response, max_shapes: int
+    ) -> list[_Proposal]:
         """Return models that may have more evidence, those that seem to have most first.
 
         Args:
             others: The present model with each size of the smooth errors.
+            response: Its derivatives and residuals.
             max_shapes: Largest number of inclusions.
         """
         found = list(others)
         for start in self._starts():
-            found.append(max(self._with_levels(start), key=lambda proposal: proposal.promise))
+            levels = self._with_levels(start, self._response(start))
+            found.append(max(levels, key=lambda proposal: proposal.promise))
         if len(self.model.fit.field.distorted) < max_shapes:
-            found += self._further(others)
+            found += self._further(others, response)
         found = [proposal for proposal in found if proposal.promise > 0.0]
         return sorted(found, key=lambda proposal: -proposal.promise)
 
@@ -187,14 +199,13 @@ class _Search:
     def _present(self) -> Start:
         return Start("", self.model.fit.field, self.model.fit.z, self.model.errors)
 
-    def _with_levels(self, start: Start) -> Iterator[_Proposal]:
+    def _with_levels(self, start: Start, response: _Response) -> Iterator[_Proposal]:
         """Yield a model with each size of the smooth errors."""
-        raw, values = self._response(start)
         for level in _LEVELS:
             what, errors = start.what, start.errors._replace(forces=level)
             if level != start.errors.forces:
                 what = f"{what}{', ' * bool(what)}forces wrong by {level:.0%}"
-            promise = self._promise(raw, values, start.z, self.presses.data(level))
+            promise = self._promise(response, start.z, self.presses.data(level))
             yield _Proposal(replace(start, what=what, errors=errors), promise)
 
     def _starts(self) -> Iterator[Start]:
@@ -207,13 +218,12 @@ class _Search:
             what = f"background of degree {degree}"
             yield Start(what, *varied(field, z, degree=degree), errors)
 
-    def _further(self, others: Sequence[_Proposal]) -> Iterator[_Proposal]:
+    def _further(self, others: Sequence[_Proposal], response: _Response) -> Iterator[_Proposal]:
         """Yield the model with a further ball or rod, with each size of the smooth errors."""
-        raw, values = self._response(self._present)
         best: dict[str, _Proposal] = {}
         for start, promise in others:
             data = self.presses.data(start.errors.forces)
-            residuals, explained = data.whiten(values), data.whiten(raw)
+            residuals, explained = data.whiten(response.residuals), data.whiten(response.jacobian)
             for ball in self._candidates(residuals, explained, start.errors.forces):
                 expected = promise + ball.gain - MIN_CANDIDATE_GAIN
                 what, field, z = with_ball(self.model.fit, ball)
@@ -243,23 +253,22 @@ class _Search:
         weights = np.sqrt(self._weights(residuals))
         yield from matched.best(residuals, explained, _STARTS, weights)
 
-    def _response(self, start: Start) -> tuple[np.ndarray, Float[np.ndarray, " data"]]:
-        """Return derivatives of the data by the parameters, and residuals, before whitening."""
+    def _response(self, start: Start) -> _Response:
+        """Return the response of a model whose moduli are those of the present one."""
         raw = self.model.evaluation.with_data(self.presses.white)
         self._check(self.model.fit)
         point = ShapesOnSites(start.field, self.presses.sites).at(start.z)
-        return point.jacobian(raw), raw.residuals
+        return _Response(point.jacobian(raw), raw.residuals)
 
     def _promise(
         self,
-        raw: Float[np.ndarray, "data size"],
-        values: Float[np.ndarray, " data"],
+        response: _Response,
         z: Float[np.ndarray, " size"],
         data: DataModel,
     ) -> float:
         """Return the gain of log-evidence by a linearised fit."""
         fit = self.model.fit
-        jacobian, residuals = data.whiten(raw), data.whiten(values)
+        jacobian, residuals = data.whiten(response.jacobian), data.whiten(response.residuals)
         squares, unit = jacobian.T @ jacobian, np.eye(len(z))
         step = -np.linalg.solve(squares + unit, jacobian.T @ residuals + z)
         left = residuals + jacobian @ step
