@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TypeVar
 
 from tactorch.errors import TactorchError
+from tactorch.progress import without_progress
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -52,6 +53,7 @@ def single_thread() -> Iterator[None]:
 
     threads, compiled = torch.get_num_threads(), numba.get_num_threads()
     with ExitStack() as stack:
+        stack.enter_context(without_progress())
         stack.callback(logging.disable, logging.root.manager.disable)
         logging.disable(logging.INFO)
         stack.callback(torch.set_num_threads, threads)

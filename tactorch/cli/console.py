@@ -15,11 +15,13 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
 from tactorch.errors import FileError
+from tactorch.progress import without_progress
 from tactorch.text import printable
 
 #: Exit statuses other than 0: of wrong input, and of Ctrl-C.
 WRONG, INTERRUPTED = 2, 130
 _NO_CONTROL = ("", "dumb", "unknown")  # TERM of terminals that know no control codes
+_STEPS = ("tactorch.inverse.monitor", "tactorch.inverse.shapes")  # loggers
 _LINES = 10  # of progress in a log
 
 log = logging.getLogger("tactorch")
@@ -105,8 +107,8 @@ def terminal_log(is_shown: Callable[[logging.LogRecord], bool]) -> Iterator[None
 
 
 def is_no_iteration(record: logging.LogRecord) -> bool:
-    """Return whether a log record is other than the line of an iteration of an inversion."""
-    return record.name != "tactorch.inverse.monitor" or record.levelno > logging.INFO
+    """Return whether a log record is other than a line about a step of an inversion."""
+    return not record.name.startswith(_STEPS) or record.levelno > logging.INFO
 
 
 def to_log_file(message: str, error: bool = False) -> None:
@@ -162,9 +164,17 @@ class ProgressCallback(Protocol):
 @contextmanager
 def progress(label: str, items: str) -> Iterator[ProgressCallback]:
     """Show the progress of a computation: a bar at a terminal, else some lines in the log."""
-    if not is_rich(sys.stderr):
-        yield _log_progress(label, items)
-        return
+    with without_progress():
+        if is_rich(sys.stderr):
+            with _bar(label, items) as update:
+                yield update
+        else:
+            yield _log_progress(label, items)
+
+
+@contextmanager
+def _bar(label: str, items: str) -> Iterator[ProgressCallback]:
+    """Show a bar at a terminal."""
     from rich import progress as rich
     from rich.console import Console
 

@@ -15,6 +15,7 @@ from jinja2 import Environment, StrictUndefined
 from tactorch.cli.console import is_no_iteration, log, terminal_log
 from tactorch.files import write_file
 from tactorch.findings.text import describe_finding, summarize_finding, summarize_plain
+from tactorch.progress import without_progress
 from tactorch.sampling import LoopResult, Observer, Update
 
 if TYPE_CHECKING:
@@ -78,6 +79,7 @@ class Screen(Observer):
         # A table replaces all log lines.
         is_shown = (lambda record: False) if at_terminal else _is_event
         self._stack.enter_context(terminal_log(is_shown))
+        self._stack.enter_context(without_progress())
         if at_terminal:
             from rich.live import Live
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr, ndtri
 
+from tactorch.display import Displayed
 from tactorch.errors import ConfigError
 from tactorch.findings.elongation import Elongation
 from tactorch.findings.lumps import Mask, adjacent_elements, find_lumps
@@ -207,11 +208,12 @@ class Status(StrEnum):
     UNKNOWN = "cannot tell"
 
 
-@dataclass(frozen=True, eq=False)
-class Finding:
+@dataclass(frozen=True, eq=False, repr=False)
+class Finding(Displayed):
     """The outcome of a search for lumps.
 
     Attributes:
+        mesh: The object.
         lumps: Lumps, the most conspicuous first; none if the status is not `FOUND`.
         background_mpa: Young's modulus of the background, MPa.
         reasons: Reasons for which the presses cannot tell, as sentences; usually none.
@@ -221,6 +223,7 @@ class Finding:
         shapes: Shapes that the lumps describe; None if they are regions of a map.
     """
 
+    mesh: TetMesh
     lumps: tuple[Lump, ...]
     background_mpa: float
     reasons: tuple[str, ...] = ()
@@ -245,6 +248,10 @@ class Finding:
             "background_mpa": self.background_mpa,
             "lumps": [lump.plain() for lump in self.lumps],
         }
+
+    def summary(self) -> str:
+        """Return the finding as text; see `text`."""
+        return self.text()
 
     def text(self) -> str:
         """Return the finding as text, one line per lump or reason, and per note."""
@@ -280,12 +287,12 @@ def build_finding(
     """
     mesh = recording.mesh
     if reasons:
-        return Finding((), float(np.median(youngs)), tuple(reasons))
+        return Finding(mesh, (), float(np.median(youngs)), tuple(reasons))
     lumps = (
         build_lump(mesh, recording.presses, inclusion, posterior)
         for inclusion in find_lumps(mesh, youngs, max_lumps=max_lumps)
     )
-    return Finding(tuple(lumps), float(np.median(youngs)))
+    return Finding(mesh, tuple(lumps), float(np.median(youngs)))
 
 
 def build_lump(

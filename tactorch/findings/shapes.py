@@ -33,13 +33,13 @@ def build_shape_finding(recording: Recording, result: ShapeReconstruction) -> Fi
             f"the best model leaves {result.unexplained:.0%} of the displacements unexplained. "
             "Check the forces, the supports and the shape of the object, and the stated noise."
         )
-        return Finding((), background, (reason,), probability, notes, result)
+        return Finding(recording.mesh, (), background, (reason,), probability, notes, result)
     lumps = tuple(
         _lump(recording, inclusion)
         for inclusion in result.inclusions
         if inclusion.probability >= _MIN_PROBABILITY
     )
-    return Finding(lumps, background, (), probability, notes, result)
+    return Finding(recording.mesh, lumps, background, (), probability, notes, result)
 
 
 def _notes(recording: Recording, result: ShapeReconstruction) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from tactorch.inverse.data import ModelError, NoiseModel
 from tactorch.inverse.fields import ElementField
 from tactorch.inverse.misfit import MISFITS, Adaptive, Squares
 from tactorch.inverse.model_error import discretisation_error, resolve_model_error
-from tactorch.inverse.monitor import Monitor, progress
+from tactorch.inverse.monitor import Monitor, progress_text
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
@@ -26,6 +26,7 @@ from tactorch.inverse.problem import InverseProblem, make_body
 from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings
 from tactorch.inverse.starts import START_MPA, Start, start_map, uniform_fit
+from tactorch.progress import progress_line
 from tactorch.recording import Recording
 from tactorch.versions import versions
 
@@ -56,7 +57,7 @@ def invert(
             problem and the bounds that returns one: see `tactorch.inverse.starts`.
         checkpoint: File to save the state to every few seconds.
         resume: Checkpoint to continue from.
-        show_progress: Whether to show a progress line; by default at a terminal.
+        show_progress: Whether to show a line of progress; see `tactorch.progress.progress_line`.
         on_iteration: Callback with the record of each iteration and a copy of its map, MPa.
 
     Returns:
@@ -68,11 +69,36 @@ def invert(
         FileError: the checkpoint to resume cannot be read.
     """
     settings = settings or Settings()
-    objective, optimizer = make_objective(recording, settings), settings.optimizer
-    monitor = Monitor(
+    optimizer = settings.optimizer
+    label = f"inversion by {OPTIMIZERS.name_of(type(optimizer))}"
+    with progress_line(label, show_progress) as update:
+        update("model of the presses")
+        objective = make_objective(recording, settings)
+        monitor = _make_monitor(recording, settings, objective)
+        monitor.checkpoint = None if checkpoint is None else Path(checkpoint)
+        monitor.on_iteration = on_iteration
+        monitor.on_record = lambda record: update(progress_text(record))
+        if resume is not None:
+            monitor.restore(Path(resume), objective.size)
+            objective.problem.evaluations = monitor.evaluations
+        update("first equilibrium")
+        x = monitor.best
+        if x is None:
+            x = objective.start(start_map(start_mpa, objective.problem, settings.bounds))
+        warn_of_assumed_noise(settings.noise, recording)
+        if monitor.ended is None:
+            with monitor:
+                monitor.reason = reason = optimizer.minimize(objective, x, monitor)
+                monitor.ended = None if reason.is_limit else reason
+            monitor.save()
+    result = result_of(objective, settings, optimizer, monitor)
+    return replace(result, config={"start_mpa": _describe_start(start_mpa), **result.config})
+
+
+def _make_monitor(recording: Recording, settings: Settings, objective: Objective) -> Monitor:
+    """Return the monitor with what a checkpoint must share to be resumed."""
+    return Monitor(
         max_seconds=settings.max_seconds,
-        checkpoint=None if checkpoint is None else Path(checkpoint),
-        on_iteration=on_iteration,
         identity={
             "mesh": recording.mesh.content_hash()[:12],
             "parameterization": str(objective.elements.parameterization),
@@ -82,21 +108,6 @@ def invert(
         },
         task=_task_digest(recording, settings),
     )
-    if resume is not None:
-        monitor.restore(Path(resume), objective.size)
-        objective.problem.evaluations = monitor.evaluations
-    x = monitor.best
-    if x is None:
-        x = objective.start(start_map(start_mpa, objective.problem, settings.bounds))
-    warn_of_assumed_noise(settings.noise, recording)
-    if monitor.ended is None:
-        with progress(OPTIMIZERS.name_of(type(optimizer)), show_progress) as update, monitor:
-            monitor.on_record = update
-            monitor.reason = reason = optimizer.minimize(objective, x, monitor)
-            monitor.ended = None if reason.is_limit else reason
-        monitor.save()
-    result = result_of(objective, settings, optimizer, monitor)
-    return replace(result, config={"start_mpa": _describe_start(start_mpa), **result.config})
 
 
 def warn_of_assumed_noise(noise: NoiseModel, recording: Recording) -> None:

@@ -1,10 +1,8 @@
 """Monitor of an optimizer: history, progress line, checkpoints, and reasons to stop."""
 
 import logging
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -237,30 +235,9 @@ def describe(entry: dict[str, Any]) -> str:
     return text.format(**entry) + "".join(parts)
 
 
-@contextmanager
-def progress(label: str, show: bool | None = None) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Show iteration, misfit and step while an optimizer runs; by default only at a terminal.
-
-    Yields:
-        A function to call with each record of the history.
-    """
-    if not (sys.stderr.isatty() if show is None else show):
-        yield lambda record: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}  iteration {task.completed}"),
-        TextColumn("{task.fields[state]}"),
-        TimeElapsedColumn(),
+def progress_text(record: Mapping[str, Any]) -> str:
+    """Return iteration, misfit and step of a record for a line of progress."""
+    return (
+        f"iteration {record['iteration']}, misfit {record['misfit']:.3e} mm2, "
+        f"step {record.get('step', 0.0):.2g}"
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(label, total=None, state="first equilibrium")
-
-        def update(record: dict[str, Any]) -> None:
-            state = f"misfit {record['misfit']:.3e} mm2  step {record.get('step', 0.0):.2g}"
-            bar.update(task, completed=record["iteration"], state=state)
-
-        yield update

@@ -158,6 +158,11 @@ class NuisanceEstimate:
         """Whether the data reduce the deviation of some component by a tenth or more."""
         return bool((self.deviation < _MAX_RATIO * self.prior_deviation).any())
 
+    def text(self) -> str:
+        """Return the components with their standard deviations as text."""
+        pairs = zip(np.atleast_1d(self.value), np.atleast_1d(self.deviation), strict=True)
+        return ", ".join(f"{value:.3g} (standard deviation {dev:.2g})" for value, dev in pairs)
+
     def plain(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values."""
         return {name: np.asarray(value).tolist() for name, value in vars(self).items()}

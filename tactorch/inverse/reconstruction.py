@@ -1,12 +1,14 @@
 """The result of an inversion: a map of Young's modulus with its history, and its files."""
 
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.display import Displayed
 from tactorch.errors import MeshError
 from tactorch.hdf5 import (
     Hdf5Reader,
@@ -22,13 +24,16 @@ from tactorch.mesh import TetMesh, write_mesh
 if TYPE_CHECKING:
     import h5py
 
+    from tactorch.inverse.shapes import ShapeReconstruction
+    from tactorch.recording import Recording
+
 _FORMAT, _VERSION = "tactorch-reconstruction", 1
 _REMEDY = "give the reconstruction.h5 of a run folder."
 _MAX_AT_BOUNDS = 0.2  # fraction of the volume at the bounds in a map that can be trusted
 
 
-@dataclass(frozen=True, eq=False)
-class Reconstruction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Reconstruction(Displayed):
     """A map of Young's modulus.
 
     On disk (HDF5): attributes `format`, `version`, `stop_reason` and `seconds`; datasets
@@ -91,6 +96,41 @@ class Reconstruction:
             "larger, or estimate what is wrong (nuisance)."
         )
         return (warning,)
+
+    def summary(self) -> str:
+        """Return a description of the result in a few lines of text."""
+        low, middle, high = np.quantile(self.youngs, [0.0, 0.5, 1.0])
+        chi2 = f", chi2 {self.history[-1]['chi2']:.3g}" if self.history else ""
+        lines = [
+            f"Young's modulus: {low:.3g} to {high:.3g} MPa, median {middle:.3g} MPa",
+            f"object: {self.mesh.n_points} nodes, {self.mesh.n_tets} tetrahedra",
+            f"{self.iterations} iterations in {self.seconds:.1f} s{chi2}: {self.stop_reason}",
+            *(f"{name}: {estimate.text()}" for name, estimate in self.nuisance.items()),
+            *(f"warning: {warning}" for warning in self.warnings),
+        ]
+        return "\n".join(lines)
+
+    def report(
+        self,
+        path: str | Path,
+        recording: "Recording | None" = None,
+        *,
+        shapes: "ShapeReconstruction | None" = None,
+        **options: Any,
+    ) -> Path:
+        """Write the report of `tactorch report`, a self-contained HTML file; return its path.
+
+        Args:
+            path: Path of the file.
+            recording: Presses of the inversion. Without them the report has only the map.
+            shapes: Result of `find_shapes` for them.
+            options: Options of `tactorch.report.write_report`.
+        """
+        # The report is above its objects.
+        written: Path = import_module("tactorch.report").report_of(
+            self, path, recording, shapes, **options
+        )
+        return written
 
     def save(self, path: str | Path) -> Path:
         """Write to HDF5 atomically."""

@@ -36,6 +36,7 @@ from tactorch.mesh.values import (
     sizes,
     vector,
 )
+from tactorch.progress import progress_line
 
 logger = logging.getLogger(__name__)
 
@@ -228,7 +229,9 @@ def tetrahedralize(
 
     def mesher(target_mm: float, envelope_mm: float) -> TetMesh:
         relative, coarsen = envelope_mm / diagonal, tolerance is None
-        return _validated(*_run_tetwild(all_points, all_faces, target_mm, relative, coarsen))
+        with progress_line(f"meshing with edges of {target_mm:.3g} mm"):
+            found = _run_tetwild(all_points, all_faces, target_mm, relative, coarsen)
+        return _validated(*found)
 
     if tolerance is None:
         _require_no_crossing(points, faces)

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float, Int
 
+from tactorch.display import Displayed
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh.checks import (
     as_cells,
@@ -39,7 +40,7 @@ _MIN_COSINE = np.sqrt(0.5)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TetMesh:
+class TetMesh(Displayed):
     """Linear tetrahedra in mm; n nodes, m elements.
 
     The arrays are copied, made read-only and checked: non-finite points, indices out of range,
@@ -88,6 +89,21 @@ class TetMesh:
     def with_regions(self, regions: Rows | None) -> "TetMesh":
         """Return the same mesh with other region numbers, (m,), or none."""
         return TetMesh.create(self.points, self.tets, repair=False, regions=regions)
+
+    def summary(self) -> str:
+        """Return a description of the mesh in a few lines of text."""
+        size = " x ".join(f"{edge:.3g}" for edge in self.bounds[1] - self.bounds[0])
+        ends = self.points[self.edges]
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        low, middle, high = (f"{x:.3g}" for x in np.quantile(lengths, [0.0, 0.5, 1.0]))
+        lines = [
+            f"{self.n_points} nodes, {self.n_tets} tetrahedra",
+            f"{size} mm, {self.volumes.sum():.4g} mm3",
+            f"edges of {low} to {high} mm, median {middle} mm",
+        ]
+        if self.regions is not None:
+            lines.append(f"regions: {', '.join(map(str, np.unique(self.regions)))}")
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         return f"TetMesh({self.n_points} nodes, {self.n_tets} tets, {self.diagonal:.4g} mm across)"

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.config import Options, option
+from tactorch.display import Displayed
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh import BodyFile, Box, Cylinder, Hemisphere, Hyperboloid, Lathe, Shape, TetMesh
 from tactorch.mesh.geometry import bounding_diagonal
@@ -33,8 +34,8 @@ class Inclusion(NamedTuple):
     youngs_mpa: float
 
 
-@dataclass(frozen=True)
-class Phantom:
+@dataclass(frozen=True, repr=False)
+class Phantom(Displayed):
     """Soft body with inclusions.
 
     Attributes:
@@ -61,6 +62,19 @@ class Phantom:
             object.__setattr__(self, "youngs_mpa", positive("youngs_mpa", self.youngs_mpa))
         inclusions = tuple(self._inclusion(i, *pair) for i, pair in enumerate(self.inclusions))
         object.__setattr__(self, "inclusions", inclusions)
+
+    def summary(self) -> str:
+        """Return a description of the phantom in a few lines of text."""
+        youngs = self.youngs_mpa
+        if isinstance(youngs, Background):
+            inside = f"Young's modulus {_describe(youngs)}"
+        else:
+            inside = f"Young's modulus {youngs:g} MPa"
+        lines = [f"body: {_describe(self.body)}, {inside}"]
+        lines += [
+            f"inclusion: {_describe(shape)}, {value:g} MPa" for shape, value in self.inclusions
+        ]
+        return "\n".join(lines)
 
     def youngs_at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return Young's modulus at points (mm), MPa; outside the body, that of the background.
@@ -222,3 +236,17 @@ def _number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ConfigError(f"{where} is {value!r}; give a number in MPa.")
     return float(value)
+
+
+def _describe(part: Shape | Background) -> str:
+    """Return the type and the parameters of a part of a phantom."""
+    return " ".join(_word(*item) for item in to_config(part).items())
+
+
+def _word(key: str, value: Any) -> str:
+    """Return a parameter of a part; the value alone of the type."""
+    if isinstance(value, list) and all(isinstance(item, float) for item in value):
+        value = f"({', '.join(f'{item:g}' for item in value)})"
+    elif isinstance(value, float):
+        value = f"{value:g}"
+    return str(value) if key in ("shape", "field") else f"{key}={value}"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from tactorch.display import Displayed
 from tactorch.errors import FileError, RecordingError
 from tactorch.hdf5 import write_hdf5
 from tactorch.mesh import TetMesh
@@ -26,8 +27,8 @@ _log = logging.getLogger(__name__)
 _MAX_REGIONS = 12  # that a summary lists
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Displayed):
     """Input of a reconstruction. Units: mm, N, MPa, tonne/mm^3.
 
     Attributes:

@@ -2,6 +2,6 @@
 
 from tactorch.findings import SHAPES
 from tactorch.report.runs import Run, load_run, run_names
-from tactorch.report.write import write_report
+from tactorch.report.write import report_of, write_report
 
-__all__ = ["SHAPES", "Run", "load_run", "run_names", "write_report"]
+__all__ = ["SHAPES", "Run", "load_run", "report_of", "run_names", "write_report"]

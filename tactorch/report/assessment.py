@@ -56,7 +56,7 @@ def _find(run: Run, posterior: GaussianPosterior | None = None) -> Finding:
     if run.recording is None:
         inclusion = find_lump(mesh, youngs)
         lumps = () if inclusion is None else (build_lump(mesh, (), inclusion, None),)
-        return Finding(lumps, float(np.median(youngs)), run.result.warnings)
+        return Finding(mesh, lumps, float(np.median(youngs)), run.result.warnings)
     if run.shapes is not None:
         return build_shape_finding(run.recording, run.shapes)
     reasons = run.result.warnings

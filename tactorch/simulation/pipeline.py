@@ -16,6 +16,7 @@ from tactorch.linalg import SOLVERS, SolverOptions, map_cases
 from tactorch.mesh import TetMesh
 from tactorch.mesh.values import Real, Vector, positive, vector
 from tactorch.phantoms import Phantom
+from tactorch.progress import progress_line
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.simulation.plan import PressPlan
 from tactorch.simulation.solve import PressSimulator
@@ -39,7 +40,7 @@ def simulate(
     seed: int = 0,
     density: Real | None = None,
     gravity: Vector = STANDARD_GRAVITY,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Recording:
     """Simulate a recording of presses on a phantom.
 
@@ -69,7 +70,8 @@ def simulate(
             unloaded shape, as for all presses.
         gravity: Gravitational acceleration, mm/s^2; used with a density only.
         progress: Called with the number of solved presses and their total, from several threads
-            but one call at a time.
+            but one call at a time. By default progress is shown as by
+            `tactorch.progress.progress_line`.
 
     Returns:
         The recording: presses ordered by site and pressure, with all three components of the
@@ -94,12 +96,18 @@ def simulate(
     simulator = PressSimulator(body, phantom.on_mesh(fine_mesh, samples), mesh, plan, weight)
     sites = [simulator.conditions(site) for site in plan.sites_on(mesh)]
     lock, solved = threading.Lock(), itertools.count(1)
+    total = len(sites) * len(plan.pressures)
 
-    def on_solved() -> None:
-        with lock:
-            progress(next(solved), len(sites) * len(plan.pressures))
+    with progress_line("simulation", None if progress is None else False) as update:
 
-    displacements = map_cases(lambda i: simulator.solve(sites[i], on_solved), len(sites))
+        def on_solved() -> None:
+            with lock:
+                count = next(solved)
+                update(f"{count} of {total} presses")
+                if progress is not None:
+                    progress(count, total)
+
+        displacements = map_cases(lambda i: simulator.solve(sites[i], on_solved), len(sites))
     presses: list[Press] = []
     for conditions, steps in zip(sites, displacements, strict=True):
         for step, (pressure, displacement) in enumerate(zip(plan.pressures, steps, strict=True)):

@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.inverse.monitor import progress
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes import Interval, ShapeReconstruction
@@ -30,6 +29,7 @@ from tactorch.inverse.shapes.posterior import Normal, ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.result import InclusionValues
 from tactorch.inverse.shapes.sizing import refined_at_contacts
+from tactorch.progress import progress_line
 from tactorch.recording import Recording
 from tactorch.uncertainty.importance import (
     LogDensity,
@@ -170,7 +170,7 @@ def sample_shapes(
         settings: The settings of `find_shapes`.
         draws: Number of draws.
         seed: Seed of the draws.
-        show_progress: Whether to show a progress line; by default at a terminal.
+        show_progress: Whether to show a line of progress; see `tactorch.progress.progress_line`.
 
     Raises:
         ConfigError: a setting cannot be used, or there are fewer than two draws.
@@ -179,7 +179,7 @@ def sample_shapes(
     """
     if draws < 2:
         raise ConfigError(f"draws={draws} must be 2 or more.")
-    with progress("draws of the posterior", show_progress) as update:
+    with progress_line("draws of the posterior", show_progress) as update:
         exact = _ExactPosterior.of(recording, result, settings or Settings(), update)
         draw = sample_posterior(result.posterior, exact.log_density, draws, seed)
     samples = ShapeSamples(result.posterior.field, *draw, result.order)
@@ -252,7 +252,7 @@ class _ExactPosterior:
         evaluation: Predictions at the parameters at which that is linearised.
         fields: Their derivatives by the parameters, for each press, mm.
         inflation: Variance of the noise over the stated one.
-        update: Called with a record of each evaluation.
+        update: Called with the state as text at each evaluation.
     """
 
     problem: InverseProblem
@@ -261,14 +261,14 @@ class _ExactPosterior:
     evaluation: Evaluation
     fields: Sequence[Float[np.ndarray, "size nodes 3"]]
     inflation: float
-    update: Callable[[dict[str, Any]], None]
+    update: Callable[[str], None]
 
     @staticmethod
     def of(
         recording: Recording,
         result: ShapeReconstruction,
         settings: Settings,
-        update: Callable[[dict[str, Any]], None] = lambda record: None,
+        update: Callable[[str], None] = lambda state: None,
     ) -> "_ExactPosterior":
         """Return the posterior with the data, errors and corrections of a result."""
         if not is_same_model(recording):
@@ -294,10 +294,11 @@ class _ExactPosterior:
         except ConvergenceError as error:
             _log.debug("no equilibrium at a draw: %s", error)
             return -np.inf
-        self.update({"iteration": self.problem.evaluations, "misfit": evaluation.misfit_mm2})
+        self.update(f"evaluation {self.problem.evaluations}")
         residuals = evaluation.residuals
         log_jacobian = float(self.approximation.log_jacobian(z[None])[0])
-        return log_jacobian - 0.5 * float(residuals @ residuals / self.inflation + z @ z)
+        misfit = 0.5 * float(residuals @ residuals) / self.inflation
+        return log_jacobian - misfit - self.family.shapes.penalty(z)
 
     def _starts(self, z: Float[np.ndarray, " size"]) -> list[Float[np.ndarray, "nodes 3"]]:
         """Return the linearised displacements, on which few steps of an equilibrium search remain.

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from tactorch.errors import ConfigError
+from tactorch.inverse import Reconstruction
 from tactorch.text import one_line
 from tactorch.viz.figure import COLOURS, new_figure
 
@@ -21,20 +22,25 @@ History = Sequence[Mapping[str, Any]]
 
 
 def convergence_figure(
-    histories: Mapping[str, History], *, noise_level: float | None = None, title: str = ""
+    histories: Mapping[str, History] | Reconstruction,
+    *,
+    noise_level: float | None = None,
+    title: str = "",
 ) -> Figure:
     """Return a figure of the misfit of each optimizer against iterations and seconds.
 
     Args:
-        histories: Records of each optimizer in order, with the keys `iteration`, `seconds` and
-            `misfit`. Where no displacement is measured, so that all misfits are zero, `chi2` is
-            drawn; other keys are ignored.
+        histories: The result of an inversion; or records of each optimizer in order, with the keys
+            `iteration`, `seconds` and `misfit`. Where no displacement is measured, so that all
+            misfits are zero, `chi2` is drawn; other keys are ignored.
         noise_level: Expected misfit of the noise, mm^2, drawn as a line.
         title: Title of the figure.
 
     Raises:
         ConfigError: There is no history, one is empty, or a record lacks a finite number.
     """
+    if isinstance(histories, Reconstruction):
+        histories = {"inversion": histories.history}
     if not histories:
         raise ConfigError("convergence_figure: no history given; pass at least one optimizer's.")
     forces = not any(r.get("misfit", 1.0) for history in histories.values() for r in history)

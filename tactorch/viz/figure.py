@@ -1,5 +1,6 @@
 """Figures without a display: creation, text from files, styles and atomic saving."""
 
+import io
 from collections.abc import Mapping
 from itertools import cycle
 from pathlib import Path
@@ -22,6 +23,7 @@ BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, "#E69F00", "#56B4E9", "#000000")
 #: Colour of contact: differs from every colour of viridis and cividis.
 CONTACT = VERMILION
+_NOTEBOOK_DPI = 90
 _LINES = ((BLUE, "-"), (VERMILION, "--"), (GREEN, "-."), ("black", ":"))
 MODULUS_LABEL = "Young's modulus (MPa)"
 
@@ -44,6 +46,12 @@ class PlainTextFigure(Figure):
                 text.set_parse_math(False)
                 text.set_text(printable(text.get_text()))
         super().draw(renderer)
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture for a notebook."""
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=_NOTEBOOK_DPI)
+        return buffer.getvalue()
 
 
 def new_figure(width: float, height: float) -> Figure:

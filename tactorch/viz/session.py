@@ -14,7 +14,7 @@ from tactorch.sensor.chain import Measurement
 from tactorch.sensor.recorder import ContactInterval
 from tactorch.text import one_line
 from tactorch.viz.figure import BLUE, COLOURS, GREEN, VERMILION, new_grid
-from tactorch.viz.slicing import AXES
+from tactorch.viz.views import axis_name, plane_across, push_direction
 
 _MAX_PRESSES = 6
 _WIDTH, _HEIGHT = 2.8, 6.4  # inches per press
@@ -114,21 +114,23 @@ def presses_figure(recording: Recording, max_presses: int = _MAX_PRESSES) -> Fig
         (forces, forces, "force along the press, N", "N"),
     )
     for axes_row, (values, masks, label, unit) in zip(grid, rows, strict=True):
-        along = [value @ _direction(press) for value, press in zip(values, presses, strict=True)]
+        along = [
+            value @ push_direction(press) for value, press in zip(values, presses, strict=True)
+        ]
         top = max(float(np.nanmax(np.abs(part))) for part in along) or 1.0
         for axes, press, value, mask, colours in zip(
             axes_row, presses, values, masks, along, strict=True
         ):
             shown = np.any(mask, axis=1)
-            across = _across(_direction(press))
+            across = plane_across(push_direction(press))
             flat = recording.mesh.points @ across.T
             dots = axes.scatter(
                 *flat[shown].T, c=colours[shown], cmap="cividis", vmin=min(0.0, -0.1 * top),
                 vmax=top, s=26, edgecolor="0.25", linewidth=0.3,
             )  # fmt: skip
             _draw_arrows(axes, flat, np.nan_to_num(value @ across.T), shown, unit)
-            axes.set_xlabel(f"{_axis_name(across[0])}, mm", fontsize=8)
-            axes.set_ylabel(f"{_axis_name(across[1])}, mm", fontsize=8)
+            axes.set_xlabel(f"{axis_name(across[0])}, mm", fontsize=8)
+            axes.set_ylabel(f"{axis_name(across[1])}, mm", fontsize=8)
             axes.tick_params(labelsize=7)
         figure.colorbar(dots, ax=axes_row, label=label, shrink=0.9, pad=0.02)
     for number, (axes, press) in enumerate(zip(grid[0], presses, strict=True), start=1):
@@ -168,27 +170,3 @@ def _select(recording: Recording, count: int) -> list[Press]:
     """Return up to `count` presses of the highest steps, in their order."""
     order = sorted(range(len(recording.presses)), key=lambda i: -recording.presses[i].step)
     return [recording.presses[i] for i in sorted(order[:count])]
-
-
-def _direction(press: Press) -> Float[np.ndarray, "3"]:
-    if press.direction is not None:
-        return press.direction
-    size = float(np.linalg.norm(press.total_force))
-    return press.total_force / size if size > 0 else np.array([0.0, 0.0, -1.0])
-
-
-def _across(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:
-    """Return two unit vectors normal to a direction, close to axes of the object."""
-    main = int(np.argmax(np.abs(direction)))
-    first = np.eye(3)[(main + 1) % 3]
-    first = first - (first @ direction) * direction
-    first /= np.linalg.norm(first)
-    second = np.cross(direction, first)
-    second *= np.sign(second[(main + 2) % 3]) or 1.0
-    return np.stack([first, second])
-
-
-def _axis_name(vector: Float[np.ndarray, "3"]) -> str:
-    main = int(np.argmax(np.abs(vector)))
-    exact = abs(abs(vector[main]) - 1.0) < 1e-3
-    return AXES[main] if exact else f"about {AXES[main]}"

@@ -130,7 +130,9 @@ def a_ball(screens: Screens) -> Finding:
     center, interval = np.array([5.0, 5.0, 6.0]), (1.9, 2.1)
     inclusion = Inclusion(center, 33.5, 2.0, 0.94, 0.2, inside, "stiff")
     confidence = Confidence(0.9999, (3.7, 6.0), np.full(3, 0.01), interval, (0.74, 1.2))
-    return Finding((Lump(inclusion, np.full(3, 4.0), None, confidence),), 0.2)
+    return Finding(
+        screens._recording.mesh, (Lump(inclusion, np.full(3, 4.0), None, confidence),), 0.2
+    )
 
 
 def test_the_finding_is_shown_with_its_intervals_and_of_how_many_presses_it_is(
@@ -150,7 +152,7 @@ def test_the_finding_is_shown_with_its_intervals_and_of_how_many_presses_it_is(
 
 
 def test_the_page_says_that_the_presses_cannot_tell(screens: Screens) -> None:
-    finding = Finding((), 0.2, ("40% of the map is at a bound.",))
+    finding = Finding(screens._recording.mesh, (), 0.2, ("40% of the map is at a bound.",))
     screens.screen.updated(screens.update(2, finding))
     page = screens.page()
     assert "Cannot tell whether there is a lump: 40% of the map is at a bound." in page

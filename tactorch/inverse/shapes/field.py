@@ -25,6 +25,7 @@ from tactorch.mesh.quadrature import lattice
 
 _SAMPLES = 6  # points of the lattice along an edge of an element
 _SMOOTH = "legendre"  # modes of a smooth background
+_STEP = 1e-5  # of differences, in standard deviations of the prior
 _WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
 
 
@@ -122,6 +123,10 @@ class ShapePrior:
 
     Centres are within the body's bounding box (one standard deviation is half its extent), radii
     around a seventh of its size, moduli of inclusions within a factor of four or so.
+
+    Attributes:
+        outside_mm: Standard deviation of the length by which an inclusion extends beyond the
+            bounding box at each side, mm; None without such a penalty.
     """
 
     low_mm: Float[np.ndarray, "3"]
@@ -134,6 +139,7 @@ class ShapePrior:
     log_radius: float = 0.6
     distortion: float = 0.35
     log_contrast: float = 1.5
+    outside_mm: float | None = None
 
     @staticmethod
     def of(mesh: TetMesh, background_mpa: float) -> "ShapePrior":
@@ -330,6 +336,38 @@ class ShapeField:
                 tuple(tuple(row) for row in vectors.T[order].tolist()),
                 float(np.exp(values[part][4])),
             )
+
+    def excess(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " sides"]:
+        """Return how far inclusions extend beyond each side of the box, in standard deviations.
+
+        There are six values for each inclusion where the prior restricts them, and otherwise none.
+        """
+        prior = self.prior
+        if prior.outside_mm is None:
+            return np.zeros(0)
+        values, found = self.physical(z), [np.zeros(0)]
+        for part in self.parts:
+            inclusion = _geometry(values[part])
+            half = np.sqrt(np.diag(expm(2.0 * inclusion.log_stretch)))
+            beyond = [
+                inclusion.center + half - prior.high_mm,
+                prior.low_mm - inclusion.center + half,
+            ]
+            found.append(np.maximum(np.concatenate(beyond), 0.0) / prior.outside_mm)
+        return np.concatenate(found)
+
+    def penalty(self, z: Float[np.ndarray, " size"]) -> float:
+        """Return minus the log-density of the prior, up to a constant of the family."""
+        excess = self.excess(z)
+        return 0.5 * float(z @ z + excess @ excess)
+
+    def excess_jacobian(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, "sides size"]:
+        """Return the derivative of `excess` by the parameters, by central differences."""
+        steps = _STEP * np.eye(self.size)
+        columns = [
+            (self.excess(z + step) - self.excess(z - step)) / (2.0 * _STEP) for step in steps
+        ]
+        return np.stack(columns, axis=1)
 
     def log_background(
         self, values: Float[np.ndarray, "k size"], points: Float[np.ndarray, "k 3"]

@@ -114,6 +114,7 @@ class ShapeFit:
         covariance: Their posterior covariance, for the stated noise.
         chi2: Mean squared residual, in standard deviations.
         misfit: Half the sum of squared residuals.
+        penalty: Minus the log-density of the prior, see `ShapeField.penalty`.
         log_determinant: Half the logarithm of the determinants of the posterior precision and of
             the covariance of the data.
         residuals: Residuals of all data.
@@ -125,6 +126,7 @@ class ShapeFit:
     covariance: Float[np.ndarray, "size size"]
     chi2: float
     misfit: float
+    penalty: float
     log_determinant: float
     residuals: Float[np.ndarray, " data"]
     jacobian: Float[np.ndarray, "data size"]
@@ -134,7 +136,7 @@ class ShapeFit:
 
         The determinant is that of the stated noise.
         """
-        return -self.misfit / inflation - 0.5 * float(self.z @ self.z) - self.log_determinant
+        return -self.misfit / inflation - self.penalty - self.log_determinant
 
 
 def fit_shapes(
@@ -219,7 +221,15 @@ class _State:
     @cached_property
     def value(self) -> float:
         residuals = self.evaluation.residuals
-        return 0.5 * float(residuals @ residuals + self.z @ self.z)
+        return 0.5 * float(residuals @ residuals) + self.family.shapes.penalty(self.z)
+
+    @cached_property
+    def _excess(self) -> Float[np.ndarray, " sides"]:
+        return self.family.shapes.excess(self.z)
+
+    @cached_property
+    def _excess_jacobian(self) -> Float[np.ndarray, "sides size"]:
+        return self.family.shapes.excess_jacobian(self.z)
 
     @cached_property
     def _response(self) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -228,11 +238,12 @@ class _State:
 
     @cached_property
     def _gradient(self) -> Vector:
-        return self._response[0].T @ self.evaluation.residuals + self.z
+        of_data = self._response[0].T @ self.evaluation.residuals
+        return of_data + self.z + self._excess_jacobian.T @ self._excess
 
     @cached_property
     def _hessian(self) -> Float[np.ndarray, "size size"]:
-        jacobian = self._response[0]
+        jacobian = np.vstack([self._response[0], self._excess_jacobian])
         return jacobian.T @ jacobian + np.eye(len(self.z))
 
     def newton_step(self, damping: float = 0.0) -> Vector:
@@ -272,6 +283,7 @@ class _State:
             np.linalg.inv(self._hessian),
             self.evaluation.chi2,
             0.5 * float(residuals @ residuals),
+            self.family.shapes.penalty(self.z),
             0.5 * determinant,
             residuals,
             self._response[0],

@@ -42,6 +42,7 @@ from tactorch.inverse.shapes.model import (
 )
 from tactorch.inverse.shapes.palpation_presses import PalpationPresses
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
+from tactorch.progress import progress_line
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
@@ -55,6 +56,7 @@ _MAX_FITS = 5  # of a round
 # these presses are not independent.
 _MIN_GAIN = 10.0
 _CERTAIN = 20.0  # log-odds beyond which they need not be known
+_OUTSIDE_MM = 1.0  # standard deviation of the length of inclusions outside the object
 _LEVELS = (0.0, 0.05, 0.15)  # relative deviations of the smooth errors of the forces
 
 
@@ -85,7 +87,8 @@ class _Search:
         self.matched = matched.only(self.presses.are_resolved(matched.centers))
         self._filters: dict[float, MatchedFilter] = {}
         self.history: list[dict[str, Any]] = []
-        field = ShapeField(ShapePrior.of(recording.mesh, youngs))
+        prior = replace(ShapePrior.of(recording.mesh, youngs), outside_mm=_OUTSIDE_MM)
+        field = ShapeField(prior)
         start = Start("uniform", field, np.zeros(field.size), Errors(0.0, 0.0))
         self._accept("uniform", self._fit(start))
 
@@ -152,7 +155,8 @@ class _Search:
         """Return the proposal that is best after a few steps of a fit, with its parameters."""
         fit, best, most = self.model.fit, None, 0.0
         for start, promise in proposals[:_MAX_FITS]:
-            trial = self._fit(start, max_steps=_FEW_STEPS, rival=fit)
+            with progress_line(start.what):
+                trial = self._fit(start, max_steps=_FEW_STEPS, rival=fit)
             change = gain(trial.fit, fit)
             _log.debug("proposal: %s, log-evidence %+.4g of %+.4g", start.what, change, promise)
             if change > most:
@@ -173,8 +177,7 @@ class _Search:
         """
         weights = self._weights(fit.residuals, rival.residuals)
         misfit = 0.5 * float(weights @ (rival.residuals**2 - fit.residuals**2))
-        penalty = 0.5 * float(rival.z @ rival.z - fit.z @ fit.z)
-        return misfit + penalty + rival.log_determinant - fit.log_determinant
+        return misfit + rival.penalty - fit.penalty + rival.log_determinant - fit.log_determinant
 
     def _proposals(
         self, others: list[_Proposal], response: _Response, max_shapes: int
@@ -205,7 +208,7 @@ class _Search:
             what, errors = start.what, start.errors._replace(forces=level)
             if level != start.errors.forces:
                 what = f"{what}{', ' * bool(what)}forces wrong by {level:.0%}"
-            promise = self._promise(response, start.z, self.presses.data(level))
+            promise = self._promise(response, start, self.presses.data(level))
             yield _Proposal(replace(start, what=what, errors=errors), promise)
 
     def _starts(self) -> Iterator[Start]:
@@ -260,23 +263,19 @@ class _Search:
         point = ShapesOnSites(start.field, self.presses.sites).at(start.z)
         return _Response(point.jacobian(raw), raw.residuals)
 
-    def _promise(
-        self,
-        response: _Response,
-        z: Float[np.ndarray, " size"],
-        data: DataModel,
-    ) -> float:
+    def _promise(self, response: _Response, start: Start, data: DataModel) -> float:
         """Return the gain of log-evidence by a linearised fit."""
-        fit = self.model.fit
+        fit, z = self.model.fit, start.z
         jacobian, residuals = data.whiten(response.jacobian), data.whiten(response.residuals)
-        squares, unit = jacobian.T @ jacobian, np.eye(len(z))
-        step = -np.linalg.solve(squares + unit, jacobian.T @ residuals + z)
+        excess, slopes = start.field.excess(z), start.field.excess_jacobian(z)
+        squares = jacobian.T @ jacobian + slopes.T @ slopes + np.eye(len(z))
+        step = -np.linalg.solve(squares, jacobian.T @ residuals + slopes.T @ excess + z)
         left = residuals + jacobian @ step
         weights = self._weights(left, fit.residuals)
         misfit = 0.5 * float(weights @ (fit.residuals**2 - left**2))
-        penalty = 0.5 * float(fit.z @ fit.z - (z + step) @ (z + step))
-        determinant = float(np.linalg.slogdet(squares + unit)[1]) + data.log_determinant
-        return misfit + penalty + fit.log_determinant - 0.5 * determinant
+        penalty = 0.5 * float(np.sum((z + step) ** 2) + np.sum((excess + slopes @ step) ** 2))
+        determinant = float(np.linalg.slogdet(squares)[1]) + data.log_determinant
+        return misfit + fit.penalty - penalty + fit.log_determinant - 0.5 * determinant
 
     def result(self) -> ShapeReconstruction:
         """Fit the model closely with better elements, and return it with its posterior."""
@@ -318,8 +317,12 @@ def find_palpation_shapes(
     stop: Callable[[], bool] = lambda: False,
 ) -> ShapeReconstruction:
     """Find the inclusions under the presses of a palpation; see `find_shapes`."""
-    search = _Search(recording, settings, stop)
-    for _ in range(max_models):
-        if not search.improve(max_shapes):
-            break
-    return search.result()
+    with progress_line("search for inclusions") as update:
+        update("uniform body")
+        search = _Search(recording, settings, stop)
+        for number in range(2, max_models + 2):
+            update(f"model {number}")
+            if not search.improve(max_shapes):
+                break
+        update("final fit")
+        return search.result()

@@ -224,7 +224,8 @@ class ShapeProblem:
         determinant = float(np.linalg.slogdet(hessian)[1]) + data.log_determinant
         return ShapeFit(
             start.field, z, np.linalg.inv(hessian), evaluation.chi2,
-            0.5 * float(residuals @ residuals), 0.5 * determinant, residuals, columns,
+            0.5 * float(residuals @ residuals), start.field.penalty(z), 0.5 * determinant,
+            residuals, columns,
         )  # fmt: skip
 
     def precise(self, model: Model) -> Model:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
+from tactorch.display import Displayed
 from tactorch.inverse.shapes.field import Ellipsoid, ShapeField, Sites
 from tactorch.inverse.shapes.posterior import ShapePosterior
 
@@ -94,8 +95,8 @@ class ShapeState(NamedTuple):
     rim_deviation: float
 
 
-@dataclass(frozen=True, eq=False)
-class ShapeReconstruction:
+@dataclass(frozen=True, eq=False, repr=False)
+class ShapeReconstruction(Displayed):
     """Inclusions with sharp boundaries in a uniform or smooth background.
 
     Attributes:
@@ -128,6 +129,23 @@ class ShapeReconstruction:
     rim_deviation: float = 0.0
     unexplained: float = 0.0
     history: tuple[dict[str, Any], ...] = ()
+
+    def summary(self) -> str:
+        """Return a description of the result in a few lines of text."""
+        count = len(self.field.parts)
+        lines = [
+            f"{count} inclusion{'' if count == 1 else 's'} in {self.background_mpa:.3g} MPa, "
+            f"chi2 {self.chi2:.3g}"
+        ]
+        for found in self.inclusions:
+            center = ", ".join(f"{x:.2f}" for x in found.shape.center_mm)
+            (smallest, largest), (low, high) = found.radius_90_mm, found.youngs_90_mpa
+            lines.append(
+                f"({center}) mm: radius {found.shape.radius_mm:.3g} mm [{smallest:.3g}, "
+                f"{largest:.3g}], {found.youngs_mpa:.3g} MPa [{low:.2g}, {high:.2g}], "
+                f"probability {found.probability:.3g}"
+            )
+        return "\n".join(lines)
 
     @property
     def probability(self) -> float:

@@ -35,6 +35,7 @@ from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.proposals import propose
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.sizing import refined_at_contacts
+from tactorch.progress import progress_line
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
@@ -84,16 +85,32 @@ def find_shapes(
         )
     if not is_same_model(recording):
         recording = refined_at_contacts(recording)
-    problem = ShapeProblem(recording, settings, stop, kept)
+    with progress_line("search for inclusions") as update:
+        update("elements at the contacts")
+        problem = ShapeProblem(recording, settings, stop, kept)
+        return _search(problem, start, max_shapes, update)
+
+
+def _search(
+    problem: ShapeProblem,
+    start: ShapeReconstruction | ShapeState | None,
+    max_shapes: int,
+    update: Callable[[str], None],
+) -> ShapeReconstruction:
+    """Accept models of more evidence until there is none."""
+    update("first model")
     model, history = _first(problem, start)
     try:
-        for _ in range(_MAX_MODELS):
-            accepted = _accept(problem, model, propose(problem, model, max_shapes))
-            if accepted is None:
+        for number in range(2, _MAX_MODELS + 2):
+            update(f"model {number}, predictions of proposals")
+            proposals = propose(problem, model, max_shapes)
+            update(f"model {number}")
+            if (accepted := _accept(problem, model, proposals)) is None:
                 break
             proposal, model = accepted
             model = problem.precise(model)
             history.append(record(proposal.what, model.fit))
+        update("final fit")
         return _result(problem, _final(problem, model), history)
     except CancelledError as error:
         error.reached = ShapeState(model.fit.field, model.fit.z, *model.errors)
@@ -144,7 +161,7 @@ def _accept(
 ) -> tuple[Proposal, Model] | None:
     """Fit proposals with quadratic elements until one has more evidence than the model."""
     for proposal in proposals[:_MAX_FITS]:
-        with suppress(ConvergenceError):
+        with suppress(ConvergenceError), progress_line(proposal.what):
             trial = problem.challenge(proposal, model)
             change = gain(trial.fit, model.fit)
             _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)

@@ -1,0 +1,63 @@
+"""Text and pictures of an object, in notebooks and scripts."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pyvista
+    from matplotlib.figure import Figure
+
+
+class Displayed:
+    """An object with a summary, a figure and a view in three dimensions.
+
+    Notebooks show the summary and the figure where an object is the last value of a cell.
+    """
+
+    def summary(self) -> str:
+        """Return a description in a few lines of text."""
+        raise NotImplementedError
+
+    def plot(self, **options: Any) -> "Figure":
+        """Return a figure. `tactorch.viz.figures` lists figures and options for each type."""
+        figure: Figure = _figures().make_figure(self, **options)
+        return figure
+
+    def to_pyvista(self) -> "pyvista.DataObject":
+        """Return the object for PyVista, lengths in mm; see `tactorch.viz.solid`.
+
+        Raises:
+            ConfigError: PyVista is not installed.
+        """
+        return _solid().to_pyvista(self)
+
+    def show(self, *, screenshot: str | Path | None = None, **options: Any) -> None:
+        """Show the object in three dimensions with PyVista.
+
+        Args:
+            screenshot: File for a picture instead of a window, such as `view.png`.
+            options: Options of `pyvista.Plotter.show`, such as `jupyter_backend="static"`.
+
+        Raises:
+            ConfigError: PyVista is not installed, or there is no window system, notebook or file.
+        """
+        _solid().show(self, screenshot, **options)
+
+    def __repr__(self) -> str:
+        lines = self.summary().splitlines()
+        return "\n  ".join([type(self).__name__, *lines])
+
+    def _repr_html_(self) -> str:
+        """Return the summary and the figure for a notebook."""
+        text: str = _figures().make_html(self)
+        return text
+
+
+# Pictures are above the objects that they show, and imported where one is drawn.
+def _figures() -> Any:
+    return import_module("tactorch.viz.figures")
+
+
+def _solid() -> Any:
+    return import_module("tactorch.viz.solid")

@@ -1,0 +1,198 @@
+"""Progress of long computations: a line at a terminal or in a notebook, else one now and then.
+
+A computation inside another one is shown as its state. Computations in other threads, and inside
+one that is not shown, are not shown.
+"""
+
+import html
+import logging
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+_log = logging.getLogger("tactorch")
+_BRIEF_S = 1.0  # computations that are not kept on the screen
+_PERIOD_S = 0.2  # between updates in a notebook
+_PLAIN_PERIOD_S = 10.0  # between lines that are kept
+
+Update: TypeAlias = Callable[[str], None]
+
+
+@runtime_checkable
+class _Line(Protocol):
+    """Shows the label and the state of a computation."""
+
+    def show(self, text: str) -> None:
+        """Show text in place of that before."""
+
+    def close(self, seconds: float) -> None:
+        """End after a time."""
+
+
+@contextmanager
+def progress_line(label: str, show: bool | None = None) -> Iterator[Update]:
+    """Show a computation while it runs.
+
+    Args:
+        label: Name of the computation.
+        show: Whether it is shown; by default at a terminal, in a notebook, and elsewhere every ten
+            seconds unless messages of tactorch are logged.
+
+    Yields:
+        A function to call with the state of the computation, as text.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield _ignore
+    elif show is None and _running:
+        with _inside(_running[-1], label) as update:
+            yield update
+    else:
+        with _outermost(label, show) as update:
+            yield update
+
+
+@contextmanager
+def without_progress() -> Iterator[None]:
+    """Show no computation meanwhile."""
+    with progress_line("", show=False):
+        yield
+
+
+class _Computation:
+    """A computation that is shown, with its state."""
+
+    def __init__(self, label: str, line: _Line) -> None:
+        self._label, self._line = label, line
+        self.state = ""
+        self.update("")
+
+    def update(self, state: str) -> None:
+        self.state = state
+        self._line.show(f"{self._label}: {state}" if state else self._label)
+
+
+# Computations of the main thread, each inside the one before; None for one that is not shown.
+_running: list[_Computation | None] = []
+
+
+@contextmanager
+def _inside(outer: _Computation | None, label: str) -> Iterator[Update]:
+    """Show a computation as the state of another one."""
+    if outer is None:
+        yield _ignore
+        return
+    before = outer.state
+    prefix = f"{before}, {label}" if before else label
+    outer.update(prefix)
+    try:
+        yield lambda state: outer.update(f"{prefix}, {state}")
+    finally:
+        outer.update(before)
+
+
+@contextmanager
+def _outermost(label: str, show: bool | None) -> Iterator[Update]:
+    line = None if show is False else _new_line(forced=show is True)
+    computation = None if line is None else _Computation(label, line)
+    _running.append(computation)
+    start = time.monotonic()
+    try:
+        yield _ignore if computation is None else computation.update
+    finally:
+        _running.pop()
+        if line is not None:
+            line.close(time.monotonic() - start)
+
+
+def _new_line(forced: bool) -> _Line | None:
+    if in_notebook():
+        return _NotebookLine()
+    if forced or _is_terminal():
+        return _TerminalLine()
+    # Messages in the log tell as much.
+    return None if _log.isEnabledFor(logging.INFO) else _PlainLine()
+
+
+def in_notebook() -> bool:
+    """Return whether this is a kernel of Jupyter."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    return getattr(shell, "kernel", None) is not None
+
+
+def _is_terminal() -> bool:
+    try:
+        return sys.stderr.isatty()
+    except (AttributeError, ValueError):  # none at all, or closed
+        return False
+
+
+def _ignore(state: str) -> None:
+    pass
+
+
+class _TerminalLine:
+    """A line with a spinner and the elapsed time at a terminal."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        text = TextColumn("{task.description}", markup=False)
+        self._bar = Progress(
+            SpinnerColumn(), text, TimeElapsedColumn(), console=Console(stderr=True)
+        )
+        self._task = self._bar.add_task("", total=None)
+        self._bar.start()
+
+    def show(self, text: str) -> None:
+        self._bar.update(self._task, description=text)
+
+    def close(self, seconds: float) -> None:
+        self._bar.live.transient = seconds < _BRIEF_S
+        self._bar.stop()
+
+
+class _NotebookLine:
+    """A line of a notebook's output that is replaced, without widgets."""
+
+    def __init__(self) -> None:
+        self._start, self._shown, self._text = time.monotonic(), -_PERIOD_S, ""
+        self._handle: Any = None
+
+    def show(self, text: str) -> None:
+        self._text, now = text, time.monotonic()
+        if now - self._shown >= _PERIOD_S:
+            self._shown = now
+            self._display(f"{text} ({now - self._start:.0f} s)")
+
+    def close(self, seconds: float) -> None:
+        self._display("" if seconds < _BRIEF_S else f"{self._text} ({seconds:.1f} s)")
+
+    def _display(self, text: str) -> None:
+        from IPython.display import HTML, display
+
+        shown = HTML(f"<pre>{html.escape(text)}</pre>" if text else "")
+        if self._handle is None:
+            self._handle = display(shown, display_id=True)
+        else:
+            self._handle.update(shown)
+
+
+class _PlainLine:
+    """Lines on the standard error output, with seconds between them."""
+
+    def __init__(self) -> None:
+        self._start = self._last = time.monotonic()
+
+    def show(self, text: str) -> None:
+        now = time.monotonic()
+        if now - self._last >= _PLAIN_PERIOD_S:
+            self._last = now
+            print(f"{text} ({now - self._start:.0f} s)", file=sys.stderr, flush=True)
+
+    def close(self, seconds: float) -> None:
+        pass

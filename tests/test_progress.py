@@ -1,0 +1,173 @@
+"""Progress of computations at a terminal, in a notebook and elsewhere."""
+
+import logging
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tactorch import progress
+from tactorch.progress import progress_line, without_progress
+
+
+class Terminal:
+    """A line that keeps what it shows."""
+
+    def __init__(self) -> None:
+        self.shown: list[str] = []
+        self.closed = False
+
+    def show(self, text: str) -> None:
+        self.shown.append(text)
+
+    def close(self, seconds: float) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def lines(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Terminal]]:
+    made: list[Terminal] = []
+
+    def new_line(forced: bool) -> Terminal:
+        made.append(Terminal())
+        return made[-1]
+
+    monkeypatch.setattr(progress, "_new_line", new_line)
+    yield made
+    assert not progress._running
+
+
+def test_a_computation_inside_another_one_is_its_state(lines: list[Terminal]) -> None:
+    with progress_line("inversion") as update:
+        update("iteration 1")
+        with progress_line("meshing") as of_mesh:
+            of_mesh("2 of 3")
+        update("iteration 2")
+    (line,) = lines
+    assert line.shown == [
+        "inversion",
+        "inversion: iteration 1",
+        "inversion: iteration 1, meshing",
+        "inversion: iteration 1, meshing, 2 of 3",
+        "inversion: iteration 1",
+        "inversion: iteration 2",
+    ]
+    assert line.closed
+
+
+def test_nothing_is_shown_inside_a_hidden_computation(lines: list[Terminal]) -> None:
+    with without_progress(), progress_line("inner") as update:
+        update("state")
+    with progress_line("outer", show=False), progress_line("inner") as update:
+        update("state")
+    assert not lines
+
+
+def test_an_error_ends_the_line(lines: list[Terminal]) -> None:
+    with pytest.raises(ValueError, match="wrong"), progress_line("outer"), progress_line("inner"):
+        raise ValueError("wrong")
+    assert lines[0].closed
+
+
+def test_other_threads_show_nothing(lines: list[Terminal]) -> None:
+    def work() -> None:
+        with progress_line("in a thread") as update:
+            update("state")
+
+    thread = threading.Thread(target=work)
+    with progress_line("main"):
+        thread.start()
+        thread.join()
+    assert [line.shown for line in lines] == [["main"]]
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    return clock
+
+
+def test_a_script_without_a_terminal_gets_a_line_now_and_then(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "_is_terminal", lambda: False)
+    monkeypatch.setattr(logging.getLogger("tactorch"), "level", logging.WARNING)
+    logging.getLogger("tactorch").manager._clear_cache()  # type: ignore[attr-defined]
+    with progress_line("inversion") as update:
+        for second in range(25):
+            clock.now = 100.0 + second
+            update(f"iteration {second}")
+    assert capsys.readouterr().err.splitlines() == [
+        "inversion: iteration 10 (10 s)",
+        "inversion: iteration 20 (20 s)",
+    ]
+
+
+def test_where_messages_are_logged_there_are_no_further_lines(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "_is_terminal", lambda: False)
+    monkeypatch.setattr(progress._log, "isEnabledFor", lambda level: True)
+    with progress_line("inversion") as update:
+        clock.now += 60.0
+        update("iteration 1")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.fixture
+def notebook(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A notebook whose output has the texts that were shown, the last one of each place."""
+    outputs: list[str] = []
+
+    def display(shown: str, display_id: bool) -> Any:
+        outputs.append(shown)
+        place = len(outputs) - 1
+        return SimpleNamespace(update=lambda new: outputs.__setitem__(place, new))
+
+    kernel = SimpleNamespace(kernel=object())
+    ipython, parts = ModuleType("IPython"), ModuleType("IPython.display")
+    ipython.get_ipython = lambda: kernel  # type: ignore[attr-defined]
+    parts.HTML, parts.display = str, display  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    monkeypatch.setitem(sys.modules, "IPython.display", parts)
+    return outputs
+
+
+def test_a_notebook_has_one_output_that_is_replaced(clock: Clock, notebook: list[str]) -> None:
+    with progress_line("inversion") as update:
+        assert notebook == ["<pre>inversion (0 s)</pre>"]
+        clock.now += 0.1
+        update("too soon")
+        assert notebook == ["<pre>inversion (0 s)</pre>"]
+        clock.now += 4.0
+        update("chi2 < 1")
+        assert notebook == ["<pre>inversion: chi2 &lt; 1 (4 s)</pre>"]
+    assert notebook == ["<pre>inversion: chi2 &lt; 1 (4.1 s)</pre>"]
+
+
+def test_brief_computations_leave_nothing_in_a_notebook(clock: Clock, notebook: list[str]) -> None:
+    with progress_line("meshing"):
+        clock.now += 0.5
+    assert notebook == [""]
+
+
+def test_a_terminal_shows_text_that_looks_like_markup(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with progress_line("ball at [1.0, 2.0]", show=True) as update:
+        update("[bold]state")
+        time.sleep(progress._BRIEF_S)
+    assert "ball at [1.0, 2.0]: [bold]state" in capsys.readouterr().err
