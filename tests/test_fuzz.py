@@ -106,7 +106,7 @@ def dataset(path: Path) -> Path:
 
 def in_dataset(name: str, path: Path) -> Kind:
     def read(file: Path) -> Any:
-        samples = SampleSet.open(file.parent)
+        samples = SampleSet(file.parent)
         return (samples.indices, [sample.recording for sample in samples])
 
     return Kind(dataset(path) / name, read)
@@ -216,8 +216,8 @@ def test_a_manifest_with_other_failures_is_refused(tmp_path: Path) -> None:
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, "failed": {"1": "left out"}}))
     with pytest.raises(TactorchError, match=r"manifest\.json' is damaged \(its checksum differs"):
-        SampleSet.open(path.parent)
+        SampleSet(path.parent)
     del content["sha256"]
     path.write_text(json.dumps(content))
-    assert len(SampleSet.open(path.parent)) == 2, "manifests of earlier versions have no checksum"
+    assert len(SampleSet(path.parent)) == 2, "manifests of earlier versions have no checksum"
     shutil.rmtree(path.parent)

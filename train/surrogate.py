@@ -39,7 +39,7 @@ def make(folder: Path) -> None:
 
 def note(data: Path, run: Path, evaluated: Path) -> dict[str, Any]:
     """Return what the weights were made of."""
-    manifest = SampleSet.open(data).manifest
+    manifest = SampleSet(data).manifest
     scores = json.loads((evaluated / "scores.json").read_text(encoding="utf-8"))
     config = (run / ".hydra" / "config.yaml").read_text(encoding="utf-8").splitlines()
     return {

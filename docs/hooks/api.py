@@ -64,6 +64,7 @@ PAGES = {
         "Datasets and networks",
         [
             "tactorch.generation",
+            "tactorch.learning",
             "tactorch.learning.surrogate",
             "tactorch.learning.surrogate.network",
             "tactorch.learning.surrogate.data",

@@ -100,7 +100,7 @@ def generate(
                 report(done, failed, recipe.count)
                 dataset.close_shard(index // recipe.shard)
         dataset.write_manifest(known)
-    return SampleSet.open(folder)
+    return SampleSet(folder)
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class _Dataset:
         """Return the checksums of existing shards by the manifest of an earlier run."""
         if not (self.folder / MANIFEST).is_file():
             return {}
-        shards = SampleSet.open(self.folder).manifest["shards"]
+        shards = SampleSet(self.folder).manifest["shards"]
         return {s["file"]: s["sha256"] for s in shards if (self.folder / s["file"]).is_file()}
 
     def _sample_files(self, index: int) -> tuple[Path, Path]:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -55,31 +55,24 @@ class SampleMaps:
     pushes: Float[np.ndarray, "k 3"] | None
 
 
-@dataclass(eq=False)
 class SampleSet:
     """A finished dataset on disk. Each process opens a shard when it is first needed.
+
+    `tactorch.learning.TouchDataset` has its samples as tensors.
+
+    Args:
+        folder: Folder of the dataset; its manifest is read, and no sample yet.
 
     Attributes:
         folder: Folder of the dataset.
         manifest: Content of the manifest.
         indices: Numbers of the samples, ascending, without the failed ones.
+
+    Raises:
+        FileError: There is no dataset, it is unfinished, or of a version that cannot be read.
     """
 
-    folder: Path
-    manifest: dict[str, Any]
-    indices: tuple[int, ...]
-    _shards: dict[str, Hdf5Reader] = field(default_factory=dict, repr=False)
-    _meshes: dict[str, TetMesh] = field(default_factory=dict, repr=False)
-    # Size and time of change of the shards whose checksum was compared.
-    _verified: dict[str, tuple[int, int]] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def open(cls, folder: str | Path) -> "SampleSet":
-        """Read the manifest of a dataset; no sample yet.
-
-        Raises:
-            FileError: There is none, it is unfinished, or of a version that cannot be read.
-        """
+    def __init__(self, folder: str | Path) -> None:
         place = require_folder(folder, "dataset")
         if not (place / MANIFEST).is_file() and (place / RECIPE).is_file():
             raise FileError(
@@ -89,7 +82,30 @@ class SampleSet:
         manifest = _read_manifest(require_file(place / MANIFEST, "manifest of the dataset"))
         failed = {int(index) for index in manifest["failed"]}
         count = sum(shard["count"] for shard in manifest["shards"])
-        return cls(place, manifest, tuple(i for i in range(count) if i not in failed))
+        self.folder: Path = place
+        self.manifest: dict[str, Any] = manifest
+        self.indices = tuple(i for i in range(count) if i not in failed)
+        self._shards: dict[str, Hdf5Reader] = {}
+        self._meshes: dict[str, TetMesh] = {}
+        # Size and time of change of the shards whose checksum was compared.
+        self._verified: dict[str, tuple[int, int]] = {}
+
+    @staticmethod
+    def load(folder: str | Path) -> "SampleSet":
+        """Return the dataset of a folder; the same as `SampleSet(folder)`."""
+        return SampleSet(folder)
+
+    def summary(self) -> str:
+        """Return a description of the dataset in a few lines of text."""
+        failed, shards = self.manifest["failed"], self.manifest["shards"]
+        return (
+            f"{len(self)} samples in {len(shards)} shards of {self.folder}, {len(failed)} failed\n"
+            f"{sum(shard['bytes'] for shard in shards) / 1e6:.3g} MB"
+        )
+
+    def __repr__(self) -> str:
+        lines = self.summary().splitlines()
+        return "\n  ".join(["SampleSet", *lines])
 
     def __len__(self) -> int:
         return len(self.indices)

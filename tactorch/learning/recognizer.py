@@ -55,7 +55,7 @@ class RecognitionData(SplitData):
     """
 
     def __init__(self, options: RecognitionOptions, seed: int = 0) -> None:
-        dataset = SampleSet.open(options.folder)
+        dataset = SampleSet(options.folder)
         dataset.verify()
         samples = [dataset.maps(index) for index in dataset.indices]
         if not samples:

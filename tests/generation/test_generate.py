@@ -73,7 +73,7 @@ def test_bytes_do_not_depend_on_workers_or_interruptions(
         with pytest.raises(KeyboardInterrupt):
             generate(recipe, folder, workers=2, progress=stop_twice)
         with pytest.raises(FileError, match="unfinished"):
-            SampleSet.open(folder)
+            SampleSet(folder)
     found = generate(recipe, folder, workers=2, progress=stop_twice)
     assert sums(found) == sums(made)
     found.verify()
@@ -87,7 +87,7 @@ def test_what_is_missing_is_made(made: SampleSet, recipe: Recipe, tmp_path: Path
     with pytest.raises(KeyboardInterrupt):
         generate(recipe, tmp_path / "again", workers=1, progress=stop_at(3))
     with pytest.raises(FileError, match="unfinished"):
-        SampleSet.open(tmp_path / "again")
+        SampleSet(tmp_path / "again")
     found = generate(recipe, tmp_path / "again", workers=1)
     assert sums(found) == sums(made)
     (found.folder / "shard-00001.h5").unlink()
@@ -176,7 +176,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_bytes(
             break
         time.sleep(0.2)
     assert kills > 0
-    assert sums(SampleSet.open(folder)) == sums(made)
+    assert sums(SampleSet(folder)) == sums(made)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_damage_is_told_by_file(
     shutil.copytree(made.folder, folder)
     spoil(folder)
     with pytest.raises(FileError, match=message):
-        SampleSet.open(folder)[0]
+        SampleSet(folder)[0]
 
 
 def test_changed_bytes_are_noticed(made: SampleSet, tmp_path: Path) -> None:
@@ -208,7 +208,7 @@ def test_changed_bytes_are_noticed(made: SampleSet, tmp_path: Path) -> None:
     content[len(content) // 2] ^= 1
     shard.write_bytes(bytes(content))
     with pytest.raises(FileError, match=r"shard-00001.h5' is damaged .*checksum"):
-        SampleSet.open(folder).verify()
+        SampleSet(folder).verify()
 
 
 def test_generating_again_does_not_bless_changed_bytes(
@@ -235,7 +235,7 @@ def test_no_flipped_byte_escapes_as_another_error(made: SampleSet, tmp_path: Pat
         changed[place] ^= 1 << int(rng.integers(8))
         shard.write_bytes(bytes(changed))
         with contextlib.suppress(FileError):
-            SampleSet.open(folder)[0]
+            SampleSet(folder)[0]
 
 
 def test_what_breaks_a_sample_does_not_end_the_rest(
@@ -254,7 +254,7 @@ def test_unknown_numbers_and_folders(made: SampleSet, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="has no sample 5"):
         made[5]
     with pytest.raises(FileError, match="dataset not found"):
-        SampleSet.open(tmp_path / "nowhere")
+        SampleSet(tmp_path / "nowhere")
 
 
 def test_sets_travel_to_other_processes(made: SampleSet) -> None:

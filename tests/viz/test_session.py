@@ -12,6 +12,7 @@ from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.viz import save_figure
 from tactorch.viz import session as drawing
 from tactorch.viz.session import presses_figure
+from tactorch.viz.views import plane_across, push_direction
 
 MESH = box_mesh(10.0, 3)
 TOP = MESH.points[:, 2] > 9.99
@@ -49,7 +50,7 @@ def test_the_hardest_are_drawn_where_there_are_too_many(recording: Recording) ->
 @pytest.mark.parametrize("push", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (0.6, 0.0, -0.8)])
 def test_axes_across_a_direction(push: tuple[float, float, float]) -> None:
     along = np.array(push)
-    across = drawing._across(along)
+    across = plane_across(along)
     np.testing.assert_allclose(across @ along, 0.0, atol=1e-12)
     np.testing.assert_allclose(across @ across.T, np.eye(2), atol=1e-12)
     assert across[1].max() > 0.5  # the second is along an axis of the object, not against it
@@ -57,4 +58,4 @@ def test_axes_across_a_direction(push: tuple[float, float, float]) -> None:
 
 def test_a_press_without_direction_is_seen_along_its_force() -> None:
     lone = press(0.2, 0.5, 0, direction=None)
-    np.testing.assert_allclose(drawing._direction(lone), (0, 0, -1))
+    np.testing.assert_allclose(push_direction(lone), (0, 0, -1))

@@ -89,7 +89,7 @@ class SurrogateData(SplitData):
         features = load_features(folder, cells, frames)
         objects, labels = [f.object for f in features], [f.label for f in features]
         settings = (VERSION, cells, frames, [f.index for f in features])
-        super().__init__(options, seed, SampleSet.open(folder).manifest, objects, labels, settings)
+        super().__init__(options, seed, SampleSet(folder).manifest, objects, labels, settings)
         self.features, self.cells, self.frames = features, cells, frames
 
     @property
@@ -153,7 +153,7 @@ def load_features(
     Features have `count` cells in each direction, targets twice as many; `frames` are the load
     steps to use per press location.
     """
-    samples = SampleSet.open(folder)
+    samples = SampleSet(folder)
     samples.verify()
     features: list[SampleFeatures] = []
     shards = samples.manifest["shards"]
