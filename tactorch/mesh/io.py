@@ -110,15 +110,21 @@ def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]
     content = read_any(source, _SURFACE_FORMATS)
     with _naming(source):
         vertices = as_points(content.points, "vertices")
-        faces = as_cells(_triangles(content), 3, len(vertices), "triangles")
+        # The reader of STL files merges vertices, so that triangles may have become lines already.
+        faces = as_cells(_without_lines(_triangles(content)), 3, len(vertices), "triangles")
         _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-        merged = first[same.reshape(-1)][faces]
-        flat = (np.diff(np.sort(merged, axis=1), axis=1) == 0).any(axis=1)
-        if flat.all():
-            raise MeshError("all its triangles are points or lines.")
-        vertices, triangles, _ = compact(vertices, merged[~flat])
+        merged = _without_lines(first[same.reshape(-1)][faces])
+        vertices, triangles, _ = compact(vertices, merged)
     _warn_of_unit(f"Surface '{source}'", bounding_diagonal(vertices) * scale, unit)
     return vertices * scale, triangles
+
+
+def _without_lines(triangles: NDArray) -> NDArray:
+    """Return the triangles that repeat no vertex."""
+    repeats = (np.diff(np.sort(triangles, axis=1), axis=1) == 0).any(axis=1)
+    if repeats.all():
+        raise MeshError("all its triangles are points or lines.")
+    return triangles[~repeats]
 
 
 def write_surface(path: str | Path, vertices: Rows, triangles: Rows) -> None:

@@ -112,13 +112,15 @@ class RunReport:
         """The finding in one line."""
         if self.finding.status is Status.UNKNOWN:
             return "The presses cannot tell whether there is an inclusion"
-        return headline(self.inclusion)
+        count = len(self.finding.lumps)
+        return headline(self.inclusion) if count < 2 else f"{count} inclusions"
 
     @property
     def description(self) -> str:
         """The finding in one sentence."""
         if self.lump is not None:
-            return describe_lump(self.lump)
+            first = f"{headline(self.lump.inclusion)}. " if len(self.finding.lumps) > 1 else ""
+            return first + describe_lump(self.lump)
         if self.finding.status is Status.UNKNOWN:
             return " ".join(reason[0].upper() + reason[1:] for reason in self.finding.reasons)
         modulus = format_modulus(float(np.median(self.run.result.youngs)))
@@ -127,9 +129,7 @@ class RunReport:
     @property
     def others(self) -> list[str]:
         """Sentences on all lumps but the most conspicuous."""
-        return [
-            f"{headline(lump.inclusion)}. {describe_lump(lump)}" for lump in self.finding.lumps[1:]
-        ]
+        return [lump.text() for lump in self.finding.lumps[1:]]
 
     @property
     def facts(self) -> list[Fact]:

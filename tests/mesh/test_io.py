@@ -265,6 +265,21 @@ def test_ascii_stl_and_merging(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found[faces], vertices[triangles])
 
 
+def test_lines_in_stl_files_are_dropped(tmp_path: Path) -> None:
+    """Marching cubes leaves triangles of no area, which become lines when vertices are merged."""
+    vertices, triangles = Box(size_mm=2.0).surface()
+    double = np.vstack((vertices, vertices[:1]))
+    lines = [(0, 1, len(vertices)), (len(vertices), 2, 0)]
+    path = tmp_path / "box.stl"
+    cells = [("triangle", np.vstack((triangles, lines)))]
+    meshio.stl.write(str(path), meshio.Mesh(double, cells))
+    found, faces = read_surface(path)
+    np.testing.assert_array_equal(found[faces], vertices[triangles])
+    meshio.stl.write(str(path), meshio.Mesh(double, [("triangle", np.array(lines))]))
+    with pytest.raises(MeshError, match="all its triangles are points or lines"):
+        read_surface(path)
+
+
 def test_obj_as_others_write_it(tmp_path: Path) -> None:
     """Colours after coordinates, texture indices, quadrangles, repeated and unused vertices."""
     path = tmp_path / "scan.obj"

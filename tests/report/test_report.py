@@ -86,6 +86,20 @@ def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
     assert f"at least {stated.contrast[0]:.2g} times" in sure.note
 
 
+def test_several_inclusions_are_counted_and_each_is_described(
+    run_folder: Path, tmp_path: Path
+) -> None:
+    told = assess(load_run(run_folder), uncertainty=False)
+    (lump,) = told.finding.lumps
+    other = dataclasses.replace(lump, size_mm=np.array([1.25, 2.0, 3.0]))
+    two = dataclasses.replace(told, finding=dataclasses.replace(told.finding, lumps=(lump, other)))
+    assert two.headline == "2 inclusions"
+    assert two.description == f"{told.headline}. {told.description}"
+    assert two.others == [other.text()]
+    assert "1.2 x 2 x 3 mm" in two.others[0]
+    assert told.others == []
+
+
 def at_its_bounds(run: Run) -> Run:
     result = dataclasses.replace(run.result, youngs=np.full_like(run.result.youngs, 100.0))
     return dataclasses.replace(run, result=result)
