@@ -52,7 +52,7 @@ external: $(STAMP)  ## tests on the shared data (TACTORCH_SHARED, or ../shared)
 
 docs: $(STAMP)  ## build the documentation into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict $(ARGS)
-	@echo "Open site/index.html; for the search, serve it: $(BIN)/mkdocs serve"
+	@echo "Open site/index.html"
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .

@@ -21,9 +21,10 @@ the documentation is built; `tactorch COMMAND --help` shows the same in a termin
 - `-m` runs all combinations of values that are separated by commas.
 - `--cfg job` prints the settings of a run without running it.
 - `--config-dir FOLDER` adds presets and experiments from a folder: `FOLDER/GROUP/NAME.yaml` holds
-  the settings that differ from the defaults, and `name: COMPONENT` in groups of components. Its
-  files hold plain settings only; `--trust-config-dir` gives the folder to Hydra as it is, which can
-  run programs.
+  the settings that differ from the defaults, and `name: COMPONENT` in groups of components, or
+  `_target_: MODULE.CLASS` for one of a package that `--trust PACKAGE` names (see [Extend
+  tactorch](howto/extensions.md)). Other settings are plain; `--trust-config-dir` gives the folder
+  to Hydra as it is, which can run programs.
 - The same names, defaults and checks apply in Python: `Settings(regularization={"name": "matern",
   "length_mm": 2.0})`.
 """

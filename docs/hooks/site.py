@@ -16,6 +16,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 _SCHEMA = "<!-- the docstring of tactorch.recording.schema -->"
 _WORDS = "<!-- words not used -->"
 _EXTERNAL = re.compile(r'<(?:script|link|img|iframe)\b[^>]*(?:src|href)="?(?:https?:)?//[^>]*>')
+_LINK = re.compile(r'href="(\.\./[\w/-]+)\.md')
 _EXAMPLE = re.compile(r"^<!-- (examples/\w+\.py) -->$", flags=re.MULTILINE)
 
 
@@ -40,11 +41,13 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def on_post_page(output: str, page: Page, **_: Any) -> str:
-    """Refuse pages that load resources from a network.
+    """Complete links of notebooks, and refuse pages that load resources from a network.
 
     Raises:
         PluginError: A page has an external resource.
     """
+    if page.file.src_uri.endswith(".ipynb"):  # whose links MkDocs leaves as they are
+        output = _LINK.sub(r'href="\1.html', output)
     match = _EXTERNAL.search(output)
     if match:
         raise PluginError(f"{page.file.src_uri} needs a network: {match[0]}")

@@ -15,6 +15,7 @@ from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
 from tactorch.cli.overrides import check_overrides, check_required, expanded, key_of, named
 from tactorch.cli.resume import has_state, with_resume
 from tactorch.cli.schema import command_module, load_schema
+from tactorch.config.targets import trust
 from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.text import printable
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 _DEBUG = "HYDRA_FULL_ERROR"
 #: Flags that are not Hydra's.
-_OWN_FLAGS = ("config_dir", "trust_config_dir")
+_OWN_FLAGS = ("config_dir", "trust_config_dir", "trust")
 
 
 class App:
@@ -36,6 +37,7 @@ class App:
         self.command = command
         flags, settings = _read_flags(command, expanded(command, named(command, words)))
         self._schema = load_schema(command)
+        trust(*flags.trust)
         hydra_flags = {name: f for name, f in vars(flags).items() if name not in _OWN_FLAGS}
         if flags.config_dir and flags.trust_config_dir:  # Hydra composes it, whatever it holds
             if any(key_of(word) == "resume" for word in settings):
@@ -155,6 +157,7 @@ def _read_flags(command: str, words: Sequence[str]) -> tuple[argparse.Namespace,
     parser.add_argument("--cfg", "-c", choices=("job", "hydra", "all"))
     parser.add_argument("--package", "-p")
     parser.add_argument("--config-dir", "-cd")
+    parser.add_argument("--trust", action="append", default=[])
     parser.add_argument("--info", "-i", nargs="?", const="all")
     for flag in ("--resolve", "--trust-config-dir", "--hydra-help"):
         parser.add_argument(flag, action="store_true")

@@ -11,6 +11,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+from tactorch.config.targets import TARGET
 from tactorch.errors import ConfigError, FileError
 
 PACKAGE = "tactorch.conf"
@@ -47,6 +48,7 @@ def add_presets(folder: Path, group: dict[str, Any]) -> None:
 
 def _add_preset(path: Path, group: dict[str, Any]) -> None:
     values, options = read_yaml(path), group["options"]
+    values.pop(TARGET, None)  # an option already, of the name of the file
     inherited, overrides = _read_defaults(values.pop("defaults", ()), path)
     component = inherited
     if group["settings"] is None and not inherited:
@@ -116,7 +118,10 @@ def check_plain(folder: Path) -> None:
     for path in sorted(folder.rglob("*.yaml")):
         is_hydra = path.relative_to(folder).parts[0] == "hydra"
         is_hydra = is_hydra or b"@package hydra" in path.read_bytes()
-        programs = list(_programs(read_yaml(path)))
+        values = read_yaml(path)
+        if path.parent.parent == folder:  # an option of a group, whose package has to be trusted
+            values.pop(TARGET, None)
+        programs = list(_programs(values))
         if is_hydra or programs:
             raise ConfigError(
                 f"'{path}' sets '{programs[0] if programs else 'hydra'}', which can run programs "

@@ -22,6 +22,7 @@ from tactorch.cli import presets
 from tactorch.cli.presets import EXPERIMENT, Entry, conf_folder
 from tactorch.config import REGISTRIES, Options, Registry, Setting, settings_of, to_mapping
 from tactorch.config.registry import NO_VALUE
+from tactorch.config.targets import TARGET, load_target
 from tactorch.config.values import leaf_types
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import cache_folder, require_folder, write_file
@@ -98,6 +99,12 @@ class Schema:
             for path in (folder / group).glob("*.yaml"):
                 if path.stem in self.options(group):
                     raise ConfigError(f"'{path}' has the name of an option of tactorch; rename it.")
+        for path in sorted(folder.glob("*/*.yaml")):
+            if TARGET in (values := presets.read_yaml(path)):
+                described = _describe_target(self.command, path, values[TARGET])
+                # Other commands read the settings of runs that have it.
+                if path.parent.name in self.groups:
+                    self.groups[path.parent.name]["options"][path.stem] = described
         for name, group in self.groups.items():
             presets.add_presets(folder / name, group)
         self.experiments |= presets.read_experiments(folder, self.settings, self.groups)
@@ -187,6 +194,21 @@ def _describe_group(setting: Setting) -> dict[str, Any]:
     group["default"] = setting.preset or _default(setting)
     presets.add_presets(conf_folder() / setting.name, group)
     return group
+
+
+def _describe_target(command: str, path: Path, target: Any) -> dict[str, Any]:
+    """Register a component of a user-defined module under the name of its file, and describe it."""
+    group = path.parent.name
+    options_class(command)  # imports the registries, which a stored schema does not need
+    if group not in REGISTRIES:
+        raise ConfigError(f"'{path}': {group} has no components; remove {TARGET}.")
+    registry = REGISTRIES[group]
+    component = load_target(target, registry, str(path))
+    if path.stem not in registry:
+        registry.register(path.stem, component)
+    elif registry[path.stem] is not component:
+        raise ConfigError(f"'{path}': {group} '{path.stem}' exists; rename the file.")
+    return _describe_component(registry, path.stem)
 
 
 def _describe_component(registry: Registry, name: str) -> dict[str, Any]:

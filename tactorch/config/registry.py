@@ -39,6 +39,10 @@ class Registry:
         others = sorted({*self._plugins(), *self._added} - set(self._paths))
         return (*self._paths, *others)
 
+    def builtin(self) -> tuple[str, ...]:
+        """Return the names of the components of tactorch."""
+        return tuple(self._paths)
+
     def extensions(self) -> tuple[str, ...]:
         """Return the import path "module:attribute" of each component of another package."""
         return tuple(entry.value for entry in self._plugins().values())
@@ -106,6 +110,12 @@ class Registry:
             return given
         values, section = dict(given), section or self.section
         name = values.pop("name", None)
+        if name is None and "_target_" in values:
+            raise ConfigError(
+                f"{section} has _target_: {values['_target_']} and no name; give the folder of "
+                "settings with --trust PACKAGE instead of --trust-config-dir, or the object itself "
+                "in Python."
+            )
         if not isinstance(name, str):
             names = ", ".join(self.names())
             raise ConfigError(f"{section}.name={name!r}: choose one of {names}.")

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from functools import singledispatch
 from pathlib import Path
@@ -34,7 +35,9 @@ _BODY, _STIFF, _SOFT = "lightsteelblue", VERMILION, BLUE
 
 def _pyvista() -> ModuleType:
     try:
-        import pyvista
+        with warnings.catch_warnings():  # in notebooks without widgets, which it does not need
+            warnings.filterwarnings("ignore", message="IProgress not found")
+            import pyvista
     except ImportError as error:
         raise ConfigError("Views in 3-D need PyVista: pip install pyvista.") from error
     return pyvista

@@ -61,6 +61,7 @@ def run_page(path: Path, folder: Path, found: list[Block]) -> None:
         names |= measured(folder)
     for block in found:
         if block.title and block.language == "yaml":
+            (folder / block.title).parent.mkdir(parents=True, exist_ok=True)
             (folder / block.title).write_text(block.text)
         if block.language == "python":
             exec(compile(block.text, label(path), "exec"), names)
@@ -137,7 +138,9 @@ def check_tactorch(words: list[str]) -> None:
     if verb not in COMMANDS:
         return
     typed = expanded(verb, named(verb, words[len(verb.split()) :]))
-    given = [word for word in typed if word not in ("-m", "--help")]
+    # A folder of settings has options that are not known here.
+    end = typed.index("--config-dir") if "--config-dir" in typed else len(typed)
+    given = [word for word in typed[:end] if word not in ("-m", "--help")]
     for settings in zip(*combinations(given), strict=True):
         resumed = any(word.startswith("resume=") for word in settings) and verb == "invert"
         if "--help" not in words:

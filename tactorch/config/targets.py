@@ -1,0 +1,89 @@
+"""Components of user-defined modules, named by `_target_` in a folder of settings.
+
+Importing a module runs its code. A name is imported only where its package is trusted: tactorch,
+installed packages with an entry point of tactorch, and those that the user names (`--trust`).
+"""
+
+import inspect
+import os
+import sys
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from tactorch.config.options import Options
+from tactorch.config.registry import Registry
+from tactorch.errors import ConfigError
+
+#: Key of the import path, as in configurations of Hydra.
+TARGET = "_target_"
+_GROUPS = "tactorch."  # of entry points
+_trusted: set[str] = {"tactorch"}
+
+
+def trust(*packages: str) -> None:
+    """Allow that classes of packages are imported by this process."""
+    _trusted.update(package.strip() for name in packages for package in name.split(","))
+
+
+def load_target(path: Any, registry: Registry, where: str) -> type[Options]:
+    """Return the class of an import path.
+
+    Args:
+        path: Import path, MODULE.CLASS or MODULE:CLASS.
+        registry: Components of the same kind, whose base class it has.
+        where: File that names it, for messages.
+
+    Raises:
+        ConfigError: The package is not trusted, the class cannot be imported, or it is not of this
+            kind.
+    """
+    module, name = _split(path, where)
+    package = module.partition(".")[0]
+    if package not in _trusted and package not in _installed():
+        raise ConfigError(
+            f"'{where}' sets {TARGET}: {path}, and the package '{package}' is not trusted; add "
+            f"--trust {package} if you trust its code."
+        )
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    try:
+        component = getattr(import_module(module), name)
+    except Exception as error:  # whatever code of another package raises
+        raise ConfigError(
+            f"'{where}': {TARGET}: {path} cannot be imported ({type(error).__name__}: {error}); "
+            "check the path. The working directory and PYTHONPATH are searched."
+        ) from error
+    base = _base_of(registry)
+    if not (inspect.isclass(component) and issubclass(component, base)):
+        raise ConfigError(
+            f"'{where}': {TARGET}: {path} is no {registry.section}; derive the class from "
+            f"{base.__module__}.{base.__qualname__}."
+        )
+    return component
+
+
+def _split(path: Any, where: str) -> tuple[str, str]:
+    text = path.replace(":", ".") if isinstance(path, str) else ""
+    module, _, name = text.rpartition(".")
+    if not (module and all(part.isidentifier() for part in text.split("."))):
+        raise ConfigError(
+            f"'{where}': {TARGET}: {path!r}: give MODULE.CLASS, as my_lab.priors.Mine."
+        )
+    return module, name
+
+
+def _installed() -> set[str]:
+    """Packages that have entry points of tactorch."""
+    found = entry_points()
+    groups = (group for group in found.groups if group.startswith(_GROUPS))
+    return {entry.value.partition(".")[0].partition(":")[0]
+            for group in groups for entry in found.select(group=group)}  # fmt: skip
+
+
+def _base_of(registry: Registry) -> type[Options]:
+    """Return the class that all built-in components of a kind derive from."""
+    classes = [component for component in map(registry.__getitem__, registry.builtin())
+               if inspect.isclass(component)]  # fmt: skip
+    common = [base for base in classes[0].__mro__ if all(base in c.__mro__ for c in classes)]
+    return common[0] if issubclass(common[0], Options) else Options
