@@ -25,7 +25,7 @@ PARALLEL := -n $(WORKERS) --dist worksteal
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test slow external docs lint format typecheck clean
+.PHONY: help setup demo test slow external docs dist lint format typecheck clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-10s %s\n", $$1, $$2}'
@@ -53,6 +53,12 @@ external: $(STAMP)  ## tests on the shared data (TACTORCH_SHARED, or ../shared)
 docs: $(STAMP)  ## build the documentation into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict $(ARGS)
 	@echo "Open site/index.html"
+
+dist: $(STAMP)  ## wheel and source archive into dist/, checked
+	@$(BIN)/python -m pip install --quiet --progress-bar off $(PIP_ARGS) -c constraints.txt -e ".[dist]"
+	rm -rf dist build
+	$(BIN)/python -m build --no-isolation
+	$(BIN)/twine check --strict dist/*
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .

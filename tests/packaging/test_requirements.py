@@ -41,3 +41,15 @@ def test_pins_are_plain_versions_from_any_index(pins: dict[str, str]) -> None:
 def test_nothing_pulls_cuda_or_torchvision(pins: dict[str, str]) -> None:
     unwanted = ("nvidia", "cuda", "cupy", "torchvision", "triton")
     assert not [name for name in pins if name.startswith(unwanted)]
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    import yaml
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == project["version"]
+    assert citation["license"] == project["license"]
+    assert citation["title"] == project["name"]
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["authors"]
