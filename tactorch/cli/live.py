@@ -22,7 +22,7 @@ from threading import Event, Thread
 from typing import Any, Literal
 
 from tactorch.cli.console import log, log_text
-from tactorch.cli.live_view import PAGE, Screen, finding_text
+from tactorch.cli.live_view import Screen, finding_text
 from tactorch.cli.outputs import score_table
 from tactorch.cli.robot import RobotOptions, make_session
 from tactorch.cli.settings import CommandOptions, UnitCheck, run_folder, select
@@ -31,6 +31,7 @@ from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Settings, Start, homogeneous
 from tactorch.inverse.starts import START_MPA, Uniform
 from tactorch.recording import Recording
+from tactorch.report.live import PAGE
 from tactorch.robot import PRESSERS, StopRule, press_until_known  # noqa: F401
 from tactorch.robot.simulated import NoRobot
 from tactorch.sampling import (
@@ -85,9 +86,13 @@ def run(options: LiveOptions) -> LoopResult:
             "'recording' is missing; give recording=FILE.h5 or a folder, or replay=FILE.h5 to "
             "replay a whole recording (see tactorch live --help)."
         )
+    loop, whole = select(options, LoopOptions), 0
+    if replayed is not None and loop.max_presses is None:
+        whole = len(replayed.presses)
+        loop = replace(loop, max_presses=whole)
     start: Start = homogeneous if isinstance(options.start_mpa, str) else options.start_mpa
     with (
-        Screen(out, path, plots=options.plots) as screen,
+        Screen(out, path, plots=options.plots, name=(options.replay or path).name) as screen,
         _replaying(replayed, path, options.pause_seconds, screen),
     ):
         source = RecordingSource(
@@ -96,10 +101,14 @@ def run(options: LiveOptions) -> LoopResult:
             check_units=options.check_units,
             report=screen.show_message,
         )
-        suggester, loop = Suggester(settings, options.suggest), select(options, LoopOptions)
+        suggester = Suggester(settings, options.suggest)
         result = SamplingLoop(
             source, settings, out, screen, options=loop, suggester=suggester, start_mpa=start
         ).run()
+        if whole and result.update and len(result.update.recording.presses) == whole:
+            result = replace(
+                result, reason=f"all {whole} presses of {options.replay} were replayed"
+            )
         screen.ended(result)
     return _report(result)
 

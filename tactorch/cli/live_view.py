@@ -1,75 +1,53 @@
 """Display of a live run: a table at a terminal, log lines elsewhere, a figure and a page."""
 
-import base64
 import logging
 import math
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from tactorch.cli.console import is_no_iteration, log, terminal_log
-from tactorch.files import write_file
-from tactorch.findings.text import describe_finding, summarize_finding, summarize_plain
+from tactorch.findings import Status
+from tactorch.findings.text import (
+    describe_finding,
+    headline,
+    summarize_finding,
+    summarize_plain,
+)
 from tactorch.progress import without_progress
+from tactorch.report import Run
+from tactorch.report.content import RunReport
+from tactorch.report.live import PAGE, LivePage, NextPress
 from tactorch.sampling import LoopResult, Observer, Update
 
 if TYPE_CHECKING:
     from rich.live import Live
     from rich.table import Table
 
-PAGE, PICTURE = "live.html", "live.png"
+PICTURE = "live.png"
 COLUMNS = ("press", "seconds", "chi2", "finding", "deviation", "next press")
 _ROWS = 14  # of the table at a terminal
 _NOTES = 3
-_PAGE_TEMPLATE = """\
-<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8">
-{%- if refresh %}<meta http-equiv="refresh" content="2">{% endif %}
-<title>tactorch live: {{ source.name }}</title><style>
-body { font: 15px/1.45 system-ui, sans-serif; color: #1b1f24; margin: 1.5rem auto; max-width: 66rem;
-       padding: 0 1rem; }
-h1 { font-size: 1.25rem; margin: 0; }
-.status { color: #57606a; margin: 0.2rem 0 1rem; }
-.finding { font-size: 1.1rem; font-weight: 600; margin: 0.4rem 0; white-space: pre-line; }
-.next { font-size: 1.1rem; margin: 0.4rem 0 1rem; color: #8a1f63; }
-.note { background: #fff4e5; border-left: 4px solid #d55e00; padding: 0.3rem 0.7rem; }
-img { width: 100%; height: auto; }
-table { border-collapse: collapse; width: 100%; font-size: 13px; margin-top: 1rem; }
-th, td { text-align: left; padding: 0.25rem 0.6rem; border-bottom: 1px solid #d0d7de; }
-th { color: #57606a; font-weight: 600; }
-</style></head>
-<body><h1>{{ source }}</h1>
-<p class="status">{{ status }}</p>
-{% if finding %}<p class="finding">{{ finding }}</p>{% endif %}
-{% if rows and rows[0][-1] != "-" %}<p class="next">Press next: {{ rows[0][-1] }}</p>{% endif %}
-{% for note in notes %}<p class="note">{{ note }}</p>{% endfor %}
-{% if picture %}
-<img alt="slices of the map" src="data:image/png;base64,{{ picture }}">
-{% endif %}
-{% if rows %}
-<table><tr>{% for name in columns %}<th>{{ name }}</th>{% endfor %}</tr>
-{% for row in rows %}
-<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
-{% endfor %}
-</table>
-{% endif %}
-</body></html>
-"""
 
 
 class Screen(Observer):
     """Display of a live run."""
 
-    def __init__(self, folder: Path, source: Path, *, plots: bool = True) -> None:
+    def __init__(
+        self, folder: Path, source: Path, *, plots: bool = True, name: str | None = None
+    ) -> None:
         self._folder, self._source, self._plots = folder, source, plots
+        self._name = name or source.name
         self._entries: list[dict[str, Any]] = []
         self._notes: list[str] = []
         self._status, self._finding = "waiting for the first press", ""
+        self._update: Update | None = None
+        self._version = 0
         self._stack = ExitStack()
         self._live: Live | None = None
 
@@ -115,6 +93,7 @@ class Screen(Observer):
     def updated(self, update: Update) -> None:
         """See `Observer.updated`."""
         self._entries.append(update.entry)
+        self._update = update
         self._finding = finding_text(update)
         self._status = f"{update.entry['press']} presses; choosing the next place"
         number, seconds, chi2, finding = _cells(update.entry)[:4]
@@ -126,6 +105,7 @@ class Screen(Observer):
     def suggested(self, update: Update) -> None:
         """See `Observer.suggested`."""
         self._status = f"{update.entry['press']} presses; waiting for the next"
+        self._update = update
         log.info("  deviation %s; next press %s", *_cells(update.entry)[4:])
         if update.suggestion is not None and update.suggestion.patch is not None:
             self._draw(update)
@@ -133,15 +113,15 @@ class Screen(Observer):
 
     def found(self, update: Update) -> None:
         """See `Observer.found`."""
-        self._finding = finding_text(update)
+        self._finding, self._update = finding_text(update), update
         log.info("press %s, shapes: %s", update.entry["press"], self._finding)
         self._draw(update)
         self._show()
 
     def ended(self, result: LoopResult) -> None:
-        """Show the end; the page no longer reloads itself."""
+        """Show the end; an open page asks for no more."""
         self._status = f"ended: {result.reason}"
-        self._show(reload=False)
+        self._show(ended=True)
 
     def _draw(self, update: Update) -> None:
         if not self._plots:
@@ -163,23 +143,31 @@ class Screen(Observer):
         )
         save_figure(figure, self._folder / PICTURE, dpi=110)
 
-    def _show(self, *, reload: bool = True) -> None:
-        """Update the table and write the page, which may reload itself."""
+    def _show(self, *, ended: bool = False) -> None:
+        """Update the table and the page."""
         self._refresh()
-        path = self._folder / PICTURE
-        picture = path.read_bytes() if self._entries and path.is_file() else b""
-        environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-        text = environment.from_string(_PAGE_TEMPLATE).render(
-            source=self._source,
-            status=self._status,
-            finding=self._finding,
-            notes=self._notes[-_NOTES:],
+        self._version += 1
+        rows = [_cells(entry) for entry in reversed(self._entries)]
+        update, place = self._update, None
+        if update is not None and update.suggestion is not None:
+            place = update.suggestion.patch
+        following = rows[0][-1] if rows and rows[0][-1] != "-" else ""
+        LivePage(
+            name=self._name,
+            version=self._version,
+            texts={
+                "status": self._status,
+                "headline": _headline(update),
+                "finding": self._finding,
+                "next": f"Press next: {following}" if following else "",
+            },
             columns=COLUMNS,
-            rows=[_cells(entry) for entry in reversed(self._entries)],
-            picture=base64.b64encode(picture).decode("ascii"),
-            refresh=reload,
-        )
-        write_file(self._folder / PAGE, text)
+            rows=rows,
+            notes=self._notes[-_NOTES:],
+            report=None if update is None else _report(update, self._folder, self._name),
+            next_press=None if place is None else _next_press(place),
+            ended=ended,
+        ).write(self._folder)
 
     def _refresh(self) -> None:
         if self._live is not None:
@@ -197,6 +185,28 @@ class Screen(Observer):
         for entry in self._entries[-_ROWS:]:
             table.add_row(*map(escape, _cells(entry)))
         return table
+
+
+def _headline(update: Update | None) -> str:
+    """Return the finding in one line."""
+    if update is None:
+        return "No press yet"
+    if update.finding.status is Status.UNKNOWN:
+        return "The presses cannot tell whether there is an inclusion"
+    count = len(update.finding.lumps)
+    first = update.finding.lumps[0].inclusion if count else None
+    return headline(first) if count < 2 else f"{count} inclusions"
+
+
+def _report(update: Update, folder: Path, name: str) -> RunReport:
+    """Return the map and the finding for the viewer; the truth is not shown."""
+    recording = replace(update.recording, truth=None, reference=None, check_units=False)
+    run = Run(folder, name, update.solution.result, recording, "", {}, "", "")
+    return RunReport(run, update.finding)
+
+
+def _next_press(patch: Any) -> NextPress:
+    return NextPress(patch.center, patch.inward, float(patch.radius_mm))
 
 
 def finding_text(update: Update) -> str:

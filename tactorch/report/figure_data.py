@@ -165,6 +165,8 @@ def _colour_table(cmap: str) -> dict[str, Any]:
 def _limits(reports: Sequence[RunReport]) -> dict[str, list[float]]:
     """Return the ends of the colour scale of each field, the same for all runs."""
     runs = [report.run for report in reports]
+    if not runs:
+        return {}
     maps = {"reconstruction": np.concatenate([run.result.youngs for run in runs])}
     recordings = [run.recording for run in runs if run.recording is not None]
     truths = [recording.truth for recording in recordings if recording.truth is not None]

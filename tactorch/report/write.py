@@ -28,7 +28,9 @@ from tactorch.report.runs import Run
 from tactorch.text import printable
 from tactorch.versions import versions
 
-_SCRIPTS = ("core.js", "mesh.js", "slices.js", "solid.js", "charts.js", "main.js")
+_SCRIPTS = (
+    "core.js", "mesh.js", "slices.js", "solid.js", "charts.js", "controls.js", "main.js",
+)  # fmt: skip
 _LARGE_BYTES = 10_000_000
 
 _log = logging.getLogger("tactorch")
@@ -91,32 +93,41 @@ def report_of(
 
 def _render(reports: Sequence[RunReport], colours: str) -> str:
     """Return the page as HTML; all text is escaped."""
-    environment = Environment(
-        loader=PackageLoader("tactorch.report", "page"), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, finalize=_printable,
-    )  # fmt: skip
     runs = [report.run for report in reports]
     recordings = [run.recording for run in runs if run.recording is not None]
     title = f"{runs[0].name}: {reports[0].headline}"
     now = datetime.now().astimezone()
-    return environment.get_template("page.html").render(
-        title=title if len(runs) == 1 else f"{len(runs)} runs compared",
-        created=f"{now:%d %B %Y, %H:%M} by tactorch {versions()['tactorch']}",
-        reports=reports,
-        has_truth=any(recording.truth is not None for recording in recordings),
-        scores=score_table(runs),
-        histories=[history_table(run) for run in runs],
-        differences=difference_table(runs),
-        versions=versions_table(runs),
-        style=Markup(_asset("style.css")),
-        script=Markup("\n".join(_asset(name) for name in _SCRIPTS)),
-        data=Markup(script_json(figure_data(reports, colours))),
+    return (
+        make_environment()
+        .get_template("page.html")
+        .render(
+            title=title if len(runs) == 1 else f"{len(runs)} runs compared",
+            created=f"{now:%d %B %Y, %H:%M} by tactorch {versions()['tactorch']}",
+            reports=reports,
+            has_truth=any(recording.truth is not None for recording in recordings),
+            scores=score_table(runs),
+            histories=[history_table(run) for run in runs],
+            differences=difference_table(runs),
+            versions=versions_table(runs),
+            style=Markup(asset("style.css")),
+            script=Markup("\n".join(asset(name) for name in _SCRIPTS)),
+            data=Markup(script_json(figure_data(reports, colours))),
+        )
     )
+
+
+def make_environment() -> Environment:
+    """Return the environment of the templates, which escapes all text."""
+    return Environment(
+        loader=PackageLoader("tactorch.report", "page"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True, finalize=_printable,
+    )  # fmt: skip
 
 
 def _printable(value: Any) -> Any:
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """Return the text of a file of the page."""
     return (files("tactorch.report") / "page" / name).read_text(encoding="utf-8")

@@ -49,9 +49,17 @@ def test_a_played_recording_leaves_picture_page_and_map(
     run = Path("run")
     assert (run / "live.png").read_bytes()[:4] == b"\x89PNG"
     page = (run / "live.html").read_text()
-    assert "data:image/png;base64," in page
-    assert "http-equiv" not in page  # it is over
+    assert '"ended":true' in page.replace(" ", "")
     assert "Press next: (" in page
+    assert "http://" not in page
+    assert "https://" not in page
+    script = (run / "live-data.js").read_text()
+    assert script.startswith("window.tactorchLive({")
+    content = json.loads(script.removeprefix("window.tactorchLive(").removesuffix(");\n"))
+    assert content["ended"]
+    assert content["run"]["fields"]["youngs"]["dtype"] == "uint16"
+    assert "points" not in content["run"]
+    assert "truth" not in content["run"]["fields"]
     history = [json.loads(line) for line in (run / "history.jsonl").read_text().splitlines()]
     assert [entry["press"] for entry in history][:2] == [1, 2]
     assert len(Reconstruction.load(run / "reconstruction.h5").displacements) == 2
@@ -64,19 +72,14 @@ def test_a_played_recording_leaves_picture_page_and_map(
     assert "continuing a run of 2 presses" in again.out
 
 
-def test_the_page_loads_itself_anew_until_the_end(
-    tactorch: Callable[..., Any], recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pages: list[str] = []
-
-    def keep(self: Any, ended: Any) -> None:
-        pages.append((self._folder / "live.html").read_text())
-
-    monkeypatch.setattr("tactorch.cli.live_view.Screen.ended", keep)
-    done = tactorch("live", f"recording={recording}", "idle_seconds=0.01", *QUICK, "plots=false")
+@pytest.mark.slow
+def test_a_replay_ends_with_its_last_press(tactorch: Callable[..., Any], recording: Path) -> None:
+    done = tactorch("live", f"replay={recording}", "run_dir=run", *QUICK, "plots=false")
     assert done.status == 0, done.err
-    assert '<meta http-equiv="refresh"' in pages[0]
-    assert "<img" not in pages[0]
+    assert f"all 2 presses of {recording} were replayed" in done.out
+    page = Path("run/live.html").read_text()
+    assert f"ended: all 2 presses of {recording} were replayed" in html.unescape(page)
+    assert "<title>case.h5: live session</title>" in page
 
 
 def test_shapes_are_found_and_shown(tactorch: Callable[..., Any], recording_file: Path) -> None:
@@ -112,7 +115,11 @@ class Screens:
             "youngs_median_mpa": 0.2, "finding": finding.plain(), "finding_presses": presses,
         }  # fmt: skip
         nothing: Any = None
-        solution = IncrementalResult(nothing, nothing, 0.0, True)
+        mesh = self._recording.mesh
+        history = [{"iteration": 0, "seconds": 0.0, "misfit": 1.0, "chi2": 1.0}]
+        youngs, moved = np.full(mesh.n_tets, 0.2), np.zeros((total, mesh.n_points, 3))
+        result = Reconstruction(mesh, youngs, moved, history, "x", 1.0)
+        solution = IncrementalResult(result, nothing, 0.0, True)
         return Update(self._recording, solution, None, finding, presses, entry)
 
     def page(self) -> str:

@@ -3,21 +3,26 @@
 const PLANE = [[1, 2], [0, 2], [0, 1]]; // horizontal and vertical axes of slices across x, y and z
 const AXES = "xyz";
 
-const runs = data.runs.map((run) => {
-  const points = decode(run.points), tets = decode(run.tets);
+// What a run has besides its mesh, decoded.
+function decodeMap(run) {
   const fields = {};
   for (const [name, packed] of Object.entries(run.fields)) fields[name] = decodeField(packed);
   return {
-    ...run, points, tets, fields,
-    surface: decode(run.surface),
+    ...run, fields,
     inclusion: run.inclusion && decode(run.inclusion),
     trueInclusion: run.trueInclusion && decode(run.trueInclusion),
     contact: run.contact.map((c) => ({ ...c, triangles: decode(c.triangles) })),
     interval: run.interval && run.interval.map(decodeField),
-    nudge: 1e-6 * Math.hypot(...run.bounds[1].map((h, a) => h - run.bounds[0][a])),
-    cuts: [{}, {}, {}],
+    nodalModulus: null, nodalGradient: null,
   };
-});
+}
+
+const runs = data.runs.map((run) => ({
+  ...decodeMap(run),
+  points: decode(run.points), tets: decode(run.tets), surface: decode(run.surface),
+  nudge: 1e-6 * Math.hypot(...run.bounds[1].map((h, a) => h - run.bounds[0][a])),
+  cuts: [{}, {}, {}],
+}));
 
 const bounds = [0, 1].map((end) =>
   [0, 1, 2].map((a) => Math[end ? "max" : "min"](...runs.map((run) => run.bounds[end][a]))));

@@ -146,8 +146,24 @@ function drawSlice(canvas, { run, field }, axis, at, frame, sharpness) {
       drawArrows(g, segments, patch.direction, frame);
     }
   }
+  if (run.next && Math.abs(run.next.center[axis] - at) <= run.next.radius)
+    drawNext(g, run.next, frame);
   drawAxes(g, axis, frame);
   return elements.length;
+}
+
+// An arrow to the place of the next press.
+function drawNext(g, { center, inward, radius }, { across, up, x, y }) {
+  const [px, py] = [x(center[across]), y(center[up])];
+  g.strokeStyle = g.fillStyle = cssColour(NEXT.map((v) => 255 * v));
+  g.lineWidth = 2;
+  g.beginPath();
+  g.moveTo(x(center[across] - 1.5 * radius * inward[across]), y(center[up] - 1.5 * radius * inward[up]));
+  g.lineTo(px, py);
+  g.stroke();
+  g.beginPath();
+  g.arc(px, py, 4, 0, 2 * Math.PI);
+  g.fill();
 }
 
 // Join segments to polylines, for continuous dashes.
@@ -341,6 +357,7 @@ function describeFields() {
   if (has("inclusion")) legend.push(["solid", "inclusion"]);
   if (has("trueInclusion")) legend.push(["dashed", "true inclusions"]);
   if (has("contact")) legend.push(["touched", "contact, with arrows along the force"]);
+  if (runs.some((run) => run.next)) legend.push(["next", "next press"]);
   query("#legend").replaceChildren(...legend.map(([kind, text]) => {
     const entry = document.createElement("span"), key = document.createElement("span");
     key.className = `key ${kind}`;

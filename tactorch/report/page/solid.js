@@ -2,6 +2,7 @@
 
 const orientation = { yaw: 0.6, pitch: 0.42, zoom: 1 }; // radians; shared by the views of all runs
 const solid = { level: 0, axis: -1, keep: 1 };
+const NEXT = [0.8, 0.2, 0.6]; // the next press
 const VIEWS = {
   oblique: [0.6, 0.42], x: [Math.PI / 2, 0], y: [0, 0], z: [0, Math.PI / 2],
 };
@@ -84,11 +85,19 @@ class View {
     this.names = Object.fromEntries(["view", "plane", "eye", "clear", "lit"].map(
       (name) => [name, gl.getUniformLocation(this.program, name)]));
     this.surfaces = {};
-    this.shown = {};
     this.put("body", ...expandTriangles(run, run.surface));
-    this.put("touched", ...expandTriangles(run, run.contact.flatMap((c) => [...c.triangles])));
     this.put("edges", sharpEdges(run));
     this.put("box", boxEdges(run.bounds));
+    this.renew();
+  }
+
+  // Take the map, the contact and the next press of the run as they are now.
+  renew() {
+    if (!this.gl) return;
+    const { run } = this;
+    this.shown = {};
+    this.put("touched", ...expandTriangles(run, run.contact.flatMap((c) => [...c.triangles])));
+    this.put("next", run.next ? circle(run.next) : []);
   }
 
   put(name, position, normal, colour) {
@@ -202,6 +211,7 @@ class View {
     const touch = grey ? neutral : [0.835, 0.369, 0];
     this.paint("touched", { colour: touch, clear: 0.1, lit: false, plane });
     gl.depthFunc(gl.LESS);
+    this.paint("next", { colour: NEXT, lit: false, mode: gl.LINES, plane });
   }
 
   // Label one edge of the bounding box per axis, the lowest in the picture or the leftmost.
@@ -263,6 +273,19 @@ class View {
     image.src = flat.toDataURL("image/png");
     image.alt = this.canvas.getAttribute("aria-label");
   }
+}
+
+// The rim of a round patch as lines, and its normal out of the body.
+function circle({ center, inward, radius }) {
+  const least = inward.map(Math.abs).indexOf(Math.min(...inward.map(Math.abs)));
+  const side = cross(inward, [0, 1, 2].map((a) => (a === least ? 1 : 0)));
+  const first = side.map((v) => v / Math.hypot(...side)), second = cross(inward, first);
+  const lift = 0.02 * radius, points = [];
+  const at = (k) => center.map((c, a) => c - lift * inward[a] + radius *
+    (Math.cos((Math.PI * k) / 24) * first[a] + Math.sin((Math.PI * k) / 24) * second[a]));
+  for (let k = 0; k < 48; k++) points.push(...at(k), ...at(k + 1));
+  points.push(...center, ...center.map((c, a) => c - 1.5 * radius * inward[a]));
+  return points;
 }
 
 function expandTriangles(run, list) {
@@ -374,6 +397,20 @@ function addControls(canvas) {
 
 let views = [];
 
+// The range of the isosurface's modulus, and the modulus itself where nobody chose it.
+function setLevels() {
+  const fields = runs.map(nodalModulus);
+  const low = Math.min(...fields.map((f) => f.reduce((a, b) => Math.min(a, b), Infinity)));
+  const high = Math.max(...fields.map((f) => f.reduce((a, b) => Math.max(a, b), 0)));
+  const levels = runs.map((run) => run.level).filter((level) => level).sort((a, b) => a - b);
+  const label = levels[(levels.length - 1) >> 1];
+  const usual = label ? clamp(label, low, high) : Math.sqrt(low * high);
+  solid.range = [low, high];
+  solid.level = solid.chosen ? clamp(solid.level, low, high) : usual;
+  const share = Math.log(solid.level / low) / Math.log(high / low);
+  query("#level").value = high > low ? 1000 * share : 500;
+}
+
 function makeViews() {
   views = queryAll(".view").map((container, index) => {
     query(".label", container).textContent = runs.length > 1 ? runs[index].name : "";
@@ -383,16 +420,12 @@ function makeViews() {
     query("#solid-controls").hidden = true;
     return;
   }
-  const fields = runs.map(nodalModulus);
-  const low = Math.min(...fields.map((f) => f.reduce((a, b) => Math.min(a, b), Infinity)));
-  const high = Math.max(...fields.map((f) => f.reduce((a, b) => Math.max(a, b), 0)));
-  const slider = query("#level"), share = (value) => Math.log(value / low) / Math.log(high / low);
-  const levels = runs.map((run) => run.level).filter((level) => level).sort((a, b) => a - b);
-  const label = levels[(levels.length - 1) >> 1];
-  solid.level = label ? clamp(label, low, high) : Math.sqrt(low * high);
-  slider.value = high > low ? 1000 * share(solid.level) : 500;
+  setLevels();
+  const slider = query("#level");
   slider.addEventListener("input", () => {
+    const [low, high] = solid.range;
     solid.level = low * (high / low) ** (slider.value / 1000);
+    solid.chosen = true;
     scheduleRedraw();
   });
   query("#cut").addEventListener("change", (event) => {
