@@ -12,9 +12,17 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from tactorch.cli import console
 from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
-from tactorch.cli.overrides import check_overrides, check_required, expanded, key_of, named
+from tactorch.cli.overrides import (
+    check_overrides,
+    check_required,
+    expanded,
+    key_of,
+    named,
+    swept,
+)
 from tactorch.cli.resume import has_state, with_resume
 from tactorch.cli.schema import command_module, load_schema
+from tactorch.cli.sweep import Job, register_names, summarize
 from tactorch.config.targets import trust
 from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.text import printable
@@ -50,11 +58,14 @@ class App:
             settings = with_resume(self._schema, settings, multirun=flags.multirun)
             if not (flags.cfg or flags.hydra_help or flags.info):
                 check_required(self._schema, settings)
+        self._swept = swept(self._schema, settings) if flags.multirun else set()
+        self._unnamed = {key_of(word) for word in settings} - self._swept
+        self._jobs: list[Job] = []
         for name, value in hydra_flags.items():
             if value:
                 settings += [f"--{name.replace('_', '-')}", *([] if value is True else [value])]
         self._arguments = settings
-        self._started = self._failed = False
+        self._started, self._failures = False, 0
         self._place: Path | None = None
         self._outputs: set[Path] = set()
 
@@ -73,8 +84,13 @@ class App:
         sys.argv = [f"tactorch {self.command}", *self._arguments]
         os.environ[_DEBUG] = "1"
         try:
-            path, name = f"pkg://{SEARCH_PACKAGE}", store_config(self._schema)
+            path, name = (
+                f"pkg://{SEARCH_PACKAGE}",
+                store_config(self._schema, sorted(self._unnamed)),
+            )
+            register_names()
             yield hydra.main(version_base="1.3", config_path=path, config_name=name)(self.job)
+            summarize(self._jobs)
         except KeyboardInterrupt:
             message = f"tactorch {self.command}: interrupted"
             if self._place is not None and has_state(self.command, self._place):
@@ -91,17 +107,26 @@ class App:
             os.environ.pop(_DEBUG)
             if debug is not None:
                 os.environ[_DEBUG] = debug
-        if self._failed:
+        if self._failures:
             sys.exit(console.WRONG)
 
     def job(self, cfg: "DictConfig") -> Any:
         """Run the command once; errors raised on purpose become a message."""
         from hydra.core.hydra_config import HydraConfig
 
-        from tactorch.versions import versions
-
         self._started = True
         self._place = Path(HydraConfig.get().runtime.output_dir)
+        failures = self._failures
+        result = self._run(cfg)
+        if self._swept:
+            words = [word.partition("=") for word in HydraConfig.get().overrides.task]
+            differing = {key: value for key, _, value in words if key in self._swept}
+            self._jobs.append(Job(self._place, differing, self._failures > failures))
+        return result
+
+    def _run(self, cfg: "DictConfig") -> Any:
+        from tactorch.versions import versions
+
         note = ", ".join(f"{name} {version}" for name, version in versions().items())
         try:
             console.to_log_file(f"tactorch {self.command} with {note}")
@@ -124,7 +149,7 @@ class App:
 
     def _report(self, message: str) -> None:
         """Print an error; other jobs of a sweep still run."""
-        self._failed = True
+        self._failures += 1
         _print_error(message, self.command)
         with suppress(FileError):  # of a log that cannot be written
             console.to_log_file(f"error: {message}", error=True)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from tactorch.cli.overrides import check_overrides
 from tactorch.cli.presets import EXPERIMENT, Entry
 from tactorch.cli.schema import Schema, app_name, load_schema, options_class
+from tactorch.cli.sweep import SUBFOLDER
 from tactorch.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ _PLAIN_LINES = {"formatters": {"simple": _LINES}}
 #: What all commands share of Hydra's own settings: run folders and plain logs.
 _HYDRA: Mapping[str, Any] = {
     "run": {"dir": "${run_dir}"},
-    "sweep": {"dir": "${run_dir}", "subdir": "${hydra.job.num}"},
+    "sweep": {"dir": "${run_dir}", "subdir": SUBFOLDER},
     "job_logging": {
         **_PLAIN_LINES,
         "handlers": {"file": {"class": "tactorch.cli.console.RunLog"}},
@@ -28,8 +29,11 @@ _HYDRA: Mapping[str, Any] = {
 }
 
 
-def store_config(schema: Schema) -> str:
-    """Register the settings of a command in Hydra's store, and return the config's name."""
+def store_config(schema: Schema, unnamed: Sequence[str] = ()) -> str:
+    """Register the settings of a command in Hydra's store, and return the config's name.
+
+    Folders of the jobs of a sweep are not named by the settings `unnamed`.
+    """
     from hydra.core.config_store import ConfigStore
 
     store, name = ConfigStore.instance(), app_name(schema.command)
@@ -47,7 +51,8 @@ def store_config(schema: Schema) -> str:
         node = {"defaults": overrides, **described["values"]}
         store.store(experiment, node, EXPERIMENT, package="_global_", provider="tactorch")
     chosen = [{group: option} for group, option in schema.defaults.items()]
-    job = {"name": name, "chdir": False}
+    named = {"override_dirname": {"exclude_keys": list(unnamed)}}
+    job = {"name": name, "chdir": False, "config": named}
     node = {"defaults": ["_self_", *chosen], **_tree(schema.settings)}
     node["hydra"] = {**_HYDRA, "job": job, "help": {"app_name": f"tactorch {schema.command}"}}
     store.store(name=name, node=node, provider="tactorch")

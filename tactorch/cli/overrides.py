@@ -93,6 +93,13 @@ def check_required(schema: Schema, words: Sequence[str]) -> None:
             raise ConfigError(f"{message} See tactorch {schema.command} --help.")
 
 
+def swept(schema: Schema, words: Sequence[str]) -> set[str]:
+    """Return the keys of the settings of which a sweep lists several values."""
+    settings = (word for word in words if not word.startswith("-"))
+    overrides = [_parse(word, schema) for word in settings]
+    return {o.get_key_element().lstrip("+~") for o in overrides if o.is_sweep_override()}
+
+
 def key_of(word: str) -> str:
     """Return the name of the setting in a word."""
     return word.partition("=")[0].lstrip("+~")

@@ -2,6 +2,7 @@
 
     tactorch report runs/gauss_newton
     tactorch report runs/gauss_newton runs/tnc            side by side
+    tactorch report sweep                                  all inversions in a folder
     tactorch report run=runs/gauss_newton uncertainty=false out=quick.html
     tactorch report run=RUN recording=FILE.h5             where the recording was moved
 
@@ -19,14 +20,14 @@ from tactorch.cli.settings import CommandOptions, UnitCheck, make_start
 from tactorch.config import option, to_mapping
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse.settings import has_all_settings
-from tactorch.report import Run, load_run, run_names, write_report
+from tactorch.report import Run, load_run, run_names, runs_in, write_report
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions(UnitCheck, CommandOptions):
     """Settings of the command."""
 
-    run: Path = option(help="Folder of an inversion")
+    run: Path = option(help="Folder of an inversion, or of several, as of a sweep")
     compare: tuple[Path, ...] = option((), "Folders of other inversions, shown side by side")
     recording: Path | None = option(
         None, "Recording that `run` inverted, where it is not the file that the run names"
@@ -40,7 +41,7 @@ class ReportOptions(UnitCheck, CommandOptions):
 
 def run(options: ReportOptions) -> Path:
     """Write the report of a run, or of several side by side."""
-    folders = [options.run, *options.compare]
+    folders = [run for folder in (options.run, *options.compare) for run in runs_in(folder)]
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise ConfigError("compare: a run is named twice; give each run once.")
     runs = []
@@ -61,7 +62,7 @@ def run(options: ReportOptions) -> Path:
             "uncertainty=false leaves it out.",
             " and ".join(f"{run.result.mesh.n_tets:,}" for run in complete),
         )
-    out = options.out or folders[0] / "report.html"
+    out = options.out or options.run / "report.html"
     with progress("uncertainty", "steps") as update:
         done = -1
 

@@ -107,6 +107,14 @@ def load_run(
     )
 
 
+def runs_in(folder: Path) -> list[Path]:
+    """Return a folder, or those of the finished inversions in it if it is not one itself."""
+    if (folder / _FILES[0]).is_file() or not folder.is_dir():
+        return [folder]
+    found = sorted(path.parent for path in folder.glob(f"*/{_FILES[0]}"))
+    return [run for run in found if (run / _FILES[1]).is_file()] or [folder]
+
+
 def run_names(folders: Sequence[Path]) -> list[str]:
     """Return a short, unique name of each run folder."""
     parts = [folder.resolve().parts for folder in folders]

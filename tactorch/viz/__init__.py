@@ -3,6 +3,7 @@
 No text is parsed as mathtext, because names may come from files.
 """
 
+from tactorch.viz.comparison import comparison_figure
 from tactorch.viz.convergence import convergence_figure
 from tactorch.viz.figure import save_figure
 from tactorch.viz.shapes import shape_figure
@@ -17,6 +18,7 @@ from tactorch.viz.uncertainty import (
 
 __all__ = [
     "calibration_figure",
+    "comparison_figure",
     "convergence_figure",
     "credibility_figure",
     "depth_figure",

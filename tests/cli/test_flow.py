@@ -184,7 +184,7 @@ def test_each_job_of_a_sweep_has_its_folder(tactorch: Any) -> None:
         "simulate", "-m", *TINY, "press=top", "seed=1,2", "run_dir=sweep", "out='seed-${seed}.h5'"
     )
     assert done.status == 0, done.err
-    assert Path("sweep/1/.hydra/config.yaml").is_file()
+    assert Path("sweep/seed-2/.hydra/config.yaml").is_file()
     one, two = (Recording.load(f"seed-{seed}.h5") for seed in (1, 2))
     assert (one.provenance["seed"], two.provenance["seed"]) == (1, 2)
     assert not np.array_equal(one.presses[0].displacement, two.presses[0].displacement)
@@ -194,8 +194,8 @@ def test_failed_job_does_not_stop_a_sweep(tactorch: Any) -> None:
     done = tactorch("simulate", "-m", *TINY, "press=top", "press.p_max_mpa=-1,0.01", "run_dir=s")
     assert done.status == 2
     assert "p_max_mpa=-1" in done.err
-    assert "p_max_mpa=-1" in Path("s/0/simulate.log").read_text()
-    assert Path("s/1/recording.h5").is_file()
+    assert "p_max_mpa=-1" in Path("s/press.p_max_mpa-1/simulate.log").read_text()
+    assert Path("s/press.p_max_mpa-0.01/recording.h5").is_file()
 
 
 def test_jobs_of_a_sweep_do_not_overwrite_each_other(tactorch: Any) -> None:

@@ -120,7 +120,7 @@ def test_each_job_of_a_sweep_has_its_finding(tactorch: Any, recording: Path) -> 
     sweep = ("optimizer.tolerance=0.1,0.2", "run_dir=sweep")
     done = tactorch("invert", "-m", f"recording={recording}", *sweep, *QUICK)
     assert done.status == 0, done.err
-    for folder in ("sweep/0", "sweep/1"):
+    for folder in ("sweep/optimizer.tolerance-0.1", "sweep/optimizer.tolerance-0.2"):
         assert files_of(folder) == {"finding.json", "finding.txt"}
         assert "finding" in summary_of(folder)
 
