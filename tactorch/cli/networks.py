@@ -8,6 +8,7 @@ from tactorch.cli.settings import CommandOptions
 from tactorch.config import Registry, option
 from tactorch.errors import ConfigError
 from tactorch.files import read_json
+from tactorch.learning.loggers import LOGGERS  # noqa: F401  (the registry of `logger`)
 from tactorch.learning.training import TrainerOptions
 
 DATA_FILE = "data.json"
@@ -38,6 +39,10 @@ class TrainOptions(CommandOptions):
     model: Any = option("recognizer", "Network", section="model")
     data: Any = option("recognition", "Data to learn from", section="data")
     trainer: TrainerOptions = option(factory=TrainerOptions, help="Training", preset="cpu")
+    logger: Any = option("tensorboard", "Logger of losses, settings and pictures", section="logger")
+    pictures_every: int = option(
+        10, "Epochs between pictures of predictions on the validation part; 0: none", ge=0
+    )
     resume: Path | None = option(None, "Run folder to continue")
     seed: int = option(0, "Seed of weights, order, augmentation and dropout", ge=0)
     splits: int = option(1, "Trainings, each on another split", ge=1)

@@ -6,7 +6,8 @@
     tactorch train -m model.hidden=32,64
     tactorch train resume=outputs/train/RUN             after a kill
 
-The run folder gets the weights (best.ckpt), curve.json, scores.json and TensorBoard's files.
+The run folder gets the weights (best.ckpt), curve.json, scores.json and the files of the logger
+(TensorBoard; logger=csv, wandb or mlflow).
 """
 
 import logging
@@ -19,15 +20,37 @@ import lightning
 import numpy as np
 
 from tactorch.cli.console import Table, log, log_text, progress
+from tactorch.cli.model_outputs import Split, figures_of
 from tactorch.cli.networks import DATA_FILE, REMEDY, TrainOptions, check_data
 from tactorch.cli.settings import run_folder
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
 from tactorch.files import read_json, write_json
+from tactorch.learning.loggers import log_figure
 from tactorch.learning.training import EpochProgress, fit
 
 # State of an earlier run in the same folder.
 _STATE = ("*.ckpt", "split-*/*.ckpt", "scores.json", "split.json", "split-*/split.json")
+
+
+class TrainingPictures(lightning.Callback):
+    """Logs pictures of the predictions on the validation part, every few epochs and at the end."""
+
+    def __init__(self, data: Any, every: int) -> None:
+        self._data, self._every = data, every
+
+    def on_validation_epoch_end(
+        self, trainer: lightning.Trainer, module: lightning.LightningModule
+    ) -> None:
+        """Draw and log the pictures, if the logger takes any."""
+        epoch, last = trainer.current_epoch + 1, trainer.current_epoch + 1 == trainer.max_epochs
+        if not self._every or not (last or epoch % self._every == 0) or not trainer.logger:
+            return
+        if not trainer.is_global_zero or not self._data.parts["val"]:
+            return
+        for name, figure in figures_of(Split(module, self._data, "val")).items():
+            if not log_figure(trainer.logger, f"val/{name}", figure, trainer.global_step):
+                return
 
 
 def run(options: TrainOptions) -> dict[str, Any]:
@@ -84,6 +107,7 @@ def _train_split(options: TrainOptions, number: int, folder: Path) -> dict[str, 
     trainer = replace(options.trainer, seed=options.seed)
     with progress(label, "epochs") as update:
         lightning.seed_everything(options.seed, verbose=False)
-        scores = fit(options.model(data), data, folder, trainer, [EpochProgress(update)])
+        callbacks = [EpochProgress(update), TrainingPictures(data, options.pictures_every)]
+        scores = fit(options.model(data), data, folder, trainer, callbacks, logger=options.logger)
     write_json(done, {"settings": settings, "scores": scores})
     return scores

@@ -22,13 +22,13 @@ import numpy as np
 import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import EarlyStopping, LambdaCallback, ModelCheckpoint
-from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from torch import Tensor
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import write_file
+from tactorch.learning.loggers import LoggerOptions, TensorBoard, log_scores
 from tactorch.learning.quantization import decompress, dequantize
 
 LAST, BEST, CURVE = "last.ckpt", "best.ckpt", "curve.json"
@@ -197,15 +197,18 @@ def fit(
     folder: Path,
     options: TrainerOptions | None = None,
     callbacks: Sequence[lightning.Callback] = (),
+    *,
+    logger: LoggerOptions | None = None,
 ) -> dict[str, float]:
     """Train a network, from the last checkpoint of the folder if there is one.
 
     Args:
         module: Network; it has the best weights afterwards.
         data: Data module.
-        folder: Folder for last.ckpt, best.ckpt, curve.json and the files of TensorBoard.
+        folder: Folder for last.ckpt, best.ckpt, curve.json and the files of the logger.
         options: Settings of the training.
         callbacks: Additional callbacks of Lightning.
+        logger: Logger; TensorBoard by default.
 
     Returns:
         Scores on the test part by name.
@@ -231,7 +234,7 @@ def fit(
             )
         callbacks = [EarlyStopping("val/loss", patience=options.patience), *callbacks]
     own = [*checkpoints, LossHistory(folder / CURVE), seed_steps(options.seed)]
-    trainer = _make_trainer(folder, options, [*own, *callbacks])
+    trainer = _make_trainer(folder, options, [*own, *callbacks], logger or TensorBoard())
     if last.is_file():
         check_checkpoint(last, module)
     on_interrupt = signal.getsignal(signal.SIGINT)
@@ -251,11 +254,16 @@ def fit(
         trainer.save_checkpoint(best)
     module.load_state_dict(check_checkpoint(best, module)["state_dict"])
     scores = trainer.test(module, datamodule=data, verbose=False)
-    return {name: float(value) for part in scores for name, value in part.items()}
+    values = {name: float(value) for part in scores for name, value in part.items()}
+    log_scores(trainer.logger, module.hparams_initial, values)
+    return values
 
 
 def _make_trainer(
-    folder: Path, options: TrainerOptions, callbacks: list[lightning.Callback]
+    folder: Path,
+    options: TrainerOptions,
+    callbacks: list[lightning.Callback],
+    logger: LoggerOptions,
 ) -> lightning.Trainer:
     limit = None if options.max_minutes is None else timedelta(minutes=options.max_minutes)
     try:
@@ -268,7 +276,7 @@ def _make_trainer(
             max_time=limit,
             gradient_clip_val=options.gradient_clip,
             callbacks=callbacks,
-            logger=TensorBoardLogger(str(folder), name="", version="tensorboard"),
+            logger=logger.build(folder) or False,
             enable_progress_bar=False,
             enable_model_summary=False,
             log_every_n_steps=1,

@@ -125,6 +125,8 @@ def check(words: list[str]) -> None:
             assert f"\n{target}:" in (ROOT / "Makefile").read_text(), target
         case ["python", script, *_]:
             assert (ROOT / script).is_file(), script
+        case ["tensorboard", "--logdir", _]:
+            pass
         case ["pip", "install", *_] | ["python3", "-m", "venv", *_]:
             pass
         case _:

@@ -1,0 +1,149 @@
+"""Loggers of a training: where losses, hyperparameters and pictures are written."""
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import PIL.Image
+
+from tactorch.config import Options, Registry, option
+from tactorch.errors import ConfigError
+
+if TYPE_CHECKING:
+    from lightning.pytorch.loggers import Logger
+    from matplotlib.figure import Figure
+    from PIL.Image import Image
+
+_HOME = "tactorch.learning.loggers"
+#: Loggers by name. Other packages add theirs by entry points of the group `tactorch.logger`.
+LOGGERS = Registry(
+    "logger",
+    {
+        "tensorboard": f"{_HOME}:TensorBoard",
+        "csv": f"{_HOME}:Csv",
+        "wandb": f"{_HOME}:WeightsAndBiases",
+        "mlflow": f"{_HOME}:MlFlow",
+        "none": f"{_HOME}:NoLogger",
+    },
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoggerOptions(Options):
+    """Settings of a logger."""
+
+    section: ClassVar[str] = "logger"
+
+    def build(self, folder: Path) -> "Logger | None":
+        """Return the logger of a run; its files are in the folder."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class TensorBoard(LoggerOptions):
+    """Files of TensorBoard in `tensorboard/`, with pictures and hyperparameters."""
+
+    def build(self, folder: Path) -> "Logger | None":
+        """See `LoggerOptions.build`."""
+        from lightning.pytorch.loggers import TensorBoardLogger
+
+        return TensorBoardLogger(
+            str(folder), name="", version="tensorboard", default_hp_metric=False
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Csv(LoggerOptions):
+    """A table `csv/metrics.csv`, with hyperparameters in `csv/hparams.yaml`."""
+
+    def build(self, folder: Path) -> "Logger | None":
+        """See `LoggerOptions.build`."""
+        from lightning.pytorch.loggers import CSVLogger
+
+        return CSVLogger(str(folder), name="", version="csv")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WeightsAndBiases(LoggerOptions):
+    """Weights & Biases; needs `pip install wandb`."""
+
+    project: str = option("tactorch", "Name of the project")
+    offline: bool = option(False, "Write files in the run's folder, for `wandb sync`")
+
+    def build(self, folder: Path) -> "Logger | None":
+        """See `LoggerOptions.build`."""
+        _require("wandb", "wandb")
+        from lightning.pytorch.loggers import WandbLogger
+
+        return WandbLogger(
+            name=folder.name, save_dir=str(folder), project=self.project, offline=self.offline
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MlFlow(LoggerOptions):
+    """MLflow; needs `pip install mlflow`."""
+
+    project: str = option("tactorch", "Name of the experiment")
+    uri: str | None = option(None, "Address of the server; null: a folder `mlruns` in the run's")
+
+    def build(self, folder: Path) -> "Logger | None":
+        """See `LoggerOptions.build`."""
+        _require("mlflow", "mlflow")
+        from lightning.pytorch.loggers import MLFlowLogger
+
+        uri = self.uri or (folder.resolve() / "mlruns").as_uri()
+        try:
+            return MLFlowLogger(
+                experiment_name=self.project, run_name=folder.name, tracking_uri=uri
+            )
+        except ImportError as error:  # mlflow-skinny is not enough
+            raise ConfigError(f"logger=mlflow cannot be used: {error}.") from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoLogger(LoggerOptions):
+    """No logger; `curve.json` has the losses in any case."""
+
+    def build(self, folder: Path) -> "Logger | None":
+        """See `LoggerOptions.build`."""
+        return None
+
+
+def _require(package: str, name: str) -> None:
+    if find_spec(package) is None:
+        raise ConfigError(f"logger={name} needs the package: pip install {package}.")
+
+
+def log_figure(logger: "Logger", name: str, figure: "Figure", step: int) -> bool:
+    """Log a picture; return whether the logger takes pictures."""
+    kind = type(logger).__name__
+    experiment: Any = logger.experiment  # type: ignore[attr-defined]
+    if kind == "TensorBoardLogger":
+        experiment.add_figure(name, figure, global_step=step, close=False)
+    elif kind == "WandbLogger":
+        logger.log_image(key=name, images=[_image(figure)], step=step)  # type: ignore[attr-defined]
+    elif kind == "MLFlowLogger":
+        file = f"{name.replace('/', '_')}-{step:06d}.png"
+        experiment.log_figure(logger.run_id, figure, file)  # type: ignore[attr-defined]
+    else:
+        return False
+    return True
+
+
+def _image(figure: "Figure") -> "Image":
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return PIL.Image.open(buffer)
+
+
+def log_scores(
+    logger: "Logger | None", parameters: Mapping[str, Any], scores: Mapping[str, float]
+) -> None:
+    """Log hyperparameters with the final scores, as the table of TensorBoard wants them."""
+    if type(logger).__name__ == "TensorBoardLogger":
+        logger.log_hyperparams(dict(parameters), dict(scores))  # type: ignore[union-attr]
+        logger.save()  # type: ignore[union-attr]
