@@ -48,7 +48,7 @@ def test_killed_training_goes_on_to_the_same_curve(kind: str, tmp_path: Path) ->
         process = subprocess.Popen(words, cwd=tmp_path, start_new_session=True)
         try:
             # A loaded machine may take longer to start than the first kills leave it.
-            status = process.wait(timeout=5.0 + 0.5 * start + rng.uniform(0.0, 4.0))
+            status = process.wait(timeout=2.0 + 0.5 * start + rng.uniform(0.0, 2.0))
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
