@@ -241,5 +241,5 @@ All of these are `from tactorch import ...`.
 
 {pages}
 
-The command line is in the [configuration reference](../configuration.md).
+The command line is in the [configuration reference](../configuration/index.md).
 """

@@ -11,8 +11,9 @@ from tactorch.cli.schema import Schema, app_name, load_schema, text_of
 _INTRODUCTION = """\
 # Configuration reference
 
-Every setting of every command. This page is generated from the typed settings of the code each time
-the documentation is built; `tactorch COMMAND --help` shows the same in a terminal.
+Every setting of every command, with a page for each command and each group. They are generated from
+the typed settings of the code each time the documentation is built; `tactorch COMMAND --help` shows
+the same in a terminal.
 
 - A setting is given as `KEY=VALUE`, one in a group as `GROUP.KEY=VALUE`, an option of a group as
   `GROUP=OPTION`. `experiment=NAME` changes several settings at once.
@@ -23,57 +24,77 @@ the documentation is built; `tactorch COMMAND --help` shows the same in a termin
 - `--config-dir FOLDER` adds presets and experiments from a folder: `FOLDER/GROUP/NAME.yaml` holds
   the settings that differ from the defaults, and `name: COMPONENT` in groups of components, or
   `_target_: MODULE.CLASS` for one of a package that `--trust PACKAGE` names (see [Extend
-  tactorch](howto/extensions.md)). Other settings are plain; `--trust-config-dir` gives the folder
-  to Hydra as it is, which can run programs.
+  tactorch](../howto/extensions.md)). Other settings are plain; `--trust-config-dir` gives the
+  folder to Hydra as it is, which can run programs.
 - The same names, defaults and checks apply in Python: `Settings(regularization={"name": "matern",
   "length_mm": 2.0})`.
 """
 
 
-def page() -> str:
-    """Return the whole reference as Markdown."""
+_FOLDER = "configuration"
+
+
+def pages() -> dict[str, str]:
+    """Return the pages of the reference, by path, as Markdown."""
     schemas = {command: load_schema(command) for command in COMMANDS}
-    groups = sorted({group for schema in schemas.values() for group in schema.groups})
-    parts = [_INTRODUCTION, _overview(schemas), "## Commands"]
-    parts += [_command(schema) for schema in schemas.values()]
-    parts += ["## Groups", *(_group(group, schemas) for group in groups), _experiments(schemas)]
-    return "\n\n".join(parts) + "\n"
+    made = {"index.md": f"{_INTRODUCTION}\n\n{_overview(schemas)}"}
+    made |= {_file(command): _command(schema) for command, schema in schemas.items()}
+    made |= {f"group-{group}.md": _group(group, schemas) for group in _groups(schemas)}
+    made[f"{EXPERIMENT}s.md"] = _experiments(schemas)
+    return {f"{_FOLDER}/{name}": f"{text}\n" for name, text in made.items()}
+
+
+def navigation() -> list[Any]:
+    """Return the entries of the pages in the site's navigation."""
+    schemas = {command: load_schema(command) for command in COMMANDS}
+    groups = [f"{_FOLDER}/group-{group}.md" for group in _groups(schemas)]
+    return [
+        {"Overview": f"{_FOLDER}/index.md"},
+        {"Commands": [f"{_FOLDER}/{_file(command)}" for command in schemas]},
+        {"Groups": [*groups, f"{_FOLDER}/{EXPERIMENT}s.md"]},
+    ]
+
+
+def _groups(schemas: Mapping[str, Schema]) -> list[str]:
+    return sorted({group for schema in schemas.values() for group in schema.groups})
 
 
 def _overview(schemas: Mapping[str, Schema]) -> str:
     rows = ["| command | purpose | groups |", "|---|---|---|"]
     for command, schema in schemas.items():
         purpose = schema.header.splitlines()[0].partition(": ")[2].rstrip(".")
-        groups = ", ".join(f"[{group}](#{group})" for group in schema.groups)
-        rows.append(f"| [{command}](#{_anchor(command)}) | {purpose} | {groups} |")
+        groups = ", ".join(f"[{group}](group-{group}.md)" for group in schema.groups)
+        rows.append(f"| [{command}]({_file(command)}) | {purpose} | {groups} |")
     return "\n".join(rows)
 
 
-def _anchor(command: str) -> str:
-    return f"tactorch-{app_name(command)}"
+def _file(command: str) -> str:
+    return f"{app_name(command)}.md"
 
 
 def _command(schema: Schema) -> str:
-    parts = [f"### tactorch {schema.command} {{#{_anchor(schema.command)}}}"]
+    parts = [f"# tactorch {schema.command}"]
     parts.append(f"```text\n{schema.header}\n```")
     parts.append(table(schema.settings))
     if schema.groups:
-        chosen = (f"[{g}](#{g}) = `{found['default']}`" for g, found in schema.groups.items())
+        chosen = (
+            f"[{g}](group-{g}.md) = `{found['default']}`" for g, found in schema.groups.items()
+        )
         parts.append(f"Groups and their defaults: {', '.join(chosen)}.")
     return "\n\n".join(parts)
 
 
 def _group(group: str, schemas: Mapping[str, Schema]) -> str:
     users = {command: s.groups[group] for command, s in schemas.items() if group in s.groups}
-    links = ", ".join(f"[{command}](#{_anchor(command)})" for command in users)
+    links = ", ".join(f"[{command}]({_file(command)})" for command in users)
     found = next(iter(users.values()))
-    parts = [f"### {group}", f"{found['help']}. Used by {links}."]
+    parts = [f"# {group}", f"{found['help']}. Used by {links}."]
     for option, described in found["options"].items():
         text = html.escape(described["help"], False)
-        parts.append(f"#### {group}={option} {{#{group}-{option}}}\n\n{text}")
+        parts.append(f"## {group}={option} {{#{group}-{option}}}\n\n{text}")
         overrides = described["overrides"].items()
         if overrides:
-            links = ", ".join(f"[{g}={o}](#{g}-{o})" for g, o in overrides)
+            links = ", ".join(f"[{g}={o}](group-{g}.md#{g}-{o})" for g, o in overrides)
             parts.append(f"Chooses {links} too.")
         if described["settings"]:
             parts.append(table(described["settings"], f"{group}."))
@@ -82,12 +103,15 @@ def _group(group: str, schemas: Mapping[str, Schema]) -> str:
 
 def _experiments(schemas: Mapping[str, Schema]) -> str:
     found = {name: e for schema in schemas.values() for name, e in schema.experiments.items()}
-    parts = [f"### {EXPERIMENT}", "Each changes several settings at once."]
+    parts = [
+        "# Experiments",
+        "`experiment=NAME` chooses one. Each changes several settings at once.",
+    ]
     for name, described in sorted(found.items()):
         words = [f"{group}={option}" for group, option in described["overrides"].items()]
         words += [f"{key}={text_of(value)}" for key, value in _leaves(described["values"])]
         text = html.escape(described["help"], False)
-        parts.append(f"#### {EXPERIMENT}={name}\n\n{text}\n\n```text\n{' '.join(words)}\n```")
+        parts.append(f"## {EXPERIMENT}={name}\n\n{text}\n\n```text\n{' '.join(words)}\n```")
     return "\n\n".join(parts)
 
 

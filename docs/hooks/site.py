@@ -15,14 +15,26 @@ from mkdocs.structure.pages import Page
 _ROOT = Path(__file__).resolve().parents[2]
 _SCHEMA = "<!-- the docstring of tactorch.recording.schema -->"
 _WORDS = "<!-- words not used -->"
+_CONFIGURATION = "configuration/index.md"
 _EXTERNAL = re.compile(r'<(?:script|link|img|iframe)\b[^>]*(?:src|href)="?(?:https?:)?//[^>]*>')
 _LINK = re.compile(r'href="(\.\./[\w/-]+)\.md')
 _EXAMPLE = re.compile(r"^<!-- (examples/\w+\.py) -->$", flags=re.MULTILINE)
 
 
+def on_config(config: MkDocsConfig, **_: Any) -> MkDocsConfig:
+    """Put the pages of the configuration reference into the navigation."""
+    for section in config.nav or []:
+        for entries in section.values():
+            if isinstance(entries, list) and _CONFIGURATION in entries:
+                entries[entries.index(_CONFIGURATION)] = {
+                    "Configuration": configuration.navigation()
+                }
+    return config
+
+
 def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
     """Add generated pages."""
-    for path, content in {"configuration.md": configuration.page(), **api.pages()}.items():
+    for path, content in {**configuration.pages(), **api.pages()}.items():
         files.append(File.generated(config, path, content=content))
     return files
 

@@ -24,23 +24,37 @@ def hooks() -> Iterator[dict[str, ModuleType]]:
 
 
 @pytest.fixture(scope="module")
-def configuration(hooks: dict[str, ModuleType]) -> str:
-    return hooks["configuration"].page()
+def configuration(hooks: dict[str, ModuleType]) -> dict[str, str]:
+    pages: dict[str, str] = hooks["configuration"].pages()
+    return pages
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_setting_of_a_command_is_there(command: str, configuration: str) -> None:
+def test_every_setting_of_a_command_is_there(command: str, configuration: dict[str, str]) -> None:
     schema = load_schema(command)
+    page = configuration[f"configuration/{command.replace(' ', '-')}.md"]
+    assert page.startswith(f"# tactorch {command}\n")
     for entry in schema.settings:
-        assert f"| `{entry['name']}` |" in configuration
+        assert f"| `{entry['name']}` |" in page
     for group in schema.groups:
-        assert f"\n### {group}\n" in configuration
+        assert f"(group-{group}.md)" in page
+        text = configuration[f"configuration/group-{group}.md"]
         for option, described in schema.options(group).items():
-            assert f"\n#### {group}={option}" in configuration
-            assert html.escape(described["help"], False) in configuration
+            assert f"\n## {group}={option}" in text
+            assert html.escape(described["help"], False) in text
             for entry in described["settings"]:
-                assert f"| `{group}.{entry['name']}` |" in configuration
-                assert html.escape(entry["help"], False).replace("|", "\\|") in configuration
+                assert f"| `{group}.{entry['name']}` |" in text
+                assert html.escape(entry["help"], False).replace("|", "\\|") in text
+
+
+def test_the_pages_of_the_configuration_are_in_the_navigation(
+    hooks: dict[str, ModuleType], configuration: dict[str, str]
+) -> None:
+    overview, commands, groups = hooks["configuration"].navigation()
+    named = [*overview.values(), *commands["Commands"], *groups["Groups"]]
+    assert sorted(named) == sorted(configuration)
+    longest = max(len(text.splitlines()) for text in configuration.values())
+    assert longest < 400
 
 
 def test_every_package_is_on_one_page_of_the_api(hooks: dict[str, ModuleType]) -> None:
