@@ -11,7 +11,8 @@ sample as gives the mean first force of the other probes.
 The usual way is a Gaussian process of stiffness over the surface (scikit-learn, a Matern kernel and
 noise, hyperparameters by maximum likelihood), by which the force at a depth is that of a spring or
 of a ball in a half-space; or one process of the force at each step. The best of the three, by the
-same errors, is what the map is compared with. The last line printed is one JSON object.
+same errors, is what the map is compared with. "map, residuals" is the map's prediction times such a
+process of its relative errors. The last line printed is one JSON object.
 """
 
 import argparse
@@ -125,6 +126,20 @@ def process(where: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.nda
         return model.fit(where, values).predict(wanted)
 
 
+def with_residuals(
+    predicted: Sequence[np.ndarray], train: Sequence[Probe], test: Sequence[Probe]
+) -> list[np.ndarray]:
+    """Predict by the map, times a Gaussian process of its relative errors (regression kriging).
+
+    `predicted` are the forces that the map predicts, of the probes that are kept and of the others.
+    """
+    factors = [float(p.forces @ s) / float(s @ s) for p, s in zip(train, predicted, strict=False)]
+    where = np.array([probe.contact[:2] for probe in train])
+    wanted = np.array([probe.contact[:2] for probe in test])
+    changes = np.exp(process(where, np.log(np.maximum(factors, 1e-2)), wanted))
+    return [c * s for c, s in zip(changes, predicted[len(train) :], strict=True)]
+
+
 def by_processes(train: Sequence[Probe], test: Sequence[Probe], radius: float, first_n: float):
     """Predict the forces of probes by Gaussian processes: name -> forces of each probe."""
     where = np.array([probe.contact[:2] for probe in train])
@@ -199,10 +214,14 @@ def run(path: Path, *, sparse: bool, max_seconds: float | None) -> dict[str, obj
     began = time.perf_counter()
     result = invert(recording, Settings(max_seconds=max_seconds), start_mpa=homogeneous)
     seconds = time.perf_counter() - began
-    methods = {"map": by_map(recording, result.youngs, test, first)}
+    predicted = by_map(recording, result.youngs, [*train, *test], first)
+    methods = {
+        "map": predicted[len(train) :],
+        "map, residuals": with_residuals(predicted, train, test),
+    }
     methods |= by_processes(train, test, radius, first)
     scores = {name: errors(test, predicted) for name, predicted in methods.items()}
-    best = min(scores.keys() - {"map"}, key=lambda name: scores[name]["rms_n"])
+    best = min(scores.keys() - {"map", "map, residuals"}, key=lambda name: scores[name]["rms_n"])
     return {
         "kept": len(train), "left_out": len(test), "seconds": seconds,
         "chi2": result.history[-1]["chi2"], "best_process": best, "errors": scores,

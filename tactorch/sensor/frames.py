@@ -19,7 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from PIL import Image as PillowImage
 
 from tactorch.config import Options, option
@@ -48,6 +48,8 @@ _DROPPED_PERIODS = 1.5  # frame periods between two frames, above which frames w
 _MIN_BRIGHTNESS = 8.0  # of a reference, gray values
 _SATURATED = "saturated"
 _SATURATED_VALUE = 254
+# Width of the edge of a contact, and of the rows compared beside it, in fractions of the height.
+_EDGE, _BESIDE = 40, 20
 _MIN_JUMP = 4.0  # between rows, gray values; smaller ones are noise
 
 
@@ -188,12 +190,28 @@ def detect_fault(
         return f"{_SATURATED}: {saturated - usual:.0%} of the pixels more than in the reference"
     if previous is not None and np.array_equal(image, previous):
         return "frozen: the same as the frame before it"
-    # The change varies smoothly from row to row; a tear makes it jump over much of the width.
     change = image.astype(np.float32).mean(axis=2) - reference.astype(np.float32).mean(axis=2)
+    row = _torn_row(change, limits.torn)
+    return "" if row is None else f"torn at row {row}"
+
+
+def _torn_row(change: Float[np.ndarray, "h w"], limit: float) -> int | None:
+    """Return the row at which another frame begins, if the change shows one.
+
+    The change varies smoothly from row to row, and a tear makes it jump over much of the width. At
+    the straight edge of a contact it jumps too, but back again within a few rows.
+    """
+    height = len(change)
     jump = np.median(np.abs(np.diff(change, axis=0)), axis=1)
-    row = int(np.argmax(jump))
-    typical = max(float(np.median(jump)), _MIN_JUMP / limits.torn)
-    return f"torn at row {row + 1}" if jump[row] > limits.torn * typical else ""
+    row = int(np.argmax(jump)) + 1
+    size, typical = jump[row - 1], max(float(np.median(jump)), _MIN_JUMP / limit)
+    if size <= limit * typical:
+        return None
+    gap, reach = max(3, height // _EDGE), max(3, height // _BESIDE)
+    above = change[max(row - gap - reach, 0) : row - gap] if row > gap else change[:1]
+    below = change[row + gap : row + gap + reach] if row + gap < height else change[-1:]
+    step = np.median(np.abs(below.mean(axis=0) - above.mean(axis=0)))
+    return row if step > 0.5 * size else None
 
 
 def _dropped_frames(time_s: float | None, previous_s: float | None, rate_hz: float | None) -> str:

@@ -126,6 +126,16 @@ def test_faults_are_told_and_the_rest_goes_on(
     assert [name for name, one in found.items() if one.image is None] == ["4.png", "7.png"]
 
 
+@pytest.mark.parametrize("row", [5, 20, 44])
+def test_the_straight_edge_of_a_contact_is_no_tear(gel_image: np.ndarray, row: int) -> None:
+    edge = gel_image.copy()
+    edge[row : row + 3] = brighter(gel_image[row : row + 3], 60)
+    assert detect_fault(edge, gel_image, None) == ""
+    torn = edge.copy()
+    torn[row:] = brighter(gel_image[row:], 60)
+    assert detect_fault(torn, gel_image, None) == f"torn at row {row}"
+
+
 def test_a_press_is_no_fault(gel_image: np.ndarray) -> None:
     y, x = np.mgrid[:48, :64]
     dent = np.exp(-((x - 30) ** 2 + (y - 20) ** 2) / 60)[..., None]
