@@ -210,7 +210,8 @@ def _torn_row(change: Float[np.ndarray, "h w"], limit: float) -> int | None:
     gap, reach = max(3, height // _EDGE), max(3, height // _BESIDE)
     above = change[max(row - gap - reach, 0) : row - gap] if row > gap else change[:1]
     below = change[row + gap : row + gap + reach] if row + gap < height else change[-1:]
-    step = np.median(np.abs(below.mean(axis=0) - above.mean(axis=0)))
+    # Medians, as markers that move change some rows much.
+    step = np.median(np.abs(np.median(below, axis=0) - np.median(above, axis=0)))
     return row if step > 0.5 * size else None
 
 
