@@ -85,6 +85,29 @@ def test_other_threads_show_nothing(lines: list[Terminal]) -> None:
     assert [line.shown for line in lines] == [["main"]]
 
 
+def test_compilations_are_a_state_of_what_waits_for_them(lines: list[Terminal]) -> None:
+    import numba
+
+    import tactorch.fem.kernels  # noqa: F401
+
+    @numba.njit
+    def inner(x: float) -> float:
+        return x + 1.0
+
+    @numba.njit
+    def outer(x: float) -> float:
+        return inner(x) * 2.0
+
+    assert outer(1.0) == 4.0  # where nothing is shown
+    with progress_line("simulation") as update:
+        update("1 of 2 presses")
+        assert outer(1) == 4.0  # of another type
+        assert outer(2) == 6.0
+    text = "simulation: 1 of 2 presses"
+    compiling = f"{text}, compiling, which is kept for later runs"
+    assert lines[0].shown == ["simulation", text, compiling, text]
+
+
 class Clock:
     def __init__(self) -> None:
         self.now = 100.0

@@ -11,6 +11,9 @@ from typing import Any, no_type_check
 import numba
 import numpy as np
 
+from tactorch.fem.compilation import announce_compilation
+
+announce_compilation()
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
     "cache": True,
