@@ -26,7 +26,7 @@ from tactorch.inverse import (
 )
 from tactorch.inverse.invert import _task_digest
 from tactorch.inverse.misfit import Huber
-from tactorch.inverse.monitor import progress
+from tactorch.inverse.monitor import progress_text
 from tactorch.inverse.starts import START_MPA
 from tactorch.recording import Recording
 
@@ -164,19 +164,35 @@ def test_iterations_are_logged(recording: Recording, caplog: pytest.LogCaptureFi
     assert [line.split()[1] for line in lines] == ["0", "1", "2", "3"]
 
 
-def test_progress_shows_iteration_and_misfit(capfd: pytest.CaptureFixture[str]) -> None:
-    with progress("gauss_newton", show=True) as update:
-        update({"iteration": 12, "misfit": 3.25e-4, "step": 0.5})
-    shown = capfd.readouterr()
-    assert "iteration 12" in shown.err
-    assert "3.250e-04 mm2" in shown.err
-    assert shown.out == ""
+def test_progress_shows_iteration_and_misfit(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = {"iteration": 12, "misfit": 3.25e-4, "step": 0.5}
+    assert progress_text(record) == "iteration 12, misfit 3.250e-04 mm2, step 0.5"
+    shown: list[str] = []
+
+    class Line:
+        def show(self, text: str) -> None:
+            shown.append(text)
+
+        def close(self, seconds: float) -> None:
+            shown.append("closed")
+
+    monkeypatch.setattr("tactorch.progress._new_line", lambda forced: Line())
+    result = invert(recording, Settings(GaussNewton(max_iterations=1)))
+    label = "inversion by gauss_newton"
+    assert shown[:2] == [label, f"{label}: model of the presses"]
+    assert f"{label}: first equilibrium" in shown
+    assert f"{label}: {progress_text(result.history[-1])}" in shown
+    assert shown[-1] == "closed"
 
 
-def test_no_progress_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
-    with progress("gauss_newton", show=False) as update:
-        update({"iteration": 12, "misfit": 3.25e-4})
-    assert capfd.readouterr() == ("", "")
+def test_no_progress_where_it_is_not_wanted(
+    recording: Recording, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactorch.progress._is_terminal", lambda: True)
+    invert(recording, Settings(GaussNewton(max_iterations=1)), show_progress=False)
+    assert capfd.readouterr().err == ""
 
 
 def test_everything_that_decides_the_result_is_in_the_digest_of_a_task(
