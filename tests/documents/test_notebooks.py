@@ -15,6 +15,8 @@ _SECONDS = re.compile(r"in [\d.]+ s|\([\d.]+ s\)")
 # Relative difference of numbers, and the absolute one of small numbers: fTetWild makes other meshes
 # each time, on which presses and the number of iterations differ.
 _RELATIVE, _ABSOLUTE = 0.35, 0.15
+# The modulus of the lump of this one has a 90 % interval of a factor of five.
+_WIDER = {"own-body": 0.7}
 
 
 def code_cells(notebook: NotebookNode) -> list[NotebookNode]:
@@ -52,13 +54,13 @@ def test_all_cells_were_run_in_order_and_without_errors(path: Path) -> None:
     assert path.stat().st_size < 600_000
 
 
-def same(shown: str, printed: str) -> bool:
+def same(shown: str, printed: str, relative: float = _RELATIVE) -> bool:
     """Whether texts have the same words, and numbers that are nearly the same."""
     if _NUMBER.sub("", shown) != _NUMBER.sub("", printed):
         return False
     pairs = zip(_NUMBER.findall(shown), _NUMBER.findall(printed), strict=True)
     return all(
-        math.isclose(float(one), float(other), rel_tol=_RELATIVE, abs_tol=_ABSOLUTE)
+        math.isclose(float(one), float(other), rel_tol=relative, abs_tol=_ABSOLUTE)
         for one, other in pairs
     )
 
@@ -81,4 +83,5 @@ def test_a_notebook_prints_what_it_shows(path: Path, tmp_path: Path) -> None:
         again, timeout=900, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
     ).execute()
     for cell, before in zip(code_cells(again), code_cells(stored), strict=True):
-        assert same(texts(before), texts(cell)), f"{texts(before)}\n---\n{texts(cell)}"
+        relative = _WIDER.get(path.stem, _RELATIVE)
+        assert same(texts(before), texts(cell), relative), f"{texts(before)}\n---\n{texts(cell)}"
