@@ -1,5 +1,6 @@
 """Text and pictures of an object, in notebooks and scripts."""
 
+from abc import ABC, abstractmethod
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,15 +10,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Displayed:
+class Displayed(ABC):
     """An object with a summary, a figure and a view in three dimensions.
 
     Notebooks show the summary and the figure where an object is the last value of a cell.
     """
 
+    @abstractmethod
     def summary(self) -> str:
         """Return a description in a few lines of text."""
-        raise NotImplementedError
 
     def plot(self, **options: Any) -> "Figure":
         """Return a figure. `tactorch.viz.figures` lists figures and options for each type."""

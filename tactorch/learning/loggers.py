@@ -1,6 +1,7 @@
 """Loggers of a training: where losses, hyperparameters and pictures are written."""
 
 import io
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -32,14 +33,14 @@ LOGGERS = Registry(
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoggerOptions(Options):
+class LoggerOptions(Options, ABC):
     """Settings of a logger."""
 
     section: ClassVar[str] = "logger"
 
+    @abstractmethod
     def build(self, folder: Path) -> "Logger | None":
         """Return the logger of a run; its files are in the folder."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -62,7 +62,7 @@ def resolved(differing: str, number: int = 3) -> str:
 def test_folders_are_named_by_what_differs_in_plain_characters() -> None:
     register_names()
     assert resolved("a.b=1,c=x") == "a.b-1_c-x"
-    assert resolved("path=/tmp/a b.h5") == "path-tmp-a-b.h5"
+    assert resolved("path=runs/a b.h5") == "path-runs-a-b.h5"
     assert resolved("") == "3"
     assert resolved("a.b=1,c=x", number=4) == "a.b-1_c-x-4"  # the name of another job
     assert len(resolved("k=" + "y" * 300)) < 110
