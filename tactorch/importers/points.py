@@ -13,9 +13,9 @@ from tactorch.config import Options, option
 from tactorch.config.registry import unknown_choice
 from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.fem import MATERIALS
+from tactorch.importers.loads import consistent_loads, pressure_loads
 from tactorch.mesh import TetMesh
 from tactorch.mesh.closest import Closest, closest_points
-from tactorch.mesh.geometry import area_vectors
 from tactorch.mesh.tetmesh import FaceName
 from tactorch.recording import MaterialSpec, Press, Recording, SurfaceReading
 
@@ -266,42 +266,6 @@ def _forces(data: PointData, mesh: TetMesh, closest: Closest) -> Float[np.ndarra
         field[nodes], scalar[nodes] = tractions[bare], pressure[bare]
         forces += consistent_loads(mesh.points, triangles, field)
         forces += pressure_loads(mesh.points, triangles, scalar)
-    return forces
-
-
-def consistent_loads(
-    points: Float[np.ndarray, "n 3"],
-    triangles: Int[np.ndarray, "k 3"],
-    tractions: Float[np.ndarray, "n 3"],
-) -> Float[np.ndarray, "n 3"]:
-    """Return nodal forces (N) of tractions (MPa) that are linear on each triangle.
-
-    Triangles are loaded where all their nodes have a traction: beyond a rim, for instance on the
-    sides of a block that is pressed from the top, there is none.
-    """
-    loaded = triangles[(tractions[triangles] != 0.0).any(axis=2).all(axis=1)]
-    areas = np.linalg.norm(area_vectors(points, loaded), axis=1)
-    corners = tractions[loaded]
-    loads = areas[:, None, None] / 12.0 * (corners + corners.sum(axis=1, keepdims=True))
-    forces = np.zeros_like(points)
-    np.add.at(forces, loaded, loads)
-    return forces
-
-
-def pressure_loads(
-    points: Float[np.ndarray, "n 3"],
-    triangles: Int[np.ndarray, "k 3"],
-    pressure: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "n 3"]:
-    """Return nodal forces (N) of a pressure (MPa) that is linear on each outward triangle.
-
-    It acts along the inward normal of the triangles all of whose nodes have a pressure.
-    """
-    loaded = triangles[(pressure[triangles] != 0.0).all(axis=1)]
-    corners = pressure[loaded]
-    shares = (corners + corners.sum(axis=1, keepdims=True)) / 12.0
-    forces = np.zeros_like(points)
-    np.add.at(forces, loaded, -shares[:, :, None] * area_vectors(points, loaded)[:, None])
     return forces
 
 

@@ -17,12 +17,8 @@ from jaxtyping import Float, Int
 
 from tactorch.config import option
 from tactorch.errors import FileError, MeshError
-from tactorch.importers.points import (
-    PointData,
-    PointOptions,
-    consistent_loads,
-    pressure_loads,
-)
+from tactorch.importers.loads import consistent_loads, pressure_loads
+from tactorch.importers.points import PointData, PointOptions
 from tactorch.importers.press_files import press_files
 from tactorch.importers.vtk_files import SUFFIXES, VtkFile, read_vtk
 from tactorch.mesh import TetMesh, compact, read_mesh
@@ -125,7 +121,9 @@ class VtkOptions(PointOptions):
         same, merged = first[same.ravel()], np.zeros_like(points)
         _check_repeated(same, {"displacement": displacement, "force": force}, file)
         if traction is not None or pressure is not None:
-            np.add.at(merged, same, self._stresses(points, triangles, traction, pressure, file))
+            np.add.at(
+                merged, same, self._stresses(points, triangles, same, traction, pressure, file)
+            )
         if force is not None:
             merged[first] += _NEWTON[self.force_unit] * np.nan_to_num(force[first])
         if len(file.tets):
@@ -162,6 +160,7 @@ class VtkOptions(PointOptions):
         self,
         points: Float[np.ndarray, "n 3"],
         triangles: np.ndarray,
+        same: np.ndarray,
         traction: np.ndarray | None,
         pressure: np.ndarray | None,
         file: VtkFile,
@@ -174,9 +173,9 @@ class VtkOptions(PointOptions):
             )
         scale, forces = _MPA[self.stress_unit], np.zeros_like(points)
         if traction is not None:
-            forces += consistent_loads(points, triangles, scale * np.nan_to_num(traction))
+            forces += consistent_loads(points, triangles, scale * np.nan_to_num(traction), same)
         if pressure is not None:
-            forces += pressure_loads(points, triangles, scale * np.nan_to_num(pressure[:, 0]))
+            forces += pressure_loads(points, triangles, scale * np.nan_to_num(pressure[:, 0]), same)
         return forces
 
 

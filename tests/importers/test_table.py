@@ -9,7 +9,7 @@ import pytest
 
 from tactorch.errors import ConfigError, FileError, MeshError, RecordingError, TactorchError
 from tactorch.importers import import_table
-from tactorch.importers.points import consistent_loads
+from tactorch.importers.loads import consistent_loads
 from tactorch.importers.quantities import parse
 from tactorch.recording import Press, Recording
 
