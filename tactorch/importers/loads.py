@@ -81,14 +81,15 @@ def loaded_triangles(
         same: The first of the nodes at the position of each; None where no node is repeated.
     """
     at_corner = np.asarray(acts[triangles])
-    full, some = np.asarray(at_corner.all(axis=1)), at_corner.any(axis=1)
+    full, some = np.all(at_corner, axis=1), np.any(at_corner, axis=1)
     corners = triangles if same is None else same[triangles]
     around = _sums(vectors, corners, len(acts))
     beside = _sums(vectors[full], corners[full], len(acts))
-    normals = np.where(beside.any(axis=1)[:, None], beside, around)[corners]
+    is_loaded = np.asarray(np.any(beside, axis=1))
+    normals = np.where(is_loaded[:, None], beside, around)[corners]
     sizes = np.linalg.norm(normals, axis=2) * np.linalg.norm(vectors, axis=1)[:, None]
     continues = (normals * vectors[:, None]).sum(axis=2) >= _MIN_COSINE * sizes
-    return np.asarray(full | (some & (continues | ~at_corner).all(axis=1)))
+    return np.asarray(full | (some & np.all(continues | ~at_corner, axis=1)))
 
 
 def _sums(

@@ -525,7 +525,8 @@ def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
     newton = NewtonOptions()
     problem = InverseProblem(recording, element="tet10", newton=newton)
     correction = Correction.of(problem, "tet10", "auto")
-    assert not correction.has_rims
+    assert not correction.uncertain
+    assert not correction.has_singular_ends
     assert [numbers for numbers, _ in correction.contacts] == [(0, 1), (2, 3)]
     prior = ShapePrior.of(recording.mesh, 0.2)
     uniform, evaluation = fit_shapes(problem, ShapeField(prior), np.zeros(1), max_iterations=0)

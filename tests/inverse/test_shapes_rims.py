@@ -13,13 +13,20 @@ from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import fit_shapes
 from tactorch.inverse.shapes.kept import KeptRims
-from tactorch.inverse.shapes.model import RIM_DEVIATIONS, Errors, make_posterior
+from tactorch.inverse.shapes.model import (
+    EDGE_DEVIATION,
+    RIM_DEVIATIONS,
+    Errors,
+    make_posterior,
+)
 from tactorch.inverse.shapes.problem import ShapeProblem
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.rims import _midside_loads, rim_edges, rim_patterns
+from tactorch.inverse.shapes.sizing import Rim
 from tactorch.mesh import box_mesh
 from tactorch.mesh.tractions import LoadedSurface
 from tactorch.phantoms import make_phantom
+from tactorch.recording import PressErrors
 from tactorch.simulation import PressPlan, simulate
 from tactorch.simulation.patch import patch_forces
 from tactorch.simulation.plan import PressSite
@@ -77,7 +84,7 @@ def test_loads_have_no_integrals_over_hat_functions():
 
 def test_patterns_explain_the_traction_that_ends_within_triangles(recording, problem, evaluation):
     """A uniform pressure on the disc, and the traction that its nodal forces stand for."""
-    contacts = Correction.of(problem, "tet10", "auto").contacts
+    contacts = Correction.of(problem, "tet10", "auto").uncertain
     discretisation = problem.body.discretisation
     exact = 0.01 * patch_forces(discretisation, PressSite("z+", (5.0, 5.0, 10.0)), RADIUS_MM)
     change = exact - discretisation.consistent_loads(recording.presses[1].forces)
@@ -140,6 +147,31 @@ def test_the_search_may_take_tractions_at_rims_as_wrong(recording):
     assert small.log_determinant < large.log_determinant
     whole = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
     assert not ShapeProblem(replace(whole, provenance={}), Settings()).has_rims
+
+
+def test_the_traction_of_a_sensor_is_uncertain_at_edges_of_the_body():
+    whole = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
+    whole = replace(whole, provenance={})
+    loaded = (whole.presses[0].forces != 0.0).any(axis=1)
+    rim = Rim.at_end(MESH, loaded)
+    across = np.abs(MESH.points[:, :2] - 5.0).max(axis=1)
+    assert set(rim.nodes) == set(np.flatnonzero(loaded & (across > 4.99)))
+    assert rim.radius_mm == pytest.approx(10.0 / np.sqrt(np.pi))
+    assert Rim.at_end(MESH, np.zeros(MESH.n_points, dtype=bool)) is None
+    on_side = np.flatnonzero(loaded)
+    one = np.zeros((1, len(on_side), 3))
+    one[0, :, 2] = 1e-3
+    errors = PressErrors(on_side, 1e-3 * one, one)
+    measured = replace(whole, presses=tuple(replace(p, errors=errors) for p in whole.presses))
+    presses = ShapeProblem(measured, Settings())
+    assert presses.least_errors == Errors(0.0, 0.001, EDGE_DEVIATION)
+    levels = [errors.rims for _, errors in presses.least_errors.others(presses.least_errors, True)]
+    assert [level for level in levels if level != EDGE_DEVIATION] == [0.5]
+    model = presses.uniform()
+    without = presses.data(model.errors._replace(rims=0.0))
+    assert without.log_determinant < presses.data(model.errors).log_determinant
+    before = ShapeState(ShapeField(presses.prior), np.zeros(1), 0.0, 0.001, 0.0)
+    assert presses.continued(before).errors.rims == EDGE_DEVIATION
 
 
 def test_a_search_starts_from_the_deviation_at_rims_of_another(recording):

@@ -41,6 +41,7 @@ from tactorch.linalg.solver import AutoSolver
 from tactorch.mesh import Refinement, refine
 from tactorch.mesh.conform import ClosedSurface, Conforming, conform
 from tactorch.mesh.refine import Sizing
+from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.recording import Recording, prolong_recording
 
 _AT_RIM = 0.1  # longest edge at the rim of a contact, over the contact's radius
@@ -52,6 +53,7 @@ _NEAR_EDGE = 0.6  # edge that an inclusion needs at a contact near it, over that
 _SAME_MODULI = 0.1  # largest change of log-moduli at a contact that the error at its rim outlasts
 # Equilibria far more accurate than the noise of a sensor, by one or two steps from the common mesh.
 _NEWTON = NewtonOptions(rtol=1e-4)
+_AT_EDGE_MM = 1e-6  # distance of nodes from an edge that they are on
 
 
 class _FinerMesh(NamedTuple):
@@ -150,10 +152,28 @@ class Correction:
         """Whether some contact ends within a face."""
         return any(rim is not None for _, rim in self.contacts)
 
+    @cached_property
+    def uncertain(self) -> tuple[tuple[tuple[int, ...], Rim], ...]:
+        """Presses of each contact whose traction is uncertain where it ends, and the nodes there.
+
+        Where a contact ends within a face, nodal forces do not determine the traction at its rim.
+        The traction of a sensor, whose gel does not slip, is singular at edges of the body too.
+        """
+        found = []
+        for numbers, rim in self.contacts:
+            press = self.recording.presses[numbers[0]]
+            if press.errors is not None:
+                rim = Rim.at_end(self.recording.mesh, (press.forces != 0.0).any(axis=1))
+            if rim is not None and not rim.of_probe:
+                found.append((numbers, rim))
+        return tuple(found)
+
     @property
-    def has_rims(self) -> bool:
-        """Whether the forces of some such contact are data, so that its traction is uncertain."""
-        return any(rim is not None and not rim.of_probe for _, rim in self.contacts)
+    def has_singular_ends(self) -> bool:
+        """Whether the contact of a sensor ends at an edge of the body."""
+        mesh, distance = self.recording.mesh, distance_from_sharp_edges(self.recording.mesh)
+        sensors = [r for n, r in self.uncertain if self.recording.presses[n[0]].errors is not None]
+        return any((distance(mesh.points[rim.nodes]) <= _AT_EDGE_MM).any() for rim in sensors)
 
     def offsets(
         self, fit: ShapeFit, evaluation: Evaluation, check: Callable[[], None] = lambda: None

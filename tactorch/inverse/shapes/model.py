@@ -19,6 +19,10 @@ FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 MIN_POSE_DEVIATION = 0.001  # that of the discretisation after its correction
 _POSE_DEVIATIONS = (0.002, 0.01, 0.05)
 RIM_DEVIATIONS = (0.1, 0.2, 0.5)
+# That of a gel that does not slip at an edge of the body, where the traction is singular: by the
+# nodal forces of a wider gel on a uniform cube, of edges of an eighth of its side, the most
+# probable deviation is 0.2 to 0.5.
+EDGE_DEVIATION = 0.3
 MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
 DEGREES = (2, 4)  # of smooth backgrounds
 # Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
@@ -45,7 +49,7 @@ class Errors(NamedTuple):
             if level != self.pose:
                 yield f"poses wrong by {level:.1%}", self._replace(pose=level)
         for level in (least.rims, *RIM_DEVIATIONS) if has_rims else ():
-            if level != self.rims:
+            if level not in (self.rims, *(r for r in RIM_DEVIATIONS if r < least.rims)):
                 yield f"tractions at rims wrong by {level:.0%}", self._replace(rims=level)
 
 

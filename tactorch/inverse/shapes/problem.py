@@ -21,6 +21,7 @@ from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.model import (
+    EDGE_DEVIATION,
     FORCE_DEVIATIONS,
     MIN_POSE_DEVIATION,
     RIM_DEVIATIONS,
@@ -104,7 +105,10 @@ class ShapeProblem:
             self._correction = Correction.of(
                 self.quadratic, self._element, settings.solver, self._kept
             )
-        self.least_errors = Errors(0.0, 0.0 if same else MIN_POSE_DEVIATION)
+        singular = self._correction is not None and self._correction.has_singular_ends
+        self.least_errors = Errors(
+            0.0, 0.0 if same else MIN_POSE_DEVIATION, EDGE_DEVIATION if singular else 0.0
+        )
         self._corrected_at: ShapeFit | None = None
         self._correction_mm = [np.zeros(count) for count in self.quadratic.data.counts]
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
@@ -122,8 +126,8 @@ class ShapeProblem:
 
     @property
     def has_rims(self) -> bool:
-        """Whether the traction of a contact ends within a face, where forces do not resolve it."""
-        return self._correction is not None and self._correction.has_rims
+        """Whether the traction of a contact is uncertain where it ends."""
+        return self._correction is not None and bool(self._correction.uncertain)
 
     def uniform(self) -> Model:
         """Fit the uniform body with quadratic elements."""
@@ -149,12 +153,13 @@ class ShapeProblem:
         youngs = ShapesOnSites(field, self.sites).at(start.z).youngs
         evaluation = self.quadratic.evaluate(youngs, starts=displacements)
         self._linearise_errors(evaluation)
-        if self._correction is None or not has_contacts:
-            return self.fit(start, evaluation.displacements)
-        smallest = _MIN_FORCE_ERROR / RIM_DEVIATIONS[-1]
-        recording, contacts = self.quadratic.recording, self._correction.contacts
-        self._rim_patterns = rim_patterns(recording, evaluation, contacts, smallest, self._kept)
-        return self.corrected(self.fit(start, evaluation.displacements))
+        if self._correction is not None and self.has_rims:
+            self._rim_patterns = rim_patterns(
+                self.quadratic.recording, evaluation, self._correction.uncertain,
+                _MIN_FORCE_ERROR / RIM_DEVIATIONS[-1], self._kept,
+            )  # fmt: skip
+        model = self.fit(start, evaluation.displacements)
+        return self.corrected(model) if has_contacts else model
 
     def _linearise_errors(self, evaluation: Evaluation) -> None:
         """Compute the patterns of the correlated errors of the presses about an evaluation."""
@@ -170,7 +175,7 @@ class ShapeProblem:
         field = replace(result.field, prior=self.prior)
         z = field.standard(result.field.physical(result.z))
         pose = max(result.pose_deviation, self.least_errors.pose)
-        rims = result.rim_deviation if self.has_rims else 0.0
+        rims = max(result.rim_deviation, self.least_errors.rims) if self.has_rims else 0.0
         return Start("the model before", field, z, Errors(result.force_deviation, pose, rims))
 
     def fit(

@@ -1,9 +1,10 @@
 """Errors of the traction at the rims of contacts, which nodal forces do not determine.
 
 Nodal forces determine the integrals of the traction times the hat functions of the surface. Where a
-contact ends within a triangle, the traction changes there in a way that no hat function resolves.
-For each edge of the loaded triangles at the rim, the error is a traction proportional to the shape
-function of its midpoint, less the point forces at the ends that restore the integrals.
+contact ends within a triangle, the traction changes there in a way that no hat function resolves,
+and so does that of a gel which does not slip, where it ends at an edge of the body. For each edge
+of the loaded triangles at the rim, the error is a traction proportional to the shape function of
+its midpoint, less the point forces at the ends that restore the integrals.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,7 @@ _AT_ONCE = 100  # solves with one factorisation
 def rim_patterns(
     recording: Recording,
     evaluation: Evaluation,
-    contacts: Sequence[tuple[Sequence[int], Rim | None]],
+    contacts: Sequence[tuple[Sequence[int], Rim]],
     smallest: float,
     kept: KeptRims | None = None,
 ) -> Float[np.ndarray, "data k"]:
@@ -39,16 +40,15 @@ def rim_patterns(
     Args:
         recording: The presses.
         evaluation: Their predictions with quadratic elements, and derivatives.
-        contacts: Presses of each contact, and its rim if it has one.
+        contacts: Presses of each contact, and the nodes where its traction is uncertain.
         smallest: Smallest norm of a pattern.
         kept: Changes that are known, maybe of an earlier search; others are added.
     """
     known = {} if kept is None else kept.responses
     counts = evaluation.data.counts
-    with_rims = [(numbers, rim) for numbers, rim in contacts if rim and not rim.of_probe]
 
     def work(k: int) -> np.ndarray:
-        numbers, rim = with_rims[k]
+        numbers, rim = contacts[k]
         presses = [recording.presses[i] for i in numbers]
         key = press_key(recording, presses)
         if key not in known:
@@ -64,7 +64,7 @@ def rim_patterns(
             placed[i] = part
         return np.vstack(placed)
 
-    found = map_cases(work, len(with_rims))
+    found = map_cases(work, len(contacts))
     return np.hstack([np.zeros((sum(counts), 0)), *found])
 
 

@@ -161,11 +161,31 @@ class Rim:
         corners = surface.triangles[~inside]
         smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
         rim = np.unique(corners[smooth & loaded[corners]])
-        if not len(rim):
+        return Rim._of(mesh, rim, inside, radius) if len(rim) else None
+
+    @staticmethod
+    def at_end(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
+        """Return the nodes where the loaded triangles end, within a face or at edges of the body.
+
+        None where no triangle is loaded.
+        """
+        surface = mesh.surface
+        inside = loaded[surface.triangles].all(axis=1)
+        if not inside.any():
             return None
-        within = mesh.points[surface.triangles[inside]]
+        triangles = surface.triangles[inside]
+        sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        ends, counts = np.unique(sides, axis=0, return_counts=True)
+        radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
+        return Rim._of(mesh, np.unique(ends[counts == 1]), inside, radius)
+
+    @staticmethod
+    def _of(
+        mesh: TetMesh, nodes: Int[np.ndarray, " k"], inside: Bool[np.ndarray, " t"], radius: float
+    ) -> "Rim":
+        within = mesh.points[mesh.surface.triangles[inside]]
         sampled = np.einsum("sc,tcd->tsd", _lattice(_PER_TRIANGLE), within).reshape(-1, 3)
-        return Rim(rim, cKDTree(mesh.points[rim]), cKDTree(sampled), radius)
+        return Rim(nodes, cKDTree(mesh.points[nodes]), cKDTree(sampled), radius)
 
     def sizing(self, per_radius: float, growth: float, inside: float | None = None) -> Sizing:
         """Return `per_radius` times the radius at the rim, longer with the distance from it.
