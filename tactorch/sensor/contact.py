@@ -5,7 +5,8 @@ are paired in the pose of first contact; afterwards the object's point moves wit
 Transferred forces keep their sum and their moment on any pair of meshes.
 
 Where the gel's contact is known along z only (depth alone), the press has forces along the sensor's
-axis and displacements along it, as readings of the surface: no component across it is observed.
+axis and displacements along it, as readings of the surface: no component across it is observed. The
+same holds for the displacements where the gel slips, which the option `friction` determines.
 """
 
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.recording import Press, PressErrors, SurfaceReading
 from tactorch.sensor.gel import GelContact
 from tactorch.sensor.poses import Pose, check_pose, rotate_vectors, transform_points
+from tactorch.sensor.slip import slipping_nodes
 from tactorch.sensor.transfer import transfer_forces
 
 __all__ = ["ContactOptions", "build_press"]
@@ -51,6 +53,11 @@ class ContactOptions(Options):
         " (sensor in a virtual cube, else unseen)",
     )
     smoothing: float = option(0.0, "Smoothing of the interpolated displacements", ge=0)
+    friction: float | None = option(
+        None, "Coefficient of friction of gel and object: where the traction along the face reaches"
+        " it, the gel slips, and only displacements along the axis are observed; null: no slip",
+        gt=0,
+    )  # fmt: skip
 
 
 def build_press(
@@ -77,7 +84,7 @@ def build_press(
 
     Raises:
         ConfigError: A pose is not valid, the gel does not touch the object, or `noise_mm` is not
-            given for a contact that is known along z only.
+            given for a contact that is known along z only, or that slips.
         RecordingError: A field of the press is not valid.
     """
     options, normal_only = options or ContactOptions(), contact.normal_only
@@ -92,18 +99,13 @@ def build_press(
     points = mesh.points[nodes]
     paired = transform_points(first_pose, contact.points)  # the object's points at first contact
     motion = transform_points(pose, contact.points + contact.displacement) - paired
-    forces = -rotate_vectors(pose, np.where(in_contact[:, None], contact.forces, 0.0))
-    sets = forces[None]  # the forces, then their errors
-    if contact.errors is not None:
-        errors = -rotate_vectors(pose, np.where(in_contact[:, None], contact.errors.forces, 0.0))
-        sets = np.concatenate([sets, errors])
+    sets = -rotate_vectors(pose, _with_errors(contact, in_contact))
     transferred = transfer_forces(paired, sets, mesh.points, triangles, contact.triangles)
     normal = first_pose[:3, 2]
     interpolated = interpolate_displacements(paired, motion, points, normal, options.smoothing)
     inside = np.isfinite(interpolated).all(axis=1)
     at_rest = transform_points(np.linalg.inv(first_pose), points)
-    indicator = LinearNDInterpolator(contact.points[:, :2], in_contact.astype(float), 0.0)
-    touched = np.asarray(indicator(at_rest[:, :2]) >= _CONTACT_LEVEL)
+    touched = _interpolate_flags(contact.points, in_contact, at_rest)
     displacement = np.full(mesh.points.shape, np.nan)
     seen = inside & touched
     if contact.errors is not None:
@@ -119,26 +121,61 @@ def build_press(
             "no node of the object is in contact with the gel; give a finer mesh of the object."
         )
     axis = pose[:3, 2].copy()
-    if normal_only:
-        rows = np.flatnonzero(observed[:, 0])
-        along = displacement[rows] @ axis
-        fields["surface"] = _along_axis(mesh.points[rows], axis, along, fields.get("noise_mm"))
-        observed = np.zeros_like(observed)
-    elif contact.errors is not None:
+    moved = None
+    if contact.errors is not None and not normal_only:
         errors = rotate_vectors(pose, contact.errors.displacement)
         moved = _interpolate_each(paired, errors, points, normal)
         fields["errors"] = PressErrors(nodes, transferred[1:, nodes], moved)
+    along_only = observed[nodes, 0] & (normal_only or _slips(contact, in_contact, at_rest, options))
+    if along_only.any():
+        rows = nodes[along_only]
+        variance = 0.0 if moved is None else ((moved[:, along_only] @ axis) ** 2).sum(axis=0)
+        fields["surface"] = _along_axis(
+            mesh.points[rows], axis, displacement[rows] @ axis, fields.get("noise_mm"), variance
+        )
+        observed[rows] = False
     return Press(transferred[0], observed, displacement, direction=axis, **fields)
 
 
+def _with_errors(
+    contact: GelContact, in_contact: Bool[np.ndarray, " k"]
+) -> Float[np.ndarray, "q k 3"]:
+    """Return the forces on the gel at nodes in contact, N, then their errors."""
+    sets = [contact.forces[None]] + ([] if contact.errors is None else [contact.errors.forces])
+    return np.where(in_contact[:, None], np.concatenate(sets), 0.0)
+
+
+def _slips(
+    contact: GelContact, in_contact: Bool[np.ndarray, " k"], at: Nodes, options: ContactOptions
+) -> Bool[np.ndarray, " n"]:
+    """Return whether the gel slips at points of the object, in the frame of first contact."""
+    if options.friction is None:
+        return np.zeros(len(at), dtype=bool)
+    slipping = slipping_nodes(contact.forces, in_contact, options.friction)
+    return _interpolate_flags(contact.points, slipping, at)
+
+
 def _along_axis(
-    points: Points, axis: Vector, along_mm: Float[np.ndarray, " k"], noise_mm: float | None
+    points: Points,
+    axis: Vector,
+    along_mm: Float[np.ndarray, " k"],
+    noise_mm: float | None,
+    variance_mm2: Float[np.ndarray, " k"] | float = 0.0,
 ) -> SurfaceReading:
-    """Readings of displacements along an axis at points."""
+    """Readings of displacements along an axis at points; the variance is added to the noise."""
     if not noise_mm:
         raise ConfigError("noise_mm is needed for a contact that is known along z only; give it.")
     directions = np.tile(axis / np.linalg.norm(axis), (len(points), 1))
-    return SurfaceReading(points, directions, along_mm, np.full(len(points), float(noise_mm)))
+    deviations = np.sqrt(np.full(len(points), float(noise_mm) ** 2) + variance_mm2)
+    return SurfaceReading(points, directions, along_mm, deviations)
+
+
+def _interpolate_flags(
+    points: Points, flags: Bool[np.ndarray, " k"], targets: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Interpolate flags of nodes of the gel's face to other points, in the sensor frame."""
+    indicator = LinearNDInterpolator(points[:, :2], flags.astype(float), 0.0)
+    return np.asarray(indicator(targets[:, :2]) >= _CONTACT_LEVEL)
 
 
 def facing_triangles(
