@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from tactorch.findings import build_finding, find, find_lump
     from tactorch.importers import import_published
     from tactorch.inverse import GaussNewton, Reconstruction, Settings, find_shapes, invert
+    from tactorch.loading import load
     from tactorch.mesh import TetMesh, read_mesh, tetrahedralize
     from tactorch.metrics import find_inclusion, scores
     from tactorch.phantoms import Phantom, make_phantom
@@ -23,6 +24,7 @@ _HOMES = {
     "tactorch.fem": ("SoftBody", "Supports", "make_material"),
     "tactorch.importers": ("import_published",),
     "tactorch.inverse": ("GaussNewton", "Reconstruction", "Settings", "find_shapes", "invert"),
+    "tactorch.loading": ("load",),
     "tactorch.mesh": ("TetMesh", "read_mesh", "tetrahedralize"),
     "tactorch.metrics": ("find_inclusion", "scores"),
     "tactorch.phantoms": ("Phantom", "make_phantom"),
@@ -50,6 +52,7 @@ __all__ = [
     "find_shapes",
     "import_published",
     "invert",
+    "load",
     "make_material",
     "make_phantom",
     "read_mesh",

@@ -22,7 +22,7 @@ from tactorch.config import Options
 _ROOT = Path(__file__).resolve().parents[2]
 #: Pages: title, and the packages (or modules) on it.
 PAGES = {
-    "recording": ("Recordings", ["tactorch.recording", "tactorch.importers"]),
+    "recording": ("Recordings", ["tactorch.loading", "tactorch.recording", "tactorch.importers"]),
     "simulation": ("Phantoms and simulation", ["tactorch.phantoms", "tactorch.simulation"]),
     "inverse": ("Inversion", ["tactorch.inverse"]),
     "uncertainty": (

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import tactorch
 from tactorch.fem import Discretisation
 from tactorch.fem.elements import ELEMENTS
+from tactorch.files import write_json
 from tactorch.inverse import Settings
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes.correction import Correction
@@ -182,12 +184,14 @@ def test_a_search_starts_from_the_deviation_at_rims_of_another(recording):
     assert np.exp(field.physical(model.fit.z)[0]) == pytest.approx(0.2, rel=0.1)
 
 
-def test_the_result_states_the_deviation_at_rims(recording):
+def test_the_result_states_the_deviation_at_rims(recording, tmp_path):
     presses = ShapeProblem(recording, Settings())
     model = presses.uniform()
     posterior = make_posterior(model, presses.sites)
     result = ShapeReconstruction(model.fit.field, model.fit.z, posterior, 1.0, (), 0.0)
     plain = replace(result, rim_deviation=0.2).plain()
     assert ShapeReconstruction.of(plain).rim_deviation == 0.2
+    write_json(tmp_path / "shapes.json", plain)
+    assert tactorch.load(tmp_path / "shapes.json").rim_deviation == 0.2
     del plain["rim_deviation"]  # as in files of earlier versions
     assert ShapeReconstruction.of(plain).rim_deviation == 0.0
