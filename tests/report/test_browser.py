@@ -243,6 +243,17 @@ def test_several_runs_share_sliders_and_colours(
     assert all((seen.pixels(c) != b).any() for c, b in zip(canvases, before, strict=True))
     assert "regularization" in seen.page.locator("#settings table").first.inner_text()
     assert seen.page.locator("#scores td.best .mark").count() > 3
+    # With a range for each column its colours and its bar change, and change back.
+    seen.page.uncheck("#outlines")
+    seen.page.select_option("#colours", "ultrasound")
+    bars = [seen.pixels(f".head:nth-of-type({k}) canvas") for k in (1, 2)]
+    common = [seen.pixels(canvas) for canvas in canvases]
+    seen.page.select_option("#range", "own")
+    assert any((seen.pixels(c) != b).any() for c, b in zip(canvases, common, strict=True))
+    own = [seen.pixels(f".head:nth-of-type({k}) canvas") for k in (1, 2)]
+    assert any((a != b).any() for a, b in zip(own, bars, strict=True))
+    seen.page.select_option("#range", "common")
+    assert all((seen.pixels(c) == b).all() for c, b in zip(canvases, common, strict=True))
     assert not seen.troubles
 
 

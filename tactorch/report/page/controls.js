@@ -34,6 +34,12 @@ function makeControls() {
     state.log = event.target.value === "log";
     scheduleRedraw();
   });
+  const range = query("#range");
+  if (range)
+    range.addEventListener("change", () => {
+      state.own = range.value === "own";
+      scheduleRedraw();
+    });
   query("#outlines").addEventListener("change", (event) => {
     state.outlines = event.target.checked;
     scheduleRedraw();

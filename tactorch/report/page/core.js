@@ -34,6 +34,7 @@ const state = {
   at: [0, 0, 0], // mm, the slice across each axis
   colours: data.colours,
   log: false,
+  own: false, // limits of each run instead of common ones
   outlines: true,
   quantity: "youngs",
   hidden: new Set(["resolution"]),
@@ -69,10 +70,27 @@ function isLog(field) {
   return field === "credibility" || (state.log && MODULI.has(field));
 }
 
-function limitsOf(field) {
+function limitsOf(field, run) {
+  if (state.own && run) return ownLimits(field, run.fields[field]);
   const [low, high] = data.limits[field];
   if (!isLog(field)) return [low, high];
   return [low > 0 ? low : minModulus(field), high];
+}
+
+const ownRanges = new WeakMap(); // of arrays of values
+// The range of the values of one column; around that of a constant field.
+function ownLimits(field, values) {
+  if (!ownRanges.has(values)) {
+    let low = Infinity, high = -Infinity;
+    for (const value of values) {
+      if (!isDefined(field, value)) continue;
+      low = Math.min(low, value);
+      high = Math.max(high, value);
+    }
+    ownRanges.set(values, high > low ? [low, high] : [0.9 * low, 1.1 * high]);
+  }
+  const [low, high] = ownRanges.get(values);
+  return isLog(field) ? [Math.max(low, high / 1000), high] : [low, high];
 }
 
 const minimums = {};
@@ -92,9 +110,9 @@ function minModulus(field) {
 // A negative uncertainty is undefined: the map is at a bound.
 const isDefined = (field, value) => field !== "uncertainty" || value > -0.5;
 
-function colourFraction(field, value) {
+function colourFraction(field, value, run) {
   if (!isDefined(field, value)) return 1;
-  const [low, high] = limitsOf(field);
+  const [low, high] = limitsOf(field, run);
   const share = isLog(field)
     ? Math.log(Math.max(value, 1e-12) / low) / Math.log(high / low)
     : (value - low) / (high - low);
@@ -107,7 +125,8 @@ function mapColour(map, share) {
 }
 
 const cssColour = ([r, g, b]) => `rgb(${r} ${g} ${b})`;
-const colourOf = (field, value) => mapColour(colourMap(field), colourFraction(field, value));
+const colourOf = (field, value, run) =>
+  mapColour(colourMap(field), colourFraction(field, value, run));
 
 function cssValue(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -166,8 +185,9 @@ function prepareCanvas(canvas, width, height, sharpness = window.devicePixelRati
   return context;
 }
 
-function colourBar(canvas, field, width) {
-  const g = prepareCanvas(canvas, width, 30), map = colourMap(field), [low, high] = limitsOf(field);
+function colourBar(canvas, field, width, run) {
+  const g = prepareCanvas(canvas, width, 30), map = colourMap(field);
+  const [low, high] = limitsOf(field, run);
   const left = 4, right = width - 4;
   for (let x = left; x < right; x++) {
     g.fillStyle = cssColour(mapColour(map, (x - left) / (right - left)));
@@ -179,7 +199,7 @@ function colourBar(canvas, field, width) {
   g.textBaseline = "top";
   let end = -Infinity;
   for (const tick of isLog(field) ? logTicks(low, high) : ticks(low, high, 4)) {
-    const x = left + colourFraction(field, tick) * (right - left), label = formatNumber(tick);
+    const x = left + colourFraction(field, tick, run) * (right - left), label = formatNumber(tick);
     const half = g.measureText(label).width / 2;
     const middle = clamp(x, half, width - half);
     if (middle - half < end + 6) continue;

@@ -118,7 +118,7 @@ function drawSlice(canvas, { run, field }, axis, at, frame, sharpness) {
   g.lineWidth = 1.2;
   for (let e = 0; e < elements.length; e++) {
     // A thin line of the same colour closes the seams between anti-aliased polygons.
-    g.fillStyle = g.strokeStyle = cssColour(colourOf(field, values[elements[e]]));
+    g.fillStyle = g.strokeStyle = cssColour(colourOf(field, values[elements[e]], run));
     g.beginPath();
     for (let k = ends[e]; k < ends[e + 1]; k++)
       g.lineTo(frame.x(corners[2 * k]), frame.y(corners[2 * k + 1]));
@@ -267,7 +267,7 @@ function drawSlices() {
   if (!panels.length) return;
   const size = layout();
   grid.style.setProperty("--panel", `${size.width}px`);
-  for (const column of columns) colourBar(column.bar, column.field, size.width);
+  for (const column of columns) colourBar(column.bar, column.field, size.width, column.run);
   for (const axis of [0, 1, 2]) {
     const { slider, out } = sliders[axis];
     slider.value = state.at[axis];
@@ -289,7 +289,7 @@ function drawSlices() {
 // The slice without the cross hair, redrawn only if it changes.
 function renderPanel(panel) {
   const { axis, column, frame } = panel;
-  const look = [state.at[axis], state.colours, state.log, state.outlines, frame.width, frame.scale,
+  const look = [state.at[axis], state.colours, state.log, state.own, state.outlines, frame.width, frame.scale,
     cssValue("scheme"), window.devicePixelRatio].join();
   if (panel.look !== look) {
     panel.look = look;
@@ -382,7 +382,7 @@ function drawForPrint() {
     bar.className = "print-head";
     bar.style.width = `${width}px`;
     bar.textContent = `${column.title} (${data.fields[column.field].unit})`;
-    colourBar(bar.appendChild(document.createElement("canvas")), column.field, width);
+    colourBar(bar.appendChild(document.createElement("canvas")), column.field, width, column.run);
   }
   for (const axis of [2, 1, 0]) {
     const low = bounds[0][axis], size = bounds[1][axis] - low;

@@ -151,7 +151,7 @@ class View {
       const { positions, normals } = isosurface(run, solid.level);
       this.put("level", positions, normals);
     }
-    const look = [solid.axis, at, state.colours, state.log].join();
+    const look = [solid.axis, at, state.colours, state.log, state.own].join();
     if (shown.look !== look) this.put("cut", ...cutFace(run, solid.axis, at));
     this.shown = { level: solid.level, look };
   }
@@ -331,7 +331,7 @@ function cutFace(run, axis, at) {
   if (axis < 0) return [position, null, colour];
   const { corners, ends, elements } = cut(run, axis, at), [across, up] = PLANE[axis];
   elements.forEach((element, e) => {
-    const paint = colourOf("youngs", run.fields.youngs[element]).map((v) => v / 255);
+    const paint = colourOf("youngs", run.fields.youngs[element], run).map((v) => v / 255);
     for (let k = ends[e] + 1; k + 1 < ends[e + 1]; k++)
       for (const i of [ends[e], k, k + 1]) {
         const p = [];
