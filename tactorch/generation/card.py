@@ -13,7 +13,7 @@ from tactorch.generation.sample import Sample
 from tactorch.generation.sampleset import SampleSet
 from tactorch.generation.touch_card import touch_contents, touch_method, touch_rows
 
-CARD, PICTURE = "card.md", "card.png"
+CARD, PICTURE, TOUCH_PICTURE = "card.md", "card.png", "touch.png"
 _MAX_CARD_SAMPLES = 500
 
 
@@ -44,6 +44,7 @@ def _text(samples: SampleSet, selected: Sequence[Sample]) -> str:
         f" {recipe['seed']}.",
         "",
         f"![What is inside]({PICTURE})",
+        *((f"![What the sensor sees]({TOUCH_PICTURE})",) if has_touch else ()),
         "",
         "## What is in a sample",
         "",

@@ -7,7 +7,7 @@ A dataset is a folder:
 | recipe.json | all settings that determine the samples |
 | shard-00000.h5 ... | samples, about 50 per file; written whole or not at all |
 | manifest.json | written last: recipe, versions, checksums, failed samples |
-| card.md, card.png | summary as text and as a figure |
+| card.md, card.png | summary as text and as a figure; touch.png: what a sensor sees |
 | partial/ | samples of unfinished shards, while generation runs |
 
 In a shard (HDF5, text and arrays as in recordings):

@@ -1,8 +1,9 @@
 """Recipe of a dataset: all settings that determine its samples."""
 
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, make_material
 from tactorch.inverse import Settings
-from tactorch.mesh import Box, TetMesh
+from tactorch.mesh import BodyFile, Box, Shape, TetMesh
 from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.lattice import lattice_mesh
 from tactorch.mesh.tetmesh import FaceName
@@ -123,8 +124,15 @@ class MeshSizes(Options):
 
 
 def _lattice(phantom: Phantom, relative_edge_length: float) -> TetMesh:
-    diagonal = bounding_diagonal(phantom.body.bounds())
-    return lattice_mesh(phantom.body, relative_edge_length * diagonal)
+    body = phantom.body
+    stamp = Path(body.path).stat().st_mtime_ns if isinstance(body, BodyFile) else 0
+    return _lattice_of(body, relative_edge_length * bounding_diagonal(body.bounds()), stamp)
+
+
+@lru_cache(maxsize=4)
+def _lattice_of(body: Shape, edge_length_mm: float, stamp: int) -> TetMesh:
+    """Mesh a body; that of a file, which takes seconds, is the same in all samples."""
+    return lattice_mesh(body, edge_length_mm)
 
 
 @dataclass(frozen=True)
@@ -184,7 +192,10 @@ class Recipe(Options):
     def _check_touch(self) -> None:
         sensor = self.touch.description()
         check_material(self.material, sensor)
-        GelPart.of(sensor.gel, self.touch.gel_edge_mm, self.touch.gel_layers)
+        try:
+            GelPart.of(sensor.gel, self.touch.gel_edge_mm, self.touch.gel_layers)
+        except ConfigError as error:
+            raise ConfigError(f"dataset.touch.gel_edge_mm: {error}") from error
 
     def meshes(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
         """Return the mesh of the recording of a body, and that of the simulation."""

@@ -89,9 +89,7 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
             figures["chi2"] = float(result.history[-1]["chi2"])
         figures |= {k: float(v) for k, v in scores(mesh, youngs, recording.truth).items()}
     number = index // recipe.views
-    return Sample(
-        index, number, drawn.label, drawn.parameters, recording, youngs, figures, touch
-    )
+    return Sample(index, number, drawn.label, drawn.parameters, recording, youngs, figures, touch)
 
 
 def _pressed(

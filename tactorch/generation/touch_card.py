@@ -16,8 +16,8 @@ def touch_contents(touch: dict[str, Any]) -> list[str]:
     return [
         "",
         f"For each press of the sensor `{sensor['name']}`: its image of {width} x {height} px with"
-        f" noise of {touch['render']['noise']:g} gray values, the positions of its markers in px and"
-        " which are in the image,"
+        f" noise of {touch['render']['noise']:g} gray values, the positions of its markers in px,"
+        " and which are in the image,"
         + (" the height of the gel's face at each pixel in mm," if touch["heights"] else "")
         + " displacement (mm) and force (N) of the nodes of the gel's face, and the pose of the"
         " sensor; for each sample the image without contact.",

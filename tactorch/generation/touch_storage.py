@@ -1,4 +1,4 @@
-"""The part of a sample that a tactile sensor measures, in HDF5; see `tactorch.generation.layout`."""
+"""What a tactile sensor measures in a sample, in HDF5; see `tactorch.generation.layout`."""
 
 from typing import TYPE_CHECKING
 

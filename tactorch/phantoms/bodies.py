@@ -78,7 +78,8 @@ class _RandomBody(Options):
 
         def place() -> tuple[Float[np.ndarray, "3"], float]:
             half = float(rng.uniform(*self.size)) * width
-            return rng.uniform(low + half, high - half), half
+            margin = np.minimum(half, (high - low) / 2)
+            return rng.uniform(low + margin, high - margin), half
 
         def modulus() -> float:
             return youngs * draw_contrast(rng, self.contrast)

@@ -33,8 +33,8 @@ class TouchOptions(Options):
         (0.0, 0.0), "Range of the motion across the axis, in a random direction", unit="mm", ge=0
     )
     max_slope_deg: float = option(
-        60.0, "Largest angle of the surface at a place to the side opposite the held one", unit="deg",
-        gt=0, le=120,
+        60.0, "Largest angle of the surface at a place to the side opposite the held one",
+        unit="deg", gt=0, le=120,
     )  # fmt: skip
     tilt_deg: float = option(
         3.0, "Largest angle of the sensor's axis to the surface's normal", unit="deg", ge=0, le=30
@@ -46,7 +46,7 @@ class TouchOptions(Options):
     held: float = option(
         0.02, "Height above that side up to which the body is held, in its extent", ge=0, lt=0.5
     )
-    gel_edge_mm: float = option(2.0, "Mean edge length of the gel's cells", unit="mm", gt=0)
+    gel_edge_mm: float = option(1.6, "Mean edge length of the gel's cells", unit="mm", gt=0)
     gel_layers: int = option(2, "Number of cells through the gel", ge=1)
     heights: bool = option(True, "Store the height of the gel's face at each pixel")
     render: RenderOptions = option(factory=RenderOptions, help="Appearance of the sensor")

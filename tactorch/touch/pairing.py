@@ -10,7 +10,6 @@ from tactorch.fem.contact.contact import TRIANGLE_POINTS, TRIANGLE_WEIGHTS
 from tactorch.fem.contact.pair import CoupledDiscretisation, Pairs
 from tactorch.fem.elements import Discretisation
 from tactorch.mesh import Shape, TetMesh
-from tactorch.mesh.values import Points, Triangles
 from tactorch.sensor.poses import Pose, transform_points
 from tactorch.touch.gel import GelPart
 from tactorch.touch.parts import PartsMesh
@@ -75,7 +74,7 @@ def face_each_other(body: TetMesh, shape: Shape, gel: GelPart, pose: Pose) -> Fa
     moved = transform_points(np.linalg.inv(pose), body.points)
     mesh = PartsMesh.of(moved, body.tets, gel.mesh)
     face, shift = gel.mesh.surface, body.n_points
-    outer: np.ndarray = np.isin(face.triangles, gel.face).all(axis=1)
+    outer = np.asarray(np.isin(face.triangles, gel.face).all(axis=1))
     triangles, areas = face.triangles[outer], face.areas[outer]
     count = len(TRIANGLE_POINTS)
     points = np.einsum("pc,tcd->tpd", TRIANGLE_POINTS, gel.mesh.points[triangles]).reshape(-1, 3)
@@ -102,16 +101,13 @@ def face_each_other(body: TetMesh, shape: Shape, gel: GelPart, pose: Pose) -> Fa
 
 def _interpolation(
     mesh: TetMesh,
-    first: Triangles,
+    first: Int[np.ndarray, "p 3"],
     at_first: Float[np.ndarray, "p 3"],
-    second: Triangles,
+    second: Int[np.ndarray, "p 3"],
     at_second: Float[np.ndarray, "p 3"],
-) -> tuple[Int[np.ndarray, "p k"], Float[np.ndarray, "p k"]]:
-    """Nodes of two triangles each, and shape functions at a point of each, those of the second < 0.
-    """
+) -> tuple[Int[np.ndarray, "p c"], Float[np.ndarray, "p c"]]:
+    """Nodes of pairs of triangles, and shape functions at their points, negative for the second."""
     parts = Discretisation(mesh, ELEMENTS[ELEMENT])
     nodes = np.hstack([parts.surface_nodes(first), parts.surface_nodes(second)])
     values = np.hstack([parts.surface_values(at_first), -parts.surface_values(at_second)])
     return nodes, values
-
-

@@ -17,6 +17,5 @@ class PartsMesh(TetMesh):
     @staticmethod
     def of(points: Points, tets: Tets, second: TetMesh) -> "PartsMesh":
         """Return the mesh of a first part (mm), which may be moved, and a second one."""
-        return PartsMesh(
-            np.concatenate([points, second.points]), np.concatenate([tets, second.tets + len(points)])
-        )  # fmt: skip
+        cells = np.concatenate([tets, second.tets + len(points)])
+        return PartsMesh(np.concatenate([points, second.points]), cells)

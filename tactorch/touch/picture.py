@@ -56,7 +56,7 @@ def draw_gel(
     markers = sensor.to_px(_markers(sensor, points, displacement))
     image = render(sensor, GelSurface(rise, markers), options, seed)
     low, high = np.array([-0.5, -0.5]), np.array(sensor.image_size_px) - 0.5
-    visible = ((markers >= low) & (markers <= high)).all(axis=1)
+    visible = np.asarray(((markers >= low) & (markers <= high)).all(axis=1))
     return Picture(image, rise, markers, visible)
 
 

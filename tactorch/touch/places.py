@@ -37,7 +37,9 @@ def draw_place(scene: TouchScene, rng: np.random.Generator) -> tuple[Pose, Facin
             f" opposite {options.held_side}; give a larger max_slope_deg."
         )
     areas = scene.mesh.surface.areas[triangles]
-    limits = _CENTRAL * np.minimum(scene.sensor.gel.half_size_mm, np.array(scene.sensor.size_mm) / 2)
+    limits = _CENTRAL * np.minimum(
+        scene.sensor.gel.half_size_mm, np.array(scene.sensor.size_mm) / 2
+    )
     for _ in range(_MAX_DRAWS):
         triangle = int(triangles[rng.choice(len(triangles), p=areas / areas.sum())])
         pose = _draw_pose(scene, triangle, rng)

@@ -47,7 +47,8 @@ class GelPress:
         first_pose: T_object_sensor at first touch.
         gel_points: Nodes of the gel's face at rest, midside nodes last, (g, 3), mm, sensor frame.
         gel_displacement: Their displacement, (g, 3), mm, sensor frame.
-        gel_forces: Forces on them, (g, 3), N, sensor frame.
+        gel_forces: Forces on them, (g, 3), N, sensor frame: loads of quadratic elements, of which
+            midside nodes have most.
         points: Points of the body in contact at rest, (q, 3), mm.
         forces: Forces of the gel on the body at these, (q, 3), N.
         displacement: Displacement of all nodes of the body, (nodes, 3), mm.
@@ -209,9 +210,7 @@ class _Coupled:
             )
         return contact, result
 
-    def press(
-        self, contact: PairContact, result: EquilibriumResult, first_pose: Pose
-    ) -> GelPress:
+    def press(self, contact: PairContact, result: EquilibriumResult, first_pose: Pose) -> GelPress:
         """Return the press of an equilibrium."""
         u, rows = result.displacement, self._gel_rows
         pose = first_pose.copy()
@@ -232,9 +231,7 @@ class _Coupled:
             rotate_vectors(pose, support[body].sum(axis=0)),
         )
 
-    def _search(
-        self, contact: PairContact, rtol: float, after: Newton | None = None
-    ) -> Newton:
+    def _search(self, contact: PairContact, rtol: float, after: Newton | None = None) -> Newton:
         parts = contact.pairs.discretisation
         supports = Supports(fixed=self._fixed).case(0, parts)
         nothing = np.zeros((parts.n_nodes, 3))

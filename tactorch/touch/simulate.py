@@ -38,7 +38,8 @@ class Touch:
         marker_visible: Whether it is in the image.
         gel_points: Nodes of the gel's face at rest, mm.
         gel_displacement: Their displacement, mm.
-        gel_forces: Forces of the body on them, N.
+        gel_forces: Forces of the body on them, N: loads of quadratic elements, of which midside
+            nodes have most.
         poses: T_object_sensor, mm.
         first_poses: T_object_sensor at first touch, mm.
         place: Number of the place that is pressed.

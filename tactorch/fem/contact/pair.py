@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
 from tactorch.fem.contact.contact import ContactResponse
@@ -109,7 +110,10 @@ class PairContact:
         return 0.5 * float((self._springs(offsets[:, 2] < 0.0) * offsets**2).sum())
 
     def at(self, u: Float[np.ndarray, "nodes 3"]) -> ContactResponse:
-        """Return energy, nodal forces and total at displacements (mm); `rows` are the pairs."""
+        """Return energy, nodal forces and total at displacements (mm).
+
+        `rows` are the pairs in contact, whose blocks are not needed.
+        """
         offsets = self.offsets(u)
         touching = offsets[:, 2] < 0.0
         springs = self._springs(touching)
@@ -117,7 +121,7 @@ class PairContact:
         forces = np.zeros_like(u)
         spread = self.pairs.values[:, :, None] * at_pairs[:, None, :]
         np.add.at(forces, self.pairs.discretisation.coupled, spread)
-        none = np.zeros((0, 1, 1))
+        none = np.zeros((int(touching.sum()), 0, 0))
         return ContactResponse(energy, forces, np.flatnonzero(touching), none, at_pairs.sum(axis=0))
 
     def add_tangent(
@@ -131,6 +135,18 @@ class PairContact:
             rows = np.flatnonzero(springs[:, axis])
             added = springs[rows, axis, None] * products[rows]
             values += np.bincount(slots[axis, rows].ravel(), added.ravel(), len(values))
+
+    def tangent(self, response: ContactResponse) -> sp.csr_matrix:
+        """Return the second derivative of the energy by all displacements, N/mm."""
+        parts = self.pairs.discretisation
+        touching = np.zeros(len(self.sticking), dtype=bool)
+        touching[response.rows] = True
+        rows = np.repeat(np.arange(len(touching)), parts.coupled.shape[1])
+        entries = self.pairs.values.ravel(), (rows, parts.coupled.ravel())
+        offsets = sp.csr_matrix(entries, shape=(len(touching), parts.n_nodes))
+        by_axis = sp.kron(offsets, sp.identity(3))
+        stiff = sp.diags(self._springs(touching).ravel())
+        return sp.csr_matrix(by_axis.T @ stiff @ by_axis)
 
     def _springs(self, touching: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:
         """Stiffness of each pair along each axis, N/mm."""
