@@ -30,6 +30,9 @@ class Dataset(Recipe):
         False, "Invert each recording; linear: the linear image, for a tenth of the time"
     )
 
+    def _check_samples(self) -> None:
+        """Leave checks that read files to the recipe that is made of these settings."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class GenerateOptions(Settings, CommandOptions):

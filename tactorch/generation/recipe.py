@@ -178,7 +178,10 @@ class Recipe(Options):
             )
         if self.element not in ELEMENTS:
             raise ConfigError(f"element={self.element!r}: choose one of {', '.join(ELEMENTS)}.")
-        # Refuse what no sample could be made of.
+        self._check_samples()
+
+    def _check_samples(self) -> None:
+        """Refuse what no sample could be made of, and files that cannot be read."""
         make_material(self.material.name, self.material.poisson, **self.material.parameters)
         if self.has_touch:
             self._check_touch()

@@ -132,17 +132,9 @@ class FileFamily(_RandomBody):
     unit: Literal["mm", "cm", "m"] = option("mm", "Length unit of the file")
 
     def __post_init__(self) -> None:
-        """Check the settings and read the file.
-
-        Raises:
-            ConfigError: There is no file, or a setting is not valid.
-            FileError: The file cannot be read.
-            MeshError: The surface does not bound one body.
-        """
         super().__post_init__()
         if self.file is None:
             raise ConfigError("family.file is required: the surface or mesh of the body.")
-        self._body.surface()
 
     @property
     def _body(self) -> BodyFile:
@@ -158,6 +150,7 @@ class FileFamily(_RandomBody):
         Raises:
             ConfigError: No inclusion fits; make `size` or `count` smaller.
             FileError: The file cannot be read.
+            MeshError: The surface does not bound one body.
         """
         return self._filled(rng, self._body, {"body": Path(str(self.file)).name})
 

@@ -52,16 +52,8 @@ class TouchOptions(Options):
     render: RenderOptions = option(factory=RenderOptions, help="Appearance of the sensor")
 
     def __post_init__(self) -> None:
-        """Check the settings and read the sensor's description.
-
-        Raises:
-            ConfigError: A setting is not valid.
-            FileError: The description cannot be read.
-        """
         super().__post_init__()
         check_ranges(self, "presses", "depth_mm", "shear_mm")
-        if self.sensor is not None:
-            self.description()
 
     def description(self) -> SensorDescription:
         """Return the sensor with rectified images of `image_width_px`.

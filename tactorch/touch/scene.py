@@ -73,7 +73,7 @@ class TouchScene:
     Attributes:
         phantom: The body.
         mesh: Its mesh, mm.
-        material: Its constitutive law, that of the gel with a Poisson's ratio of its own.
+        material: Its constitutive law, that of the gel, with another Poisson's ratio.
         sensor: The sensor.
         options: Meshing of the gel, friction and support.
 
@@ -263,7 +263,7 @@ class _Coupled:
 
     @cached_property
     def _body_rows(self) -> Int[np.ndarray, " nodes"]:
-        """Nodes of the body, in the order of those of its own discretisation."""
+        """Nodes of the body, in the order of those of a discretisation of the body alone."""
         return np.flatnonzero(~self._on_gel)
 
     @cached_property

@@ -72,7 +72,7 @@ def test_wrong_settings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"family.file is required"):
         FileFamily()
     with pytest.raises(FileError, match=r"nowhere.stl"):
-        FileFamily(file=tmp_path / "nowhere.stl")
+        FileFamily(file=tmp_path / "nowhere.stl").draw(np.random.default_rng(0))
     with pytest.raises(ConfigError, match=r"family.width_mm=\[20.0, 10.0\]: give the lower end"):
         BodiesFamily(width_mm=(20.0, 10.0))
     with pytest.raises(ConfigError, match="No inclusion fits"):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.mesh import Hemisphere
+from tactorch.mesh import Hemisphere, Lathe
 from tactorch.mesh.lattice import lattice_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec, Recording
@@ -133,7 +133,7 @@ def test_wrong_options_are_named(sensor_file: Path) -> None:
     with pytest.raises(ConfigError, match=r"dataset.touch.depth_mm=\[1.0, 0.5\]: give the lower"):
         TouchOptions(depth_mm=(1.0, 0.5))
     with pytest.raises(FileError, match=r"or one of finger.*nowhere.yaml"):
-        TouchOptions(sensor="nowhere.yaml")
+        TouchOptions(sensor="nowhere.yaml").description()
     with pytest.raises(ConfigError, match=r"dataset.touch.friction='glue'"):
         TouchOptions(friction="glue")
     with pytest.raises(ConfigError, match=r"sensor is null"):
@@ -141,9 +141,12 @@ def test_wrong_options_are_named(sensor_file: Path) -> None:
 
 
 def test_body_without_places_is_an_error(sensor_file: Path) -> None:
-    """The top of the meshed hemisphere is flat nowhere."""
-    with pytest.raises(ConfigError, match=r"within 0.1 degrees .* z-; give a larger max_slope_deg"):
-        touch(sensor_file, max_slope_deg=0.1)
+    """A cone is steep everywhere."""
+    options = TouchOptions(sensor=str(sensor_file), max_slope_deg=20.0, gel_edge_mm=1.8)
+    phantom = Phantom(Lathe((0.0, 0.0, 0.0), [(0, 0), (6, 0), (0, 8)]), (), 0.2)
+    mesh, rng = lattice_mesh(phantom.body, 2.0), np.random.default_rng(0)
+    with pytest.raises(ConfigError, match=r"within 20 degrees .* z-; give a larger max_slope_deg"):
+        simulate_touch(phantom, mesh, None, material=NEO_HOOKEAN, options=options, rng=rng)
 
 
 def test_places_are_where_the_gel_touches_in_its_middle(
